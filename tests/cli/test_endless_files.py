@@ -1,4 +1,4 @@
-"""What is no regular file, or too large, is refused before it is read, by every command that reads one."""
+"""Special files and oversized files: every command refuses them before reading."""
 
 from __future__ import annotations
 
@@ -38,28 +38,28 @@ COMMANDS = {
 
 @pytest.fixture(autouse=True)
 def alarm() -> Iterator[None]:
-    """A hang ends as an error."""
+    """Turn a hang into an error."""
 
-    def late(number: int, frame: FrameType | None) -> None:
+    def on_timeout(number: int, frame: FrameType | None) -> None:
         raise AssertionError("still reading after 10 s")
 
-    before = signal.signal(signal.SIGALRM, late)
+    before = signal.signal(signal.SIGALRM, on_timeout)
     signal.alarm(10)
     yield
     signal.alarm(0)
     signal.signal(signal.SIGALRM, before)
 
 
-def refused(command: str, path: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line that a command says of a file."""
-    given = []
+def refusal_of(command: str, path: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the one line with which a command refuses a file."""
+    arguments = []
     for word in COMMANDS[command]:
         if word.startswith("FILE."):
             link = path.parent / f"link{word[4:]}"
             link.symlink_to(path)
             word = str(link)
-        given.append({"FILE": str(path), "OUT": str(path.parent / "out")}.get(word, word))
-    assert main(given) == 2
+        arguments.append({"FILE": str(path), "OUT": str(path.parent / "out")}.get(word, word))
+    assert main(arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1, err
@@ -67,10 +67,12 @@ def refused(command: str, path: Path, capsys: pytest.CaptureFixture[str]) -> str
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_pipe_does_not_hang(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pipe_does_not_block_a_command(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    assert "a pipe, expected a regular file" in refused(command, pipe, capsys)
+    assert "a pipe, expected a regular file" in refusal_of(command, pipe, capsys)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -80,14 +82,14 @@ def test_a_device_does_not_fill_the_memory(
 ) -> None:
     link = tmp_path / "device"
     link.symlink_to(device)
-    assert "a device, expected a regular file" in refused(command, link, capsys)
+    assert "a device, expected a regular file" in refusal_of(command, link, capsys)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_the_size_is_looked_at_before_reading(
+def test_the_size_is_checked_before_reading(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     large = tmp_path / "large"
     with large.open("wb") as file:
         file.truncate(MAX_LOG_BYTES + 1)  # sparse
-    assert "larger than" in refused(command, large, capsys)
+    assert "larger than" in refusal_of(command, large, capsys)

@@ -1,4 +1,4 @@
-"""Some fifty bad inputs: each is refused in one line, with exit status 2, and soon."""
+"""Some fifty bad inputs: each is refused soon, in one line and with exit status 2."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ FLIGHT = next((Path(__file__).parents[1] / "data" / "flights").rglob("*.mcap"))
 ULOG = b"ULog\x01\x12\x35\x01" + bytes(8)
 TRIAL = "time_s,normal_m\n" + "".join(f"{0.01 * i:.2f},{0.5 - 0.01 * i:.3f}\n" for i in range(60))
 
-# name -> words and content: FILE is a file of that, OUT is not there, MISSION and SCENARIO are shipped.
-# Three as content: that text of a shipped file replaced by another.
+# Each name has arguments and a content. FILE has this content, OUT does not exist, and MISSION and SCENARIO
+# are shipped. A content of three is a shipped file, a text in it and the replacement.
 CASES: dict[str, tuple[list[str], object]] = {
     "tab for an indent": (["check", "FILE"], (MISSION, "walls:", "walls:\n\t- x")),
     "a key with a colon": (["check", "FILE"], (MISSION, "name: single-wall", "name: a: b")),
@@ -101,24 +101,24 @@ CASES: dict[str, tuple[list[str], object]] = {
         b"",
     ),
 }
-_MAX_S = 20.0  # on a loaded machine; two on an idle one
+_MAX_S = 20.0  # on a loaded machine; 2 s on an idle one
 
 
 @pytest.fixture(autouse=True)
 def alarm() -> Iterator[None]:
-    """A hang ends as an error."""
+    """Turn a hang into an error."""
 
-    def late(number: int, frame: FrameType | None) -> None:
+    def on_timeout(number: int, frame: FrameType | None) -> None:
         raise AssertionError(f"not refused after {_MAX_S:g} s")
 
-    before = signal.signal(signal.SIGALRM, late)
+    before = signal.signal(signal.SIGALRM, on_timeout)
     signal.setitimer(signal.ITIMER_REAL, _MAX_S)
     yield
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     signal.signal(signal.SIGALRM, before)
 
 
-def written(folder: Path, name: str, content: object) -> Path:
+def write_input(folder: Path, name: str, content: object) -> Path:
     path = folder / name
     if isinstance(content, tuple):
         shipped, old, new = content
@@ -134,27 +134,27 @@ def written(folder: Path, name: str, content: object) -> Path:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_it_is_refused_in_one_line(
+def test_a_bad_input_is_refused_in_one_line(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
     monkeypatch.chdir(tmp_path)
-    words, content = CASES[name]
+    arguments, content = CASES[name]
     shipped = {"MISSION": str(MISSION), "SCENARIO": str(SCENARIO), "OUT": str(tmp_path / "out")}
-    given = []
-    for word in words:
+    command = []
+    for word in arguments:
         if word.partition(".")[0] == "FILE":
-            word = str(written(tmp_path, "input" + (word[4:] or ".yaml"), content))
-        given.append(shipped.get(word, word))
+            word = str(write_input(tmp_path, "input" + (word[4:] or ".yaml"), content))
+        command.append(shipped.get(word, word))
     begin = time.monotonic()
     try:
-        status = main(given)
+        status = main(command)
     except SystemExit as exit_:
         status = int(str(exit_.code))
     took_s = time.monotonic() - begin
     out, err = capsys.readouterr()
-    said = [line for line in err.splitlines() if not line.startswith("vehicle: ")]
-    assert (status, out, len(said)) == (2, "", 1), err
-    assert said[0].isprintable()
+    lines = [line for line in err.splitlines() if not line.startswith("vehicle: ")]
+    assert (status, out, len(lines)) == (2, "", 1), err
+    assert lines[0].isprintable()
     assert "Traceback" not in err
     assert took_s < _MAX_S

@@ -1,4 +1,4 @@
-"""Files that are found, words that are said: what a newcomer stumbles over."""
+"""Files, messages and advice that a new user meets first."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ SINGLE = dart_flight.packaged("missions", "single_wall.yaml")
 NO_LOCK = dart_flight.packaged("missions", "rigid_cage", "single_wall.yaml")
 
 
-# --- which configuration --------------------------------------------------------------------------------
+# --- choice of the configuration --------------------------------------------------------------------------
 
 
-def two_configurations(folder: Path) -> None:
+def write_two_configurations(folder: Path) -> None:
     (folder / "configs").mkdir()
     text = dart_flight.packaged("configs", "dart.yaml").read_text(encoding="utf-8")
     (folder / "configs" / "base.yaml").write_text(text, encoding="utf-8")
@@ -40,16 +40,16 @@ def two_configurations(folder: Path) -> None:
     (folder / "configs" / "mine.yaml").write_text(mine, encoding="utf-8")
 
 
-def test_of_a_base_and_what_extends_it_the_latter_is_taken(
+def test_an_extending_configuration_is_preferred_to_its_base(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    two_configurations(tmp_path)
+    write_two_configurations(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DART_FLIGHT_CONFIG", raising=False)
     found = find_vehicle()
     assert (found.source.source, found.config.airframe.mass_kg) == ("configs/mine.yaml", 1.05)
     (tmp_path / "configs" / "other.yaml").write_text("extends: base.yaml\n", encoding="utf-8")
-    with pytest.raises(dart_flight.InputError, match="several vehicles"):  # not to be guessed
+    with pytest.raises(dart_flight.InputError, match="several vehicles"):  # the choice is not guessed
         find_vehicle()
 
 
@@ -62,16 +62,16 @@ def test_a_packaged_file_that_does_not_exist_is_named() -> None:
         dart_flight.packaged("mission", "single_wall.yaml")
 
 
-# --- words -----------------------------------------------------------------------------------------------
+# --- messages and advice ---------------------------------------------------------------------------------
 
 
-def test_the_program_alone_prints_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_program_without_arguments_prints_its_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     assert "dry-run" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", ["report", "identify", "replay", "tables"])
-def test_an_interrupt_is_said_and_130(
+def test_an_interrupt_is_reported_with_exit_status_130(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(arguments: object) -> int:
@@ -84,12 +84,12 @@ def test_an_interrupt_is_said_and_130(
 
 
 @pytest.mark.parametrize("seed", ["a", 1.5, -1, True, None, 2**31])
-def test_a_seed_that_is_none_is_one_clear_error(seed: object) -> None:
+def test_an_invalid_seed_is_refused(seed: object) -> None:
     with pytest.raises(dart_flight.InputError, match="seed: expected a whole number from 0 to 2147483647"):
         dart_flight.simulate(SINGLE, seed=seed)  # type: ignore[arg-type]
 
 
-def test_lines_of_a_flight_are_in_the_order_of_their_times() -> None:
+def test_lines_of_a_flight_are_in_order_of_time() -> None:
     out = io.StringIO()
     lines = FlightLines(Console(file=out, width=200))
     zero = (0.0, 0.0, 0.0)
@@ -100,7 +100,7 @@ def test_lines_of_a_flight_are_in_the_order_of_their_times() -> None:
     assert times == [5.02, 5.03]
 
 
-def test_only_what_is_installed_is_recommended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_commands_with_installed_packages_are_recommended(monkeypatch: pytest.MonkeyPatch) -> None:
     verdict = dart_flight.simulate(SINGLE).verdict
     verdict.log = "flights/x/flight.mcap"
     everything = next_steps(verdict)
@@ -111,7 +111,7 @@ def test_only_what_is_installed_is_recommended(monkeypatch: pytest.MonkeyPatch) 
     ) + 1  # fmt: skip
 
 
-def test_a_dry_run_installs_what_it_needs_and_names_what_installs_the_rest(tmp_path: Path) -> None:
+def test_make_dry_run_installs_only_its_packages_and_names_make_install(tmp_path: Path) -> None:
     done = make("dry-run", tmp_path)
     (install,) = (line for line in done if "pip install" in line)
     assert "-e '.[sim]'" in install
@@ -120,31 +120,34 @@ def test_a_dry_run_installs_what_it_needs_and_names_what_installs_the_rest(tmp_p
 
 
 def make(target: str, folder: Path) -> list[str]:
-    """What `make` would run in a checkout without a virtual environment."""
+    """Return the commands of a target of `make` in a checkout without a virtual environment."""
     words = ["make", "-n", f"VENV={folder}/venv", target]
     return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
 
 
-def test_the_advice_installs_every_extra_with_the_pinned_versions(tmp_path: Path) -> None:
+def test_the_install_advice_covers_every_extra_with_pinned_versions(tmp_path: Path) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     assert project["full"] == [f"dart-flight[{','.join(IN_FULL)}]"]
     (install,) = (line for line in make("install", tmp_path) if "pip install" in line)
     assert "-c constraints.txt -e '.[full]'" in install
     for extra in [name for name in project if name not in ("dev", "full")]:
-        says = install_command(extra, tmp_path)  # an installed wheel has no Makefile
-        assert says.endswith(
+        advice = install_command(extra, tmp_path)  # as in a wheel, which has no Makefile
+        assert advice.endswith(
             f"-m pip install -c constraints.txt '.[{extra}]' in the checkout that it was installed from"
         )
-        says = install_command(extra)
-        assert says.endswith("install") if "make" in says else "-c constraints.txt -e" in says
+        advice = install_command(extra)
+        assert advice.endswith("install") if "make" in advice else "-c constraints.txt -e" in advice
 
 
-def test_the_advice_is_one_place_and_its_bracket_is_printed() -> None:
+def test_the_install_advice_is_written_in_one_place() -> None:
     advised = [path for path in (ROOT / "dart_flight").rglob("*.py") if "pip install" in path.read_text()]
-    assert {path.name for path in advised} == {"packages.py", "limit_switch.py"}  # gpiod is no extra of ours
+    assert {path.name for path in advised} == {
+        "packages.py",
+        "limit_switch.py",
+    }  # gpiod is not an extra of this project
 
 
-def test_a_plan_without_ruckig_prints_the_advice_whole(
+def test_a_plan_without_ruckig_prints_the_complete_install_advice(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "ruckig", None)
@@ -159,7 +162,7 @@ def test_a_plan_without_ruckig_prints_the_advice_whole(
 # --- missions --------------------------------------------------------------------------------------------
 
 
-def with_impact(tmp_path: Path, keys: str) -> Path:
+def mission_with_impact(tmp_path: Path, keys: str) -> Path:
     text = SINGLE.read_text(encoding="utf-8").replace("../configs", str(ROOT / "configs"))
     changed = re.sub(r"(approach: \{[^}]*\},)", rf"\1 {keys},", text, count=1)
     assert changed != text
@@ -168,35 +171,39 @@ def with_impact(tmp_path: Path, keys: str) -> Path:
     return path
 
 
-def test_a_point_beside_the_wall_is_told_with_the_nearest_on_it(tmp_path: Path) -> None:
+def test_an_impact_point_off_the_wall_is_refused_with_the_nearest_point(tmp_path: Path) -> None:
     wall = load_mission(SINGLE).collisions[0].wall
-    on_it = wall.foot(load_mission(SINGLE).collisions[0].impact_point or (0.0, 0.0))
-    x, y = on_it[0] + 0.014 * wall.normal[0], on_it[1] + 0.014 * wall.normal[1]
+    nearest = wall.foot(load_mission(SINGLE).collisions[0].impact_point or (0.0, 0.0))
+    x, y = nearest[0] + 0.014 * wall.normal[0], nearest[1] + 0.014 * wall.normal[1]
     with pytest.raises(dart_flight.InputError, match=r"0\.014 m off wall") as caught:
-        load_mission(with_impact(tmp_path, f"impact_point_m: [{x}, {y}]"))
-    said = re.search(r"nearest point is \[(.+), (.+)\]; or give impact_along_m: (.+)$", str(caught.value))
-    assert said is not None
-    assert (float(said[1]), float(said[2])) == pytest.approx(on_it, abs=6e-4)
-    along = load_mission(with_impact(tmp_path, f"impact_along_m: {said[3]}")).collisions[0].impact_point
-    assert along == pytest.approx(on_it, abs=6e-4)
+        load_mission(mission_with_impact(tmp_path, f"impact_point_m: [{x}, {y}]"))
+    suggested = re.search(
+        r"nearest point is \[(.+), (.+)\]; or give impact_along_m: (.+)$", str(caught.value)
+    )
+    assert suggested is not None
+    assert (float(suggested[1]), float(suggested[2])) == pytest.approx(nearest, abs=6e-4)
+    path = mission_with_impact(tmp_path, f"impact_along_m: {suggested[3]}")
+    assert load_mission(path).collisions[0].impact_point == pytest.approx(nearest, abs=6e-4)
 
 
 @pytest.mark.parametrize(
-    ("keys", "said"),
+    ("keys", "problem"),
     [
         ("impact_along_m: 99.0", "the wall, which extends from"),
         ("impact_along_m: 0.1, impact_point_m: [0, 0]", "not both"),
     ],
 )
-def test_a_distance_along_the_wall_is_on_it(keys: str, said: str, tmp_path: Path) -> None:
-    with pytest.raises(dart_flight.InputError, match=said):
-        load_mission(with_impact(tmp_path, keys))
+def test_an_invalid_impact_distance_along_the_wall_is_refused(
+    keys: str, problem: str, tmp_path: Path
+) -> None:
+    with pytest.raises(dart_flight.InputError, match=problem):
+        load_mission(mission_with_impact(tmp_path, keys))
 
 
 # --- pages and folders -----------------------------------------------------------------------------------
 
 
-def test_a_campaign_does_not_scatter_files_among_others(
+def test_a_campaign_refuses_a_folder_that_is_not_empty(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "missions"
@@ -208,7 +215,7 @@ def test_a_campaign_does_not_scatter_files_among_others(
 
 
 @pytest.mark.parametrize(("mission", "has_lock"), [(SINGLE, True), (NO_LOCK, False)])
-def test_the_animation_of_a_vehicle_without_a_lock_shows_none(
+def test_the_animation_shows_a_lock_only_if_the_vehicle_has_one(
     mission: Path, has_lock: bool, tmp_path: Path
 ) -> None:
     dart_flight.simulate(mission, log_dir=tmp_path)
@@ -220,12 +227,12 @@ def test_the_animation_of_a_vehicle_without_a_lock_shows_none(
     assert all("D.hasLock" in line for line in shows)
 
 
-def test_a_package_that_is_there_and_does_not_load_is_not_called_missing() -> None:
-    for error, says in (
+def test_a_package_that_does_not_load_is_not_reported_as_missing() -> None:
+    for error, beginning in (
         (ImportError("libopenblas.so.0: cannot open"), "needs SciPy, but it does not load: libopenblas.so.0"),
         (ModuleNotFoundError("No module named 'scipy'"), "needs SciPy: "),
     ):
         try:
             raise error
         except ImportError:
-            assert missing_package("needs SciPy", "identify").message.startswith(says)
+            assert missing_package("needs SciPy", "identify").message.startswith(beginning)

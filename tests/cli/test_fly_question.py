@@ -1,4 +1,4 @@
-"""`fly` asks before it flies, and says in JSON why it does not."""
+"""`fly` asks before it flies, and prints a NO-GO as JSON."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from dart_flight.run.prepare import load_flyable
 
 
 class Terminal(io.StringIO):
-    """A person's answers."""
+    """A terminal with the operator's answers."""
 
     def isatty(self) -> bool:
         return True
 
 
 @pytest.mark.parametrize(("answer", "flies"), [("y\n", True), ("Yes\n", True), ("\n", False), ("", False)])
-def test_only_a_yes_flies(answer: str, flies: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_yes_confirms_the_flight(answer: str, flies: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", Terminal(answer))
     assert confirm("Fly?") is flies
 
 
-def test_without_a_terminal_the_answer_is_no(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_confirmation_fails_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
     assert not confirm("Fly?")
 
 
 @pytest.mark.parametrize("as_json", [True, False])
-def test_a_no_go_is_an_object_too(as_json: bool, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_no_go_is_printed_as_json(as_json: bool, capsys: pytest.CaptureFixture[str]) -> None:
     mission = load_flyable(Path(__file__).parents[2] / "missions" / "hover.yaml")
     arguments = argparse.Namespace(json=as_json, overrule=[], yes=True)
     found = [CheckFinding("battery", False, "12.1 V")]

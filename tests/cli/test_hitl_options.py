@@ -1,4 +1,4 @@
-"""`dry-run --hitl`: what does not go together is refused in one line, and nothing flies unconfirmed."""
+"""`dry-run --hitl`: contradictory options are refused in one line, and nothing flies unconfirmed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MISSION = str(Path(__file__).parents[2] / "missions" / "single_wall.yaml")
 HITL, LINK = "udpout://127.0.0.1:14570", "udpin://127.0.0.1:14999"
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+def refusal_of(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     try:
         status = main(["dry-run", MISSION, *words])
     except SystemExit as exit_:
@@ -31,7 +31,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "problem"),
     [
         (["--connection", LINK], "--connection needs --hitl"),
         (["--hitl", HITL, "--px4", "/nowhere"], "--px4 and --hitl exclude each other"),
@@ -45,27 +45,31 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_what_does_not_go_together_is_one_line(
-    words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+def test_contradictory_options_are_refused_in_one_line(
+    words: list[str], problem: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    err = refused(capsys, *words)
-    assert says in err
+    err = refusal_of(capsys, *words)
+    assert problem in err
     assert err.count("\n") == 1
 
 
-def test_one_port_by_two_names_is_one_port(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_names_of_one_serial_port_are_recognised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     master, slave = pty.openpty()
     by_id = tmp_path / "by-id"
     by_id.symlink_to(os.ttyname(slave))
     urls = (f"serial://{os.ttyname(slave)}:921600", f"serial://{by_id}:921600")
-    assert "also the link of the application" in refused(capsys, "--hitl", urls[0], "--connection", urls[1])
+    assert "also the link of the application" in refusal_of(
+        capsys, "--hitl", urls[0], "--connection", urls[1]
+    )
     os.close(slave)
     os.close(master)
 
 
 @pytest.fixture
 def ready(monkeypatch: pytest.MonkeyPatch) -> list[CheckFinding]:
-    """What a flight controller at the link is found to be; a flight would fail the test."""
+    """Replace the preflight checks by these findings; a flight fails the test."""
     findings = [CheckFinding("disarmed", True, "disarmed")]
 
     def find(_: object, context: FlightContext) -> list[CheckFinding]:
@@ -83,19 +87,19 @@ def ready(monkeypatch: pytest.MonkeyPatch) -> list[CheckFinding]:
 
 
 @pytest.mark.parametrize("typed", ["", "y\n", "propellers on\n"])
-def test_not_confirmed_is_not_flown(
+def test_an_unconfirmed_flight_does_not_start(
     typed: str,
     ready: list[CheckFinding],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
-    err = refused(capsys, "--hitl", HITL, "--connection", LINK)
+    err = refusal_of(capsys, "--hitl", HITL, "--connection", LINK)
     assert "Take the propellers off" in err
     assert err.splitlines()[-1].endswith("'propellers off' was not typed; not flown")
 
 
-def test_a_flight_controller_that_is_not_ready_is_not_flown(
+def test_a_flight_controller_that_is_not_ready_does_not_fly(
     ready: list[CheckFinding], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ready.append(CheckFinding("SYS_HITL", False, "SYS_HITL is 0, wanted 1"))

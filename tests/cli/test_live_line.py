@@ -1,4 +1,4 @@
-"""The line at the bottom of the terminal, and what is said after a flight."""
+"""The live line at the bottom of the terminal, and the commands recommended after a flight."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def log(flown: SharedFlights) -> Log:
     return read_log(flown("paper_single_wall", 1).log)
 
 
-def test_it_shows_phase_place_speed_force_lock_and_battery(log: Log) -> None:
+def test_the_live_line_shows_phase_position_speed_force_lock_and_battery(log: Log) -> None:
     terminal = io.StringIO()
     now_s = 0.0
     line = LiveLine(flown_mission(log.about, log.source), terminal, lambda: now_s)
@@ -35,14 +35,14 @@ def test_it_shows_phase_place_speed_force_lock_and_battery(log: Log) -> None:
         line(entry.record)
     shown = terminal.getvalue().split("\r\x1b[K")[1:]
     pattern = r"\w+  \(-?[\d.]+, -?[\d.]+, -?[\d.]+\) m  [\d.]+ m/s  force [\d.]+ N  lock .*  [\d.]+ V"
-    assert all(re.match(pattern, one) or len(one) == 79 for one in shown)
+    assert all(re.match(pattern, text) or len(text) == 79 for text in shown)
     assert 50 < len(shown) <= 5.0 * now_s
-    assert {one.split()[0] for one in shown} >= {"climb", "approach", "goal", "landing"}
-    # The peak of a contact of a tenth of a second is not missed between two refreshes.
-    assert max(float(re.findall(r"force ([\d.]+)", one)[0]) for one in shown) > 25.0
+    assert {text.split()[0] for text in shown} >= {"climb", "approach", "goal", "landing"}
+    # A contact of 0.1 s is shorter than a refresh; its peak must be shown all the same.
+    assert max(float(re.findall(r"force ([\d.]+)", text)[0]) for text in shown) > 25.0
 
 
-def test_other_lines_take_its_place_and_it_goes_at_the_end(log: Log) -> None:
+def test_the_live_line_is_cleared_before_other_lines_and_at_the_end(log: Log) -> None:
     terminal = io.StringIO()
     console = Console(file=terminal, force_terminal=True, width=100)
     mission = flown_mission(log.about, log.source)
@@ -56,12 +56,12 @@ def test_other_lines_take_its_place_and_it_goes_at_the_end(log: Log) -> None:
         assert " m/s  force" not in printed.split("\r\x1b[K")[-1]
 
 
-def test_a_pipe_gets_none_of_it(log: Log) -> None:
+def test_a_pipe_has_no_live_line(log: Log) -> None:
     console = Console(file=io.StringIO())
     assert live_line_for(flown_mission(log.about, log.source), console) is None
 
 
-def test_after_a_flight_the_next_commands_are_named_and_run(
+def test_the_commands_recommended_after_a_flight_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

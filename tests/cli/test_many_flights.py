@@ -1,4 +1,4 @@
-"""Logs as a person has them: many, in folders, some of flights that ended early; one zero of time in all."""
+"""Many logs in folders, some of them incomplete; all outputs share one time origin."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 
 @pytest.fixture
 def folder(flown: SharedFlights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two flights in one folder, which is a working folder of its own."""
+    """A working folder with two flights in its folder `flights`."""
     for seed in (1, 2):
         log = flown("paper_single_wall", seed).log
         shutil.copytree(log.parent, tmp_path / "flights" / f"{log.parent.name}-seed{seed}")
@@ -40,101 +40,101 @@ def folder(flown: SharedFlights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     return tmp_path
 
 
-def stub(folder: Path) -> Path:
+def write_incomplete_log(folder: Path) -> Path:
     path = folder / "flights" / "20200101T000000-stub" / "flight.mcap"
     path.parent.mkdir()
     FlightLog(path, describe_flight(load_mission(MISSION), World.EMBEDDED, 1)).close()
     return path
 
 
-def logs(folder: Path) -> list[str]:
+def log_paths(folder: Path) -> list[str]:
     return [str(path) for path in sorted((folder / "flights").glob("*/flight.mcap"))]
 
 
-def test_replay_takes_a_folder(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """For single logs see `test_stub_logs_do_not_break_a_glob`."""
+def test_replay_accepts_a_folder(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Single logs: `test_incomplete_logs_are_skipped`."""
     assert main(["replay", "flights", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["equal"] is True
     assert [len(printed["replays"]), len({r["log"] for r in printed["replays"]})] == [2, 2]
 
 
-def test_export_puts_each_beside_its_log(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_writes_tables_beside_each_log(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", "flights", "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["exports"]) == 2
-    for log in logs(folder):
+    for log in log_paths(folder):
         assert (Path(log).parent / "csv" / "columns.csv").exists()
-    assert main(["export", *logs(folder), "-o", "all"]) == 0
+    assert main(["export", *log_paths(folder), "-o", "all"]) == 0
     assert len(list(Path("all").glob("*/columns.csv"))) == 2
 
 
-def test_a_report_of_several_goes_beside_their_logs(folder: Path) -> None:
-    """That of one: `test_one_zero_of_time`."""
+def test_a_report_of_several_logs_is_written_into_their_folder(folder: Path) -> None:
+    """A report of one log: `test_all_outputs_share_one_time_origin`."""
     pytest.importorskip("matplotlib")
     assert main(["report", "flights"]) == 0
     assert (folder / "flights" / "report.html").exists()
 
 
-def test_a_folder_without_flights(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_without_flights_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("empty").mkdir()
     for command in ("replay", "export", "report", "identify"):
         assert main([command, "empty"]) == 2
         assert "no flight log (flight.mcap) below this folder" in capsys.readouterr().err
 
 
-def test_stub_logs_do_not_break_a_glob(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_incomplete_logs_are_skipped(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("scipy")
-    path = stub(folder)
+    path = write_incomplete_log(folder)
     identify = ["identify", "--surface", "acrylic", "--json"]
-    assert main([*identify, *logs(folder)]) == 0
+    assert main([*identify, *log_paths(folder)]) == 0
     streams = capsys.readouterr()
     assert len(json.loads(streams.out)["trials"]) == 2
     assert "skipped" in streams.err
     assert "stub" in streams.err
-    assert main(["calibrate", "thrust", *logs(folder), "--json"]) == 0
+    assert main(["calibrate", "thrust", *log_paths(folder), "--json"]) == 0
     assert "skipped" in capsys.readouterr().err
-    assert main([*identify, str(path)]) == 2, "alone there is nothing to do with it"
+    assert main([*identify, str(path)]) == 2, "an incomplete log alone cannot be used"
     path.write_bytes(b"")
-    assert main(["calibrate", "thrust", str(path), logs(folder)[-1]]) == 0
+    assert main(["calibrate", "thrust", str(path), log_paths(folder)[-1]]) == 0
     capsys.readouterr()
-    assert main(["replay", *logs(folder)]) == 0
+    assert main(["replay", *log_paths(folder)]) == 0
     streams = capsys.readouterr()
     assert streams.out.count("equal") == 2
     assert "skipped" in streams.err
 
 
-def test_one_zero_of_time(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same phase change in the terminal, in the CSV, in the replay and in the report."""
+def test_all_outputs_share_one_time_origin(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A phase change has the same time in the terminal, the CSV file, the replay and the report."""
     pytest.importorskip("matplotlib")
     assert main(["dry-run", MISSION, "--fast", "--log-dir", "one"]) == 0
     shown = re.search(r"([\d.]+) s +→ CONTACT 1", capsys.readouterr().err)
     assert shown is not None
-    terminal = float(shown[1])
+    terminal_s = float(shown[1])
     (log,) = Path("one").glob("*/flight.mcap")
     assert main(["export", str(log)]) == 0
     (changed,) = (p for p in (log.parent / "csv").glob("*.csv") if "before,after" in p.read_text())
     with open(changed, newline="") as file:
         changes = list(csv.DictReader(file))
-    table = next(float(row["time_s"]) for row in changes if row["after"] == "contact")
-    assert abs(table - terminal) <= 0.005 + 1e-9
+    table_s = next(float(row["time_s"]) for row in changes if row["after"] == "contact")
+    assert abs(table_s - terminal_s) <= 0.005 + 1e-9
     capsys.readouterr()
     assert main(["replay", str(log), "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
-    replayed = next(row[0] for row in rows if "after contact" in row[2])
-    assert replayed == pytest.approx(table, abs=1e-6)
+    replayed_s = next(row[0] for row in rows if "after contact" in row[2])
+    assert replayed_s == pytest.approx(table_s, abs=1e-6)
     assert main(["report", str(log)]) == 0
     page = (log.parent / "report.html").read_text()
     cell = re.search(r"<td[^>]*>([\d.]+)</td>\s*<td[^>]*>approach</td>\s*<td[^>]*>contact</td>", page)
     assert cell is not None
-    assert float(cell[1]) == pytest.approx(table, abs=0.051)
+    assert float(cell[1]) == pytest.approx(table_s, abs=0.051)
 
 
-def test_replay_shows_only_what_differs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = logs(folder)[0]
+def test_replay_shows_only_changed_decisions(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = log_paths(folder)[0]
     assert main(["replay", log, "--set", "detection.force_threshold_n=20"]) == 1
     out = capsys.readouterr().out
     assert "ContactEnd" in out
-    assert "arming" not in out, "as recorded"
+    assert "arming" not in out, "unchanged decisions are not listed"
     assert "decisions are as recorded" in out
 
 
@@ -143,13 +143,13 @@ def test_an_abort_shows_its_reason(folder: Path, capsys: pytest.CaptureFixture[s
     out = capsys.readouterr().out
     assert "reason: " in out
     assert "peak" not in out, "no empty columns"
-    reason = verdict_of(read_log(logs(folder)[-1])).reason
+    reason = verdict_of(read_log(log_paths(folder)[-1])).reason
     assert reason is not None
     assert reason in out.replace("\n", " ") or reason[:30] in out
 
 
-def test_truth_is_null_where_there_is_none(folder: Path) -> None:
-    log = read_log(logs(folder)[0])
+def test_truth_is_null_if_the_log_has_none(folder: Path) -> None:
+    log = read_log(log_paths(folder)[0])
     log.entries = [e for e in log.entries if not isinstance(e.record, TruthSample | TruthContact)]
     verdict = verdict_of(log)
     assert [c.truth for c in verdict.collisions] == [None]
@@ -176,18 +176,20 @@ def test_tables_fit_eighty_columns(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
-def test_an_interrupted_campaign_sums_up_what_is_there(number: signal.Signals, tmp_path: Path) -> None:
+def test_an_interrupted_series_reports_the_flights_that_were_flown(
+    number: signal.Signals, tmp_path: Path
+) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(
         [sys.executable, "-m", "dart_flight", "dry-run", MISSION, "--fast", "--runs", "200", "--json"],
         cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
-        # Whatever runs the tests may ignore Ctrl-C, and its children would inherit that.
+        # The test runner may ignore Ctrl-C, and its children would inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )  # fmt: skip
-    until = time.monotonic() + 120.0
-    while len(list(tmp_path.glob("flights/*/flight.mcap"))) < 4 and time.monotonic() < until:
-        time.sleep(0.1)  # so that some are complete: every process has begun its second one
+    deadline_s = time.monotonic() + 120.0
+    while len(list(tmp_path.glob("flights/*/flight.mcap"))) < 4 and time.monotonic() < deadline_s:
+        time.sleep(0.1)  # some flights are complete: every process has begun its second flight
     if number is signal.SIGINT:
         os.killpg(process.pid, number)  # as a terminal does
     else:
@@ -205,7 +207,7 @@ def test_an_interrupted_campaign_sums_up_what_is_there(number: signal.Signals, t
 
 
 @pytest.mark.parametrize("words", [["dry-run", MISSION], ["dry-run", MISSION, "--runs", "2"], ["simulate"]])
-def test_without_the_extra_nothing_is_begun(
+def test_nothing_starts_without_the_simulation_package(
     words: list[str], folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [n for n in sys.modules if n.split(".")[0] == "pymavlink"] + [
@@ -215,6 +217,6 @@ def test_without_the_extra_nothing_is_begun(
     monkeypatch.setitem(sys.modules, "pymavlink", None)
     before = set(folder.rglob("*"))
     assert main(words) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert said[-1] == f"simulation needs pymavlink: {install_command('sim')}"
-    assert set(folder.rglob("*")) == before, "no log folder of a flight that cannot be"
+    errors = capsys.readouterr().err.splitlines()
+    assert errors[-1] == f"simulation needs pymavlink: {install_command('sim')}"
+    assert set(folder.rglob("*")) == before, "no log folder is left behind"

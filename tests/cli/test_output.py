@@ -1,4 +1,4 @@
-"""Text from outside, and standard streams that take nothing: neither costs a flight its status."""
+"""Text from outside and broken standard streams: neither changes the exit status of a flight."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ MISSION = packaged("missions", "single_wall.yaml")
 PREDICT = ["predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "-1.0", "0.0"]
 
 
-class Broken(io.StringIO):
-    """A stream that refuses what is written."""
+class BrokenStream(io.StringIO):
+    """A stream that refuses every write."""
 
     def __init__(self, number: int) -> None:
         super().__init__()
@@ -71,7 +71,7 @@ def removed_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
 
 
 @given(st.text(alphabet=st.characters(exclude_categories=())))
-def test_printable_text_can_be_encoded_and_stays_as_it_is(text: str) -> None:
+def test_printable_text_can_be_encoded_and_is_otherwise_unchanged(text: str) -> None:
     shown = printable(text)
     assert shown.encode() == printable(shown).encode()
     if not any(0xD800 <= ord(c) < 0xE000 for c in text):
@@ -79,18 +79,18 @@ def test_printable_text_can_be_encoded_and_stays_as_it_is(text: str) -> None:
 
 
 @given(st.binary())
-def test_a_name_of_any_bytes_is_printable(name: bytes) -> None:
+def test_a_file_name_of_any_bytes_is_printable(name: bytes) -> None:
     shown = printable(os.fsdecode(name))
     assert shown.encode().decode() == shown
     assert len(shown) >= len(name.decode("utf-8", "ignore"))
 
 
-def test_bytes_of_a_name_are_shown_as_such() -> None:
+def test_undecodable_bytes_of_a_file_name_are_shown_as_escapes() -> None:
     assert printable(os.fsdecode(b"m\xff\xc3\xa4.yaml")) == "m\\xffä.yaml"
 
 
 @pytest.mark.parametrize("text", ["p [/x]", "q [red]", "[bold", ":warning:", "\\[a]", "[@click=f]b[/]"])
-def test_text_is_no_markup(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_is_not_interpreted_as_markup(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     from rich.table import Table
 
     table = Table(title=text)
@@ -100,12 +100,12 @@ def test_text_is_no_markup(text: str, capsys: pytest.CaptureFixture[str]) -> Non
     messages().print(text, style="red", soft_wrap=True)
     messages().print(styled((text, "bold"), text), soft_wrap=True)
     tables().print(table)
-    said = capsys.readouterr()
-    assert said.err == f"{text}\n{text}\n{text}{text}\n"
-    assert said.out.count(text) == 3
+    output = capsys.readouterr()
+    assert output.err == f"{text}\n{text}\n{text}{text}\n"
+    assert output.out.count(text) == 3
 
 
-def test_a_terminal_of_ascii_alone_gets_ascii(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_ascii_terminal_receives_only_ascii(monkeypatch: pytest.MonkeyPatch) -> None:
     data = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(data, encoding="ascii"))
     tables().print("0.02\N{NO-BREAK SPACE}m ± 0.01 → ü \udcff", soft_wrap=True)
@@ -115,7 +115,7 @@ def test_a_terminal_of_ascii_alone_gets_ascii(monkeypatch: pytest.MonkeyPatch) -
 # --- names -----------------------------------------------------------------------------------------------
 
 
-def test_a_mission_with_an_odd_name_flies_and_is_named_everywhere(
+def test_a_mission_with_an_odd_file_name_works_in_every_command(
     odd_mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     logs = tmp_path / "logs [/y]"
@@ -128,15 +128,15 @@ def test_a_mission_with_an_odd_name_flies_and_is_named_everywhere(
     page = Path(os.fsdecode(os.fsencode(tmp_path) + b"/p\xff.html"))
     assert main(["report", log, "-o", str(page)]) == 0
     assert page.exists()
-    said = capsys.readouterr()
-    assert f"wrote {tmp_path}/p\\xff.html" in said.err
-    assert "[/y]" in said.out.replace("\n", "")
+    output = capsys.readouterr()
+    assert f"wrote {tmp_path}/p\\xff.html" in output.err
+    assert "[/y]" in output.out.replace("\n", "")
 
 
 @pytest.mark.parametrize(
     "command", ["check", "dry-run", "plan", "survey", "report", "inspect", "identify", "replay"]
 )
-def test_a_file_with_an_odd_name_that_is_wrong_is_one_line(
+def test_an_error_in_an_oddly_named_file_is_reported_in_one_line(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/n\xfe[/].yaml"))
@@ -148,26 +148,26 @@ def test_a_file_with_an_odd_name_that_is_wrong_is_one_line(
     assert "n\\xfe[/].yaml" in lines[0]
 
 
-def test_a_vehicle_with_an_odd_name_is_named_in_json(
+def test_a_vehicle_with_an_odd_file_name_is_named_in_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/c\xff.yaml"))
     path.write_bytes(packaged("configs", "dart.yaml").read_bytes())
     monkeypatch.chdir(tmp_path)
     assert main([*PREDICT, "--config", str(path), "--json"]) == 0
-    said = capsys.readouterr()
-    assert msgspec.json.decode(said.out)["vehicle"]["source"] == "c\\xff.yaml"
-    assert "vehicle: c\\xff.yaml" in said.err
+    output = capsys.readouterr()
+    assert msgspec.json.decode(output.out)["vehicle"]["source"] == "c\\xff.yaml"
+    assert "vehicle: c\\xff.yaml" in output.err
 
 
-def test_a_campaign_needs_names_that_it_can_keep(
+def test_a_campaign_refuses_file_names_that_are_not_utf_8(
     odd_mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["campaign", str(odd_mission), "--runs", "1", "--out", str(tmp_path / "c")]) == 2
     assert "the file name is not UTF-8" in capsys.readouterr().err
 
 
-def test_json_of_any_text_is_json(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_output_of_any_text_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
     emit_json({"log\udcff": ["\udcfe", {"a": "ü"}], "figure": 1.5, "missing": None})
     assert msgspec.json.decode(capsys.readouterr().out) == {
         "log\\xff": ["\\xfe", {"a": "ü"}],
@@ -181,19 +181,21 @@ def test_json_of_any_text_is_json(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.usefixtures("removed_folder")
 @pytest.mark.parametrize("command", [["check", str(MISSION)], ["dry-run", str(MISSION), "--fast"], PREDICT])
-def test_a_removed_working_folder_is_one_line(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_removed_working_folder_is_reported_in_one_line(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(command) == 2
     line = "cannot use the working folder: No such file or directory; cd to another folder\n"
     assert capsys.readouterr().err == line
 
 
 @pytest.mark.usefixtures("removed_folder")
-def test_a_working_folder_that_goes_during_a_flight_leaves_the_verdict_its_log() -> None:
+def test_log_paths_can_be_displayed_in_a_removed_working_folder() -> None:
     assert display_path("flights/a/flight.mcap") == "flights/a/flight.mcap"
     assert display_path("/logs/a/flight.mcap") == "/logs/a/flight.mcap"
 
 
-def test_a_px4_folder_that_leads_to_itself_is_one_line(
+def test_a_circular_or_unknown_px4_folder_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "a").symlink_to(tmp_path / "b")
@@ -203,7 +205,7 @@ def test_a_px4_folder_that_leads_to_itself_is_one_line(
         assert "no PX4 SITL in this folder" in capsys.readouterr().err
 
 
-def test_an_unexpected_system_error_is_a_line_with_its_place(
+def test_an_unexpected_system_error_is_one_line_with_its_source_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(*_: object) -> None:
@@ -214,28 +216,28 @@ def test_an_unexpected_system_error_is_a_line_with_its_place(
     assert capsys.readouterr().err.startswith("/etc/odd: Operation not permitted (test_output.py:")
 
 
-# --- streams that take nothing ---------------------------------------------------------------------------
+# --- broken streams --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC, errno.EPIPE])
-def test_a_terminal_that_is_gone_ends_no_flight(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stderr", Broken(number))
+def test_a_lost_terminal_does_not_end_a_flight(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", BrokenStream(number))
     print_status("→ APPROACH 1")
     messages().print("→ APPROACH 1")
 
 
-def test_an_output_that_is_full_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdout", Broken(errno.ENOSPC))
+def test_a_full_standard_output_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", BrokenStream(errno.ENOSPC))
     with pytest.raises(OutputError, match="cannot write standard output: No space left"):
         emit_json({})
     with pytest.raises(OutputError, match="cannot write standard output: No space left"):
         tables().print("a")
 
 
-def test_what_has_happened_keeps_its_status(
+def test_a_finished_flight_keeps_its_status_if_the_output_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "stdout", Broken(errno.EDQUOT))
+    monkeypatch.setattr(sys, "stdout", BrokenStream(errno.EDQUOT))
     with keep_status("dual-collision, fast: completed, log: a.mcap"):
         emit_json({})
     monkeypatch.undo()
@@ -244,7 +246,7 @@ def test_what_has_happened_keeps_its_status(
 
 
 def _run(command: list[str], redirection: str, folder: Path, **environment: str) -> tuple[int, str]:
-    """The exit status and standard error of a command whose output is redirected by the shell."""
+    """Return the exit status and standard error of a command whose output the shell redirects."""
     words = " ".join(f"'{word}'" for word in [sys.executable, "-m", "dart_flight", *command])
     done = subprocess.run(
         ["bash", "-c", f"{words} {redirection}"],
@@ -264,29 +266,29 @@ def _run(command: list[str], redirection: str, folder: Path, **environment: str)
         ("> >(true); sleep 0.1", None),
     ],
 )
-def test_a_flight_without_an_output_has_the_flights_status(
+def test_a_flight_without_an_output_keeps_its_exit_status(
     redirection: str, words: str | None, tmp_path: Path
 ) -> None:
     fly = ["dry-run", str(MISSION), "--fast", "--log-dir", "logs", "--json"]
     redirection = redirection.replace("; sleep 0.1", "; code=$?; sleep 0.1; exit $code")
-    status, said = _run(fly, redirection, tmp_path)
+    status, output = _run(fly, redirection, tmp_path)
     assert status == 0
     if words is not None:
-        last = said.splitlines()[-1]
+        last = output.splitlines()[-1]
         assert last.startswith("single-wall, fast: completed, log: logs/")
         assert words in last
     assert list(tmp_path.glob("logs/*/flight.mcap"))
 
 
-def test_a_result_that_is_lost_is_no_success(tmp_path: Path) -> None:
-    status, said = _run(PREDICT, ">/dev/full", tmp_path)
-    assert (status, said.splitlines()[-1]) == (1, "cannot write standard output: No space left on device")
+def test_a_lost_result_is_reported_as_a_failure(tmp_path: Path) -> None:
+    status, output = _run(PREDICT, ">/dev/full", tmp_path)
+    assert (status, output.splitlines()[-1]) == (1, "cannot write standard output: No space left on device")
     assert _run(["--help"], ">/dev/full", tmp_path)[0] == 1
     assert _run(PREDICT, ">/dev/null 2>/dev/full", tmp_path)[0] == 0
     assert _run(PREDICT, ">/dev/null 2>&-", tmp_path)[0] == 0
 
 
-def test_tables_on_an_ascii_terminal(flown: SharedFlights, tmp_path: Path) -> None:
+def test_tables_are_ascii_on_an_ascii_terminal(flown: SharedFlights, tmp_path: Path) -> None:
     log = flown("single_wall", 1).log
     status, _ = _run(["replay", str(log)], ">out", tmp_path, PYTHONIOENCODING="ascii")
     assert status == 0
@@ -297,8 +299,8 @@ def test_tables_on_an_ascii_terminal(flown: SharedFlights, tmp_path: Path) -> No
     assert b"max. tilt" in (tmp_path / "out").read_bytes()
 
 
-def test_a_closed_output_gives_its_number_to_no_file(tmp_path: Path) -> None:
-    """A library that prints to descriptor 1 would write into the flight's log otherwise."""
+def test_a_file_does_not_reuse_the_descriptor_of_a_closed_stream(tmp_path: Path) -> None:
+    """Otherwise a library that prints to descriptor 1 would write into the flight's log."""
     script = (
         "import os; from dart_flight.cli.terminal import open_closed_streams; open_closed_streams();"
         "file = open('log', 'w'); import sys; sys.exit(file.fileno() < 3 or sys.stdout is None)"
@@ -310,5 +312,5 @@ def test_a_closed_output_gives_its_number_to_no_file(tmp_path: Path) -> None:
     assert done.returncode == 0
 
 
-def test_an_input_error_escapes_what_would_steer_the_terminal() -> None:
+def test_an_input_error_escapes_terminal_control_characters() -> None:
     assert InputError("wrong", source="a\x1b[31m\udcff\n").one_line() == "a?[31m\\xff?: wrong"

@@ -12,7 +12,7 @@ from tests.flights.test_embedded_flights import SINGLE, simulated_vehicle
 
 
 @pytest.mark.mavlink
-def test_listed_written_and_written_back(
+def test_parameters_are_listed_written_and_restored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
@@ -29,20 +29,21 @@ def test_listed_written_and_written_back(
         assert (differing["COM_OBL_RC_ACT"]["vehicle"], differing["COM_OBL_RC_ACT"]["wanted"]) == (5, 4)
         assert differing["COM_OBL_RC_ACT"]["why"].startswith("Companion computer lost")
         assert listed["position_from"] == "mocap"
-        assert "@reboot_required" in listed["restart_source"]  # this autopilot has no files to read it from
-        status, done, said = run("--write", "--yes", "--json")
-        assert (status, done["refused"], set(done["written"])) == (0, {}, set(differing))
-        assert "previous values: " in said
-        status, _, said = run()
-        assert (status, "all parameters have the wanted values" in said) == (0, True)
-        status, back, _ = run("--restore", done["saved"], "--yes", "--json")
+        # The embedded autopilot has no files with restart flags.
+        assert "@reboot_required" in listed["restart_source"]
+        status, written, output = run("--write", "--yes", "--json")
+        assert (status, written["refused"], set(written["written"])) == (0, {}, set(differing))
+        assert "previous values: " in output
+        status, _, output = run()
+        assert (status, "all parameters have the wanted values" in output) == (0, True)
+        status, restored, _ = run("--restore", written["saved"], "--yes", "--json")
         assert status == 0
-        assert {row["name"]: row["wanted"] for row in back["parameters"]} == {
+        assert {row["name"]: row["wanted"] for row in restored["parameters"]} == {
             name: row["vehicle"] for name, row in differing.items()
         }
 
 
-def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_save_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     url = ("--connection", "udpin://127.0.0.1:14999")
     assert main(["parameters", SINGLE, *url, "--save-dir", str(tmp_path / "none")]) == 2
     assert "--save-dir" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`--set KEY=VALUE`: commands that compute with a vehicle take it, say it, and refuse what cannot be."""
+"""`--set KEY=VALUE`: commands that use a vehicle apply it, report it and refuse invalid settings."""
 
 from __future__ import annotations
 
@@ -32,26 +32,26 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def answer(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[Any, str]:
+def run_json(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[Any, str]:
     assert main([*words, "--json"]) == 0
     streams = capsys.readouterr()
     return json.loads(streams.out), streams.err
 
 
 @pytest.mark.parametrize("name", ["predict", "plan", "check"])
-def test_what_was_set_is_said_with_the_vehicle(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    printed, said = answer(capsys, *COMMANDS[name], "--set", "airframe.mass_kg=1.5")
+def test_settings_are_reported_with_the_vehicle(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    printed, errors = run_json(capsys, *COMMANDS[name], "--set", "airframe.mass_kg=1.5")
     assert printed["vehicle"]["set"] == ["airframe.mass_kg=1.5"]
     assert printed["vehicle"]["mass_kg"] == 1.5
-    assert "1.5 kg, with airframe.mass_kg=1.5" in said
-    plain, said = answer(capsys, *COMMANDS[name])
+    assert "1.5 kg, with airframe.mass_kg=1.5" in errors
+    plain, errors = run_json(capsys, *COMMANDS[name])
     assert "set" not in plain["vehicle"]
-    assert ", with" not in said
+    assert ", with" not in errors
     assert plain != printed
 
 
-def test_identify_takes_the_mass_that_was_set(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """k is mass times what the recording tells."""
+def test_identify_uses_the_mass_that_was_set(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The estimate of k is proportional to the mass."""
     trial = folder / "trial.csv"
     lines = ["time_s,normal_m"]
     x, v, h = 0.02, -1.0, 1e-4
@@ -63,15 +63,15 @@ def test_identify_takes_the_mass_that_was_set(folder: Path, capsys: pytest.Captu
         x += h * v
     trial.write_text("\n".join(lines) + "\n")
     command = ["identify", str(trial), "--mode", "rigid"]
-    light, _ = answer(capsys, *command)
-    heavy, said = answer(capsys, *command, "--set", "airframe.mass_kg=1.95")
+    light, _ = run_json(capsys, *command)
+    heavy, errors = run_json(capsys, *command, "--set", "airframe.mass_kg=1.95")
     k = [found["coefficients"]["rigid"]["k"]["value"] for found in (light, heavy)]
     assert k[1] == pytest.approx(1.5 * k[0], rel=0.02)
     assert heavy["vehicle"]["set"] == ["airframe.mass_kg=1.95"]
-    assert "with airframe.mass_kg=1.95" in said
+    assert "with airframe.mass_kg=1.95" in errors
 
 
-def test_simulate_flies_the_vehicle_that_was_set(
+def test_simulate_uses_the_mass_that_was_set(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flown: list[Any] = []
@@ -100,32 +100,32 @@ WRONG = {
 
 
 @pytest.mark.parametrize("setting", WRONG)
-def test_what_cannot_be_is_one_line_with_the_setting(
-    setting: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_invalid_setting_is_refused_in_one_line(setting: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*PREDICT, "--set", setting]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"--set {setting.partition('=')[0]}")
-    assert WRONG[setting] in said
-    assert said.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert errors.startswith(f"--set {setting.partition('=')[0]}")
+    assert WRONG[setting] in errors
+    assert errors.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name != "predict"])
-def test_every_command_refuses_it_alike(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_refuses_an_unknown_key_with_the_same_line(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([*COMMANDS[name], "--set", "airframe.mas_kg=2"]) == 2
     assert capsys.readouterr().err == "--set airframe.mas_kg=2: unknown key, did you mean mass_kg?\n"
 
 
-def test_a_section_that_the_file_leaves_out_can_be_set(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_section_that_the_file_omits_can_be_set(capsys: pytest.CaptureFixture[str]) -> None:
     text = packaged("configs", "dart.yaml").read_text()
     begin, end = text.index("  contact:    "), text.index("  imu_ringing: ")
     Path("old.yaml").write_text(text[:begin] + text[end:])
     settings = ["--set", "simulation.contact.body=guards", "--set", "simulation.imu_ringing.tone_m_s2=3"]
-    printed, _ = answer(capsys, *PREDICT, "--config", "old.yaml", *settings)
+    printed, _ = run_json(capsys, *PREDICT, "--config", "old.yaml", *settings)
     assert printed["vehicle"]["set"] == settings[1::2]
 
 
-def test_ratios_have_no_vehicle_to_set(capsys: pytest.CaptureFixture[str]) -> None:
+def test_set_is_refused_with_restitution(capsys: pytest.CaptureFixture[str]) -> None:
     command = ["predict", "--restitution", "0.5", "--velocity", "-1", "0", "--set", "airframe.mass_kg=2"]
     assert main(command) == 2
     assert "--restitution cannot be combined with --set" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`dart-flight survey`: walls that stand elsewhere are touched, and the mission written with them as met."""
+"""`dart-flight survey`: displaced walls are touched, and the mission is written with the measured walls."""
 
 from __future__ import annotations
 
@@ -22,16 +22,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_walls_that_stand_elsewhere_are_measured_and_written(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["survey", str(DUAL), "--fast", "--seed", "4", "--vary", "wall_offset_m"]
-    words += ["--vary", "wall_yaw_deg"]
-    assert main([*words, "--output", "new/mission.yaml", "--json"]) == 2
+def test_displaced_walls_are_measured_and_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["survey", str(DUAL), "--fast", "--seed", "4", "--vary", "wall_offset_m"]
+    command += ["--vary", "wall_yaw_deg"]
+    assert main([*command, "--output", "new/mission.yaml", "--json"]) == 2
     assert "no such folder" in capsys.readouterr().err
-    assert not (folder / "flights").exists(), "said before the flight"
+    assert not (folder / "flights").exists(), "refused before the flight"
     (folder / "new").mkdir()
-    assert main([*words, "--output", "new/mission.yaml", "--json"]) == 0
+    assert main([*command, "--output", "new/mission.yaml", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["unreachable"] == {}
     assert printed["flight"]["outcome"] == "completed"
@@ -55,26 +53,24 @@ def test_walls_that_stand_elsewhere_are_measured_and_written(
     assert [c.mode for c in after.collisions] == [c.mode for c in before.collisions]
 
 
-def test_too_slow_a_touch_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_touch_that_is_too_slow_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["survey", str(DUAL), "--fast", "--touch-speed", "0.1"])
     assert "0.3" in capsys.readouterr().err
 
 
-def test_a_plan_along_trajectories_that_no_longer_fits_is_named(
+def test_a_plan_that_does_not_fit_the_measured_walls_is_reported(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mission = packaged("missions", "touch_and_return.yaml")
-    words = ["survey", str(mission), "--fast", "--seed", "4", "--vary", "wall_offset_m=0.15"]
-    assert main([*words, "-o", "new.yaml"]) == 1
+    command = ["survey", str(mission), "--fast", "--seed", "4", "--vary", "wall_offset_m=0.15"]
+    assert main([*command, "-o", "new.yaml"]) == 1
     assert "cannot be flown with the measured walls; plan it again" in capsys.readouterr().err
     assert (folder / "new.yaml").exists()
 
 
-def test_a_room_that_nobody_knows_is_found_and_written(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Its outline, a map of it, and a mission with its walls, which fit what stands in simulation."""
+def test_an_unknown_room_is_mapped_and_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The survey writes a closed outline, a map, and a mission whose walls match the simulated ones."""
     path = packaged("missions", "unknown_room.yaml")
     assert main(["survey", str(path), "--fast", "--plot", "map.svg", "-o", "room.yaml", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)

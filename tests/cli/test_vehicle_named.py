@@ -1,4 +1,4 @@
-"""Every command that computes with a vehicle says which: on standard error, and in --json."""
+"""Every command that uses a vehicle names it on standard error and in --json."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def own(folder: Path, name: str = "configs/dart.yaml", mass: str = "0.9") -> Path:
+def write_configuration(folder: Path, name: str = "configs/dart.yaml", mass: str = "0.9") -> Path:
     path = folder / name
     path.parent.mkdir(exist_ok=True)
     path.write_text(packaged("configs", "dart.yaml").read_text().replace("mass_kg: 1.3", f"mass_kg: {mass}"))
@@ -51,26 +51,30 @@ def own(folder: Path, name: str = "configs/dart.yaml", mass: str = "0.9") -> Pat
 def test_a_command_names_its_vehicle(
     command: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = own(folder)
+    path = write_configuration(folder)
     assert main([*command, "--config", str(path), "--json"]) == 0
     streams = capsys.readouterr()
     printed = json.loads(streams.out)
-    wanted = {"source": "configs/dart.yaml", "packaged": False, "mass_kg": 0.9}
-    assert printed["vehicle"] == wanted
+    expected = {"source": "configs/dart.yaml", "packaged": False, "mass_kg": 0.9}
+    assert printed["vehicle"] == expected
     for run in printed.get("runs", []):
-        assert run["vehicle"] == wanted
+        assert run["vehicle"] == expected
     assert "vehicle: configs/dart.yaml, 0.9 kg" in streams.err
 
 
-def test_the_folders_own_is_taken_and_shown(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    own(folder)
+def test_the_configuration_of_the_working_folder_is_used(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_configuration(folder)
     assert main([*PREDICT, "--json"]) == 0
     streams = capsys.readouterr()
     assert json.loads(streams.out)["vehicle"]["mass_kg"] == 0.9
     assert "not used" not in streams.err
 
 
-def test_the_packaged_one_where_there_is_no_other(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_packaged_configuration_is_used_if_there_is_no_other(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (folder / "notes.yaml").write_text("shopping: [milk]\n")
     assert main([*PREDICT, "--json"]) == 0
     streams = capsys.readouterr()
@@ -80,45 +84,43 @@ def test_the_packaged_one_where_there_is_no_other(folder: Path, capsys: pytest.C
     assert "not used" not in streams.err
 
 
-def test_the_only_configuration_of_the_folder_is_taken_and_named(
+def test_the_only_configuration_of_the_folder_is_used_and_named(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own(folder, "configs/lab.yaml")
+    write_configuration(folder, "configs/lab.yaml")
     assert main(PREDICT) == 0
     assert "vehicle: configs/lab.yaml" in capsys.readouterr().err
 
 
-def test_which_of_two_configurations_is_meant_is_not_guessed(
+def test_two_configurations_require_an_explicit_choice(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own(folder, "configs/lab.yaml")
-    own(folder, "configs/outdoors.yaml")
+    write_configuration(folder, "configs/lab.yaml")
+    write_configuration(folder, "configs/outdoors.yaml")
     assert main(PREDICT) == 2
     assert "configs: contains several vehicles (lab.yaml, outdoors.yaml)" in capsys.readouterr().err
     assert main([*PREDICT, "--config", "configs/outdoors.yaml"]) == 0
 
 
-def test_a_configuration_that_is_passed_over_is_named(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    own(folder, "mine.yaml")
+def test_an_unused_configuration_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_configuration(folder, "mine.yaml")
     assert main(PREDICT) == 0
     assert "note: mine.yaml" in capsys.readouterr().err
     assert main([*PREDICT, "--config", str(packaged("configs", "dart.yaml"))]) == 0
-    assert "not used" not in capsys.readouterr().err, "asked for by name"
+    assert "not used" not in capsys.readouterr().err, "no note beside an explicit --config"
 
 
-def test_a_mission_that_names_the_packaged_one_passes_over_the_environments(
+def test_the_vehicle_of_a_mission_overrides_the_environment_variable(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = own(folder.parent, f"{folder.name}-elsewhere.yaml")
+    path = write_configuration(folder.parent, f"{folder.name}-elsewhere.yaml")
     monkeypatch.setenv("DART_FLIGHT_CONFIG", str(path))
     assert main(["check", MISSION]) == 0
     assert f"note: {path}" in capsys.readouterr().err.replace("\n", "")
 
 
-def test_the_log_carries_it(folder: Path) -> None:
-    own(folder)
+def test_the_log_contains_the_vehicle(folder: Path) -> None:
+    write_configuration(folder)
     mission = load_mission(MISSION, "configs/dart.yaml")
     assert mission.flown_vehicle() == find_vehicle("configs/dart.yaml").source
     about = describe_flight(mission, World.FAST, 1)

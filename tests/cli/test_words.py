@@ -1,4 +1,4 @@
-"""What a person meets at the keyboard: slips of words, names and files, told in one line."""
+"""Mistakes at the keyboard in words, names and files: each is reported in one line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CONFIG = str(packaged("configs", "dart.yaml"))
 FLIGHT = str(next((Path(__file__).parents[1] / "data" / "flights").rglob("*.mcap")))
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+def refusal_of(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     try:
         status = main(list(words))
     except SystemExit as exit_:
@@ -59,12 +59,14 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     ],
     ids=lambda value: " ".join(value[:1] + value[2:]) if isinstance(value, list) else "",
 )
-def test_the_near_miss_is_suggested(words: list[str], near: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert f"did you mean {near}?" in refused(capsys, *words)
+def test_a_misspelt_word_is_answered_with_a_suggestion(
+    words: list[str], near: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert f"did you mean {near}?" in refusal_of(capsys, *words)
 
 
-def test_without_a_near_one_the_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "known: fly, dry-run, campaign, simulate" in refused(capsys, "zzz")
+def test_an_unknown_command_is_answered_with_the_list_of_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "known: fly, dry-run, campaign, simulate" in refusal_of(capsys, "zzz")
 
 
 @pytest.mark.parametrize(
@@ -86,7 +88,7 @@ def test_without_a_near_one_the_commands_are_listed(capsys: pytest.CaptureFixtur
 def test_the_wrong_kind_of_file_is_named(
     words: list[str], kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert kind in refused(capsys, *words)
+    assert kind in refusal_of(capsys, *words)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +103,7 @@ def test_the_wrong_kind_of_file_is_named(
     ids=lambda words: words[0],
 )
 @pytest.mark.parametrize("url", ["ttyAMA0", "serial:///dev/tty-none:57600"])
-def test_a_link_that_cannot_be(
+def test_an_invalid_link_is_refused_with_the_allowed_forms(
     words: list[str], url: str, capsys: pytest.CaptureFixture[str], tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
@@ -110,11 +112,11 @@ def test_a_link_that_cannot_be(
         status = main([*words, "--connection", url])
     except SystemExit as exit_:
         status = int(str(exit_.code))
-    said = capsys.readouterr().err.splitlines()
+    output = capsys.readouterr().err.splitlines()
     assert status == 2
-    assert said[-1].startswith("--connection: ")
-    assert "serial:///dev/ttyAMA0:921600" in said[-1], "the allowed forms"
-    assert "Traceback" not in "".join(said)
+    assert output[-1].startswith("--connection: ")
+    assert "serial:///dev/ttyAMA0:921600" in output[-1], "lists the allowed forms"
+    assert "Traceback" not in "".join(output)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +126,7 @@ def test_a_link_that_cannot_be(
         "tcpin://0.0.0.0:5760", "serial:///dev/ttyAMA0:921600", "serial_flowcontrol:///dev/ttyS1:57600",
     ],
 )  # fmt: skip
-def test_forms_that_mavsdk_takes(url: str) -> None:
+def test_connection_urls_of_mavsdk_are_accepted(url: str) -> None:
     assert link_problem(url) is None
 
 
@@ -140,39 +142,41 @@ def test_forms_that_mavsdk_takes(url: str) -> None:
         "udpin://:1",
     ],
 )
-def test_forms_that_it_does_not(url: str) -> None:
+def test_malformed_connection_urls_are_refused(url: str) -> None:
     assert link_problem(url) is not None
 
 
-def test_a_malformed_url_in_the_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_malformed_url_in_the_configuration_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "dart.yaml"
     text = Path(CONFIG).read_text()
     url = next(line for line in text.splitlines() if line.strip().startswith("url:"))
     path.write_text(text.replace(url, "  url: udpin:14540"))
-    said = refused(capsys, "check", MISSION, "--config", str(path))
-    assert "connection" in said
-    assert "expected: " in said
+    output = refusal_of(capsys, "check", MISSION, "--config", str(path))
+    assert "connection" in output
+    assert "expected: " in output
 
 
 @pytest.mark.parametrize(
     ("row", "key"),
     [("rigid,1.0,0.5", "normal_m_s"), ("rigid,0,0.5", "normal_m_s"), ("rigid,-1.0,500", "tangential_m_s")],
 )
-def test_batch_refuses_what_velocity_refuses(
+def test_batch_refuses_the_same_velocities_as_the_velocity_option(
     row: str, key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "hits.csv"
     path.write_text(f"mode,normal_m_s,tangential_m_s\nrigid,-1.0,0.5\n{row}\n")
-    batch = refused(capsys, "predict", "--surface", "acrylic", "--batch", str(path))
+    batch = refusal_of(capsys, "predict", "--surface", "acrylic", "--batch", str(path))
     assert f"hits.csv:3: {key}" in batch
     _, normal, tangential = row.split(",")
-    one = refused(
+    single = refusal_of(
         capsys, "predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", normal, tangential
     )
-    assert batch.split(f"{key}: ")[-1].strip() in one, "for the same reason"
+    assert batch.split(f"{key}: ")[-1].strip() in single, "for the same reason"
 
 
-def test_monitor_ends_when_nothing_comes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_monitor_ends_when_no_telemetry_arrives(capsys: pytest.CaptureFixture[str]) -> None:
     import socket
     import time
 
@@ -187,7 +191,7 @@ def test_monitor_ends_when_nothing_comes(capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the idle class is Linux's")
 def test_a_program_that_calls_monitor_keeps_its_own_priority(tmp_path: Path) -> None:
-    """The command of its own gives way for good: tests/flights/test_one_link.py."""
+    """The command itself lowers its priority for good: tests/flights/test_one_link.py."""
 
     def priority() -> tuple[int, int]:
         return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
@@ -197,33 +201,34 @@ def test_a_program_that_calls_monitor_keeps_its_own_priority(tmp_path: Path) -> 
     assert priority() == before
 
 
-# --- files that are not what they seem -----------------------------------------------------------------
+# --- files with misleading content ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "text", ["version: 1\nwalls:\n\ta: 1\n", "version: 1\n\tname: x\n", "a:\n  b: 1\n \tc: 2\n"]
 )
-def test_a_tab_is_called_a_tab(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str) -> None:
+def test_a_tab_in_yaml_is_reported(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str) -> None:
     path = tmp_path / "room.yaml"
     path.write_text(text)
-    assert "a tab before the text: indent YAML with spaces" in refused(capsys, "check", str(path))
+    assert "a tab before the text: indent YAML with spaces" in refusal_of(capsys, "check", str(path))
 
 
 @pytest.mark.parametrize(("driver", "given"), [("no", "no"), ("false", "false"), ("~", "null"), ("0", "0")])
-def test_a_driver_that_is_none_leads_to_none(
+def test_a_wrong_word_for_no_driver_is_answered_with_the_allowed_drivers(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, driver: str, given: str
 ) -> None:
     path = tmp_path / "dart.yaml"
     path.write_text(Path(CONFIG).read_text().replace("driver: mock", f"driver: {driver}"))
-    said = refused(capsys, "lock", "status", "--config", str(path))
+    output = refusal_of(capsys, "lock", "status", "--config", str(path))
     assert (
-        f"lock.driver: {given!r} is not allowed, only: maestro, pwm, px4, mock, or none for a vehicle" in said
+        f"lock.driver: {given!r} is not allowed, only: maestro, pwm, px4, mock, or none for a vehicle"
+        in output
     )
 
 
 @pytest.mark.parametrize("command", ["inspect", "identify", "report", "replay"])
 @pytest.mark.parametrize(
-    ("name", "data", "says"),
+    ("name", "data", "problem"),
     [
         ("log.ulg.gz", b"\x1f\x8b\x08\x00", "a compressed file: unpack it first"),
         ("log.ulg.zst", b"\x28\xb5\x2f\xfd\x00", "a compressed file: unpack it first"),
@@ -231,33 +236,35 @@ def test_a_driver_that_is_none_leads_to_none(
         ("log.ulge", b"ULogEnc\x01", "an encrypted PX4 log: decrypt it first"),
     ],
 )
-def test_packed_and_encrypted_logs_are_named(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, name: str, data: bytes, says: str
+def test_compressed_and_encrypted_logs_are_recognised(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, name: str, data: bytes, problem: str
 ) -> None:
     (tmp_path / name).write_bytes(data + bytes(40))
-    assert says in refused(capsys, command, str(tmp_path / name))
+    assert problem in refusal_of(capsys, command, str(tmp_path / name))
 
 
-def test_inspect_says_what_takes_our_own_log(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "this is a flight log: replay, report, export" in refused(capsys, "inspect", FLIGHT)
+def test_inspect_names_the_commands_that_read_a_flight_log(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "this is a flight log: replay, report, export" in refusal_of(capsys, "inspect", FLIGHT)
 
 
 @pytest.mark.parametrize(("given", "written"), [("play", "play.mcap"), ("play.bin", "play.bin")])
-def test_an_export_without_an_ending_gets_the_viewers(tmp_path: Path, given: str, written: str) -> None:
+def test_an_export_without_a_suffix_gets_the_suffix_of_the_viewer(
+    tmp_path: Path, given: str, written: str
+) -> None:
     assert _files([Path("flight.mcap")], tmp_path / given) == [tmp_path / written]
 
 
 @pytest.mark.parametrize(
-    ("autopilot", "says"),
+    ("autopilot", "problem"),
     [(12, None), (3, "from ArduPilot"), (0, "a generic autopilot"), (42, "autopilot 42")],
 )
-def test_an_autopilot_that_is_not_px4_is_named(autopilot: int, says: str | None) -> None:
+def test_an_autopilot_that_is_not_px4_is_named(autopilot: int, problem: str | None) -> None:
     fields = {"autopilot": autopilot, "base_mode": 129, "custom_mode": 6 << 16, "system_status": 4}
     _, value = messages.HEARTBEAT.reader()(msgspec.json.encode(fields).decode())
-    refused = value.reason if isinstance(value, Unusable) else ""
-    found = evaluate_autopilot(HeartbeatMode(armed=False, hil=False, not_px4=refused))
-    assert [says in f.says and not f.go for f in found if says] == [True] * (says is not None)
-    assert bool(found) == (says is not None)
+    reason = value.reason if isinstance(value, Unusable) else ""
+    found = evaluate_autopilot(HeartbeatMode(armed=False, hil=False, not_px4=reason))
+    assert [problem in f.says and not f.go for f in found if problem] == [True] * (problem is not None)
+    assert bool(found) == (problem is not None)
 
 
 @pytest.mark.parametrize(
@@ -270,15 +277,17 @@ def test_an_autopilot_that_is_not_px4_is_named(autopilot: int, says: str | None)
         (b"\r\n", ""),
     ],
 )
-def test_a_console_is_told_from_noise(data: bytes, line: str) -> None:
+def test_a_serial_console_is_distinguished_from_noise(data: bytes, line: str) -> None:
     assert console_line(data) == line
 
 
-def test_two_plans_of_one_name_are_told_apart(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_two_plans_of_one_name_are_refused_with_their_difference(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     logs = []
     for speed in (-0.8, -1.0):
         mission = load_mission(MISSION).replace({"collisions[0].approach.normal_m_s": speed})
         fly_fast(mission, 1, tmp_path / str(speed))
         logs += [str(path) for path in (tmp_path / str(speed)).rglob("flight.mcap")]
-    said = refused(capsys, "report", *logs, "-o", str(tmp_path / "x.html"))
-    assert "of the same name, collisions[0].approach.normal_m_s is -" in said
+    output = refusal_of(capsys, "report", *logs, "-o", str(tmp_path / "x.html"))
+    assert "of the same name, collisions[0].approach.normal_m_s is -" in output

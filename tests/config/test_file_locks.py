@@ -1,4 +1,4 @@
-"""Locks on files: only a lock that another holder has counts as held; every other refusal is named."""
+"""File locks: only a lock of another holder counts as held; every other refusal is reported."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def _refuse(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
 
 @pytest.fixture(params=REFUSALS, ids=[errno.errorcode[number] for number in REFUSALS])
 def refusal(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A file system that refuses every lock; the words of its error."""
+    """Make the file system refuse every lock; return the text of its error."""
     _refuse(monkeypatch, request.param)
     return os.strerror(request.param)
 
 
-def test_a_refused_lock_is_not_held(tmp_path: Path, refusal: str) -> None:
+def test_a_refused_lock_is_not_reported_as_held(tmp_path: Path, refusal: str) -> None:
     file = HeldFile(tmp_path / "lock.pid")
     with pytest.raises(
         InputError, match=f"cannot lock {tmp_path}/lock.pid: {refusal}; set DART_FLIGHT_STATE"
@@ -52,7 +52,7 @@ def test_a_refused_lock_is_not_held(tmp_path: Path, refusal: str) -> None:
         read_held(tmp_path / "lock.pid")
 
 
-def test_a_held_lock_is_held(tmp_path: Path) -> None:
+def test_a_lock_of_another_holder_is_reported_as_held(tmp_path: Path) -> None:
     path = tmp_path / "lock.pid"
     first, second = HeldFile(path), HeldFile(path)
     first.acquire(b"first")
@@ -65,19 +65,21 @@ def test_a_held_lock_is_held(tmp_path: Path) -> None:
     second.release()
 
 
-def test_a_free_link_is_refused_and_not_sought_for_ever(refusal: str) -> None:
+def test_the_search_for_a_free_link_ends_if_locks_are_refused(refusal: str) -> None:
     with pytest.raises(InputError, match=refusal) as error:
         acquire_free_link("dry-run")
     assert not isinstance(error.value, LinkInUseError)
 
 
-def test_a_free_link_is_given_up_where_every_port_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_search_for_a_free_link_ends_if_every_port_is_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link, "udp_port_is_free", lambda *_: False)
     with pytest.raises(LinkInUseError, match="in use"):
         acquire_free_link("dry-run")
 
 
-def test_a_serial_device_that_cannot_be_locked_is_not_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_serial_device_that_cannot_be_locked_is_not_reported_as_in_use(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     _, terminal = pty.openpty()
     flock = fcntl.flock
 
@@ -93,7 +95,9 @@ def test_a_serial_device_that_cannot_be_locked_is_not_in_use(monkeypatch: pytest
     assert not isinstance(error.value, LinkInUseError)
 
 
-def test_a_campaign_table_that_cannot_be_locked_is_not_being_written(tmp_path: Path, refusal: str) -> None:
+def test_a_campaign_table_that_cannot_be_locked_is_refused_with_the_reason(
+    tmp_path: Path, refusal: str
+) -> None:
     with pytest.raises(InputError, match=f"cannot lock .*flights.csv: {refusal}; set --out to a local disk"):
         Table(tmp_path / "flights.csv", ["mission"])
 
@@ -114,15 +118,15 @@ def test_a_command_that_cannot_lock_ends_with_one_line(
     monkeypatch.chdir(tmp_path)
     _refuse(monkeypatch, errno.ENOLCK)
     assert main(COMMANDS[command]) == 2
-    said = capsys.readouterr()
-    last = said.err.strip().splitlines()[-1]
+    output = capsys.readouterr()
+    last = output.err.strip().splitlines()[-1]
     assert last.startswith("cannot lock ")
     assert "No locks available; set " in last
-    assert "in use" not in said.err
-    assert "written by another" not in said.err
+    assert "in use" not in output.err
+    assert "written by another" not in output.err
 
 
-def test_a_state_folder_on_a_full_disk_is_one_line(
+def test_a_state_folder_on_a_full_disk_is_reported_in_one_line(
     state: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(descriptor: int, data: bytes, offset: int) -> int:
@@ -150,7 +154,7 @@ def test_a_lock_file_that_cannot_be_removed_does_not_end_a_flight(
     assert read_held(tmp_path / "lock.pid") is None
 
 
-def test_a_held_file_that_cannot_be_looked_at_is_not_in_use(
+def test_a_lock_file_that_cannot_be_read_is_not_reported_as_in_use(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:

@@ -1,4 +1,4 @@
-"""Wrong input: one line with file, line and key, exit status 2, nothing started."""
+"""Wrong input is refused in one line with file, line and key; the exit status is 2 and nothing starts."""
 
 import random
 import subprocess
@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()
 VEHICLE = load_vehicle(ROOT / "configs/dart.yaml")
 
-# (what is replaced, by what, where the error points, what it says)
+# (replaced text, replacement, place in the error, words of the error)
 WRONG: list[tuple[str, str, str, str]] = [
     ("length_m: 3.0", "lenght_m: 3.0", "12: walls.wood.lenght_m", "did you mean length_m?"),
     ("mode: flexible", "mode: flexibel", "16: collisions[0].mode", "only: rigid, flexible"),
@@ -91,7 +91,7 @@ def test_each_mistake_is_named_with_its_place(old: str, new: str, place: str, wo
     ],
     ids=lambda c: repr(c[:12]),
 )
-def test_files_that_are_no_mission(
+def test_a_file_that_is_not_a_mission_is_refused(
     content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "m.yaml"
@@ -101,10 +101,10 @@ def test_files_that_are_no_mission(
     assert output.out == ""
     assert output.err.count("\n") == 1
     assert str(path) in output.err
-    assert not (tmp_path / "flights").exists()  # nothing started
+    assert not (tmp_path / "flights").exists()  # nothing has started
 
 
-def test_a_missing_file_and_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dry-run", str(tmp_path / "none.yaml")]) == 2
     assert main(["dry-run", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 2
@@ -122,7 +122,7 @@ def test_a_missing_file_and_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
         ["simulate", "--port", "99999"],
     ],
 )
-def test_wrong_usage_is_one_line_and_exit_2(arguments: list[str]) -> None:
+def test_wrong_arguments_are_refused_in_one_line_with_exit_status_2(arguments: list[str]) -> None:
     process = subprocess.run(
         [sys.executable, "-m", "dart_flight", *arguments],
         cwd=ROOT,
@@ -137,7 +137,7 @@ def test_wrong_usage_is_one_line_and_exit_2(arguments: list[str]) -> None:
     assert len(process.stderr.strip().splitlines()) == 1
 
 
-def test_a_run_up_without_room_is_refused_with_what_to_do(tmp_path: Path) -> None:
+def test_a_run_up_without_room_is_refused(tmp_path: Path) -> None:
     text = DUAL.replace("../configs", str(ROOT / "configs")).replace(
         "start: {position_m: [0.0, 0.0]", "start: {position_m: [0.9, -0.9]"
     )
@@ -168,13 +168,13 @@ def test_surface_walls_are_moved_by_the_contact_distance() -> None:
     assert mission.walls[0].normal == pytest.approx((0.0, 1.0))
 
 
-def test_numbers_as_people_write_them() -> None:
+def test_integers_and_exponents_are_accepted_as_numbers() -> None:
     text = DUAL.replace("hold_s: 2.0", "hold_s: 2e0").replace("altitude_m: 1.0", "altitude_m: 1")
     mission = parse_mission(Document(text, str(ROOT / "missions/x.yaml")))
     assert (mission.goal.hold_s, mission.altitude_m) == (2.0, 1.0)
 
 
-# --- whatever one can think of --------------------------------------------------------------------------
+# --- random input ---------------------------------------------------------------------------------------
 
 scalars = st.one_of(
     st.none(),
@@ -190,19 +190,19 @@ trees = st.recursive(
 
 
 def _mutate(text: str, seed: int) -> str:
-    """A good file made bad: characters or lines lost, doubled, swapped, replaced."""
+    """Damage a good file: remove, double, insert or shuffle characters or lines."""
     rng = random.Random(seed)
     for _ in range(rng.randint(1, 4)):
         i = rng.randrange(len(text))
         j = min(len(text), i + rng.randint(1, 12))
-        how = rng.randrange(5)
-        if how == 0:
+        damage = rng.randrange(5)
+        if damage == 0:
             text = text[:i] + text[j:]
-        elif how == 1:
+        elif damage == 1:
             text = text[:j] + text[i:]
-        elif how == 2:
+        elif damage == 2:
             text = text[:i] + rng.choice("{}[]:,-#&*!|>'\"%@`\t\n\\0é") + text[i:]
-        elif how == 3:
+        elif damage == 3:
             lines = text.splitlines()
             rng.shuffle(lines)
             text = "\n".join(lines) + "\n"
@@ -212,7 +212,7 @@ def _mutate(text: str, seed: int) -> str:
 
 
 def check_text(text: str) -> None:
-    """Either a mission or one InputError; nothing else may happen."""
+    """Require either a mission or one InputError."""
     try:
         parse_mission(Document(text, "m.yaml"), VEHICLE)
     except InputError as error:
@@ -225,19 +225,19 @@ def check_text(text: str) -> None:
 
 @settings(max_examples=300)
 @given(st.integers(0, 2**32))
-def test_mutated_missions(seed: int) -> None:
+def test_a_mutated_mission_loads_or_is_refused(seed: int) -> None:
     check_text(_mutate(DUAL, seed))
 
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 @given(st.text(max_size=200))
-def test_arbitrary_text(text: str) -> None:
+def test_arbitrary_text_loads_or_is_refused(text: str) -> None:
     check_text(text)
 
 
 @settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
-def test_any_value_in_any_place(data: st.DataObject) -> None:
+def test_any_value_at_any_key_loads_or_is_refused(data: st.DataObject) -> None:
     tree = yaml.safe_load(DUAL)
     node, trail = tree, list[tuple[Any, Any]]()
     while isinstance(node, dict | list) and node and (not trail or data.draw(st.booleans())):

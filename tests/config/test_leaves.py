@@ -1,4 +1,4 @@
-"""A tree as its values with their keys: one function for inheritance, settings and comparisons."""
+"""The leaves of a tree with their keys, for inheritance, settings and comparisons."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TREES = st.recursive(
 )
 
 
-def at(tree: Any, key: tuple[str | int, ...]) -> Any:
+def value_at(tree: Any, key: tuple[str | int, ...]) -> Any:
     for part in key:
         tree = tree[part]
     return tree
@@ -30,12 +30,12 @@ def at(tree: Any, key: tuple[str | int, ...]) -> Any:
 def test_every_leaf_is_at_its_key(tree: Any) -> None:
     for in_lists, inner in ((False, dict), (True, dict | list)):
         found = list(iterate_leaves(tree, in_lists=in_lists))
-        assert all(at(tree, key) is value for key, value in found)
+        assert all(value_at(tree, key) is value for key, value in found)
         assert not any(isinstance(value, inner) for _, value in found)
         assert len({dotted(key) for key, _ in found}) == len(found)
 
 
-def test_a_list_is_one_value_unless_it_is_entered() -> None:
+def test_a_list_is_one_leaf_unless_lists_are_entered() -> None:
     tree = {"a": {"b": [1, {"c": 2}]}, "d": {}}
     assert list(iterate_leaves(tree)) == [(("a", "b"), [1, {"c": 2}])]
     assert {dotted(k): v for k, v in iterate_leaves(tree, in_lists=True)} == {"a.b[0]": 1, "a.b[1].c": 2}

@@ -1,4 +1,4 @@
-"""Every number of the files has two ends; what lies beyond is told with its unit."""
+"""Every number of a file has a lower and an upper limit; a violation is reported with its unit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONFIG = (ROOT / "configs/dart.yaml").read_text()
 
 
 def numbers(type_: object, name: str, seen: set[type]) -> Iterator[tuple[str, msgspec.inspect.FloatType]]:
-    """Every number in a file's type, with its key."""
+    """Yield every number in a file's type with its key."""
     if isinstance(type_, msgspec.inspect.FloatType):
         yield name, type_
     elif isinstance(type_, msgspec.inspect.StructType) and type_.cls not in seen:
@@ -41,7 +41,7 @@ def numbers(type_: object, name: str, seen: set[type]) -> Iterator[tuple[str, ms
 
 
 @pytest.mark.parametrize("file", [VehicleConfig, MissionFile, ScenarioFile])
-def test_every_number_has_two_ends(file: type) -> None:
+def test_every_number_has_a_lower_and_an_upper_limit(file: type) -> None:
     found = list(numbers(msgspec.inspect.type_info(file), "", set()))
     assert len(found) > 15
     open_ended = [
@@ -52,34 +52,36 @@ def test_every_number_has_two_ends(file: type) -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "says"),
+    ("before", "after", "message"),
     [
         ("arm_x_m: 0.", "arm_x_m: 130", "0.01 to 2 m, not"),
         ("contact_distance_m: 0.", "contact_distance_m: 20", "0 to 2 m, not"),
         ("mass_kg: 1.3", "mass_kg: 1300", "0.05 to 50 kg, not 1300"),
     ],
 )
-def test_a_configuration_out_of_range(
-    before: str, after: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_configuration_value_out_of_range_is_refused(
+    before: str, after: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert before in CONFIG
     path = tmp_path / "dart.yaml"
     path.write_text(CONFIG.replace(before, after))
     assert main(["check", str(ROOT / "missions/paper_dual_collision.yaml"), "--config", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert says in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert message in output
+    assert output.count("\n") == 1
 
 
-def test_a_mission_out_of_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mission_value_out_of_range_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text(DUAL.replace("[0.12, 0.025]", "[25, 25]"))
     assert main(["check", str(path)]) == 2
-    assert "alpha_m_per_n[0]: " in (said := capsys.readouterr().err)
-    assert "0 to 1 m/N, not 25" in said
+    assert "alpha_m_per_n[0]: " in (errors := capsys.readouterr().err)
+    assert "0 to 1 m/N, not 25" in errors
 
 
-def check(tmp_path: Path, capsys: pytest.CaptureFixture[str], *changes: tuple[str, str]) -> tuple[int, str]:
+def run_check(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], *changes: tuple[str, str]
+) -> tuple[int, str]:
     text = DUAL.replace("../configs/dart.yaml", str(packaged("configs", "dart.yaml")))
     for before, after in changes:
         assert before in text
@@ -90,33 +92,35 @@ def check(tmp_path: Path, capsys: pytest.CaptureFixture[str], *changes: tuple[st
     return main(["check", str(path)]), capsys.readouterr().err
 
 
-def test_the_papers_own_set_point_outside_is_reported(
+def test_the_papers_setpoint_outside_the_bounds_is_a_remark(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, said = check(tmp_path, capsys)
+    status, output = run_check(tmp_path, capsys)
     assert status == 0
-    assert "remark" in said
-    assert "0.51 m outside bounds_m" in said
+    assert "remark" in output
+    assert "0.51 m outside bounds_m" in output
 
 
-def test_a_set_point_far_outside_is_a_no_go(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    status, said = check(tmp_path, capsys, ("[0.12, 0.025]", "[0.25, 0.5]"))
+def test_a_setpoint_far_outside_the_bounds_is_a_no_go(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, output = run_check(tmp_path, capsys, ("[0.12, 0.025]", "[0.25, 0.5]"))
     assert status == 1
-    assert "NO-GO     recovery_1" in said
+    assert "NO-GO     recovery_1" in output
 
 
-def test_a_set_point_of_a_wall_that_a_recovery_leads_to_counts_as_well(
+def test_the_setpoint_of_the_second_recovery_is_checked_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     second = "mode: rigid, alpha_m_per_n: [0.025, 0.025]"
-    status, said = check(tmp_path, capsys, (second, second.replace("[0.025, 0.025]", "[0.9, 0.5]")))
+    status, output = run_check(tmp_path, capsys, (second, second.replace("[0.025, 0.025]", "[0.9, 0.5]")))
     assert status == 1
-    assert "NO-GO     recovery_2" in said
-    assert "NO-GO     path" in said, "and it would fly out of the bounds"
+    assert "NO-GO     recovery_2" in output
+    assert "NO-GO     path" in output, "the path leaves the bounds too"
 
 
 @pytest.mark.parametrize("scenario", ["dual_collision", "one_wall", "any_walls"])
-def test_what_the_planner_writes_is_go(
+def test_a_planned_mission_passes_check(
     scenario: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "planned.yaml"

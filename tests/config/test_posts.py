@@ -1,4 +1,4 @@
-"""Posts of a mission: read, written, refused, in the way, and hit in the simulated flight."""
+"""Posts of a mission: read, written, refused, as obstacles, and hit in a simulated flight."""
 
 from typing import Any
 
@@ -34,20 +34,20 @@ def mission(**changes: Any) -> Mission:
     return load_mission(tree | changes)
 
 
-def test_a_post_that_is_hit_is_a_wall_of_its_tangent_plane() -> None:
-    one = mission()
-    (wall,) = one.walls
+def test_a_post_to_be_hit_is_represented_by_its_tangent_plane() -> None:
+    loaded = mission()
+    (wall,) = loaded.walls
     assert (wall.name, wall.point, wall.normal) == ("pole", (1.2, 0.0), (-1.0, 0.0))
     assert wall.length_m == pytest.approx(2.0 * (0.1 + 0.13))
-    assert one.flat_walls == ()
-    again = load_mission(one.to_dict())
-    assert (again.walls, again.posts, again.collisions) == (one.walls, one.posts, one.collisions)
-    assert make_plant(one).planes == []
-    assert [post.name for post in make_plant(one).posts] == ["pole"]
+    assert loaded.flat_walls == ()
+    again = load_mission(loaded.to_dict())
+    assert (again.walls, again.posts, again.collisions) == (loaded.walls, loaded.posts, loaded.collisions)
+    assert make_plant(loaded).planes == []
+    assert [post.name for post in make_plant(loaded).posts] == ["pole"]
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "message"),
     [
         ({"collisions": [HIT | {"impact_point_m": None}]}, "needs impact_point_m"),
         (
@@ -64,23 +64,23 @@ def test_a_post_that_is_hit_is_a_wall_of_its_tangent_plane() -> None:
         ),
     ],
 )
-def test_what_contradicts_itself_is_refused(changes: dict[str, Any], says: str) -> None:
-    with pytest.raises(InputError, match=says):
+def test_contradictory_posts_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         mission(**changes)
 
 
-def test_a_post_stands_in_the_way_and_too_near() -> None:
+def test_a_post_that_blocks_the_run_up_is_reported() -> None:
     posts = {"pole": POLE, "other": POLE | {"centre_m": [0.5, 0.2]}}
-    one = mission(posts=posts)
+    loaded = mission(posts=posts)
     with pytest.raises(NoApproachError, match="post other blocks the run-up"):
-        plan_approach(one, one.collisions[0])
-    says = [finding for finding in check_mission(one) if not finding.go]
-    assert any("post other" in finding.says for finding in says)
+        plan_approach(loaded, loaded.collisions[0])
+    no_gos = [finding for finding in check_mission(loaded) if not finding.go]
+    assert any("post other" in finding.says for finding in no_gos)
     free = mission(posts=posts | {"other": POLE | {"centre_m": [0.5, 1.5]}})
     assert all(finding.go for finding in check_mission(free)), check_mission(free)
 
 
-def test_a_flight_hits_a_post_and_comes_back() -> None:
+def test_a_flight_hits_a_post_and_completes() -> None:
     verdict = dart_flight.simulate(mission(), seed=3).verdict
     assert verdict.outcome == "completed", verdict.reason
-    assert [one.wall for one in verdict.collisions] == ["pole"]
+    assert [hit.wall for hit in verdict.collisions] == ["pole"]

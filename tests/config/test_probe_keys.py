@@ -1,4 +1,4 @@
-"""Probes, conditions and places at walls in a mission file: read, written, refused."""
+"""Probes, conditions and waypoints at walls in a mission file: read, written and refused."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ AGAIN = {
 }
 
 
-def probe(one: dict[str, Any], **keys: Any) -> dict[str, Any]:
-    return one | {"probe": one["probe"] | keys}
+def with_keys(collision: dict[str, Any], **keys: Any) -> dict[str, Any]:
+    return collision | {"probe": collision["probe"] | keys}
 
 
 def mission(*collisions: dict[str, Any], **changes: Any) -> Mission:
@@ -46,57 +46,57 @@ def mission(*collisions: dict[str, Any], **changes: Any) -> Mission:
     return load_mission(tree | changes)
 
 
-def test_a_wall_that_nobody_knows_stands_across_the_end_of_its_probe() -> None:
-    one = mission(EAST, AGAIN)
-    assert one.walls == ()
-    looked_for, hit = one.collisions
-    wall = looked_for.wall
+def test_an_unknown_wall_is_assumed_across_the_end_of_its_probe() -> None:
+    loaded = mission(EAST, AGAIN)
+    assert loaded.walls == ()
+    probing, hit = loaded.collisions
+    wall = probing.wall
     assert (wall.name, wall.point, wall.normal) == ("east", (1.8, 0.0), (-1.0, 0.0))
     assert (wall.sought, wall.material_known) == (True, False)
-    vehicle = one.vehicle
+    vehicle = loaded.vehicle
     stiffest = max(m.coefficients(Mode.RIGID).k for m in vehicle.materials.values())
     assert vehicle.materials[wall.material].coefficients(Mode.RIGID).k == stiffest, (
-        "the hardest hit it may turn out to be"
+        "an unknown wall is assumed to be the stiffest one"
     )
-    assert looked_for.probe is not None
-    assert (looked_for.probe.begin, looked_for.probe.end) == ((0.0, 0.0), (1.8, 0.0))
-    assert looked_for.approach_m_s == pytest.approx((-0.5, 0.0))
-    assert looked_for.impact_point == pytest.approx((1.8, 0.0))
+    assert probing.probe is not None
+    assert (probing.probe.begin, probing.probe.end) == ((0.0, 0.0), (1.8, 0.0))
+    assert probing.approach_m_s == pytest.approx((-0.5, 0.0))
+    assert probing.impact_point == pytest.approx((1.8, 0.0))
     assert hit.wall == wall
     assert hit.impact_point == pytest.approx((1.8, 0.0))
-    assert [c.is_conditional for c in one.collisions] == [True, True]
+    assert [c.is_conditional for c in loaded.collisions] == [True, True]
 
 
-def test_a_probe_for_a_wall_of_the_mission_goes_straight_at_it_and_is_planned_to_meet_it() -> None:
-    one = mission(AT_BOARD, walls={"board": BOARD})
-    (collision,) = one.collisions
-    assert collision.wall == one.walls[0]
+def test_a_probe_for_a_known_wall_leads_along_its_normal_and_reaches_it() -> None:
+    loaded = mission(AT_BOARD, walls={"board": BOARD})
+    (collision,) = loaded.collisions
+    assert collision.wall == loaded.walls[0]
     assert collision.probe is not None
     assert collision.probe.end == pytest.approx((1.8, 0.0))
     assert collision.impact_point == pytest.approx((1.5, 0.0))
     askew = mission(
-        probe(AT_BOARD, direction=[1.0, 1.0], length_m=2.4), walls={"board": BOARD | {"length_m": 4.0}}
+        with_keys(AT_BOARD, direction=[1.0, 1.0], length_m=2.4), walls={"board": BOARD | {"length_m": 4.0}}
     )
     assert askew.collisions[0].impact_point == pytest.approx((1.5, 1.5))
     assert askew.collisions[0].approach_m_s == pytest.approx((-0.5 / math.sqrt(2), 0.5 / math.sqrt(2)))
-    assert not one.recovers_to_goal, "it rests after a probe"
+    assert not loaded.recovers_to_goal, "the vehicle rests after a probe"
 
 
 @pytest.mark.parametrize("known", ["wood", None])
-def test_the_material_of_a_wall_that_is_looked_for_may_be_known(known: str | None) -> None:
-    wall = mission(probe(EAST, material=known)).collisions[0].wall
+def test_a_probe_may_give_the_material_of_its_wall(known: str | None) -> None:
+    wall = mission(with_keys(EAST, material=known)).collisions[0].wall
     assert wall.material_known is (known is not None)
     assert known in (None, wall.material)
 
 
-def test_a_place_at_a_wall_is_where_it_is_if_the_wall_stands_at_the_end_of_its_probe() -> None:
+def test_a_waypoint_at_a_wall_assumes_the_wall_at_the_end_of_its_probe() -> None:
     at = {"wall": "east", "away_m": 1.0, "along_m": 0.25}
-    one = mission(EAST, waypoints=[{"after": 1, "at_wall": at, "if_met": "east"}])
-    (waypoint,) = one.waypoints
-    # To the right when looking along the normal, which points to -x: to +y.
+    loaded = mission(EAST, waypoints=[{"after": 1, "at_wall": at, "if_met": "east"}])
+    (waypoint,) = loaded.waypoints
+    # Along the normal, which points to -x, the right is +y.
     assert waypoint.position == pytest.approx((0.8, 0.25, 1.0))
-    assert waypoint.wall_at == one.collisions[0].wall
-    assert load_mission(one.to_dict()).waypoints == one.waypoints
+    assert waypoint.wall_at == loaded.collisions[0].wall
+    assert load_mission(loaded.to_dict()).waypoints == loaded.waypoints
 
 
 @given(
@@ -108,10 +108,10 @@ def test_a_place_at_a_wall_is_where_it_is_if_the_wall_stands_at_the_end_of_its_p
     condition=st.sampled_from(["if_met", "if_not_met"]),
 )
 @settings(max_examples=50, deadline=None)
-def test_a_mission_with_probes_comes_back(
+def test_a_mission_with_probes_can_be_written_and_read_back(
     angle: float, length_m: float, speed_m_s: float, back_m: float, material: str | None, condition: str
 ) -> None:
-    first = probe(
+    first = with_keys(
         EAST,
         direction=[math.cos(angle), math.sin(angle)],
         length_m=length_m,
@@ -120,11 +120,11 @@ def test_a_mission_with_probes_comes_back(
         material=material,
         from_here=material is None,
     )
-    second = probe(EAST, direction=[-1.0, 0.5], length_m=0.9) | {"wall": "west", condition: "east"}
-    one = mission(first, second, simulated_walls={"board": BOARD})
-    again = load_mission(one.to_dict())
-    assert again.simulated_walls == one.simulated_walls
-    for a, b in zip(one.collisions, again.collisions, strict=True):
+    second = with_keys(EAST, direction=[-1.0, 0.5], length_m=0.9) | {"wall": "west", condition: "east"}
+    loaded = mission(first, second, simulated_walls={"board": BOARD})
+    again = load_mission(loaded.to_dict())
+    assert again.simulated_walls == loaded.simulated_walls
+    for a, b in zip(loaded.collisions, again.collisions, strict=True):
         assert a.probe is not None
         assert b.probe is not None
         assert b.probe.end == pytest.approx(a.probe.end, abs=1e-12)
@@ -143,7 +143,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
 
 
 @pytest.mark.parametrize(
-    ("collisions", "changes", "says"),
+    ("collisions", "changes", "message"),
     [
         (
             [EAST | {"approach": {"normal_m_s": -1.0}}],
@@ -152,28 +152,40 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         ),
         ([EAST | {"impact_along_m": 0.1}], {}, "impact_along_m: a probe has no such key"),
         ([EAST | {"alpha_wall_m_per_n": [0.1, 0.1]}], {}, "alpha_wall_m_per_n: a probe has no such key"),
-        ([probe(AT_BOARD, material="wood")], WALLS, "probe.material: wall board of the mission has its own"),
-        ([probe(EAST, material="cheese")], {}, r"probe.material: .*cheese"),
-        ([probe(EAST, from_m=[3.0, 0.0])], {}, r"probe.from_m: \(3.00, 0.00\) is 1.00 m outside bounds_m"),
-        ([probe(EAST, length_m=2.5)], {}, r"probe.length_m: \(2.50, 0.00\) is 0.50 m outside bounds_m"),
-        ([probe(EAST, speed_m_s=3.0)], {"limits": {"speed_m_s": 2.0}}, "3 m/s exceeds limits.speed_m_s 2"),
-        ([probe(EAST, speed_m_s=0.05)], {}, "probe.speed_m_s"),
-        ([probe(EAST, direction=[0.0, 0.0])], {}, "probe.direction: the direction has length 0"),
         (
-            [probe(EAST, direction=None)],
+            [with_keys(AT_BOARD, material="wood")],
+            WALLS,
+            "probe.material: wall board of the mission has its own",
+        ),
+        ([with_keys(EAST, material="cheese")], {}, r"probe.material: .*cheese"),
+        (
+            [with_keys(EAST, from_m=[3.0, 0.0])],
+            {},
+            r"probe.from_m: \(3.00, 0.00\) is 1.00 m outside bounds_m",
+        ),
+        ([with_keys(EAST, length_m=2.5)], {}, r"probe.length_m: \(2.50, 0.00\) is 0.50 m outside bounds_m"),
+        (
+            [with_keys(EAST, speed_m_s=3.0)],
+            {"limits": {"speed_m_s": 2.0}},
+            "3 m/s exceeds limits.speed_m_s 2",
+        ),
+        ([with_keys(EAST, speed_m_s=0.05)], {}, "probe.speed_m_s"),
+        ([with_keys(EAST, direction=[0.0, 0.0])], {}, "probe.direction: the direction has length 0"),
+        (
+            [with_keys(EAST, direction=None)],
             {},
             r"probe: east is not a wall of the mission \(none\): .* "
             r"direction",
         ),
         (
-            [probe(AT_BOARD, direction=[0.0, 1.0])],
+            [with_keys(AT_BOARD, direction=[0.0, 1.0])],
             WALLS,
             "leads past it: the angle to the normal must be at most 60 degrees",
         ),
-        ([probe(AT_BOARD, direction=[-1.0, 0.0])], WALLS, "leads past it"),
-        ([probe(AT_BOARD, from_m=[1.8, 0.0], length_m=0.1)], WALLS, "begins behind wall board"),
+        ([with_keys(AT_BOARD, direction=[-1.0, 0.0])], WALLS, "leads past it"),
+        ([with_keys(AT_BOARD, from_m=[1.8, 0.0], length_m=0.1)], WALLS, "begins behind wall board"),
         (
-            [probe(AT_BOARD, length_m=1.2)],
+            [with_keys(AT_BOARD, length_m=1.2)],
             WALLS,
             "probe.length_m: wall board is 1.50 m away; give this distance",
         ),
@@ -215,17 +227,17 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         ([], {"frame": {"anchored_by": "gps"}}, "frame.anchored_by"),
     ],
 )
-def test_what_contradicts_itself_is_refused(
-    collisions: list[dict[str, Any]], changes: dict[str, Any], says: str
+def test_contradictory_probe_keys_are_refused(
+    collisions: list[dict[str, Any]], changes: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         mission(*collisions, **changes)
 
 
-def test_the_shipped_missions_come_back() -> None:
+def test_the_shipped_missions_with_probes_can_be_written_and_read_back() -> None:
     for name in ("find_a_wall.yaml", "dual_collision_gps.yaml"):
-        one = load_mission(packaged("missions", name))
-        assert load_mission(one.to_dict()).collisions == one.collisions
+        loaded = load_mission(packaged("missions", name))
+        assert load_mission(loaded.to_dict()).collisions == loaded.collisions
     gps = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     assert gps.is_anchored
     assert [c.probe is not None and c.probe.from_here for c in gps.collisions] == [False, True, False, False]

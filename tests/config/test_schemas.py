@@ -1,4 +1,4 @@
-"""The exported schemas are those of the types, take what is shipped and refuse what the loader refuses."""
+"""The exported schemas: they accept the shipped files and refuse what the loader refuses."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.search.scenario import load_scenario
 
 ROOT = Path(__file__).parents[2]
-FOLDER = ROOT / "docs" / "schemas"  # tests/docs/test_pages.py: they are those of the types
+FOLDER = ROOT / "docs" / "schemas"  # tests/docs/test_pages.py compares them with the types
 
 EVERY = sorted([*(ROOT / "configs").glob("*.yaml"), *(ROOT / "missions").rglob("*.yaml")])
-# One that extends another lacks what the schema wants of a whole one.
+# An extending configuration lacks keys that the schema requires.
 EXTENDING = [path for path in EVERY if EXTENDS in Document.load(path).tree]
 SHIPPED = [path for path in EVERY if path not in EXTENDING]
 LOADERS: dict[str, Callable[[Path], object]] = {
@@ -34,7 +34,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
 
 
 def schema_of(path: Path) -> Path:
-    """The schema that the first line of a YAML file names for the editor."""
+    """Return the schema that the first line of a YAML file names for the editor."""
     first = path.read_text().splitlines()[0]
     match = re.fullmatch(r"# yaml-language-server: \$schema=(\S+)", first)
     assert match, f"{path}: {first}"
@@ -45,14 +45,14 @@ def validator(name: str) -> jsonschema.Draft7Validator:
     return jsonschema.Draft7Validator(json.loads((FOLDER / name).read_text()))
 
 
-def test_the_committed_files_are_schemas() -> None:
+def test_the_committed_schemas_are_valid() -> None:
     assert sorted(path.name for path in FOLDER.iterdir()) == sorted(LOADERS)
     for path in FOLDER.iterdir():
         jsonschema.Draft7Validator.check_schema(json.loads(path.read_text()))
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: str(path.relative_to(ROOT)))
-def test_what_is_shipped_fits_the_schema_it_names(path: Path) -> None:
+def test_a_shipped_file_matches_the_schema_that_it_names(path: Path) -> None:
     schema = schema_of(path)
     assert schema.parent == FOLDER
     validator(schema.name).validate(Document.load(path).tree)
@@ -60,33 +60,33 @@ def test_what_is_shipped_fits_the_schema_it_names(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", EXTENDING, ids=lambda path: str(path.relative_to(ROOT)))
-def test_a_configuration_differs_from_the_one_that_it_extends_in_its_own_keys_alone(path: Path) -> None:
+def test_an_extending_configuration_differs_from_its_base_only_in_its_keys(path: Path) -> None:
     tree = Document.load(path).tree
-    base = plain(load_vehicle(path.parent / tree.pop(EXTENDS)))
-    extended = plain(load_vehicle(path))
+    base = to_plain(load_vehicle(path.parent / tree.pop(EXTENDS)))
+    extended = to_plain(load_vehicle(path))
     for section, keys in tree.items():
-        if keys == {"driver": "none"}:  # takes the whole section away
+        if keys == {"driver": "none"}:  # removes the whole section
             base[section] = None
         else:
-            put_in(base[section], keys)
+            merge_into(base[section], keys)
     assert extended == base
 
 
-def plain(vehicle: VehicleConfig) -> dict[str, Any]:
+def to_plain(vehicle: VehicleConfig) -> dict[str, Any]:
     found: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(vehicle))
     return found
 
 
-def put_in(section: dict[str, Any], keys: dict[str, Any]) -> None:
+def merge_into(section: dict[str, Any], keys: dict[str, Any]) -> None:
     for key, value in keys.items():
         if isinstance(value, dict):
-            put_in(section[key], value)
+            merge_into(section[key], value)
         else:
             section[key] = value
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("extends: {base}\npx4: {MPC_XY_P: fast}\n", "own.yaml:2: px4.MPC_XY_P: expected a number, got text"),
         (
@@ -98,14 +98,14 @@ def put_in(section: dict[str, Any], keys: dict[str, Any]) -> None:
         ("extends: [1]\n", "own.yaml:1: extends: expected the name of a configuration file"),
     ],
 )
-def test_a_mistake_in_an_extending_configuration_is_named_where_it_stands(
-    text: str, says: str, tmp_path: Path
+def test_a_mistake_in_an_extending_configuration_is_reported_with_its_line(
+    text: str, message: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "own.yaml"
     path.write_text(text.replace("{base}", str(ROOT / "configs" / "dart.yaml")))
     with pytest.raises(InputError) as caught:
         load_vehicle(path)
-    assert says in caught.value.one_line()
+    assert message in caught.value.one_line()
 
 
 WRONG: list[tuple[str, str, str, str]] = [
@@ -129,7 +129,7 @@ WRONG: list[tuple[str, str, str, str]] = [
 
 
 @pytest.mark.parametrize(("shipped", "good", "bad", "why"), WRONG, ids=[row[3] for row in WRONG])
-def test_schema_and_loader_refuse_the_same(
+def test_schema_and_loader_refuse_the_same_mistakes(
     tmp_path: Path, shipped: str, good: str, bad: str, why: str
 ) -> None:
     text = (ROOT / shipped).read_text()
@@ -150,7 +150,7 @@ def keys(schema: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
             yield struct, name, value
 
 
-def is_explained(schema: dict[str, Any], value: dict[str, Any]) -> bool:
+def has_description(schema: dict[str, Any], value: dict[str, Any]) -> bool:
     """Whether a key has a description, or its section has."""
     for option in (value, *value.get("anyOf", [])):
         section = option.get("$ref", "").rpartition("/")[2]
@@ -160,15 +160,15 @@ def is_explained(schema: dict[str, Any], value: dict[str, Any]) -> bool:
 
 
 @pytest.mark.parametrize("name", sorted(LOADERS))
-def test_every_key_is_explained_beside_its_type(name: str) -> None:
+def test_every_key_of_a_schema_has_a_description(name: str) -> None:
     schema = json.loads((FOLDER / name).read_text())
     for struct, key, value in keys(schema):
-        assert is_explained(schema, value), f"{struct}.{key} needs a line under Attributes"
+        assert has_description(schema, value), f"{struct}.{key} needs a line under Attributes"
 
 
-def test_a_key_takes_its_own_meaning_before_that_of_its_section() -> None:
+def test_the_description_of_a_key_takes_precedence_over_that_of_its_section() -> None:
     schema = json.loads((FOLDER / "configuration.json").read_text())
-    # One type in two places.
+    # Both keys have the same type.
     estimated, simulated = (
         schema["$defs"][section]["properties"]["arm_vibration"]["description"]
         for section in ("Estimation", "Simulation")

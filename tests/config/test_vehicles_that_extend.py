@@ -1,4 +1,4 @@
-"""What the vehicles without a lock have of their own: a change of DART's figures must not change them."""
+"""Vehicles that extend another: their own values, which do not follow DART's, and the inherited ones."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OWN = {
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_what_scales_with_the_vehicle_is_its_own(name: str) -> None:
+def test_a_vehicle_defines_every_value_that_scales_with_its_size(name: str) -> None:
     v = load_vehicle(packaged("configs", f"{name}.yaml"))
     acrylic = v.materials["acrylic"].coefficients(Mode.RIGID)
     figures = (
@@ -43,7 +43,7 @@ def test_what_scales_with_the_vehicle_is_its_own(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_what_calibrate_writes_has_its_place(name: str) -> None:
+def test_calibrate_can_write_its_values_into_each_configuration(name: str) -> None:
     text = packaged("configs", f"{name}.yaml").read_text("utf-8")
     battery = ("estimation", "battery")
     keys = [
@@ -56,7 +56,7 @@ def test_what_calibrate_writes_has_its_place(name: str) -> None:
     assert edit_values(text, {("airframe", "inertia_kg_m2", i): 0.5 for i in range(3)}) != text
 
 
-def test_beside_dart_the_only_vehicle_that_extends_it_is_meant(
+def test_the_only_vehicle_that_extends_dart_is_the_default(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -73,10 +73,10 @@ def test_beside_dart_the_only_vehicle_that_extends_it_is_meant(
     assert default_config_path().name == "stiff.yaml"
 
 
-def test_several_packaged_vehicles_leave_dart_the_default(
+def test_dart_is_the_default_among_several_packaged_vehicles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As in a checkout, and where notes or PX4 tables lie beside them."""
+    """A checkout has several vehicles, and may have other YAML files beside them."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DART_FLIGHT_CONFIG", raising=False)
     shutil.copytree(packaged("configs"), tmp_path / "configs")
@@ -88,20 +88,22 @@ def test_several_packaged_vehicles_leave_dart_the_default(
         default_config_path()
 
 
-# --- what an own vehicle takes from another ---------------------------------------------------------------
+# --- values inherited by a user's vehicle -----------------------------------------------------------------
 
 SIZE = "mass_kg: 0.6, contact_distance_m: 0.15, arm_x_m: 0.07, arm_y_m: 0.07"
 CAGE = f"extends: dart.yaml\nairframe: {{{SIZE}}}\nlock: {{driver: none}}\n"
 
 
-def inherited_of(text: str, folder: Path, name: str = "mine.yaml", *settings: str) -> Inherited | None:
+def find_inherited_values(
+    text: str, folder: Path, name: str = "mine.yaml", *settings: str
+) -> Inherited | None:
     shutil.copy(packaged("configs", "dart.yaml"), folder)
     (folder / name).write_text(text)
     return find_inherited(load_vehicle(folder / name, settings), str(folder / name), settings)
 
 
-def test_what_contradicts_the_given_is_told_from_what_is_only_kept(tmp_path: Path) -> None:
-    found = inherited_of(CAGE, tmp_path)
+def test_contradictory_inherited_values_are_listed_apart_from_the_others(tmp_path: Path) -> None:
+    found = find_inherited_values(CAGE, tmp_path)
     assert found is not None
     by_mass = found.contradictions["airframe.mass_kg 0.6 instead of 1.3"]
     assert "detection.force_threshold_n 5.5" in by_mass
@@ -114,21 +116,21 @@ def test_what_contradicts_the_given_is_told_from_what_is_only_kept(tmp_path: Pat
     assert not any(key.startswith("airframe.mass_kg") for key in found.keys)
 
 
-def test_what_is_given_is_not_inherited_though_it_has_the_same_value(tmp_path: Path) -> None:
+def test_an_explicit_value_is_not_inherited_even_if_it_equals_the_base(tmp_path: Path) -> None:
     own = f"{CAGE}detection: {{force_threshold_n: 5.5}}\n"
-    found = inherited_of(own, tmp_path, "mine.yaml", "guard.battery_v=13.2")
+    found = find_inherited_values(own, tmp_path, "mine.yaml", "guard.battery_v=13.2")
     assert found is not None
     assert "force_threshold_n" not in str(found)
     assert "guard.battery_v" not in str(found)
 
 
-def test_an_edited_copy_inherits_what_was_not_edited(tmp_path: Path) -> None:
+def test_an_edited_copy_inherits_the_values_that_were_not_edited(tmp_path: Path) -> None:
     text = packaged("configs", "dart.yaml").read_text("utf-8").replace("mass_kg: 1.3", "mass_kg: 1.85")
-    found = inherited_of(text, tmp_path)
+    found = find_inherited_values(text, tmp_path)
     assert found is not None
     assert "detection.force_threshold_n 5.5" in found.contradictions["airframe.mass_kg 1.85 instead of 1.3"]
     copy = packaged("configs", "rigid_cage.yaml").read_text("utf-8").replace("mass_kg: 0.9", "mass_kg: 1.2")
-    found = inherited_of(copy, tmp_path, "rigid_cage.yaml")
+    found = find_inherited_values(copy, tmp_path, "rigid_cage.yaml")
     assert found is not None
     assert found.base == "rigid_cage.yaml"
     assert "detection.force_threshold_n 4" in found.contradictions["airframe.mass_kg 1.2 instead of 0.9"]
@@ -142,8 +144,8 @@ def test_an_edited_copy_inherits_what_was_not_edited(tmp_path: Path) -> None:
         "extends: dart.yaml\nlock: {driver: maestro}\n",
     ],
 )
-def test_dart_itself_inherits_nothing(tmp_path: Path, text: str) -> None:
-    assert inherited_of(text, tmp_path) is None
+def test_a_variant_of_dart_inherits_nothing(tmp_path: Path, text: str) -> None:
+    assert find_inherited_values(text, tmp_path) is None
 
 
 @pytest.mark.parametrize("name", ["dart", "rigid_cage", "hexarotor"])
@@ -152,8 +154,8 @@ def test_a_packaged_vehicle_inherits_nothing(name: str) -> None:
     assert find_inherited(load_vehicle(path), str(path)) is None
 
 
-def test_every_key_that_may_be_inherited_exists() -> None:
-    """A key that is renamed would never be listed again."""
+def test_every_inheritable_key_exists() -> None:
+    """A renamed key would never be listed again."""
     tree = load_vehicle(packaged("configs", "dart.yaml")).to_dict()
     for key in {key for row in FOLLOWS_FROM.items() for key in (row[0], *row[1])} - {LOCK}:
         value = tree

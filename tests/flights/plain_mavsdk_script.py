@@ -1,6 +1,6 @@
-"""A MAVSDK script that knows nothing of this project: connect, health, arm, take off, fly, land.
+"""A MAVSDK script without code of this project: connect, check health, arm, take off, fly, land.
 
-Run by `test_embedded_flights.py` against `dart-flight simulate`; usage: plain_mavsdk_script.py URL
+`test_embedded_flights.py` runs it against `dart-flight simulate`. Usage: plain_mavsdk_script.py URL
 """
 
 import asyncio

@@ -1,4 +1,4 @@
-"""Flights whose contacts are not fitted, or too late, or from one on: as if a contact said nothing."""
+"""Flights whose contact fits are missing, late, or fail from the second contact on."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tests.shared_flights import SharedFlights
 R = TypeVar("R", bound=Record)
 Deliver = Callable[[FastFlight, int, PlanAnswer | ContactAnswer], None]
 DELIVER: Deliver = FastFlight._answer
-LATE_US = 450_000  # more than the 300 ms that an answer has
+LATE_US = 450_000  # more than the timeout of an answer, 300 ms
 
 
 def never(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
@@ -51,7 +51,7 @@ def dead_after_the_first(flight: FastFlight, due_us: int, answer: PlanAnswer | C
 def fly_with(
     mission: Mission, deliver: Deliver, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[Verdict, Log]:
-    """A flight whose replay is the same to the bit."""
+    """Fly with this delivery of answers and require an exact replay."""
     monkeypatch.setattr(FastFlight, "_answer", deliver)
     verdict = fly_fast(mission, 1, folder)
     log = read_log(str(verdict.log))
@@ -78,7 +78,7 @@ LATE = "no answer within 300 ms"
         ("dual_collision_replan", late, [LATE, LATE]),
     ],
 )
-def test_a_contact_without_an_answer_is_undecided_and_the_flight_goes_on(
+def test_a_contact_without_a_fit_is_undecided_and_the_flight_continues(
     mission: str,
     deliver: Deliver,
     problems: list[str],
@@ -87,19 +87,19 @@ def test_a_contact_without_an_answer_is_undecided_and_the_flight_goes_on(
 ) -> None:
     verdict, log = fly_with(shipped(mission), deliver, tmp_path, monkeypatch)
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
-    assert [felt.problem for felt in all_of(log, WallEstimate)] == problems
-    assert [hit.mode_felt is None for hit in verdict.collisions] == [bool(says) for says in problems]
+    assert [estimate.problem for estimate in all_of(log, WallEstimate)] == problems
+    assert [hit.mode_felt is None for hit in verdict.collisions] == [bool(problem) for problem in problems]
     assert len(all_of(log, ImpactBody)) == problems.count("")
     assert len(all_of(log, ContactAnswer)) == (0 if deliver is never else 2)
-    for felt in all_of(log, WallEstimate):
-        assert (felt.plane_point_mission is None) is bool(felt.problem)
+    for estimate in all_of(log, WallEstimate):
+        assert (estimate.plane_point_mission is None) is bool(estimate.problem)
 
 
 @pytest.mark.parametrize("deliver", [late, dead_after_the_first])
-def test_a_sought_wall_that_was_met_stands_where_the_onset_was(
+def test_a_wall_found_without_a_fit_is_placed_at_the_onset(
     deliver: Deliver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The other probe is left out, and the wall is hit again."""
+    """The other probe is skipped, and the wall is hit again."""
     mission = shipped("find_a_wall")
     verdict, log = fly_with(mission, deliver, tmp_path, monkeypatch)
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
@@ -113,20 +113,20 @@ def test_a_sought_wall_that_was_met_stands_where_the_onset_was(
         assert (first.problem, second.problem) == ("", "the planner process ended")
 
 
-def test_without_an_answer_no_contact_moves_the_frame(
+def test_a_contact_without_a_fit_does_not_move_the_mission_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, log = fly_with(shipped("dual_collision_gps"), dead_after_the_first, tmp_path, monkeypatch)
     (anchor,) = all_of(log, FrameAnchor)
-    felt = all_of(log, WallEstimate)
-    assert (anchor.wall, felt[0].problem) == (felt[0].wall, "")
-    assert {one.problem for one in felt[1:]} == {"the planner process ended"}
+    estimates = all_of(log, WallEstimate)
+    assert (anchor.wall, estimates[0].problem) == (estimates[0].wall, "")
+    assert {estimate.problem for estimate in estimates[1:]} == {"the planner process ended"}
 
 
-def test_an_answer_that_is_not_needed_for_a_plan_delays_none(
+def test_a_missing_fit_does_not_delay_a_plan_that_does_not_need_it(
     flown: SharedFlights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The dual collision goes to another wall: it is planned at the contact's end, answer or not."""
+    """The second collision is at another wall, so its plan starts at the end of the contact."""
     name, plans = "dual_collision_replan", []
     for log in (
         read_log(flown(name, 1).log),

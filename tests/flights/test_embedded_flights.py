@@ -1,6 +1,6 @@
 """Whole missions through real MAVSDK over UDP against the embedded autopilot.
 
-What happens to processes is tested on processes: the command line in one, the vehicle in another.
+The command line and the vehicle run in separate processes, as they do on the desk.
 """
 
 import json
@@ -36,11 +36,11 @@ DUAL = "missions/paper_dual_collision.yaml"
 
 @pytest.fixture(autouse=True)
 def state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One for all programs of a test: by it a program knows a `simulate` that is just starting."""
+    """Share one state folder, in which a program finds a `simulate` that is still starting."""
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
 
 
-def command(*arguments: str) -> subprocess.Popen[str]:
+def start_command(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "dart_flight", *arguments],
         cwd=ROOT,
@@ -72,9 +72,9 @@ def wait_for_text(path: Path, text: str, timeout_s: float) -> str:
 
 @contextmanager
 def simulated_vehicle(mission: str) -> Iterator[str]:
-    """`dart-flight simulate` in a process; yields the URL that reaches it."""
+    """Run `dart-flight simulate` in a process; yield the URL of its link."""
     port = free_udp_port()
-    vehicle = command("simulate", mission, "--port", str(port))
+    vehicle = start_command("simulate", mission, "--port", str(port))
     try:
         yield f"udpin://127.0.0.1:{port}"
     finally:
@@ -84,7 +84,7 @@ def simulated_vehicle(mission: str) -> Iterator[str]:
 
 
 @pytest.mark.mavlink
-def test_dual_collision_through_mavsdk(commanded: LiveFlights) -> None:
+def test_a_dual_collision_completes_through_mavsdk(commanded: LiveFlights) -> None:
     verdict = RecordedFlight.read(commanded(f"dart-flight dry-run {DUAL} --speed max").log).verdict
     assert (verdict.outcome, verdict.reason) == ("completed", None)
     assert [(c.wall, c.mode) for c in verdict.collisions] == [("wood", "flexible"), ("acrylic", "rigid")]
@@ -103,8 +103,8 @@ def test_dual_collision_through_mavsdk(commanded: LiveFlights) -> None:
 
 
 @pytest.mark.mavlink
-def test_a_hexarotor_through_mavsdk(commanded: LiveFlights) -> None:
-    """Six motors on the wire: commands in one message, measured speeds in two."""
+def test_a_hexarotor_completes_a_collision_through_mavsdk(commanded: LiveFlights) -> None:
+    """Six motors need one message for the commands and two for the measured speeds."""
     fly = f"dart-flight dry-run {NEAR} --speed max --config configs/hexarotor.yaml"
     done = commanded(
         f"{fly} --set estimation.thrust_source=esc --set estimation.esc_thrust_n_per_rpm2=1.1e-8"
@@ -121,8 +121,8 @@ def test_a_hexarotor_through_mavsdk(commanded: LiveFlights) -> None:
 
 @pytest.mark.realtime
 @pytest.mark.mavlink
-def test_simulate_in_one_terminal_and_fly_in_another(commanded: LiveFlights) -> None:
-    # The README's flight, which tests/docs flies as well: one flight for both.
+def test_fly_completes_on_a_vehicle_simulated_in_another_process(commanded: LiveFlights) -> None:
+    # This is the README's flight, which tests/docs shares.
     mission = "missions/dual_collision.yaml"
     fly = f"dart-flight fly {mission} --driver px4 --connection udpin://127.0.0.1:14540"
     done = commanded(fly, "dart-flight simulate")
@@ -133,7 +133,7 @@ def test_simulate_in_one_terminal_and_fly_in_another(commanded: LiveFlights) -> 
         ("wood", "flexible"),
         ("acrylic", "rigid"),
     ]
-    # The lock went through PX4's output: the contact times tell which mode each wall really met.
+    # The lock moved through PX4's output: the contact times show the real mode at each wall.
     assert verdict["collisions"][0]["contact_time_ms"] > 90
     assert verdict["collisions"][1]["contact_time_ms"] < 75
 
@@ -155,38 +155,37 @@ def test_a_plain_mavsdk_script_flies_the_simulated_vehicle() -> None:
 
 @pytest.mark.mavlink
 def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> None:
-    flight = command("dry-run", NEAR, "--log-dir", str(tmp_path / "flights"))
+    flight = start_command("dry-run", NEAR, "--log-dir", str(tmp_path / "flights"))
     read_until(flight, "APPROACH")
     time.sleep(0.5)
     flight.kill()
     killed_s = time.monotonic()
     flight.wait()
     folder = next((tmp_path / "flights").iterdir())
-    said = wait_for_text(folder / "autopilot.log", "simulated vehicle stops", 35.0)
+    autopilot_log = wait_for_text(folder / "autopilot.log", "simulated vehicle stops", 35.0)
     assert time.monotonic() - killed_s < 30.0
-    story = [
+    events = [
         "app disconnected",
         "offboard lost, holding",
         "offboard lost, landing",
         "Landing detected",
         "Disarmed",
     ]
-    places = [said.index(word) for word in story]
+    places = [autopilot_log.index(word) for word in events]
     assert places == sorted(places)
-    # Nothing of the last moments is lost: the log goes on to at most 0.2 s before the kill. The autopilot's
-    # own log says when it saw the app go (simulated time, on a clock that starts 7 s later).
+    # The log ends at most 0.2 s before the kill. The autopilot's clock starts 7 s later.
     log = read_log(folder / "flight.mcap")
     assert not log.complete
-    gone_s = float(said[: places[0]].rsplit("\n", 1)[-1].split(" s ")[0])
+    gone_s = float(autopilot_log[: places[0]].rsplit("\n", 1)[-1].split(" s ")[0])
     last_us = max(e.record.t_us for e in log.entries if isinstance(e.record, ImuSample))
     assert last_us * 1e-6 - 7.0 > gone_s - 0.25
     assert [e.record.after for e in log.entries if isinstance(e.record, PhaseChange)][-1] == "approach"
 
 
 @pytest.mark.mavlink
-def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
+def test_control_c_in_the_approach_aborts_without_a_contact(tmp_path: Path) -> None:
     flights = tmp_path / "flights"
-    flight = command("dry-run", NEAR, "--log-dir", str(flights), "--json")
+    flight = start_command("dry-run", NEAR, "--log-dir", str(flights), "--json")
     read_until(flight, "APPROACH")
     time.sleep(1.0)
     flight.send_signal(signal.SIGINT)
@@ -202,19 +201,19 @@ def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
 
 
 @pytest.mark.mavlink
-def test_control_c_in_many_flights_sums_up_what_is_there(tmp_path: Path) -> None:
-    """In the second of three: it lands, the third is not begun."""
+def test_control_c_in_a_series_reports_the_flights_that_were_flown(tmp_path: Path) -> None:
+    """Interrupt the second of three flights: it lands, and the third does not begin."""
     flights = tmp_path / "flights"
     words = ["dry-run", NEAR, "--log-dir", str(flights), "--runs", "3", "--json"]
     words += ["--speed", "2"]
     process = subprocess.Popen(
         [sys.executable, "-m", "dart_flight", *words],
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        # Whatever runs the tests may ignore Ctrl-C, and its children would inherit that.
+        # The test runner may ignore Ctrl-C, and its children would inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )  # fmt: skip
-    until = time.monotonic() + 120.0
-    while len(list(flights.glob("*/autopilot.log"))) < 2 and time.monotonic() < until:
+    deadline_s = time.monotonic() + 120.0
+    while len(list(flights.glob("*/autopilot.log"))) < 2 and time.monotonic() < deadline_s:
         time.sleep(0.1)
     time.sleep(3.0)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
@@ -234,11 +233,11 @@ def test_control_c_in_many_flights_sums_up_what_is_there(tmp_path: Path) -> None
 
 
 @pytest.mark.mavlink
-def test_a_silent_port_is_said_in_one_line(tmp_path: Path) -> None:
+def test_a_silent_port_is_reported_without_a_traceback(tmp_path: Path) -> None:
     config = (ROOT / "configs/dart.yaml").read_text().replace("timeout_s: 30.0", "timeout_s: 1.0")
     path = tmp_path / "dart.yaml"
     path.write_text(config)
-    flight = command(
+    flight = start_command(
         *("fly", SINGLE, "--yes", "--config", str(path), "--log-dir", str(tmp_path)),
         *("--connection", f"udpin://127.0.0.1:{free_udp_port()}"),
     )

@@ -20,7 +20,7 @@ from tests.shared_flights import SharedFlights
 ROOT = Path(__file__).parents[2]
 
 
-def test_dual_collision_completes_as_the_paper_flew_it(flown: SharedFlights) -> None:
+def test_the_dual_collision_completes_as_in_the_paper(flown: SharedFlights) -> None:
     verdict = flown("paper_dual_collision", 1).verdict
     assert verdict.outcome == "completed"
     assert [(c.wall, c.mode) for c in verdict.collisions] == [("wood", "flexible"), ("acrylic", "rigid")]
@@ -37,7 +37,7 @@ def test_dual_collision_completes_as_the_paper_flew_it(flown: SharedFlights) -> 
     assert switch.relaxed_us is not None
     assert switch.commanded_us is not None
     assert switch.settled_us is not None
-    # The lock moves after the contact and the relaxation, and is there before the next wall.
+    # The lock moves after the contact and the relaxation, and settles before the next wall.
     assert switch.contact_end_us < switch.relaxed_us <= switch.commanded_us + 20_000
     assert switch.commanded_us < switch.settled_us < verdict.collisions[1].t_us
     assert verdict.final_error_m is not None
@@ -47,7 +47,7 @@ def test_dual_collision_completes_as_the_paper_flew_it(flown: SharedFlights) -> 
     assert not verdict.guard
 
 
-def test_a_seed_decides_everything(flown: SharedFlights) -> None:
+def test_setpoints_depend_only_on_the_seed(flown: SharedFlights) -> None:
     def setpoints(records: Iterable[Record]) -> bytes:
         return msgspec.json.encode([r for r in records if isinstance(r, Setpoint)])
 
@@ -60,15 +60,15 @@ def test_a_seed_decides_everything(flown: SharedFlights) -> None:
     assert recorded(3) != recorded(2)
 
 
-@pytest.mark.parametrize("seed", [2, 3])  # more of them: tools.campaigns.replay
-def test_missions_complete_over_seeds(seed: int, flown: SharedFlights) -> None:
+@pytest.mark.parametrize("seed", [2, 3])  # more seeds: tools.campaigns.replay
+def test_the_papers_missions_complete_with_several_seeds(seed: int, flown: SharedFlights) -> None:
     for name in ("paper_dual_collision", "paper_single_wall"):
         verdict = flown(name, seed).verdict
         assert (verdict.outcome, verdict.reason) == ("completed", None)
 
 
 @pytest.mark.parametrize("goal", ["[-3.0, 1.0]", "[-5.0, 1.0]"])
-def test_a_goal_far_from_the_recovery_is_flown_to_at_transit_speed(goal: str) -> None:
+def test_a_distant_goal_is_approached_at_transit_speed(goal: str) -> None:
     text = (ROOT / "missions/paper_single_wall.yaml").read_text()
     text = text.replace("goal: {position_m: [0.4, 1.0]", f"goal: {{position_m: {goal}")
     text = text.replace("x: [-1.5, 2.2]", "x: [-6.0, 2.2]")
@@ -84,8 +84,8 @@ def test_a_goal_far_from_the_recovery_is_flown_to_at_transit_speed(goal: str) ->
     assert max(speeds) < 1.3 * mission.vehicle.flying.transit_speed_m_s
 
 
-def test_a_clock_that_jumps_back_before_everything_is_ready_ends_the_wait() -> None:
-    """The autopilot's time stands still for the core then; the host's goes on."""
+def test_a_backward_clock_jump_before_takeoff_ends_the_flight_as_not_ready() -> None:
+    """After the jump the autopilot's time stops for the core, while the host's time continues."""
     mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
     flight = FastFlight(mission, 16, fault=Fault("clock-back", 972.6, None, 0.02))
     flight.run()

@@ -1,6 +1,6 @@
-"""The missions that a newcomer meets reach their goals and follow their plans; the paper's do what they say.
+"""The introductory missions reach their goals; the paper's missions follow their plans and miss the goal.
 
-Twenty seeds of each are in docs/results/campaigns.md; here a sample of them.
+These tests fly one seed of each; docs/results/campaigns.md has twenty.
 """
 
 from pathlib import Path
@@ -26,7 +26,7 @@ def test_a_first_flight_reaches_its_goal_and_follows_its_plan(name: str) -> None
 
 
 @pytest.mark.parametrize(("name", "miss_m"), [("paper_dual_collision", 0.28), ("paper_single_wall", 0.55)])
-def test_the_papers_numbers_follow_their_plan_and_miss_the_goal(
+def test_the_papers_missions_follow_their_plan_and_miss_the_goal(
     name: str, miss_m: float, flown: SharedFlights
 ) -> None:
     verdict = flown(name, 1).verdict
@@ -39,7 +39,7 @@ def goal_finding(name: str) -> CheckFinding:
     return next(f for f in check_mission(load_flyable(ROOT / "missions" / name)) if f.item == "goal")
 
 
-def test_check_says_before_the_flight_how_near_the_goal_is_passed() -> None:
+def test_check_reports_the_planned_goal_miss_before_the_flight() -> None:
     paper = goal_finding("paper_dual_collision.yaml")
     assert (paper.go, paper.remark) == (True, True)
     assert paper.says == "passes the goal at 0.28 m (capture radius 0.15 m)"

@@ -16,7 +16,7 @@ from dart_flight.sim.draws import DrawnWorld
     ("configured_kg", "flown_kg", "stopped"),
     [(0.85, 1.85, True), (1.3, 1.85, True), (1.3, 0.8, True), (1.3, 1.45, False), (1.3, 1.2, False)],
 )
-def test_a_wrong_mass_ends_the_flight_before_the_wall(
+def test_a_wrong_mass_aborts_the_flight_before_the_wall(
     configured_kg: float, flown_kg: float, stopped: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mission = load_mission(packaged("missions", "single_wall.yaml")).replace(
@@ -28,6 +28,6 @@ def test_a_wrong_mass_ends_the_flight_before_the_wall(
     assert [event.rule for event in verdict.guard] == ["hover_thrust"] * stopped
     assert (verdict.outcome is Outcome.COMPLETED) == (not stopped)
     if stopped:
-        assert all(collision.truth is None for collision in verdict.collisions), "no wall was met"
-        said = float(msgspec.to_builtins(verdict)["reason"].split(" kg")[0].split()[-1])
-        assert said == pytest.approx(flown_kg, rel=0.03)
+        assert all(collision.truth is None for collision in verdict.collisions), "no wall was hit"
+        estimated_kg = float(msgspec.to_builtins(verdict)["reason"].split(" kg")[0].split()[-1])
+        assert estimated_kg == pytest.approx(flown_kg, rel=0.03)

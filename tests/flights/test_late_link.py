@@ -1,4 +1,4 @@
-"""A link that is late in both directions by the same all the time, between programs as people start them."""
+"""A link with the same constant delay in both directions, between real processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MISSION = "missions/single_wall.yaml"
 @pytest.mark.realtime
 @pytest.mark.mavlink
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "problem"),
     [
         ([], r"NO-GO +round_trip: 2\d\d ms between vehicle and program"),
         (
@@ -28,13 +28,16 @@ MISSION = "missions/single_wall.yaml"
         ),
     ],
 )
-def test_fly_stays_on_the_ground_and_says_how_late(options: list[str], words: str, tmp_path: Path) -> None:
-    there, here = free_udp_port(), free_udp_port()
+def test_fly_stays_on_the_ground_and_reports_the_delay_of_the_link(
+    options: list[str], problem: str, tmp_path: Path
+) -> None:
+    vehicle_port, program_port = free_udp_port(), free_udp_port()
     run = [sys.executable, "-m"]
-    simulate = [*run, "dart_flight", "simulate", MISSION, "--port", str(there)]
-    proxy = [*run, "tools.lossy_proxy", "--listen", str(there), "--to", str(here), "--delay-ms", "100"]
+    simulate = [*run, "dart_flight", "simulate", MISSION, "--port", str(vehicle_port)]
+    proxy = [*run, "tools.lossy_proxy", "--listen", str(vehicle_port), "--to", str(program_port)]
+    proxy += ["--delay-ms", "100"]
     fly = [*run, "dart_flight", "fly", MISSION, "--yes", "--driver", "px4", "--log-dir", str(tmp_path)]
-    fly += ["--connection", f"udpin://127.0.0.1:{here}", *options]
+    fly += ["--connection", f"udpin://127.0.0.1:{program_port}", *options]
     with (
         subprocess.Popen(simulate, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as vehicle,
         subprocess.Popen(proxy, cwd=ROOT, stdout=subprocess.DEVNULL) as link,
@@ -46,4 +49,4 @@ def test_fly_stays_on_the_ground_and_says_how_late(options: list[str], words: st
             vehicle.terminate()
             link.terminate()
     assert ended.returncode == 1
-    assert re.search(words, " ".join((ended.stdout + ended.stderr).split())), ended.stderr
+    assert re.search(problem, " ".join((ended.stdout + ended.stderr).split())), ended.stderr

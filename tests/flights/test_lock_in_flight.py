@@ -1,4 +1,4 @@
-"""The lock between two collisions: in time, too late, silent, stuck."""
+"""The lock between two collisions: in time, late, silent or stuck."""
 
 from pathlib import Path
 
@@ -16,39 +16,38 @@ from tests.shared_flights import SharedFlights
 ROOT = Path(__file__).parents[2]
 
 
-def dual(**lock_changes: object) -> Mission:
+def dual_collision(**lock_changes: object) -> Mission:
     mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
     assert mission.vehicle.lock is not None
     lock = msgspec.structs.replace(mission.vehicle.lock, **lock_changes)
     return msgspec.structs.replace(mission, vehicle=msgspec.structs.replace(mission.vehicle, lock=lock))
 
 
-def with_travel(seconds: float) -> Mission:
-    lock = dual().vehicle.lock
+def with_servo_travel(seconds: float) -> Mission:
+    lock = dual_collision().vehicle.lock
     assert lock is not None
-    return dual(servo=msgspec.structs.replace(lock.servo, travel_s=seconds))
+    return dual_collision(servo=msgspec.structs.replace(lock.servo, travel_s=seconds))
 
 
-def test_a_servo_known_to_be_slow_is_committed_to_where_it_will_be_in_time() -> None:
-    """Holding still would no longer stop short of the wall when it settles, and it settles before the hit."""
-    verdict = fly_fast(with_travel(0.6), 1, None)
+def test_a_slow_servo_completes_the_mission_if_it_settles_before_the_collision() -> None:
+    """The lock settles before the collision, but after the last moment to stop before the wall."""
+    verdict = fly_fast(with_servo_travel(0.6), 1, None)
     assert verdict.outcome == "completed"
     assert [(c.wall, c.mode_felt) for c in verdict.collisions] == [("wood", "flexible"), ("acrylic", "rigid")]
 
 
-def test_a_servo_known_to_be_too_slow_breaks_the_second_approach_off() -> None:
-    verdict = fly_fast(with_travel(1.0), 1, None)
+def test_a_servo_that_is_too_slow_aborts_the_second_approach() -> None:
+    verdict = fly_fast(with_servo_travel(1.0), 1, None)
     assert verdict.outcome == "aborted"
     assert verdict.reason is not None
     assert verdict.reason.startswith("lock_late: the lock is travelling, not rigid")
-    assert [c.wall for c in verdict.collisions] == ["wood"]  # the acrylic wall was never touched
-    assert verdict.flight_time_s is not None  # and it has landed
+    assert [c.wall for c in verdict.collisions] == ["wood"]  # the acrylic wall is never touched
+    assert verdict.flight_time_s is not None  # the vehicle has landed
 
 
-def test_a_limit_switch_that_stays_silent_breaks_it_off_too() -> None:
-    mission = dual(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
+def test_a_limit_switch_that_is_silent_from_the_start_prevents_the_takeoff() -> None:
+    mission = dual_collision(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
     assert fly_fast(mission, 1, None).outcome == "completed"
-    # Silent from the first: it never gets off the ground.
     verdict = fly_fast(mission, 1, None, lock_faults=MockFaults(switch_silent=True))
     assert verdict.outcome == "aborted"
     assert verdict.reason is not None
@@ -56,11 +55,11 @@ def test_a_limit_switch_that_stays_silent_breaks_it_off_too() -> None:
     assert verdict.flight_time_s is None
 
 
-def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
+def test_a_limit_switch_that_fails_in_flight_aborts_the_second_approach() -> None:
     from dart_flight.recording.verdict import VerdictBuilder
     from dart_flight.run.fast import FastFlight
 
-    mission = dual(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
+    mission = dual_collision(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
     builder = VerdictBuilder(mission)
     flight = FastFlight(mission, 1, observe=lambda record, _: builder.add(record))
     assert flight.lock is not None
@@ -77,8 +76,8 @@ def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
 
 
 def test_a_stuck_servo_without_a_switch_is_revealed_by_the_contact(flown: SharedFlights) -> None:
-    """The controller reports what it commands: `settled (no feedback)`. The wall tells the truth."""
-    verdict = fly_fast(dual(), 1, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
+    """The controller reports its command, `settled (no feedback)`; the contact shows the real mode."""
+    verdict = fly_fast(dual_collision(), 1, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
     assert [(c.mode, c.mode_felt) for c in verdict.collisions] == [
         ("flexible", "flexible"),
         ("rigid", "flexible"),

@@ -22,27 +22,27 @@ from tests.doubles.ports import free_udp_port
 ROOT = Path(__file__).parents[2]
 
 
-def test_it_sees_force_and_impacts_of_a_flight() -> None:
+def test_monitor_shows_the_force_and_impacts_of_a_flight() -> None:
     mission = load_mission(
         ROOT / "missions" / "paper_single_wall.yaml", settings=["simulation.contact.body=point"]
     )
-    watcher = TelemetryMonitor(mission, frame_known=True)
+    telemetry_monitor = TelemetryMonitor(mission, frame_known=True)
     flight = FastFlight(mission, 1)
     step = flight.core.step
 
-    def both(item: object) -> object:
-        watcher.put(item)  # type: ignore[arg-type]
+    def step_both(item: object) -> object:
+        telemetry_monitor.put(item)  # type: ignore[arg-type]
         return step(item)  # type: ignore[arg-type]
 
-    flight.core.step = both  # type: ignore[method-assign,assignment]
+    flight.core.step = step_both  # type: ignore[method-assign,assignment]
     flight.run()
-    watcher.put(StatusText(0, 0, "info", "lock settled rigid"))
-    view = watcher.view()
+    telemetry_monitor.put(StatusText(0, 0, "info", "lock settled rigid"))
+    view = telemetry_monitor.view()
     assert len(view.peaks) == 1
-    # It does not know of the wall: normal is where the force points. The core, which does, says 34.5 N.
+    # The monitor uses the direction of the force as the normal; the core knows the wall and reports 34.5 N.
     assert view.peaks[0][1] == pytest.approx(34.5, rel=0.1)
     assert view.thrust_source == "actuator"
-    assert view.thrust_scale == pytest.approx(1.0, abs=0.1)  # the landing's last moments included
+    assert view.thrust_scale == pytest.approx(1.0, abs=0.1)  # including the touchdown
     assert view.lock == "settled rigid"
     console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: SIM115
     console.print(screen(view))
@@ -51,22 +51,22 @@ def test_it_sees_force_and_impacts_of_a_flight() -> None:
     assert "thrust from actuator" in text
 
 
-def test_before_any_telemetry_it_says_so(hand_fed_view: str) -> None:
-    assert "waiting for telemetry" in hand_fed_view
+def test_monitor_reports_that_it_waits_for_telemetry(view_without_telemetry: str) -> None:
+    assert "waiting for telemetry" in view_without_telemetry
 
 
 @pytest.fixture
-def hand_fed_view() -> str:
-    watcher = TelemetryMonitor(HandFedCore().core.mission, frame_known=False)
+def view_without_telemetry() -> str:
+    telemetry_monitor = TelemetryMonitor(HandFedCore().core.mission, frame_known=False)
     console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: SIM115
-    console.print(screen(watcher.view()))
+    console.print(screen(telemetry_monitor.view()))
     return console.export_text()
 
 
 @pytest.mark.realtime
 @pytest.mark.mavlink
 @pytest.mark.parametrize("source", ["auto", "esc"])
-def test_through_mavlink(source: str, tmp_path: Path) -> None:
+def test_monitor_reads_telemetry_through_mavlink(source: str, tmp_path: Path) -> None:
     text = (ROOT / "configs" / "dart.yaml").read_text()
     text = re.sub("thrust_source: auto", f"thrust_source: {source}", text)
     if source == "esc":

@@ -1,4 +1,4 @@
-"""A vehicle that sends and answers nothing: every command that asks it something ends, and says why."""
+"""A vehicle that answers no request: `fly` ends soon and reports the reason."""
 
 import subprocess
 import sys
@@ -15,7 +15,9 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.realtime
 @pytest.mark.mavlink
 @pytest.mark.parametrize("silent_after_s", [4.0, 60.0])
-def test_a_vehicle_that_answers_nothing_is_told_within_seconds(silent_after_s: float, tmp_path: Path) -> None:
+def test_fly_reports_a_vehicle_that_answers_nothing_within_seconds(
+    silent_after_s: float, tmp_path: Path
+) -> None:
     port = free_udp_port()
     words = [sys.executable, "-m", "tests.doubles.mute_vehicle", str(port), str(silent_after_s)]
     fly = [sys.executable, "-m", "dart_flight", "fly", "missions/single_wall.yaml", "--yes"]

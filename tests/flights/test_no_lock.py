@@ -1,4 +1,4 @@
-"""A vehicle without a lock: one stiffness, called rigid, and no word of a lock anywhere."""
+"""A vehicle without a lock: its only mode is rigid, and no output mentions a lock."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def written(text: str, name: str = "mission.yaml") -> Path:
-    """A mission or scenario for the vehicle without a lock, which says nothing of modes."""
+def write_without_modes(text: str, name: str = "mission.yaml") -> Path:
+    """Write a mission or scenario without modes, for the vehicle without a lock."""
     for mode in ("flexible", "rigid"):
         text = text.replace(f"mode: {mode}, ", "").replace(f"transit_mode: {mode}\n", "")
     text = text.replace("../../configs/dart.yaml", "cage.yaml").replace("../configs/dart.yaml", "cage.yaml")
@@ -54,14 +54,14 @@ def written(text: str, name: str = "mission.yaml") -> Path:
 
 @pytest.fixture
 def mission(folder: Path) -> Mission:
-    return load_flyable(written(SINGLE))
+    return load_flyable(write_without_modes(SINGLE))
 
 
-def test_a_driver_called_none_and_no_section_are_the_same_vehicle(folder: Path) -> None:
+def test_driver_none_and_a_missing_lock_section_describe_the_same_vehicle(folder: Path) -> None:
     whole = load_vehicle(DART)
     none = load_vehicle("cage.yaml")
     assert none == msgspec.structs.replace(whole, lock=None)
-    # Without the section, and without the mode that it does not have.
+    # Drop the lock section and the flexible coefficients.
     text = DART.read_text("utf-8")
     kept, skipping = [], False
     for line in text.splitlines():
@@ -74,13 +74,13 @@ def test_a_driver_called_none_and_no_section_are_the_same_vehicle(folder: Path) 
     assert whole.modes == (Mode.RIGID, Mode.FLEXIBLE)
     assert not bare.has_lock
     assert bare.materials["wood"].flexible is None
-    # In a log it is written as it is read.
+    # A log stores the same configuration.
     assert msgspec.json.decode(msgspec.json.encode(bare), type=VehicleConfig) == bare
 
 
-def test_a_material_lacks_a_mode_only_where_the_vehicle_has_it(folder: Path) -> None:
+def test_a_vehicle_with_a_lock_needs_flexible_coefficients(folder: Path) -> None:
     text = DART.read_text("utf-8")
-    line = next(one for one in text.splitlines() if one.startswith("    flexible:"))
+    line = next(line for line in text.splitlines() if line.startswith("    flexible:"))
     Path("lacks.yaml").write_text(text.replace(line + "\n", "", 1))
     with pytest.raises(InputError) as error:
         load_vehicle("lacks.yaml")
@@ -95,8 +95,8 @@ def test_a_material_lacks_a_mode_only_where_the_vehicle_has_it(folder: Path) -> 
         ("limits:", "transit_mode: flexible\nlimits:", ":13: transit_mode: "),
     ],
 )
-def test_flexible_is_refused_in_one_line(folder: Path, old: str, new: str, where: str) -> None:
-    path = written(SINGLE)
+def test_the_flexible_mode_is_refused_in_one_line(folder: Path, old: str, new: str, where: str) -> None:
+    path = write_without_modes(SINGLE)
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError) as error:
         load_mission(path)
@@ -105,13 +105,13 @@ def test_flexible_is_refused_in_one_line(folder: Path, old: str, new: str, where
     )
 
 
-def test_with_a_lock_the_mode_has_to_be_given(folder: Path) -> None:
-    path = written(SINGLE)
+def test_a_vehicle_with_a_lock_needs_a_mode_for_every_collision(folder: Path) -> None:
+    path = write_without_modes(SINGLE)
     with pytest.raises(InputError, match=r":12: collisions\[0\]: missing key mode: rigid or flexible"):
         load_mission(path, DART)
 
 
-def test_it_hits_a_wall_and_says_nothing_of_a_lock(mission: Mission) -> None:
+def test_a_flight_without_a_lock_hits_a_wall_and_mentions_no_lock(mission: Mission) -> None:
     verdict = fly_fast(mission, 3, Path("flights"))
     assert verdict.outcome == "completed"
     assert not verdict.guard
@@ -124,9 +124,9 @@ def test_it_hits_a_wall_and_says_nothing_of_a_lock(mission: Mission) -> None:
     log = read_log(str(verdict.log))
     records = [entry.record for entry in log.entries]
     assert not [r for r in records if isinstance(r, LockCommand | LockPermission | LockState)]
-    felt = [r for r in records if isinstance(r, WallEstimate)]
-    assert [(f.mode_felt, f.mode_reported, f.log_odds) for f in felt] == [(None, Mode.RIGID, 0.0)]
-    assert felt[0].k_n_per_m == pytest.approx(mission.vehicle.materials["acrylic"].rigid.k, rel=0.2)
+    estimates = [r for r in records if isinstance(r, WallEstimate)]
+    assert [(f.mode_felt, f.mode_reported, f.log_odds) for f in estimates] == [(None, Mode.RIGID, 0.0)]
+    assert estimates[0].k_n_per_m == pytest.approx(mission.vehicle.materials["acrylic"].rigid.k, rel=0.2)
     phases = [r.after.value for r in records if isinstance(r, PhaseChange)]
     assert "prepare" not in phases
     assert phases.index("approach") == phases.index("transit") + 1
@@ -140,11 +140,11 @@ def test_it_hits_a_wall_and_says_nothing_of_a_lock(mission: Mission) -> None:
     assert "where the lock was" not in page
 
 
-def test_a_rehearsal_and_planning_again_go_without_a_lock(mission: Mission) -> None:
+def test_rehearsal_and_replanning_work_without_a_lock(mission: Mission) -> None:
     rehearsed = fly_fast(msgspec.structs.replace(mission, standoff_m=0.5), 1, None)
     assert (rehearsed.outcome, rehearsed.collisions) == ("completed", [])
     approach = "approach: {normal_m_s: -0.8, tangential_m_s: 0.3}, impact_point_m: [1.65, 0.2], alpha"
-    dual = load_flyable(written(DUAL.replace("rigid, alpha", f"rigid, {approach}")))
+    dual = load_flyable(write_without_modes(DUAL.replace("rigid, alpha", f"rigid, {approach}")))
     verdict = fly_fast(dual, 1, Path("flights"))
     assert verdict.outcome == "completed"
     assert [(c.wall, c.mode, c.lock) for c in verdict.collisions] == [
@@ -161,14 +161,14 @@ def test_check_has_no_finding_about_a_lock(mission: Mission) -> None:
     assert not [item for item in items if "lock" in item or "servo" in item]
 
 
-def test_no_way_leads_to_the_lock_but_through_a_lock(mission: Mission) -> None:
+def test_a_vehicle_without_a_lock_skips_preparation_and_refuses_a_driver(mission: Mission) -> None:
     assert [after for (_, cue), after in TRANSITIONS.items() if cue is PhaseTrigger.NO_LOCK] == ["approach"]
     with pytest.raises(InputError, match="no lock"):
         with_driver(mission, LockDriver.MOCK)
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "problem"),
     [
         (["lock", "status", "--config", "cage.yaml"], "this vehicle has no lock"),
         (["dry-run", "mission.yaml", "--fast", "--driver", "mock"], "this vehicle has no lock"),
@@ -186,15 +186,15 @@ def test_no_way_leads_to_the_lock_but_through_a_lock(mission: Mission) -> None:
         ),
     ],
 )
-def test_what_is_of_a_lock_is_refused_in_one_line(
-    mission: Mission, words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+def test_options_of_a_lock_are_refused_in_one_line(
+    mission: Mission, words: list[str], problem: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()[-1:]
-    assert says in line
+    assert problem in line
 
 
-def test_all_that_varies_leaves_the_lock_out(mission: Mission) -> None:
+def test_vary_all_excludes_the_lock(mission: Mission) -> None:
     spreads = parse_vary(["all"], mission.vehicle)
     assert not {"servo", "lock_true_mode"} & set(spreads)
     assert {"contact", "mass"} < set(spreads)
@@ -211,8 +211,8 @@ def test_predict_needs_no_mode(folder: Path, capsys: pytest.CaptureFixture[str])
     assert without["peak_normal_force_n"] == json.loads(capsys.readouterr().out)["peak_normal_force_n"]
 
 
-def test_the_planner_tries_the_modes_that_there_are(folder: Path) -> None:
-    path = written(ONE_WALL.replace("  modes: [rigid, flexible]\n", ""), "scenario.yaml")
+def test_the_planner_tries_only_the_modes_of_the_vehicle(folder: Path) -> None:
+    path = write_without_modes(ONE_WALL.replace("  modes: [rigid, flexible]\n", ""), "scenario.yaml")
     scenario = load_scenario(path)
     assert scenario.modes == (Mode.RIGID,)
     assert load_scenario(path, DART).modes == (Mode.RIGID, Mode.FLEXIBLE)

@@ -1,4 +1,4 @@
-"""Walls that probes look for, and a mission frame that contacts put right: flights in the fast world."""
+"""Probes for unknown walls, and a mission frame that contacts correct: flights in the fast world."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ def all_of(log: Log, kind: type[R]) -> list[R]:
 
 
 def phases(log: Log) -> list[str]:
-    """From the take-off on."""
+    """Return the phases after the takeoff."""
     return [c.after.value for c in all_of(log, PhaseChange)][3:]
 
 
-def find(**changes: Any) -> Mission:
+def find_a_wall(**changes: Any) -> Mission:
     return load_mission(FIND).replace(changes)
 
 
-def replayed(verdict: Verdict, path: Path | str) -> tuple[Verdict, Log]:
-    """A flight whose replay is the same to the bit, and whose log tells the same verdict."""
+def replay_exactly(verdict: Verdict, path: Path | str) -> tuple[Verdict, Log]:
+    """Require an exact replay and the same verdict from the log; return verdict and log."""
     log = read_log(path)
     again = replay(log)
     assert again.exact
@@ -64,18 +64,18 @@ def replayed(verdict: Verdict, path: Path | str) -> tuple[Verdict, Log]:
 # --- probes -----------------------------------------------------------------------------------------------
 
 
-def test_a_wall_that_nobody_knew_is_found_hit_again_and_the_other_probe_left_out(
+def test_an_unknown_wall_is_found_and_hit_again_and_the_other_probe_is_skipped(
     flown: SharedFlights,
 ) -> None:
-    mission = find()
-    verdict, log = replayed(*flown("find_a_wall", 1))
+    mission = find_a_wall()
+    verdict, log = replay_exactly(*flown("find_a_wall", 1))
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert verdict.guard == []
     assert [(c.wall, c.mode) for c in verdict.collisions] == [("east", "rigid"), ("east", "flexible")]
     assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 skipped: contact with wall east"]
     hit = ["transit", "prepare", "approach", "contact", "recovery"]
     assert phases(log) == [*hit, "waypoint", *hit, "goal", "landing", "done"]
-    # The board stands 2 m away, turned by 6 degrees: place and direction follow from the contacts.
+    # The board is 2 m away and rotated by 6 degrees: the contacts measure its position and direction.
     (board,) = mission.simulated_walls
     (east,) = verdict.walls
     assert abs(board.signed_distance(east.point_m)) < 0.02
@@ -93,14 +93,14 @@ def test_a_wall_that_nobody_knew_is_found_hit_again_and_the_other_probe_left_out
     assert soft == pytest.approx(wood.coefficients(mission.collisions[1].mode).k, rel=0.2)
 
 
-def test_the_second_hit_is_beside_the_first_and_the_waypoint_a_metre_away(flown: SharedFlights) -> None:
-    mission, verdict = find(), flown("find_a_wall", 1).verdict
+def test_the_second_collision_is_beside_the_first_and_the_waypoint_a_metre_away(flown: SharedFlights) -> None:
+    mission, verdict = find_a_wall(), flown("find_a_wall", 1).verdict
     log = read_log(flown("find_a_wall", 1).log)
     first, second = all_of(log, ImpactPeak)
-    # `impact_along_m: 0.3`, to the right when looking along the normal: to +y here.
+    # `impact_along_m: 0.3` is to the right along the normal, which is +y here.
     (board,) = mission.simulated_walls
-    met = [board.along(peak.position_mission[:2]) for peak in (first, second)]
-    assert met[1] - met[0] == pytest.approx(0.3, abs=0.05)
+    along_m = [board.along(peak.position_mission[:2]) for peak in (first, second)]
+    assert along_m[1] - along_m[0] == pytest.approx(0.3, abs=0.05)
     course = FlightArrays(log, mission)
     begin, end = (
         course.time_of(next(c.t_us for c in all_of(log, PhaseChange) if getattr(c, side) is Phase.WAYPOINT))
@@ -113,9 +113,9 @@ def test_the_second_hit_is_beside_the_first_and_the_waypoint_a_metre_away(flown:
     assert len(verdict.collisions) == 2
 
 
-def test_nothing_met_is_no_fault_and_has_a_branch_of_its_own(tmp_path: Path) -> None:
-    verdict = fly_fast(find(simulated_walls={}), 1, tmp_path)
-    verdict, log = replayed(verdict, str(verdict.log))
+def test_a_mission_whose_probes_find_no_wall_completes_on_its_own_branch(tmp_path: Path) -> None:
+    verdict = fly_fast(find_a_wall(simulated_walls={}), 1, tmp_path)
+    verdict, log = replay_exactly(verdict, str(verdict.log))
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert (verdict.collisions, verdict.guard, verdict.walls) == ([], [], [])
     assert [e.what for e in all_of(log, ProbeEnd)] == [
@@ -126,37 +126,39 @@ def test_nothing_met_is_no_fault_and_has_a_branch_of_its_own(tmp_path: Path) -> 
     ]
     search = ["transit", "prepare", "approach"]
     assert phases(log) == [*search, "recovery", *search, "recovery", "goal", "landing", "done"]
-    # It comes to rest at the end of each probe: 2.8 m to the east, 2 m to the west.
-    course = FlightArrays(log, find())
+    # The vehicle stops at the end of each probe: 2.8 m to the east, 2 m to the west.
+    course = FlightArrays(log, find_a_wall())
     x = course.true.position[:, 0]
     assert x.max() == pytest.approx(2.8, abs=0.1)
     assert x.min() == pytest.approx(-2.0, abs=0.1)
 
 
 @pytest.mark.parametrize("figures", [{}, {"position_sd_m": 0.15}], ids=["taken as known", "with a figure"])
-def test_a_wall_of_the_mission_that_stands_elsewhere_is_touched_twice_where_it_stands(
+def test_a_displaced_known_wall_is_touched_twice_at_its_true_position(
     figures: dict[str, float],
 ) -> None:
     probe = {"wall": "wood", "mode": "rigid", "probe": {"from_m": [0.0, 0.0], "length_m": 2.6}}
     wall = {"point_m": [1.9, 0.0], "normal": [-1.0, 0.0], "length_m": 3.0, "material": "wood"}
-    one = find(collisions=[probe, probe], waypoints=[], simulated_walls={}, walls={"wood": wall | figures})
-    verdict = fly_fast(one, 3, None, spreads={"wall_offset_m": 0.15})
+    mission = find_a_wall(
+        collisions=[probe, probe], waypoints=[], simulated_walls={}, walls={"wood": wall | figures}
+    )
+    verdict = fly_fast(mission, 3, None, spreads={"wall_offset_m": 0.15})
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert (verdict.guard, len(verdict.collisions)) == ([], 2)
-    off_m = verdict.drawn["wall_offset_m.wood"]
-    assert isinstance(off_m, float)
-    assert abs(off_m) > 0.08
+    offset_m = verdict.drawn["wall_offset_m.wood"]
+    assert isinstance(offset_m, float)
+    assert abs(offset_m) > 0.08
     (wood,) = verdict.walls
-    assert 1.9 - wood.point_m[0] == pytest.approx(off_m, abs=0.02)
-    assert wood.truth_error_m == pytest.approx(1.9 - off_m - wood.point_m[0], abs=0.02)
+    assert 1.9 - wood.point_m[0] == pytest.approx(offset_m, abs=0.02)
+    assert wood.truth_error_m == pytest.approx(1.9 - offset_m - wood.point_m[0], abs=0.02)
 
 
 # --- anchors ----------------------------------------------------------------------------------------------
 
 
-def test_contacts_put_the_frame_right_where_gps_drifts(flown: SharedFlights) -> None:
+def test_contacts_correct_the_mission_frame_against_gps_drift(flown: SharedFlights) -> None:
     log = flown.once("anchored", fly_on_gps)
-    mission, record = anchored(), read_log(str(next(log.glob("*/flight.mcap"))))
+    mission, record = anchored_mission(), read_log(str(next(log.glob("*/flight.mcap"))))
     again = replay(record)
     assert again.exact
     assert again.equal
@@ -172,19 +174,21 @@ def test_contacts_put_the_frame_right_where_gps_drifts(flown: SharedFlights) -> 
         assert abs(along) < 1e-12, "only along the normal"
         assert anchor.sd_m < anchor.expected_sd_m
         assert anchor.sd_m < 0.03
-    # What moved is what the position was off by: it is put right along the normal, as the truth has it.
+    # The correction equals the true position error along the normal.
     course = FlightArrays(record, mission)
-    for anchor, felt in zip(anchors, all_of(record, WallEstimate), strict=True):
+    for anchor, estimate in zip(anchors, all_of(record, WallEstimate), strict=True):
         axis = 0 if anchor.wall == "acrylic" else 1
-        before, after = (off_m(course, course.time_of(anchor.t_us) + s, axis) for s in (-0.02, 0.02))
+        before, after = (
+            position_error_m(course, course.time_of(anchor.t_us) + s, axis) for s in (-0.02, 0.02)
+        )
         assert abs(after) < 0.035, anchor
         moved = anchor.moved_mission[axis]
         assert before - after == pytest.approx(moved, abs=0.01)
-        assert felt.wall == anchor.wall
+        assert estimate.wall == anchor.wall
 
 
-def off_m(course: FlightArrays, at_s: float, axis: int) -> float:
-    """Estimated less true position."""
+def position_error_m(course: FlightArrays, at_s: float, axis: int) -> float:
+    """Return the estimated minus the true position."""
     estimated, true = (
         float(np.interp(at_s, motion.time_s, motion.position[:, axis]))
         for motion in (course.estimated, course.true)
@@ -192,10 +196,10 @@ def off_m(course: FlightArrays, at_s: float, axis: int) -> float:
     return estimated - true
 
 
-def test_the_next_leg_begins_away_from_the_wall_that_was_touched(flown: SharedFlights) -> None:
-    """A hit may end slow at its wall, with PX4's integrators leaning on it: that is no rest."""
+def test_the_next_leg_begins_away_from_the_touched_wall(flown: SharedFlights) -> None:
+    """A vehicle that hovers at its wall with PX4's integrators wound up is not at rest."""
     log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
-    course, contacts = FlightArrays(log, anchored()), all_of(log, TruthContact)
+    course, contacts = FlightArrays(log, anchored_mission()), all_of(log, TruthContact)
     leaves = [c for c in all_of(log, PhaseChange) if c.before is Phase.RECOVERY][:2]
     for change, (axis, wall_m, back_m) in zip(leaves, ((1, -1.1, 0.4), (0, 1.65, 0.5)), strict=True):
         at_s = course.time_of(change.t_us)
@@ -204,10 +208,10 @@ def test_the_next_leg_begins_away_from_the_wall_that_was_touched(flown: SharedFl
     assert len(contacts) == 4
 
 
-def test_every_place_is_in_the_frame_in_force_then(flown: SharedFlights) -> None:
+def test_every_position_uses_the_mission_frame_of_its_time(flown: SharedFlights) -> None:
     log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
-    course, reader = FlightArrays(log, anchored()), MissionFrameReader(anchored())
-    seen, moves = 0, {a.t_us for a in all_of(log, FrameAnchor)}
+    course, reader = FlightArrays(log, anchored_mission()), MissionFrameReader(anchored_mission())
+    compared, moves = 0, {a.t_us for a in all_of(log, FrameAnchor)}
     position = {
         round(t, 6): p for t, p in zip(course.estimated.time_s, course.estimated.position, strict=True)
     }
@@ -215,31 +219,31 @@ def test_every_place_is_in_the_frame_in_force_then(flown: SharedFlights) -> None
         reader.add(entry.record)
         if isinstance(entry.record, OdometrySample) and reader.frame is not None:
             t_us = entry.record.t_us
-            if all(abs(t_us - move_us) > 4_000 for move_us in moves):  # an answer arrives between two samples
-                here = reader.frame.point_from_ned(entry.record.position_ned)
-                assert position[round(course.time_of(t_us), 6)] == pytest.approx(here, abs=1e-9)
+            if all(abs(t_us - move_us) > 4_000 for move_us in moves):  # an anchor arrives between two samples
+                expected = reader.frame.point_from_ned(entry.record.position_ned)
+                assert position[round(course.time_of(t_us), 6)] == pytest.approx(expected, abs=1e-9)
                 in_force = course.frame_at(t_us)
                 assert in_force is not None
-                assert in_force.point_from_ned(entry.record.position_ned) == pytest.approx(here, abs=1e-9)
-                seen += 1
-    assert seen > 1000
+                assert in_force.point_from_ned(entry.record.position_ned) == pytest.approx(expected, abs=1e-9)
+                compared += 1
+    assert compared > 1000
 
 
-def test_the_estimate_is_right_at_the_hits_and_not_by_the_first_frame(flown: SharedFlights) -> None:
+def test_the_position_is_accurate_at_the_last_contact_in_a_moved_frame(flown: SharedFlights) -> None:
     log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
-    course = FlightArrays(log, anchored())
+    course = FlightArrays(log, anchored_mission())
     last = all_of(log, TruthContact)[-1]
     at_s = course.time_of(last.end_us) + 0.5
-    assert abs(off_m(course, at_s, 0)) < 0.08
+    assert abs(position_error_m(course, at_s, 0)) < 0.08
     first, now = course.frame, course.frame_at(last.end_us + 500_000)
     assert first is not None
     assert now is not None
     assert distance2((first.north_m, first.east_m), (now.north_m, now.east_m)) > 0.05
 
 
-def anchored() -> Mission:
+def anchored_mission() -> Mission:
     return load_flyable(str(GPS), None, ["simulation.position_from=plain"])
 
 
 def fly_on_gps(folder: Path) -> None:
-    fly_fast(anchored(), 1, folder)
+    fly_fast(anchored_mission(), 1, folder)

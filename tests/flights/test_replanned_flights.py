@@ -1,4 +1,4 @@
-"""Flights that plan again after every hit, and what becomes of them where the planner fails."""
+"""Flights that replan after every collision, with a planner in time and a late one."""
 
 import math
 from pathlib import Path
@@ -20,7 +20,7 @@ from dart_flight.run.replay import replay
 SOURCE = packaged("missions", "dual_collision_replan.yaml")
 
 
-def flown(settings: list[str], after: AfterImpact = AfterImpact.REPLAN) -> list[Record]:
+def fly(settings: list[str], after: AfterImpact = AfterImpact.REPLAN) -> list[Record]:
     mission = msgspec.structs.replace(load_mission(SOURCE, settings=settings), after_impact=after)
     records: list[Record] = []
     flight = FastFlight(mission, 5, LockDriver.MOCK, observe=lambda record, number: records.append(record))
@@ -30,7 +30,7 @@ def flown(settings: list[str], after: AfterImpact = AfterImpact.REPLAN) -> list[
     return records
 
 
-def test_a_replanned_flight_follows_the_plan_and_replays_bit_for_bit(tmp_path: Path) -> None:
+def test_a_replanned_flight_follows_its_plan_and_replays_bit_for_bit(tmp_path: Path) -> None:
     verdict = fly_fast(load_mission(SOURCE), 5, tmp_path)
     assert verdict.outcome is Outcome.COMPLETED
     assert verdict.plan_followed
@@ -40,56 +40,58 @@ def test_a_replanned_flight_follows_the_plan_and_replays_bit_for_bit(tmp_path: P
     assert second.truth is not None
     assert second.truth.normal_m_s == pytest.approx(second.planned.normal_m_s, abs=0.1)
     log = read_log(next(tmp_path.glob("*/flight.mcap")))
-    taken = [entry.record for entry in log.entries if isinstance(entry.record, PlanTaken)]
-    assert [one.taken for one in taken] == [True, True]
+    plans = [entry.record for entry in log.entries if isinstance(entry.record, PlanTaken)]
+    assert [plan.taken for plan in plans] == [True, True]
     assert replay(log).equal
 
 
 @pytest.fixture(scope="module")
-def paper() -> list[Record]:
-    """The flight on the paper's setpoints."""
-    return flown([], AfterImpact.SETPOINT)
+def paper_records() -> list[Record]:
+    """Records of the flight on the paper's setpoints."""
+    return fly([], AfterImpact.SETPOINT)
 
 
 @pytest.mark.parametrize("latency_s", [0.11, 3.0])
-def test_a_late_planner_leaves_the_paper_s_set_points_in_force(latency_s: float, paper: list[Record]) -> None:
-    late = flown([f"simulation.replan_latency_s={latency_s}"])
-    assert not any(one.taken for one in late if isinstance(one, PlanTaken))
+def test_a_late_planner_leaves_the_papers_setpoints_in_force(
+    latency_s: float, paper_records: list[Record]
+) -> None:
+    late = fly([f"simulation.replan_latency_s={latency_s}"])
+    assert not any(record.taken for record in late if isinstance(record, PlanTaken))
 
     def setpoints(records: list[Record]) -> list[Setpoint]:
         return [record for record in records if isinstance(record, Setpoint)]
 
-    assert setpoints(late) == setpoints(paper)
+    assert setpoints(late) == setpoints(paper_records)
 
 
-@pytest.mark.parametrize("seed", [101])  # more of them: docs/results
-def test_walls_askew_turn_a_shuttle_only_when_touched(seed: int) -> None:
-    """What the touches have told of the walls is made use of: no hit is askew."""
+@pytest.mark.parametrize("seed", [101])  # more seeds: docs/results
+def test_a_shuttle_meets_rotated_walls_obliquely_only_at_the_first_contacts(seed: int) -> None:
+    """The first contacts measure the rotated walls, so later contacts are nearly perpendicular."""
     mission = load_mission(packaged("missions", "shuttle.yaml"))
     flight = simulate(mission, seed=seed, vary={"wall_yaw_deg": 4.0})
     drawn = [abs(float(value)) for value in flight.verdict.drawn.values()]
     assert max(drawn) > 2.0
     assert flight.verdict.outcome is Outcome.COMPLETED
-    incidence = [math.degrees(abs(one)) for one in flight.log["/truth/contact"]["incidence_rad"]]
+    incidence = [math.degrees(abs(angle)) for angle in flight.log["/truth/contact"]["incidence_rad"]]
     assert len(incidence) == 6
     assert max(incidence[:2]) < 13.0
     assert max(incidence[2:]) < 4.0
 
 
 @pytest.mark.parametrize("height_m", [-0.03, 0.03])
-def test_a_touch_lets_the_next_hit_from_rest_be_leaned_into(height_m: float) -> None:
-    """Guards off the centre of mass turn a vehicle over that has not felt them before."""
+def test_a_first_touch_prevents_a_later_collision_from_turning_the_vehicle_over(height_m: float) -> None:
+    """Guards off the centre of mass turn over a vehicle that has not measured their torque before."""
     path = packaged("missions", "touch_and_return.yaml")
     text, guards = path.read_text(encoding="utf-8"), f"simulation.contact.guard_height_m={height_m}"
 
-    def flown_as(written: str) -> Verdict:
-        return simulate(parse_mission(Document(written, str(path)), settings=[guards]), seed=1).verdict
+    def fly_text(mission: str) -> Verdict:
+        return simulate(parse_mission(Document(mission, str(path)), settings=[guards]), seed=1).verdict
 
-    touched = flown_as(text)
+    touched = fly_text(text)
     assert touched.outcome is Outcome.COMPLETED
     assert touched.max_tilt_deg is not None
     assert touched.max_tilt_deg < 35.0
     tree = yaml.safe_load(text)
     tree["collisions"] = [hit for hit in tree["collisions"] if "trajectory" in hit]
     del tree["waypoints"]
-    assert flown_as(yaml.safe_dump(tree)).outcome is Outcome.ABORTED
+    assert fly_text(yaml.safe_dump(tree)).outcome is Outcome.ABORTED

@@ -1,4 +1,4 @@
-"""A vehicle without a lock through MAVSDK; its pause ends by the signal that a service gets."""
+"""A vehicle without a lock through MAVSDK; a signal to the process ends its pause."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dart_flight.run.replay import replay
 
 
 @pytest.mark.mavlink
-def test_a_rigid_cage_pauses_goes_on_at_the_signal_and_hits_a_wall(tmp_path: Path) -> None:
+def test_a_rigid_cage_resumes_from_a_pause_at_sigusr1_and_hits_a_wall(tmp_path: Path) -> None:
     config = tmp_path / "cage.yaml"
     config.write_text(packaged("configs", "rigid_cage.yaml").read_text("utf-8"))
     (tmp_path / "dart.yaml").write_text(packaged("configs", "dart.yaml").read_text("utf-8"))
@@ -33,8 +33,8 @@ def test_a_rigid_cage_pauses_goes_on_at_the_signal_and_hits_a_wall(tmp_path: Pat
         text=True,
     ) as flight:
         assert flight.stderr is not None
-        told = next((line for line in flight.stderr if "for the operator" in line), "")
-        assert "Enter or SIGUSR1" in told
+        prompt = next((line for line in flight.stderr if "for the operator" in line), "")
+        assert "Enter or SIGUSR1" in prompt
         flight.send_signal(signal.SIGUSR1)
         out, errors = flight.communicate(timeout=90.0)
     assert flight.returncode == 0, errors

@@ -1,4 +1,4 @@
-"""Missions without a collision, waypoints before, between and after hits, and pauses."""
+"""Missions without a collision, waypoints before, between and after collisions, and pauses."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def flown(one: Mission, **options: object) -> Log:
-    """The log of a flight whose replay is the same to the bit."""
-    verdict = fly_fast(one, 1, Path("flights"), **options)  # type: ignore[arg-type]
+def fly_mission(loaded: Mission, **options: object) -> Log:
+    """Fly a mission, require an exact replay, and return the log."""
+    verdict = fly_fast(loaded, 1, Path("flights"), **options)  # type: ignore[arg-type]
     log = read_log(str(verdict.log))
     again = replay(log)
     assert again.exact
@@ -83,10 +83,10 @@ AIR = ["offboard", "arming", "climb"]
 DOWN = ["goal", "landing", "done"]
 
 
-def test_a_flight_without_a_collision_takes_off_flies_to_the_goal_and_lands() -> None:
-    one = mission()
-    assert mission("collisions: []", "walls: {}", "waypoints: []") == one
-    verdict = fly_fast(one, 1, None)
+def test_a_mission_without_a_collision_completes_at_the_goal() -> None:
+    loaded = mission()
+    assert mission("collisions: []", "walls: {}", "waypoints: []") == loaded
+    verdict = fly_fast(loaded, 1, None)
     assert verdict.outcome is Outcome.COMPLETED
     assert (verdict.collisions, verdict.guard, verdict.deviations) == ([], [], [])
     assert (verdict.goal_miss_m, verdict.plan_followed) == (None, None)
@@ -94,20 +94,20 @@ def test_a_flight_without_a_collision_takes_off_flies_to_the_goal_and_lands() ->
     assert verdict.final_error_m < 0.1
 
 
-def test_way_points_are_flown_in_order_held_and_change_the_altitude() -> None:
-    one = mission(
+def test_waypoints_are_flown_in_order_with_hold_times_and_altitudes() -> None:
+    loaded = mission(
         "waypoints:",
         "  - {position_m: [0.6, -0.6], altitude_m: 1.5, hold_s: 1.0}",
         "  - {pause: operator}",
         "  - {position_m: [-0.6, -0.6], speed_m_s: 1.0}",
     )
-    assert [one.altitude_at(0), one.place_before(0)] == [1.5, (-0.6, -0.6)]
-    log = flown(one)
+    assert [loaded.altitude_at(0), loaded.place_before(0)] == [1.5, (-0.6, -0.6)]
+    log = fly_mission(loaded)
     assert phases(log) == [*AIR, "waypoint", "pause", "waypoint", *DOWN]
-    # The fast world's operator ends the pause, and that is an input like any other.
-    (word,) = all_of(log, OperatorRequest)
-    assert isinstance(word, OperatorRequest)
-    assert word.request is Request.CONTINUE
+    # The simulated operator ends the pause with a recorded input.
+    (operator_request,) = all_of(log, OperatorRequest)
+    assert isinstance(operator_request, OperatorRequest)
+    assert operator_request.request is Request.CONTINUE
     changes = [c.t_us for c in all_of(log, PhaseChange) if isinstance(c, PhaseChange)]
     first, second, third = changes[3:6]
     places = [s for s in all_of(log, OdometrySample) if isinstance(s, OdometrySample)]
@@ -119,9 +119,9 @@ def test_way_points_are_flown_in_order_held_and_change_the_altitude() -> None:
     for end_us in (second, third):
         assert at(end_us) == pytest.approx((0.6, -0.6, 1.5), abs=0.12)
     assert third - second == pytest.approx(2e6, abs=0.1e6)  # simulation.operator_s
-    transit = plan_transit(one, transit_segments(one)[0], (0.0, 0.0, 1.0))
-    assert second - first >= (transit.duration_s + 1.0) * 1e6  # flown, then held
-    # At the altitude asked for last until the landing.
+    transit = plan_transit(loaded, transit_segments(loaded)[0], (0.0, 0.0, 1.0))
+    assert second - first >= (transit.duration_s + 1.0) * 1e6  # transit and hold time
+    # The last requested altitude holds until the landing.
     setpoints = [s for s in all_of(log, Setpoint) if isinstance(s, Setpoint) and s.t_us > third]
     assert [-s.position_ned[2] for s in setpoints] == pytest.approx([1.5] * len(setpoints), abs=0.01)
     page = flight_page(RecordedFlight.read(log.source))
@@ -130,21 +130,21 @@ def test_way_points_are_flown_in_order_held_and_change_the_altitude() -> None:
     assert "planned wall" not in page
 
 
-def test_way_points_between_hits_are_flown_from_rest_and_later_hits_at_their_altitude() -> None:
-    one = mission(
+def test_waypoints_between_collisions_set_the_altitude_of_later_collisions() -> None:
+    loaded = mission(
         WALL + "collisions:", f"  - {HIT}", f"  - {HIT}", "after_impact: replan", "waypoints:",
         "  - {position_m: [0.2, 0.5], altitude_m: 1.3, after: 1}",
         "  - {position_m: [0.0, -0.5], altitude_m: 0.8, after: 2}",
     )  # fmt: skip
-    assert [one.altitude_at(n) for n in (0, 1, 2)] == [1.0, 1.3, 0.8]
-    assert [one.place_before(n) for n in (0, 1, 2)] == [(0.0, 0.0), (0.2, 0.5), (0.0, -0.5)]
-    log = flown(one)
+    assert [loaded.altitude_at(n) for n in (0, 1, 2)] == [1.0, 1.3, 0.8]
+    assert [loaded.place_before(n) for n in (0, 1, 2)] == [(0.0, 0.0), (0.2, 0.5), (0.0, -0.5)]
+    log = fly_mission(loaded)
     hit = ["transit", "prepare", "approach", "contact", "recovery", "waypoint"]
     assert phases(log) == [*AIR, *hit, *hit, *DOWN]
     heights = [p.position_mission[2] for p in all_of(log, ImpactPeak) if isinstance(p, ImpactPeak)]
     assert heights == pytest.approx([1.0, 1.3], abs=0.08)
-    assert not all_of(log, PlanRequest)  # nothing is to be planned towards a waypoint
-    # The paper's setpoints after the two hits, at the altitude of each.
+    assert not all_of(log, PlanRequest)  # no plan leads to a waypoint
+    # Both recoveries use the paper's setpoints at the altitude of their collision.
     recoveries = [s for s in all_of(log, Setpoint) if isinstance(s, Setpoint) and s.recovery]
     assert [-s.position_ned[2] for s in recoveries] == pytest.approx([1.0, 1.3], abs=0.01)
     verdict = verdict_of(log)
@@ -153,25 +153,25 @@ def test_way_points_between_hits_are_flown_from_rest_and_later_hits_at_their_alt
     assert "goal miss, m" not in [d.what for d in verdict.deviations]
 
 
-def test_a_rehearsal_flies_the_way_points_too() -> None:
-    one = mission(
+def test_a_rehearsal_includes_the_waypoints() -> None:
+    loaded = mission(
         WALL + "collisions:", f"  - {HIT}", "waypoints:", "  - {position_m: [0.3, 0.3]}",
         "  - {position_m: [0.2, 0.5], after: 1}",
     )  # fmt: skip
-    log = flown(msgspec.structs.replace(one, standoff_m=0.5))
+    log = fly_mission(msgspec.structs.replace(loaded, standoff_m=0.5))
     hit = ["transit", "prepare", "approach", "recovery", "waypoint"]
     assert phases(log) == [*AIR, "waypoint", *hit, *DOWN]
 
 
-class Operated:
-    """A flight whose operator says a word in a phase, once."""
+class OperatedFlight:
+    """A flight whose operator sends one request in a phase."""
 
-    def __init__(self, one: Mission, phase: str, request: Request) -> None:
-        self.builder, self._phase, self._request = VerdictBuilder(one), phase, request
+    def __init__(self, loaded: Mission, phase: str, request: Request) -> None:
+        self.builder, self._phase, self._request = VerdictBuilder(loaded), phase, request
         self.changes: list[PhaseChange] = []
-        self.flight = FastFlight(one, 1, observe=self._see)
+        self.flight = FastFlight(loaded, 1, observe=self._observe)
 
-    def _see(self, record: Record, _: int) -> None:
+    def _observe(self, record: Record, _: int) -> None:
         self.builder.add(record)
         if isinstance(record, PhaseChange):
             self.changes.append(record)
@@ -179,43 +179,45 @@ class Operated:
     def fly(self) -> None:
         assert self.flight.lock is not None
         self.flight.lock.start()
-        said = False
+        sent = False
         while self.flight.core.end is None and self.flight.autopilot.now_s < 60.0:
             self.flight.tick()
-            if not said and self.flight.core.phase == self._phase:
-                said = True
-                word: Input = OperatorRequest(self.flight.host_us, self._request)
-                self.flight.step(word)
+            if not sent and self.flight.core.phase == self._phase:
+                sent = True
+                request: Input = OperatorRequest(self.flight.host_us, self._request)
+                self.flight.step(request)
 
 
-def silent_operator(one: Mission) -> Mission:
-    simulation = msgspec.structs.replace(one.vehicle.simulation, operator_s=None)
-    return msgspec.structs.replace(one, vehicle=msgspec.structs.replace(one.vehicle, simulation=simulation))
+def with_silent_operator(loaded: Mission) -> Mission:
+    simulation = msgspec.structs.replace(loaded.vehicle.simulation, operator_s=None)
+    return msgspec.structs.replace(
+        loaded, vehicle=msgspec.structs.replace(loaded.vehicle, simulation=simulation)
+    )
 
 
 PAUSE = "waypoints: [{pause: operator, timeout_s: 3.0}]"
 
 
-def test_a_pause_without_a_word_lands() -> None:
-    verdict = fly_fast(silent_operator(mission(PAUSE)), 1, None)
+def test_a_pause_without_a_request_ends_with_a_landing() -> None:
+    verdict = fly_fast(with_silent_operator(mission(PAUSE)), 1, None)
     assert verdict.outcome is Outcome.ABORTED
     assert verdict.reason == "pause_timeout: the operator did not resume within 3 s"
     assert [(g.rule, g.action) for g in verdict.guard] == [("pause_timeout", "land")]
     assert verdict.flight_time_s is not None
 
 
-def test_a_word_in_a_pause_goes_on_and_at_another_time_means_nothing() -> None:
-    in_pause = Operated(silent_operator(mission(PAUSE)), "pause", Request.CONTINUE)
+def test_a_continue_request_takes_effect_only_during_a_pause() -> None:
+    in_pause = OperatedFlight(with_silent_operator(mission(PAUSE)), "pause", Request.CONTINUE)
     in_pause.fly()
     assert in_pause.builder.build(None, None).outcome is Outcome.COMPLETED
-    too_soon = Operated(silent_operator(mission(PAUSE)), "climb", Request.CONTINUE)
+    too_soon = OperatedFlight(with_silent_operator(mission(PAUSE)), "climb", Request.CONTINUE)
     too_soon.fly()
     assert "pause" in [c.after.value for c in too_soon.changes]
     assert (too_soon.builder.build(None, None).reason or "").startswith("pause_timeout")
 
 
-def test_to_stop_in_a_pause_lands_at_once() -> None:
-    stopped = Operated(silent_operator(mission(PAUSE)), "pause", Request.LAND)
+def test_a_land_request_ends_a_pause() -> None:
+    stopped = OperatedFlight(with_silent_operator(mission(PAUSE)), "pause", Request.LAND)
     stopped.fly()
     verdict = stopped.builder.build(None, None)
     assert (verdict.reason or "").startswith("operator:")
@@ -224,9 +226,9 @@ def test_to_stop_in_a_pause_lands_at_once() -> None:
 @pytest.mark.parametrize(
     ("fault", "rule"), [("low-battery@pause", "battery"), ("imu-dropout@waypoint", "imu_silent")]
 )
-def test_the_guard_watches_way_points_and_pauses(fault: str, rule: str) -> None:
-    one = mission("waypoints:", "  - {position_m: [1.0, 0.0]}", "  - {pause: operator}")
-    verdict = fly_fast(one, 1, None, fault=parse_fault(fault))
+def test_the_guard_monitors_waypoints_and_pauses(fault: str, rule: str) -> None:
+    loaded = mission("waypoints:", "  - {position_m: [1.0, 0.0]}", "  - {pause: operator}")
+    verdict = fly_fast(loaded, 1, None, fault=parse_fault(fault))
     assert verdict.guard[0].rule == rule
 
 
@@ -263,77 +265,77 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("lines", "says"), WRONG, ids=[says for _, says in WRONG])
-def test_what_cannot_be_flown_is_refused_with_its_line(lines: str, says: str) -> None:
+@pytest.mark.parametrize(("lines", "problem"), WRONG, ids=[problem for _, problem in WRONG])
+def test_wrong_waypoints_are_refused_with_their_line(lines: str, problem: str) -> None:
     with pytest.raises(InputError) as error:
         mission(lines)
     assert re.match(r"mission\.yaml:\d+: ", str(error.value))
-    assert says in str(error.value)
+    assert problem in str(error.value)
 
 
 BOARD = "  board: {{point_m: {}, normal: [0.0, -1.0], length_m: {}, material: wood}}\n"
 
 
-def findings(one: Mission) -> dict[str, CheckFinding]:
-    return {finding.item: finding for finding in check_mission(one)}
+def findings(loaded: Mission) -> dict[str, CheckFinding]:
+    return {finding.item: finding for finding in check_mission(loaded)}
 
 
-def test_a_wall_between_way_points_is_found_before_the_flight() -> None:
+def test_a_wall_between_waypoints_is_reported_before_the_flight() -> None:
     walls = WALL + BOARD.format([1.0, 0.6], 0.8)
     with pytest.raises(InputError, match="wall board blocks the path to waypoint 2"):
         mission(f"{walls}waypoints: [{{position_m: [1.0, 0.0]}}, {{position_m: [1.0, 1.2]}}]")
-    one = load_mission("mission.yaml")
+    loaded = load_mission("mission.yaml")
     with pytest.raises(NoApproachError):
-        FlightCore(one)
-    found = findings(one)["waypoints"]
+        FlightCore(loaded)
+    found = findings(loaded)["waypoints"]
     assert (found.go, found.says) == (False, "wall board blocks the path to waypoint 2")
-    # Round it, and home the same way.
+    # A detour around the wall, and back the same way.
     left = "{position_m: [0.0, 1.2]}"
     around = mission(f"{walls}waypoints: [{left}, {{position_m: [1.0, 1.2]}}, {left}]")
     assert findings(around)["waypoints"].go
 
 
-def test_check_judges_legs_behind_a_recovery_and_speeds_that_are_not_reached() -> None:
-    one = mission(
+def test_check_reports_blocked_legs_after_a_recovery_and_unreachable_speeds() -> None:
+    loaded = mission(
         f"{WALL}{BOARD.format([1.2, 1.6], 1.0)}collisions: [{HIT}]",
         "waypoints:",
         "  - {position_m: [1.2, 2.2], after: 1}",
         "  - {position_m: [0.0, 2.2], speed_m_s: 2.5, after: 1}",
     )
-    found = findings(one)
+    found = findings(loaded)
     assert not found["recovery_1"].go
     assert "wall board blocks the path to waypoint 1" in found["recovery_1"].says
     assert found["waypoint_speed"].remark
 
 
-def test_check_says_where_a_fast_leg_would_stop_outside() -> None:
-    """The bounds are judged by where the vehicle would stop, as the guard does in flight."""
-    one = mission(
+def test_check_and_guard_agree_on_a_fast_leg_near_the_bounds() -> None:
+    """Both compare the bounds with the point at which the vehicle could stop."""
+    loaded = mission(
         "waypoints:",
         "  - {position_m: [-2.0, 0.0], speed_m_s: 2.0}",
         "  - {position_m: [2.2, 0.0], speed_m_s: 2.5}",
     )
-    verdict = fly_fast(one, 1, None)
-    assert findings(one)["path"].go == (verdict.outcome is Outcome.COMPLETED)
+    verdict = fly_fast(loaded, 1, None)
+    assert findings(loaded)["path"].go == (verdict.outcome is Outcome.COMPLETED)
 
 
 @pytest.mark.parametrize("name", ["hover", "square", "transit"])
 def test_the_packaged_missions_pass_check(name: str) -> None:
-    one = load_flyable(packaged("missions", f"{name}.yaml"), DART)
-    assert all(finding.go for finding in check_mission(one))
+    loaded = load_flyable(packaged("missions", f"{name}.yaml"), DART)
+    assert all(finding.go for finding in check_mission(loaded))
 
 
-def test_transit_is_flown_to_its_end() -> None:
-    one = load_flyable(packaged("missions", "transit.yaml"), DART)
+def test_the_transit_mission_completes_at_its_speed() -> None:
+    loaded = load_flyable(packaged("missions", "transit.yaml"), DART)
     fastest = 0.0
 
-    def see(record: Record, _: int) -> None:
+    def observe(record: Record, _: int) -> None:
         nonlocal fastest
         if isinstance(record, Setpoint) and record.velocity_ned is not None:
             fastest = max(fastest, abs(record.velocity_ned[0]))
 
-    flight = FastFlight(one, 1, observe=see)
+    flight = FastFlight(loaded, 1, observe=observe)
     flight.run()
     assert flight.core.end is not None
     assert flight.core.end.outcome is Outcome.COMPLETED
-    assert fastest == pytest.approx(1.5, rel=0.02)  # and never over it
+    assert fastest == pytest.approx(1.5, rel=0.02)

@@ -1,4 +1,4 @@
-"""Vehicles with another number of motors, and with a measured thrust curve."""
+"""Vehicles with six or eight motors, and with a measured thrust curve."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ share = st.floats(-1.0, 1.0)
 
 
 def octorotor(folder: Path) -> Path:
-    """A configuration of eight motors on a circle, turning in pairs, with a measured curve."""
+    """Write a configuration with eight motors on a circle, turning in pairs, and a measured thrust curve."""
     spins = (1, 1, -1, -1, 1, 1, -1, -1)
     lines = ["airframe:", "  arm_x_m: null", "  arm_y_m: null", "  mass_kg: 2.4"]
     lines += ["  inertia_kg_m2: [0.04, 0.04, 0.07]", "  motors:"]
@@ -49,8 +49,8 @@ def octorotor(folder: Path) -> Path:
     return path
 
 
-def refused(folder: Path, text: str) -> str:
-    """The one line that a configuration which differs by so much from the hexarotor's is refused with."""
+def refusal_of(folder: Path, text: str) -> str:
+    """Return the one line with which this change of the hexarotor's configuration is refused."""
     path = folder / "wrong.yaml"
     path.write_text(f"extends: {HEXAROTOR}\n{text}\n")
     with pytest.raises(InputError) as caught:
@@ -61,14 +61,14 @@ def refused(folder: Path, text: str) -> str:
 # --- the motors of a configuration ------------------------------------------------------------------------
 
 
-def test_arms_still_make_px4_s_quadrotor_in_x() -> None:
+def test_arm_lengths_define_the_motors_of_px4s_quadrotor_in_x() -> None:
     motors = DART.airframe.motors
     assert [(m.x_m, m.y_m) for m in motors] == [(0.13, 0.13), (-0.13, -0.13), (0.13, -0.13), (-0.13, 0.13)]
     assert [m.yaw_torque_per_thrust_m for m in motors] == [0.016, 0.016, -0.016, -0.016]
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("airframe: {arm_x_m: 0.1}", "arm_x_m and motors both define the motor positions"),
         ("airframe: {motors: null}", "missing key arm_x_m (of a quadrotor in X), or motors"),
@@ -94,25 +94,27 @@ def test_arms_still_make_px4_s_quadrotor_in_x() -> None:
         ),
     ],
 )
-def test_what_is_not_said_once_is_refused_in_one_line(tmp_path: Path, text: str, says: str) -> None:
-    assert says in refused(tmp_path, text)
+def test_a_missing_or_contradictory_key_is_refused_in_one_line(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    assert message in refusal_of(tmp_path, text)
 
 
 def test_motors_that_all_lie_behind_the_centre_of_mass_are_refused(tmp_path: Path) -> None:
     motors = [msgspec.structs.replace(m, x_m=m.x_m - 0.3) for m in load_vehicle(HEXAROTOR).airframe.motors]
-    said = refused(tmp_path, "airframe:\n" + motors_block(motors))
-    assert "the centre of mass is not between the motors" in said
+    line = refusal_of(tmp_path, "airframe:\n" + motors_block(motors))
+    assert "the centre of mass is not between the motors" in line
 
 
 # --- thrust -----------------------------------------------------------------------------------------------
 
 
 @given(st.floats(0.0, 1.0), st.sampled_from([DART.thrust, Thrust(0.025, table=TABLE)]))
-def test_command_and_force_are_each_others_inverse(command: float, thrust: Thrust) -> None:
+def test_thrust_command_is_the_inverse_of_thrust_force(command: float, thrust: Thrust) -> None:
     assert thrust.command_for(thrust.force_n(command)) == pytest.approx(command, abs=1e-9)
 
 
-def test_a_table_is_met_and_straight_between() -> None:
+def test_a_thrust_table_is_interpolated_linearly() -> None:
     thrust = Thrust(0.025, table=TABLE)
     assert thrust.forces_n([0.0, *(u for u, _ in TABLE), 2.0]) == pytest.approx(
         [0.0, *(n for _, n in TABLE), 6.0]
@@ -121,7 +123,7 @@ def test_a_table_is_met_and_straight_between() -> None:
     assert thrust.scaled(0.5).force_n(0.225) == pytest.approx(0.475)
 
 
-def test_the_model_factor_of_a_table_is_that_of_its_curve() -> None:
+def test_the_model_factor_of_a_thrust_table_matches_its_curve() -> None:
     table = tuple((u, DART.thrust.force_n(u)) for u in (0.1, 0.3, 0.5, 0.7, 0.9, 1.0))
     assert Thrust(0.025, table=table).square_share == pytest.approx(0.4)
 
@@ -130,8 +132,10 @@ def test_the_model_factor_of_a_table_is_that_of_its_curve() -> None:
 
 
 @given(share, share, share, st.floats(0.0, 1.0))
-def test_a_quadrotor_s_allocation_is_what_it_was(roll: float, pitch: float, yaw: float, up: float) -> None:
-    """To the bit: what has been recorded with four motors written out can still be flown."""
+def test_the_allocation_of_a_quadrotor_equals_its_explicit_formula(
+    roll: float, pitch: float, yaw: float, up: float
+) -> None:
+    """Flights recorded with the formula for four motors must still replay bit for bit."""
     signs = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
     wanted = [up + 0.7071 * (-sy * roll + sx * pitch) + spin * yaw for sx, sy, spin in signs]
     shift = min(0.0, 1.0 - max(wanted)) + max(0.0, -min(wanted))
@@ -140,7 +144,9 @@ def test_a_quadrotor_s_allocation_is_what_it_was(roll: float, pitch: float, yaw:
 
 
 @pytest.mark.parametrize("eight", [False, True])
-def test_each_axis_is_turned_alone_and_saturation_costs_lift_only(tmp_path: Path, eight: bool) -> None:
+def test_each_axis_is_controlled_alone_and_saturation_reduces_only_the_lift(
+    tmp_path: Path, eight: bool
+) -> None:
     motors = load_vehicle(octorotor(tmp_path) if eight else HEXAROTOR).airframe.motors
     allocation, turning = Allocation(motors), np.array(effectiveness(motors))
     level = turning @ np.array(allocation.shares(0.0, 0.0, 0.0, 0.5))
@@ -155,7 +161,7 @@ def test_each_axis_is_turned_alone_and_saturation_costs_lift_only(tmp_path: Path
         assert (turning @ shares)[:3] == pytest.approx(gentle[:3], abs=1e-6)
 
 
-def test_each_motor_of_the_plant_pushes_and_turns_where_it_is() -> None:
+def test_each_motor_of_the_plant_acts_at_its_position() -> None:
     vehicle = load_vehicle(HEXAROTOR)
     for number, motor in enumerate(vehicle.airframe.motors):
         plant = Plant(vehicle, (), MissionFrame())
@@ -184,26 +190,26 @@ def test_another_airframe_flies_the_single_wall(tmp_path: Path, eight: bool) -> 
     assert hit.truth is not None
     assert hit.measured.peak_force_n == pytest.approx(hit.truth.peak_force_n, rel=0.1)
     assert {len(r.motors) for r in records if isinstance(r, ActuatorSample)} == {8 if eight else 6}
-    # The motors' torque is known motor by motor: away from the wall nothing is left of it.
+    # The torque model covers every motor, so that no torque remains away from the wall.
     contact = next(r for r in records if isinstance(r, TruthContact))
     before = [r for r in records if isinstance(r, TorqueEstimate) and -2e6 < r.t_us - contact.t_us < -0.1e6]
     assert np.abs(np.mean([r.torque_frd for r in before], axis=0)).max() < 0.05
 
 
-# --- as PX4 has it ----------------------------------------------------------------------------------------
+# --- comparison with PX4 ----------------------------------------------------------------------------------
 
 
 def hexarotor_mission() -> Mission:
     return load_mission(ROOT / "missions/paper_single_wall.yaml", HEXAROTOR)
 
 
-def test_px4_s_parameters_say_where_the_motors_are_and_back() -> None:
+def test_motors_convert_to_px4_parameters_and_back() -> None:
     motors = load_vehicle(HEXAROTOR).airframe.motors
     assert motors_from_parameters(rotor_parameters(motors), "here") == motors
 
 
 @pytest.mark.parametrize(
-    ("change", "go", "says"),
+    ("change", "go", "message"),
     [
         ({}, True, "6 motors, as in PX4"),
         ({"CA_ROTOR_COUNT": 4}, False, "PX4 has 4 motors, the configuration 6"),
@@ -212,20 +218,20 @@ def test_px4_s_parameters_say_where_the_motors_are_and_back() -> None:
         ({"CA_ROTOR4_PX": 0.43, "CA_ROTOR2_KM": -0.05}, True, "motor 5: x_m 0.173, PX4 0.43"),
     ],
 )
-def test_check_says_which_motor_differs(change: dict[str, float], go: bool, says: str) -> None:
+def test_check_names_the_motor_that_differs(change: dict[str, float], go: bool, message: str) -> None:
     mission = hexarotor_mission()
     (finding,) = evaluate_airframe(mission, rotor_parameters(mission.vehicle.airframe.motors) | change)
     assert finding.go is go
-    assert says in finding.says
+    assert message in finding.says
 
 
-def test_check_says_where_px4_has_no_airframe_to_compare() -> None:
+def test_check_reports_that_px4_has_no_airframe_to_compare() -> None:
     (finding,) = evaluate_airframe(hexarotor_mission(), {})
     assert (finding.go, finding.remark) == (True, True)
     assert "has no CA_ROTOR_COUNT" in finding.says
 
 
-def test_the_airframe_is_read_from_whatever_px4_leaves(
+def test_the_airframe_is_read_from_every_kind_of_px4_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     parameters = rotor_parameters(load_vehicle(HEXAROTOR).airframe.motors)
@@ -261,7 +267,7 @@ def test_the_airframe_is_read_from_whatever_px4_leaves(
         ["thrust", "a.ulg", "--connection", "udpin://127.0.0.1:14540"],
     ],
 )
-def test_calibrate_with_the_wrong_words_is_one_line(
+def test_wrong_arguments_of_calibrate_are_refused_in_one_line(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["calibrate", *words]) == 2

@@ -1,4 +1,4 @@
-"""The embedded autopilot behaves as PX4 does where the app relies on it."""
+"""The embedded autopilot behaves like PX4 in everything that the application relies on."""
 
 import math
 from pathlib import Path
@@ -18,11 +18,11 @@ NAN = math.nan
 
 @pytest.fixture
 def autopilot() -> Autopilot:
-    said: list[str] = []
+    texts: list[str] = []
     vehicle = make_autopilot(
-        load_mission(ROOT / "missions/paper_dual_collision.yaml"), 1, lambda _, t: said.append(t)
+        load_mission(ROOT / "missions/paper_dual_collision.yaml"), 1, lambda _, t: texts.append(t)
     )
-    vehicle.said = said  # type: ignore[attr-defined]
+    vehicle.texts = texts  # type: ignore[attr-defined]
     return vehicle
 
 
@@ -44,8 +44,8 @@ def airborne(autopilot: Autopilot) -> TrajectorySetpoint:
     return target
 
 
-def test_it_has_every_parameter_that_check_reads(autopilot: Autopilot) -> None:
-    """MAVSDK asks for one that is not there again and again, for three seconds."""
+def test_the_autopilot_has_every_parameter_that_check_reads(autopilot: Autopilot) -> None:
+    """MAVSDK requests a missing parameter repeatedly for three seconds."""
     assert not set(parameter_names()) - set(autopilot.parameters)
 
 
@@ -55,28 +55,28 @@ def test_arming_waits_for_the_estimator(autopilot: Autopilot) -> None:
     assert autopilot.arm()
 
 
-def test_offboard_needs_set_points(autopilot: Autopilot) -> None:
+def test_offboard_mode_needs_setpoints(autopilot: Autopilot) -> None:
     run(autopilot, 1.0)
     assert not autopilot.set_mode(FlightMode.OFFBOARD)
     autopilot.set_trajectory(TrajectorySetpoint((0.0, 0.0, 0.0)))
     assert autopilot.set_mode(FlightMode.OFFBOARD)
 
 
-def test_a_take_off_while_disarmed_is_accepted_and_does_nothing(autopilot: Autopilot) -> None:
+def test_a_takeoff_command_while_disarmed_is_accepted_without_effect(autopilot: Autopilot) -> None:
     run(autopilot, 1.0)
     assert autopilot.take_off()
     run(autopilot, 2.0)
     assert autopilot.plant.on_ground
 
 
-def test_it_holds_a_position_set_point(autopilot: Autopilot) -> None:
+def test_the_autopilot_holds_a_position_setpoint(autopilot: Autopilot) -> None:
     airborne(autopilot)
     run(autopilot, 6.0, TrajectorySetpoint((0.8, -0.5, -1.2), yaw=0.5))
     assert math.dist(autopilot.plant.position, (0.8, -0.5, -1.2)) < 0.06
     assert autopilot.landed is LandedState.IN_AIR
 
 
-def test_it_follows_velocity_set_points(autopilot: Autopilot) -> None:
+def test_the_autopilot_follows_velocity_setpoints(autopilot: Autopilot) -> None:
     airborne(autopilot)
     run(autopilot, 3.0, TrajectorySetpoint((NAN, NAN, -1.0), (0.5, 0.0, NAN), yaw=0.0))
     assert autopilot.plant.velocity[0] == pytest.approx(0.5, abs=0.07)
@@ -100,7 +100,7 @@ def test_the_offboard_loss_failsafe_holds_then_lands(autopilot: Autopilot) -> No
     assert not autopilot.armed
 
 
-def test_it_does_not_disarm_in_the_air_unless_forced(autopilot: Autopilot) -> None:
+def test_the_autopilot_does_not_disarm_in_the_air_unless_forced(autopilot: Autopilot) -> None:
     airborne(autopilot)
     assert not autopilot.disarm()
     assert autopilot.disarm(force=True)
@@ -120,4 +120,4 @@ def test_the_lock_output_follows_the_parameters(autopilot: Autopilot) -> None:
     assert lock is not None
     assert autopilot.lock_pulse_us() == pytest.approx(lock.px4.max_pulse_us)
     autopilot.parameters["COM_PREARM_MODE"] = 0
-    assert autopilot.lock_pulse_us() is None  # disarmed, it does not move
+    assert autopilot.lock_pulse_us() is None  # the output is off while disarmed

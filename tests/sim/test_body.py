@@ -1,4 +1,4 @@
-"""The simulated vehicle as a body with guards: against an independent integration, and what it may not do."""
+"""The simulated vehicle with guards: an independent integration as reference, and its physical limits."""
 
 import math
 from pathlib import Path
@@ -24,7 +24,7 @@ WALL = Wall("wall", (1.0, 0.0), (-1.0, 0.0), 80.0, "acrylic")
 
 
 def body_vehicle(**changes: object) -> VehicleConfig:
-    """The configured vehicle without drag, with guards."""
+    """Return the configured vehicle with guards and without drag."""
     contact = msgspec.structs.replace(VEHICLE.simulation.contact, body=BodyModel.GUARDS, **changes)
     simulation = msgspec.structs.replace(VEHICLE.simulation, contact=contact)
     still_air = msgspec.structs.replace(
@@ -36,7 +36,7 @@ def body_vehicle(**changes: object) -> VehicleConfig:
 def before_the_wall(
     vehicle: VehicleConfig, mode: Mode, normal: float, tangential: float, yaw: float
 ) -> Plant:
-    """In the air, 5 cm before an acrylic wall to the north, turned by `yaw` radians."""
+    """Return a plant in the air, 5 cm before an acrylic wall to the north, turned by `yaw` radians."""
     plant = Plant(vehicle, (WALL,), MissionFrame())
     plant.position = plant.frame.point_to_ned((0.95, 0.0, 5.0))
     plant.velocity = plant.frame.vector_to_ned(WALL.from_collision((normal, tangential, 0.0)))
@@ -54,8 +54,8 @@ def first_contact(plant: Plant) -> TruthContact:
 
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("speed", [-0.6, -1.0, -2.0])
-def test_the_symmetric_hit_is_the_points(mode: Mode, speed: float) -> None:
-    """With the vertical force through the centre nothing turns, and the normal law is the published one."""
+def test_a_symmetric_collision_agrees_with_the_point_model(mode: Mode, speed: float) -> None:
+    """A vertical force through the centre turns nothing, and the normal law is the published one."""
     vehicle = body_vehicle(vertical_lever_m=0.0)
     point = msgspec.structs.replace(
         vehicle,
@@ -67,52 +67,52 @@ def test_the_symmetric_hit_is_the_points(mode: Mode, speed: float) -> None:
     assert guards.normal_out_m_s == pytest.approx(centre.normal_out_m_s, rel=0.03)
     durations = [hit.end_us - hit.t_us for hit in hits]
     assert durations[0] == pytest.approx(durations[1], rel=0.03)
-    # Free arms swing back and take their motors with them: less lift in front, and the nose goes down.
+    # Flexible arms swing back with their motors: the lift in front drops, and the nose goes down.
     nose_up = guards.rate_out_frd[1]
     assert nose_up == pytest.approx(0.0, abs=1e-6) if mode is Mode.RIGID else -2.5 < nose_up < -0.1
     assert guards.rate_out_frd[::2] == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
-def motors_while(plant: Plant, forces: list[float]) -> Vec3:
-    """Torque of the motors with these forces, now."""
+def motor_torque(plant: Plant, forces: list[float]) -> Vec3:
+    """Return the torque of the motors with these forces in the present state."""
     plant.motor = [VEHICLE.thrust.command_for(force) for force in forces]
     (a, b, c, d) = plant.motor
     return plant._motors((a, b, c, d))[1]
 
 
-def test_folded_arms_carry_their_motors_back_and_apart() -> None:
-    """Deepest in a straight hit: a front motor is share x penetration further back, and further out."""
+def test_folded_arms_move_their_motors_back_and_outwards() -> None:
+    """At the deepest point, a front motor is share x penetration further back and further out."""
     plant = before_the_wall(body_vehicle(vertical_lever_m=0.0), Mode.FLEXIBLE, -1.0, 0.0, 0.0)
-    straight = motors_while(plant, [3.0, 0.0, 0.0, 0.0])
+    straight = motor_torque(plant, [3.0, 0.0, 0.0, 0.0])
     while plant.velocity[0] > 0.0:
         plant.advance((HOVER,) * 4)
     depth = plant.position[0] - 1.0
-    folded = motors_while(plant, [3.0, 0.0, 0.0, 0.0])  # the front right one alone
+    folded = motor_torque(plant, [3.0, 0.0, 0.0, 0.0])  # the front right one alone
     assert depth > 0.015
     assert (straight[1] - folded[1]) / 3.0 == pytest.approx(0.7 * depth, rel=0.15)
     assert (straight[0] - folded[0]) / 3.0 == pytest.approx(0.7 * depth, rel=0.15)
-    behind = [motors_while(plant, [0.0, 3.0, 0.0, 0.0])[i] for i in (0, 1)]
-    assert behind == pytest.approx([0.39, -0.39], abs=1e-6)
+    rear_motor = [motor_torque(plant, [0.0, 3.0, 0.0, 0.0])[i] for i in (0, 1)]
+    assert rear_motor == pytest.approx([0.39, -0.39], abs=1e-6)
     first_contact(plant)
     for _ in range(20):
         plant.advance((HOVER,) * 4)
-    assert motors_while(plant, [3.0, 0.0, 0.0, 0.0]) == pytest.approx(straight)
+    assert motor_torque(plant, [3.0, 0.0, 0.0, 0.0]) == pytest.approx(straight)
 
 
 @pytest.mark.parametrize(("mode", "half", "share"), [(Mode.RIGID, False, 0.0), (Mode.RIGID, True, 0.35)])
-def test_locked_arms_do_not_fold_and_half_engaged_ones_do_by_half(
+def test_locked_arms_do_not_fold_and_half_engaged_arms_fold_by_half(
     mode: Mode, half: bool, share: float
 ) -> None:
     plant = before_the_wall(body_vehicle(vertical_lever_m=0.0, half_engaged=half), mode, -1.0, 0.0, 0.0)
-    straight = motors_while(plant, [3.0, 0.0, 0.0, 0.0])
+    straight = motor_torque(plant, [3.0, 0.0, 0.0, 0.0])
     while plant.velocity[0] > 0.0:
         plant.advance((HOVER,) * 4)
-    moved = (straight[1] - motors_while(plant, [3.0, 0.0, 0.0, 0.0])[1]) / 3.0
+    moved = (straight[1] - motor_torque(plant, [3.0, 0.0, 0.0, 0.0])[1]) / 3.0
     assert moved == pytest.approx(share * (plant.position[0] - 1.0), rel=0.15, abs=1e-9)
 
 
 def test_a_leading_guard_turns_the_vehicle_away_from_its_side() -> None:
-    """Nose to the north wall and turned clockwise: the left guard leads and the vehicle turns further on."""
+    """Turned clockwise towards the north wall, the left guard leads and the vehicle turns further."""
     hit = first_contact(before_the_wall(body_vehicle(), Mode.RIGID, -1.0, 0.0, math.radians(8.0)))
     assert abs(math.degrees(hit.incidence_rad)) == pytest.approx(8.0, abs=0.5)
     assert hit.peak_normal_force_n < 60.0  # 63.6 with both guards at once
@@ -141,7 +141,7 @@ TO_FLU = np.diag([1.0, -1.0, -1.0])
     st.floats(0.0, 1.0),
     st.floats(-0.03, 0.03),
 )
-def test_agrees_with_an_independent_rigid_body(
+def test_a_contact_agrees_with_an_independent_rigid_body(
     mode: Mode,
     normal: float,
     tangential: float,
@@ -172,7 +172,7 @@ def test_agrees_with_an_independent_rigid_body(
     r = TO_WALL @ rotation(plant.q) @ TO_FLU
     w = TO_FLU @ np.array(plant.rate)
     steps = 150
-    # Nothing but the wall: motors off and gravity taken out by a thrust that would be there.
+    # Only the wall acts: the motors are off, and the drag cancels gravity.
     plant._motors = lambda commands: (0.0, (0.0, 0.0, 0.0))  # type: ignore[method-assign]
     plant._drag = lambda: (0.0, 0.0, -GRAVITY_M_S2)  # type: ignore[method-assign]
     plant.advance((0.0,) * 4, steps)
@@ -197,10 +197,10 @@ vectors = st.tuples(*[st.floats(-2.0, 2.0)] * 3)
     st.floats(0.0, 1.0),
     st.floats(0.0, 10.0),
 )
-def test_friction_never_puts_energy_in(
+def test_friction_never_adds_energy(
     depth: float, velocity: Vec3, rate: Vec3, yaw: float, share: float, mu: float
 ) -> None:
-    """At the friction's own lever the power of friction is never positive, whatever the share that turns."""
+    """The power of friction at its own lever is never positive, for any share that turns the vehicle."""
     contact = ContactBody(body=BodyModel.GUARDS, friction_lever_share=share)
     q = quaternion_from_euler(0.0, 0.0, yaw)
     plane = Plane((0.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
@@ -208,15 +208,17 @@ def test_friction_never_puts_energy_in(
 
     def power(friction: float) -> float:
         c = Coefficients(4200.0, 15.0, friction, 0.0)
-        one = touch(propeller_guards(contact), q, c, Onset.LCP, plane, where, velocity, rate, -1, 0.0)
-        linear = sum(f * v for f, v in zip(one.force, velocity, strict=True))
-        return linear + sum(t * w for t, w in zip(one.torque, rate, strict=True))
+        contact_load = touch(
+            propeller_guards(contact), q, c, Onset.LCP, plane, where, velocity, rate, -1, 0.0
+        )
+        linear = sum(f * v for f, v in zip(contact_load.force, velocity, strict=True))
+        return linear + sum(t * w for t, w in zip(contact_load.torque, rate, strict=True))
 
     assert power(mu) - power(0.0) <= 1e-9
 
 
-def test_an_imu_off_the_centre_feels_the_turning() -> None:
-    """Against the second derivative of the lever's own path, of a body that turns freely in the air."""
+def test_an_imu_off_the_centre_measures_the_rotation() -> None:
+    """The reference is the second derivative of the lever's path on a freely rotating body."""
     lever = (0.05, 0.04, -0.03)
 
     def reading(at: Vec3) -> tuple[np.ndarray, np.ndarray]:
@@ -224,21 +226,21 @@ def test_an_imu_off_the_centre_feels_the_turning() -> None:
         imu = msgspec.structs.replace(VEHICLE.imu, antialias_hz=1e6)
         plant = Plant(msgspec.structs.replace(VEHICLE, simulation=simulation, imu=imu), (), MissionFrame())
         plant.position, plant.rate = (0.0, 0.0, -5.0), (6.0, -4.0, 3.0)
-        felt, path = [], []
+        forces, path = [], []
         for _ in range(5):
             path.append(rotation(plant.q) @ np.array(lever))
-            felt.append(rotation(plant.q) @ np.array(plant.advance((0.9, 0.2, 0.1, 0.6))))
-        return np.array(felt), np.array(path)
+            forces.append(rotation(plant.q) @ np.array(plant.advance((0.9, 0.2, 0.1, 0.6))))
+        return np.array(forces), np.array(path)
 
     off, path = reading(lever)
     centre, _ = reading((0.0, 0.0, 0.0))
     swings = np.diff(path, n=2, axis=0) / 1e-6
     assert np.linalg.norm(swings[2]) > 3.0
-    # The mean over a millisecond lies half a step beside the difference's middle.
+    # The mean over 1 ms is centred half a step beside the difference.
     assert (off - centre)[2] == pytest.approx(0.5 * (swings[1] + swings[2]), abs=0.3)
 
 
-def test_a_wall_that_is_moved_is_met_there_by_the_guards() -> None:
+def test_the_guards_hit_a_moved_wall_at_its_new_position() -> None:
     plants = [before_the_wall(body_vehicle(), Mode.RIGID, -1.0, 0.0, 0.0) for _ in range(2)]
     plants[1].planes[0].move(0.02)
     here, nearer = (first_contact(plant).position_mission[0] for plant in plants)

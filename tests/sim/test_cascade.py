@@ -1,4 +1,4 @@
-"""The simulated autopilot's controllers, where a hit leaves the vehicle far from where it should point."""
+"""The simulated autopilot's controllers with a large heading error after a collision."""
 
 import math
 
@@ -12,8 +12,8 @@ from tests.sim.test_plant import HOVER, VEHICLE
 
 
 @pytest.mark.parametrize("yaw_deg", [5.0, 90.0, -150.0, 178.0])
-def test_tilt_is_righted_first_however_far_the_heading_is_off(yaw_deg: float) -> None:
-    """As PX4 does: a vehicle that a hit has spun round must not topple while it turns back."""
+def test_tilt_is_corrected_before_any_heading_error(yaw_deg: float) -> None:
+    """As with PX4, a vehicle that a collision has spun must not topple while it turns back."""
     parameters = {name: float(value) for name, value in default_parameters(VEHICLE).items()}
     cascade = Cascade(parameters, VEHICLE.hover_thrust_fraction(), VEHICLE.thrust, VEHICLE.airframe.motors)
     plant = Plant(VEHICLE, (), MissionFrame())

@@ -16,20 +16,20 @@ REFUSED_BY_THE_NETWORK = ("127.0.0.1", 0)
 
 @pytest.fixture
 def link() -> Iterator[socket.socket]:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        one.setblocking(False)
-        yield one
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.bind(("127.0.0.1", 0))
+        own.setblocking(False)
+        yield own
 
 
-def test_nobody_listens_and_nothing_has_arrived(link: socket.socket) -> None:
-    link.connect(("127.0.0.1", free_udp_port()))  # a connected socket is told of a refusal
+def test_a_datagram_to_a_closed_port_is_lost_without_an_error(link: socket.socket) -> None:
+    link.connect(("127.0.0.1", free_udp_port()))  # only a connected socket receives a refusal
     for _ in range(3):
         send_datagram(link, b"lost", link.getpeername())
         assert receive_datagram(link) is None
 
 
-def test_a_datagram_comes_with_its_sender(link: socket.socket) -> None:
+def test_a_datagram_is_received_with_its_sender(link: socket.socket) -> None:
     send_datagram(link, b"one", link.getsockname())
     assert receive_datagram(link) == (b"one", link.getsockname())
 

@@ -1,4 +1,4 @@
-"""The filter that is told a wrong age of the poses: it runs ahead, as EKF2 does, and swings."""
+"""A filter with a wrong pose delay: like EKF2, it leads the vehicle and oscillates."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ LEVEL = (1.0, 0.0, 0.0, 0.0)
 TICK_S, TRUE_S = 0.004, 0.012
 
 
-class Level:
-    """A vehicle that stays level and goes north as it is told, and its filter."""
+class LevelFlight:
+    """A level vehicle with given accelerations to the north, and its filter."""
 
     def __init__(self, delay_s: float) -> None:
         self.filter = Estimator()
@@ -35,15 +35,15 @@ class Level:
         self._ticks = 0
 
     def fly(self, seconds: float, acceleration: float = 0.0) -> float:
-        """Returns the largest error of the position meanwhile, forward positive by its sign."""
+        """Fly, and return the position error of the largest magnitude, positive to the north."""
         worst = 0.0
         for _ in range(round(seconds / TICK_S)):
             self.time_s += TICK_S
             self._ticks += 1
             self.north += self.speed * TICK_S + 0.5 * acceleration * TICK_S**2
             self.speed += acceleration * TICK_S
-            felt = (acceleration + self._rng.gauss(0.0, 0.05), 0.0, -GRAVITY_M_S2)
-            self.filter.predict(self.time_s, felt, (0.0, 0.0, 0.0), TICK_S)
+            specific_force = (acceleration + self._rng.gauss(0.0, 0.05), 0.0, -GRAVITY_M_S2)
+            self.filter.predict(self.time_s, specific_force, (0.0, 0.0, 0.0), TICK_S)
             if self._ticks % 3 == 0:
                 self._poses.append((self.time_s, (self.north + self._rng.gauss(0.0, 0.001), 0.0, 0.0)))
             while self._poses and self._poses[0][0] + TRUE_S <= self.time_s:
@@ -59,10 +59,8 @@ class Level:
 
 @settings(max_examples=8, deadline=None)
 @given(delay_ms=st.floats(0.0, 150.0), speed=st.floats(-1.5, 1.5))
-def test_at_constant_speed_it_runs_ahead_by_the_wrong_part_of_the_delay(
-    delay_ms: float, speed: float
-) -> None:
-    level = Level(delay_ms * 1e-3)
+def test_the_estimate_leads_by_the_speed_times_the_error_of_the_delay(delay_ms: float, speed: float) -> None:
+    level = LevelFlight(delay_ms * 1e-3)
     level.fly(1.0)
     level.fly(1.0, speed)
     level.fly(4.0)
@@ -70,16 +68,16 @@ def test_at_constant_speed_it_runs_ahead_by_the_wrong_part_of_the_delay(
     assert level.filter.velocity[0] == pytest.approx(speed, abs=0.05)
 
 
-def test_with_the_right_delay_it_follows_a_manoeuvre() -> None:
-    level = Level(TRUE_S)
+def test_the_estimate_follows_a_manoeuvre_with_the_right_delay() -> None:
+    level = LevelFlight(TRUE_S)
     level.fly(1.0)
     for acceleration in (2.0, -2.0, -2.0, 2.0):
         assert abs(level.fly(0.5, acceleration)) < 0.03
 
 
-def test_with_a_wrong_one_it_swings_when_the_vehicle_stops() -> None:
-    """And passes on: what it has learnt of tilt and velocity on the way is wrong."""
-    level = Level(0.15 + TRUE_S)
+def test_the_estimate_oscillates_after_a_stop_with_a_wrong_delay() -> None:
+    """The estimate overshoots, because the learnt tilt and velocity are wrong."""
+    level = LevelFlight(0.15 + TRUE_S)
     level.fly(1.0)
     level.fly(0.5, 2.0)
     level.fly(2.0)
@@ -90,35 +88,35 @@ def test_with_a_wrong_one_it_swings_when_the_vehicle_stops() -> None:
     assert abs(swing[-1]) < 0.03
 
 
-def test_poses_beyond_the_gate_end_in_a_reset_to_them() -> None:
-    level = Level(TRUE_S)
+def test_poses_beyond_the_gate_reset_the_estimate() -> None:
+    level = LevelFlight(TRUE_S)
     level.fly(2.0)
     before = level.filter.resets
-    level.north += 1.0  # carried away, which the IMU did not feel
+    level.north += 1.0  # displaced without an acceleration at the IMU
     assert abs(level.fly(0.8)) > 0.9
     level.fly(1.5)
     assert level.filter.resets == before + 1
     assert abs(level.error_m) < 0.02
 
 
-# --- what it makes of a flight, and what the guard makes of that --------------------------------------------
+# --- effects on a flight and on the guard -------------------------------------------------------------------
 
 
-class Flown:
-    """A fast flight of the single wall: when its wall came near, what the guard found, and how it ended."""
+class DelayedFlight:
+    """A fast flight to the single wall: start of the approach, events of the guard, onset and end."""
 
     def __init__(self, fault: str, settings: dict[str, object] | None = None, mission: str = "") -> None:
-        self.found: list[GuardEvent] = []
+        self.events: list[GuardEvent] = []
         self.onset_us = self.approach_us = math.inf
         loaded = load_flyable(packaged("missions", mission or "paper_single_wall.yaml"))
         loaded = loaded.replace(settings) if settings else loaded
-        flight = FastFlight(loaded, 3, observe=self.take, fault=parse_fault(fault))
-        flight.run()
-        self.end = flight.core.end
+        fast_flight = FastFlight(loaded, 3, observe=self.add_record, fault=parse_fault(fault))
+        fast_flight.run()
+        self.end = fast_flight.core.end
 
-    def take(self, record: Record, number: int) -> None:
+    def add_record(self, record: Record, number: int) -> None:
         if isinstance(record, GuardEvent):
-            self.found.append(record)
+            self.events.append(record)
         elif isinstance(record, ImpactOnset):
             self.onset_us = min(self.onset_us, record.t_us)
         elif isinstance(record, PhaseChange) and record.after is Phase.APPROACH:
@@ -126,39 +124,39 @@ class Flown:
 
 
 @pytest.mark.parametrize("delay_ms", [90, 160, 300])
-def test_a_wrong_delay_breaks_the_flight_off_before_its_wall(delay_ms: int) -> None:
-    flown = Flown(f"ev-delay={delay_ms}")
-    (event,) = flown.found
+def test_a_wrong_delay_aborts_the_flight_before_the_wall(delay_ms: int) -> None:
+    flight = DelayedFlight(f"ev-delay={delay_ms}")
+    (event,) = flight.events
     assert event.rule == "position_delayed"
     assert "leads the IMU" in event.detail
-    assert flown.onset_us == math.inf
-    assert event.t_us < flown.approach_us + 2_000_000
-    assert flown.end is not None
-    assert flown.end.outcome is Outcome.ABORTED
+    assert flight.onset_us == math.inf
+    assert event.t_us < flight.approach_us + 2_000_000
+    assert flight.end is not None
+    assert flight.end.outcome is Outcome.ABORTED
 
 
-def test_poses_that_are_older_than_configured_put_the_estimate_behind() -> None:
-    flown = Flown("ev-delay=10", {"vehicle.simulation.pose_delay_s": 0.12})
-    assert [event.rule for event in flown.found] == ["position_delayed"]
-    assert "lags the IMU" in flown.found[0].detail
-    assert flown.onset_us == math.inf
+def test_poses_that_are_older_than_configured_make_the_estimate_lag() -> None:
+    flight = DelayedFlight("ev-delay=10", {"vehicle.simulation.pose_delay_s": 0.12})
+    assert [event.rule for event in flight.events] == ["position_delayed"]
+    assert "lags the IMU" in flight.events[0].detail
+    assert flight.onset_us == math.inf
 
 
-def test_a_wrong_delay_is_found_with_a_slow_motion_capture_too() -> None:
-    flown = Flown("ev-delay=160", {"vehicle.simulation.pose_rate_hz": 30.0})
-    assert [event.rule for event in flown.found] == ["position_delayed"]
-    assert flown.onset_us == math.inf
+def test_a_wrong_delay_is_detected_with_a_slow_motion_capture() -> None:
+    flight = DelayedFlight("ev-delay=160", {"vehicle.simulation.pose_rate_hz": 30.0})
+    assert [event.rule for event in flight.events] == ["position_delayed"]
+    assert flight.onset_us == math.inf
 
 
 @pytest.mark.parametrize("delay_ms", [10, 30])
-def test_the_right_delay_and_one_near_it_complete(delay_ms: int) -> None:
-    flown = Flown(f"ev-delay={delay_ms}")
-    assert not flown.found
-    assert flown.end is not None
-    assert flown.end.outcome is Outcome.COMPLETED
+def test_a_flight_with_a_nearly_right_delay_completes(delay_ms: int) -> None:
+    flight = DelayedFlight(f"ev-delay={delay_ms}")
+    assert not flight.events
+    assert flight.end is not None
+    assert flight.end.outcome is Outcome.COMPLETED
 
 
-def test_without_motion_capture_there_is_no_such_fault() -> None:
+def test_a_wrong_delay_is_refused_as_a_fault_without_motion_capture() -> None:
     with pytest.raises(
         InputError, match="ev-delay: needs motion capture, but this vehicle's position comes from GPS"
     ):

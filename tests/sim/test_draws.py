@@ -1,4 +1,4 @@
-"""What `--vary` draws: reproducible, each quantity by itself, told in log and verdict."""
+"""Draws of `--vary`: reproducible, independent of each other, and reported in log and verdict."""
 
 import json
 from pathlib import Path
@@ -19,11 +19,11 @@ MISSION = load_flyable(ROOT / "missions/paper_single_wall.yaml", None, ["simulat
 VEHICLE = MISSION.vehicle
 
 
-def test_all_is_every_name_at_its_default_and_a_value_given_wins() -> None:
-    wanted = parse_vary(["mass=0.2", "all"], VEHICLE)
-    assert set(wanted) == set(NAMES)
-    assert wanted["mass"] == 0.2
-    assert wanted["contact"] == SPREADS["contact"]
+def test_all_selects_every_name_and_an_explicit_value_takes_precedence() -> None:
+    parsed = parse_vary(["mass=0.2", "all"], VEHICLE)
+    assert set(parsed) == set(NAMES)
+    assert parsed["mass"] == 0.2
+    assert parsed["contact"] == SPREADS["contact"]
 
 
 @pytest.mark.parametrize("setting", ["mas", "mass=heavy", "mass=-1", "mass=nan", "all=2"])
@@ -32,7 +32,7 @@ def test_a_wrong_setting_is_named(setting: str) -> None:
         parse_vary([setting], VEHICLE)
 
 
-def test_the_same_seed_draws_the_same_world_and_one_name_more_leaves_the_others() -> None:
+def test_a_seed_determines_each_draw_independently_of_the_other_names() -> None:
     few = draw_world(MISSION, 3, parse_vary(["mass", "wall_yaw_deg"], VEHICLE))
     many = draw_world(MISSION, 3, parse_vary(["all"], VEHICLE))
     assert few == draw_world(MISSION, 3, parse_vary(["wall_yaw_deg", "mass"], VEHICLE))
@@ -40,7 +40,7 @@ def test_the_same_seed_draws_the_same_world_and_one_name_more_leaves_the_others(
     assert draw_world(MISSION, 4, parse_vary(["mass"], VEHICLE)).drawn != {"mass": few.drawn["mass"]}
 
 
-def test_the_mission_itself_is_left_as_it_is() -> None:
+def test_a_draw_does_not_change_the_mission() -> None:
     before = msgspec.json.encode(MISSION)
     world = draw_world(MISSION, 1, parse_vary(["all"], VEHICLE))
     assert msgspec.json.encode(MISSION) == before
@@ -48,19 +48,19 @@ def test_the_mission_itself_is_left_as_it_is() -> None:
     assert world.mission.vehicle.airframe.mass_kg != MISSION.vehicle.airframe.mass_kg
 
 
-def test_a_varied_flight_tells_what_was_drawn_and_replays(tmp_path: Path) -> None:
+def test_a_varied_flight_reports_its_draws_and_replays(tmp_path: Path) -> None:
     verdict = fly_fast(MISSION, 2, tmp_path, spreads=parse_vary(["all"], VEHICLE))
     assert verdict.outcome == "completed"
     log = read_log(str(verdict.log))
     assert json.loads(log.about["drawn"]) == pytest.approx(verdict.drawn)
     truth = verdict.collisions[0].truth
     assert truth is not None
-    # Truth is that of the world flown: an oblique wall of other stiffness takes another force.
+    # The truth is that of the drawn world, whose wall is oblique and has another stiffness.
     assert truth.peak_force_n != verdict.collisions[0].planned.peak_force_n
     assert replay(log).equal
 
 
-def test_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_vary_and_set_work_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arguments = [
         "dry-run",
         str(ROOT / "missions/paper_single_wall.yaml"),

@@ -1,4 +1,4 @@
-"""The simulated vehicle at the ends of walls and at posts: against an independent body, and energy."""
+"""The simulated vehicle at ends of walls and at posts: an independent body and energy as references."""
 
 import itertools
 import math
@@ -27,11 +27,11 @@ LENGTH_M = 2.0
 
 
 def board(end_m: float, length_m: float = LENGTH_M) -> Wall:
-    """A wall to the north whose right end (looking along its normal, south) is so far west of the x axis."""
+    """Return a wall to the north whose western end is `end_m` west of the x axis."""
     return Wall("wall", (1.0, end_m - 0.5 * length_m), (-1.0, 0.0), length_m, "acrylic")
 
 
-def adrift(
+def drifting_plant(
     vehicle: VehicleConfig,
     mode: Mode,
     walls: tuple[Wall, ...],
@@ -42,7 +42,7 @@ def adrift(
     tilt: float = 0.0,
     rate: float = 0.0,
 ) -> Plant:
-    """In the air without motors and without gravity, in the mission frame, which is north and west."""
+    """Return a plant in the air without motors or gravity; the mission frame is north and west."""
     plant = Plant(vehicle, walls, MissionFrame(), posts=posts)
     plant.position = plant.frame.point_to_ned((*place, 5.0))
     plant.velocity = plant.frame.vector_to_ned((*velocity, 0.0))
@@ -55,7 +55,7 @@ def adrift(
 
 
 def oracle(plant: Plant, mode: Mode) -> Scene:
-    """The same body before the same obstacles."""
+    """Return the oracle's body before the same obstacles."""
     vehicle = plant.vehicle
     contact, c = vehicle.simulation.contact, vehicle.materials["acrylic"].coefficients(mode)
     body = Body(
@@ -78,8 +78,8 @@ def oracle(plant: Plant, mode: Mode) -> Scene:
     return Scene(body, law, wall, posts)
 
 
-def agree(plant: Plant, mode: Mode) -> tuple[float, float]:
-    """Fly both through a contact; how the velocity differs in m/s, and the rate relative to the oracle's."""
+def compare_with_oracle(plant: Plant, mode: Mode) -> tuple[float, float]:
+    """Fly both through a contact; return the velocity error in m/s and the relative rate error."""
     y = np.concatenate(
         (
             FLIP @ np.array(plant.position),
@@ -100,31 +100,31 @@ def agree(plant: Plant, mode: Mode) -> tuple[float, float]:
     return speed, off / max(1e-9, float(np.linalg.norm(y[15:])))
 
 
-# Where the wall ends, west of the vehicle's centre in metres; yaw in degrees, velocity and yaw rate.
+# Wall end west of the vehicle's centre in metres; yaw in degrees, velocity and yaw rate.
 ENDS = [
     (0.05, 0.0, (1.0, 0.0), 0.0),  # one guard, the other beyond the end
-    (-0.05, 0.0, (1.0, 0.0), 0.0),  # likewise, the centre beyond it as well
+    (-0.05, 0.0, (1.0, 0.0), 0.0),  # one guard, the centre and the other beyond the end
     (-0.12, 0.0, (1.0, 0.3), 0.0),  # a guard that slides
     (-0.12, -20.0, (1.0, 0.4), 0.0),  # the edge at a guard and beside it
-    (0.05, -8.0, (1.0, 0.0), 0.0),  # the edge between the guards, one of which stands in for it
+    (0.05, -8.0, (1.0, 0.0), 0.0),  # the edge between the guards, one of which represents it
     (-0.05, -20.0, (1.5, 0.5), 0.0),  # the edge between the guards
     (-0.05, 8.0, (1.0, 0.3), 0.5),
     (0.05, 20.0, (2.0, -0.5), -1.0),
 ]
 
 
-# The independent body takes a second or two for a hit: the modes in turn.
+# The independent body takes a second or two for each case, so the modes alternate.
 @pytest.mark.parametrize(
     ("end", "yaw", "velocity", "rate", "mode"),
     [(*hit, mode) for hit, mode in zip(ENDS, itertools.cycle(Mode), strict=False)],
 )
-def test_a_hit_at_a_walls_end_is_an_independent_rigid_bodys(
+def test_a_collision_at_a_wall_end_agrees_with_an_independent_rigid_body(
     end: float, yaw: float, velocity: tuple[float, float], rate: float, mode: Mode
 ) -> None:
-    plant = adrift(
+    plant = drifting_plant(
         body_vehicle(), mode, (board(end),), (), (0.95, 0.0), velocity, math.radians(yaw), 0.05, rate
     )
-    off_m_s, off_share = agree(plant, mode)
+    off_m_s, off_share = compare_with_oracle(plant, mode)
     assert off_m_s < 1e-3
     assert off_share < 0.01
 
@@ -142,18 +142,20 @@ POSTS = [
 
 @pytest.mark.parametrize(("mode", "radius"), list(zip(Mode, (0.03, 0.1), strict=True)))
 @pytest.mark.parametrize(("off", "yaw", "velocity", "rate"), POSTS)
-def test_a_hit_at_a_post_is_an_independent_rigid_bodys(
+def test_a_collision_with_a_post_agrees_with_an_independent_rigid_body(
     mode: Mode, radius: float, off: float, yaw: float, velocity: tuple[float, float], rate: float
 ) -> None:
     post = Post("post", (1.25 + radius, off), radius, "acrylic")
-    plant = adrift(body_vehicle(), mode, (), (post,), (0.95, 0.0), velocity, math.radians(yaw), 0.05, rate)
-    off_m_s, off_share = agree(plant, mode)
+    plant = drifting_plant(
+        body_vehicle(), mode, (), (post,), (0.95, 0.0), velocity, math.radians(yaw), 0.05, rate
+    )
+    off_m_s, off_share = compare_with_oracle(plant, mode)
     assert off_m_s < 1e-3
     assert off_share < 0.01
 
 
 def energy(plant: Plant) -> float:
-    """Of motion, joule; no gravity is felt."""
+    """Return the kinetic energy, joule; there is no gravity."""
     inertia = plant.vehicle.airframe.inertia_kg_m2
     turning = sum(j * w * w for j, w in zip(inertia, plant.rate, strict=True))
     return 0.5 * (plant.mass * sum(v * v for v in plant.velocity) + turning)
@@ -165,7 +167,7 @@ signed = st.floats(-1.0, 1.0)
 @settings(max_examples=30, phases=(Phase.explicit, Phase.generate))  # shrinking would take minutes
 @given(
     mode=st.sampled_from(list(Mode)),
-    what=st.sampled_from(("end", "narrow", "post")),
+    obstacle=st.sampled_from(("end", "narrow", "post")),
     radius=st.floats(0.005, 0.2),
     along=signed,
     velocity=st.tuples(st.floats(-0.5, 3.0), st.floats(-2.0, 2.0)),
@@ -177,9 +179,9 @@ signed = st.floats(-1.0, 1.0)
     share=st.floats(0.0, 1.0),
     behind=st.booleans(),
 )
-def test_no_contact_puts_energy_in(
+def test_no_contact_adds_energy(
     mode: Mode,
-    what: str,
+    obstacle: str,
     radius: float,
     along: float,
     velocity: tuple[float, float],
@@ -191,7 +193,7 @@ def test_no_contact_puts_energy_in(
     share: float,
     behind: bool,
 ) -> None:
-    """Without the law's vertical force a vehicle never leaves a contact with more than it came with."""
+    """Without the law's vertical force, a vehicle never leaves a contact with more energy."""
     vehicle = body_vehicle(friction_lever_share=share)
     c = vehicle.materials["acrylic"].coefficients(mode)
     c = Coefficients(c.k, damping * c.f, friction, 0.0)
@@ -199,24 +201,26 @@ def test_no_contact_puts_energy_in(
     walls: tuple[Wall, ...] = ()
     posts: tuple[Post, ...] = ()
     start, v = (0.85, 0.0), velocity
-    if what == "post":
+    if obstacle == "post":
         posts = (Post("post", (1.15 + radius, 0.3 * along), radius, "acrylic"),)
     else:
-        walls = (board(0.3 * along, LENGTH_M if what == "end" else radius),)
-        if behind:  # beside the end and behind the surface, on its way to the end
+        walls = (board(0.3 * along, LENGTH_M if obstacle == "end" else radius),)
+        if behind:  # starts behind the surface, beside the end, and flies to the end
             start, v = (1.1 + radius, 0.3 * along + 0.32), (0.2 * velocity[1], -abs(velocity[0]))
-    plant = adrift(vehicle, mode, walls, posts, start, v, yaw, tilt, rate)
+    plant = drifting_plant(vehicle, mode, walls, posts, start, v, yaw, tilt, rate)
     before = energy(plant)
     for _ in range(250):
         plant.advance((0.0,) * 4)
         assert energy(plant) <= before * 1.002 + 1e-3
 
 
-def test_what_is_left_out_far_from_an_end_changes_no_flight_past_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Past the end from before and from behind it, beside it, and into it from the side."""
+def test_skipping_the_contact_model_far_from_an_end_changes_no_flight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The flights pass the end in front and behind, beside it, and hit it from the side."""
 
     def flown(place: tuple[float, float], velocity: tuple[float, float], yaw: float) -> tuple[Plant, int]:
-        plant = adrift(
+        plant = drifting_plant(
             body_vehicle(), Mode.FLEXIBLE, (board(0.0),), (), place, velocity, yaw, 0.05, 0.3 * velocity[1]
         )
         for _ in range(300):
@@ -240,10 +244,10 @@ def test_what_is_left_out_far_from_an_end_changes_no_flight_past_it(monkeypatch:
         for (x, y), (u, v), yaw in zip(places, velocities, rng.uniform(0.0, 1.5, 4), strict=True)
     ]
     quick = [flown(*case) for case in cases]
-    looked_at = len(calls)
+    computed = len(calls)
     monkeypatch.setattr(WallWithEnds, "may_touch", lambda *_: True)
     thorough = [flown(*case) for case in cases]
-    assert looked_at < 0.8 * (len(calls) - looked_at)
+    assert computed < 0.8 * (len(calls) - computed)
     assert sum(hits for _, hits in quick) > 1
     for (one, hits), (other, others) in zip(quick, thorough, strict=True):
         assert hits == others

@@ -1,4 +1,4 @@
-"""Position by GPS in the fast world: how it drifts by the filter's weights, and a fix that comes late."""
+"""GPS position in the fast world: its drift with the filter's weights, and late fixes."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ DEFAULT, UNWEIGHTED = GpsWeights(0.5, 0.3, (0.0, 0.0, 0.0)), GpsWeights(10.0, 0.
 PERFECT = GpsQuality(3, 0.0, 60.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class Standing:
-    """A vehicle whose motion is told, with its estimator, a perfect IMU, late fixes and newer attitudes."""
+class GpsVehicle:
+    """A vehicle with a given motion, its estimator, a perfect IMU, late fixes and newer attitudes."""
 
     def __init__(self, quality: GpsQuality, weights: GpsWeights, seed: int) -> None:
         self.receiver = GpsReceiver(quality, GaussianNoise(random.Random(seed)))
@@ -38,7 +38,7 @@ class Standing:
         self.true = SimpleNamespace(time_s=0.0, position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0))
 
     def step(self, acceleration: float = 0.0) -> None:
-        """One tick, accelerating to the north."""
+        """Advance one tick with an acceleration to the north."""
         true, h = self.true, TICK_S
         true.position = (true.position[0] + h * true.velocity[0] + 0.5 * h * h * acceleration, 0.0, 0.0)
         true.velocity = (true.velocity[0] + h * acceleration, 0.0, 0.0)
@@ -52,21 +52,21 @@ class Standing:
 
     @property
     def error_ned(self) -> Vec3:
-        """Estimated less true position."""
+        """Estimated minus true position."""
         return subtract(self.estimator.position, self.true.position)
 
 
 def drift_m(quality: GpsQuality, weights: GpsWeights, after_s: tuple[float, ...]) -> list[float]:
-    """By how much the error of the position along an axis changes meanwhile, rms over flights."""
+    """Return the rms changes of the position error along an axis after these times, over flights."""
     steps = [round(s / TICK_S) for s in after_s]
     settle = round(30.0 / TICK_S)
     changes: list[list[float]] = [[] for _ in after_s]
     for seed in range(12):
-        one = Standing(quality, weights, seed)
+        gps_vehicle = GpsVehicle(quality, weights, seed)
         errors = []
         for _ in range(settle + 2 * steps[-1]):
-            one.step()
-            errors.append(one.error_ned[:2])
+            gps_vehicle.step()
+            errors.append(gps_vehicle.error_ned[:2])
         for begin in (settle, settle + steps[-1]):
             for found, n in zip(changes, steps, strict=True):
                 then, now = errors[begin - 1], errors[begin + n - 1]
@@ -83,14 +83,14 @@ def drift_m(quality: GpsQuality, weights: GpsWeights, after_s: tuple[float, ...]
     ],
     ids=["default", "unweighted", "unweighted with a bias of the velocity"],
 )
-def test_position_drifts_after_5_and_10_s_about_as_calculated(
+def test_the_position_drift_after_5_and_10_s_matches_the_calculation(
     weights: GpsWeights, bias_m_s: float, expected_m: tuple[float, float]
 ) -> None:
     quality = GPS_QUALITIES["plain"]._replace(velocity_wander_m_s=bias_m_s)
     assert drift_m(quality, weights, (5.0, 10.0)) == pytest.approx(expected_m, rel=0.5)
 
 
-def test_the_shipped_receiver_has_the_bias_and_an_anchored_mission_the_weights() -> None:
+def test_an_anchored_mission_sets_the_weights_for_the_shipped_receiver() -> None:
     plain = GPS_QUALITIES["plain"]
     assert (plain.velocity_wander_m_s, plain.velocity_wander_s) == (0.03, 20.0)
     assert (plain.wander_m, plain.wander_s) == (1.0, 60.0)
@@ -113,34 +113,34 @@ def test_the_shipped_receiver_has_the_bias_and_an_anchored_mission_the_weights()
 
 
 @pytest.mark.parametrize("weights", [DEFAULT, UNWEIGHTED], ids=["default", "unweighted"])
-def test_a_hit_between_fix_and_arrival_moves_nothing(weights: GpsWeights) -> None:
-    """At 1 m/s into a wall and back in 60 ms: a fix is compared with the estimate at its own time."""
-    one = Standing(PERFECT, weights, 1)
+def test_a_collision_between_a_fix_and_its_arrival_adds_no_error(weights: GpsWeights) -> None:
+    """The vehicle rebounds at 1 m/s within 64 ms; a fix is compared with the estimate at its own time."""
+    gps_vehicle = GpsVehicle(PERFECT, weights, 1)
     speeds = [1.0] * 125 + [-27.0] * 16 + [0.0] * 100
     for _ in range(1000):
-        one.step()
-    for k, asked in enumerate(speeds):
-        one.step(2.0 if asked == 1.0 else asked)
-        assert max(map(abs, one.error_ned)) < 1e-6, k
+        gps_vehicle.step()
+    for k, commanded in enumerate(speeds):
+        gps_vehicle.step(2.0 if commanded == 1.0 else commanded)
+        assert max(map(abs, gps_vehicle.error_ned)) < 1e-6, k
 
 
-def test_nothing_is_learnt_from_a_perfect_receiver_of_a_vehicle_that_stands() -> None:
-    one = Standing(PERFECT, UNWEIGHTED, 1)
+def test_a_perfect_receiver_does_not_move_the_estimate_of_a_resting_vehicle() -> None:
+    gps_vehicle = GpsVehicle(PERFECT, UNWEIGHTED, 1)
     for _ in range(500):
-        one.step()
-    assert one.error_ned == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
-    assert one.estimator.ok
+        gps_vehicle.step()
+    assert gps_vehicle.error_ned == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+    assert gps_vehicle.estimator.ok
 
 
 @given(position_m=st.floats(0.03, 10.0), velocity_m_s=st.floats(0.05, 1.0), every_s=st.floats(0.05, 1.0))
 @settings(max_examples=60, deadline=None)
-def test_the_filter_is_never_less_sure_than_a_fix_by_itself(
+def test_the_filter_is_never_much_less_certain_than_a_single_fix(
     position_m: float, velocity_m_s: float, every_s: float
 ) -> None:
-    one = GpsFilter(GpsWeights(position_m, velocity_m_s, (0.0, 0.0, 0.0)))
+    gps_filter = GpsFilter(GpsWeights(position_m, velocity_m_s, (0.0, 0.0, 0.0)))
     for _ in range(8):
-        one.predict(every_s)
-        gains = one.correct()
+        gps_filter.predict(every_s)
+        gains = gps_filter.correct()
         assert 0.0 <= gains[0][0] < 1.0
         assert 0.0 <= gains[1][1] < 1.0
-        assert one.position_sd_m <= math.sqrt(2.0) * position_m * (1.0 + 1e-9)
+        assert gps_filter.position_sd_m <= math.sqrt(2.0) * position_m * (1.0 + 1e-9)

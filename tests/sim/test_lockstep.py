@@ -1,4 +1,4 @@
-"""The world's side of the lockstep: simulated time never passes what the application has not answered."""
+"""The world's side of the lockstep: simulated time waits for the application's answers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SETPOINT = (1.0, 2.0, -1.0, 0.5, None, None, None, None, None)
 
 
 class Sender:
-    """An autopilot that has sent and received what a test says."""
+    """A double of the autopilot, whose sent and received messages the test sets."""
 
     def __init__(self) -> None:
         self.sent_us: dict[str, int] = {}
@@ -34,7 +34,7 @@ class Sender:
 
 
 class Host:
-    """The computer's time, which passes only while the world waits."""
+    """The host's time, which passes only while the world waits."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 100.0
@@ -55,7 +55,7 @@ def wake() -> Iterator[int]:
         yield descriptor
 
 
-def lockstep(sender: Sender, **more: Any) -> Lockstep:
+def make_lockstep(sender: Sender, **more: Any) -> Lockstep:
     return Lockstep(sender, **{"answers_at_rest": True, "waits_at_first": True, **more})
 
 
@@ -63,11 +63,9 @@ def lockstep(sender: Sender, **more: Any) -> Lockstep:
     sent=st.dictionaries(st.sampled_from(STREAMS), st.integers(1, 100)),
     stepped=st.dictionaries(st.sampled_from(STREAMS), st.integers(1, 100)),
 )
-def test_time_stands_still_while_a_stream_is_not_stepped(
-    sent: dict[str, int], stepped: dict[str, int]
-) -> None:
+def test_time_stops_until_every_stream_is_processed(sent: dict[str, int], stepped: dict[str, int]) -> None:
     sender = Sender()
-    world = lockstep(sender)
+    world = make_lockstep(sender)
     world.update(Stepped({}))
     sender.sent_us = {name: tick * TICK_US for name, tick in sent.items()}
     world.update(Stepped({name: tick * TICK_US for name, tick in stepped.items()}))
@@ -75,27 +73,27 @@ def test_time_stands_still_while_a_stream_is_not_stepped(
     assert (world.outstanding(101 * TICK_US) is not None) == bool(behind)
 
 
-def test_what_was_sent_before_the_application_listened_is_not_waited_for() -> None:
+def test_time_does_not_wait_for_messages_from_before_the_connection() -> None:
     sender = Sender()
     sender.sent_us = {"imu": 40_000}
-    world = lockstep(sender)
+    world = make_lockstep(sender)
     assert world.outstanding(44_000) == "the application to connect"
     world.update(Stepped({}))
     assert world.outstanding(44_000) is None
 
 
-def test_a_setpoint_counts_once_it_has_arrived_in_single_precision() -> None:
+def test_time_waits_until_a_setpoint_has_arrived_in_single_precision() -> None:
     sender = Sender()
-    world = lockstep(sender)
+    world = make_lockstep(sender)
     world.update(Stepped({}, {"setpoint": SETPOINT}))
     assert world.outstanding(4_000) == "a setpoint of the application"
     sender.arrived["setpoint"] = (1.0000001, 2.0, -1.0, 0.5, *(math.nan,) * 5)
     assert world.outstanding(4_000) is None
 
 
-def test_a_published_pose_is_waited_for_until_it_is_stepped_and_has_come_back() -> None:
+def test_time_waits_until_a_published_pose_is_processed_and_returned() -> None:
     sender = Sender()
-    world = lockstep(sender)
+    world = make_lockstep(sender)
     world.update(Stepped({}))
     world.publish("pose", 7)
     assert world.outstanding(4_000) == "the application to process its telemetry"
@@ -106,44 +104,44 @@ def test_a_published_pose_is_waited_for_until_it_is_stepped_and_has_come_back() 
     assert world.outstanding(4_000) is None
 
 
-def test_a_batch_is_not_waited_for_before_its_end() -> None:
+def test_time_does_not_wait_for_a_batch_before_its_end() -> None:
     sender = Sender()
-    world = lockstep(sender)
+    world = make_lockstep(sender)
     world.update(Stepped({"imu": 100_000}, batch_us=20_000))
     sender.sent_us = {"imu": 116_000}
     assert world.outstanding(120_000) is None
     assert world.outstanding(124_000) is not None
 
 
-def test_the_planner_is_waited_for_when_its_answer_is_due() -> None:
-    world = lockstep(Sender())
+def test_time_waits_for_the_planner_when_its_answer_is_due() -> None:
+    world = make_lockstep(Sender())
     world.update(Stepped({}, plan_due_us=50_000))
-    assert world.outstanding(54_000) is None, "the next stamp lies behind that time"
+    assert world.outstanding(54_000) is None, "the next stamp is later than the due time"
     assert world.outstanding(55_000) == "the planner"
 
 
 @pytest.mark.parametrize("answers_at_rest", [True, False], ids=["embedded", "PX4"])
-def test_time_goes_on_for_an_autopilot_that_answers_commands_only_then(answers_at_rest: bool) -> None:
+def test_time_continues_for_an_autopilot_that_needs_it_to_answer_commands(answers_at_rest: bool) -> None:
     sender = Sender()
-    world = lockstep(sender, answers_at_rest=answers_at_rest)
+    world = make_lockstep(sender, answers_at_rest=answers_at_rest)
     world.update(Stepped({"imu": 4_000}, {"setpoint": SETPOINT}, commands=1))
     sender.sent_us = {"imu": 4_000}
     assert (world.outstanding(8_000) is None) != answers_at_rest, "a setpoint waits for the result"
-    assert world.limits_pace is answers_at_rest, "else a world at full speed would run away"
+    assert world.limits_pace is answers_at_rest, "otherwise a world at full speed would run ahead"
     sender.sent_us = {"imu": 8_000}
-    assert world.outstanding(12_000) is not None, "telemetry is waited for, whatever is asked"
+    assert world.outstanding(12_000) is not None, "the world always waits for telemetry"
 
 
-def test_once_the_application_is_silent_nothing_holds_the_world() -> None:
+def test_time_does_not_wait_for_a_silenced_application() -> None:
     sender = Sender()
-    world = lockstep(sender)
+    world = make_lockstep(sender)
     world.update(Stepped({}, {"setpoint": SETPOINT}, commands=1, flies=False))
     sender.sent_us = {"imu": 4_000}
     assert world.outstanding(8_000) is None
     assert not world.engaged
 
 
-def test_a_setpoint_that_arrives_between_two_looks_does_not_wait_for_the_next_datagram(
+def test_a_setpoint_that_arrives_between_two_checks_ends_the_wait_at_once(
     monkeypatch: pytest.MonkeyPatch, wake: int
 ) -> None:
     class Arriving(Sender):
@@ -151,18 +149,16 @@ def test_a_setpoint_that_arrives_between_two_looks_does_not_wait_for_the_next_da
             self.arrived["setpoint"] = tuple(math.nan if value is None else value for value in SETPOINT)
 
     host = Host(monkeypatch)
-    world = lockstep(Arriving())
+    world = make_lockstep(Arriving())
     world.update(Stepped({}, {"setpoint": SETPOINT}))
     began_s = host.now_s
     world.wait(4_000, [wake], lambda: True)
     assert host.now_s == began_s
 
 
-def test_a_lost_datagram_holds_the_world_for_a_second_only(
-    monkeypatch: pytest.MonkeyPatch, wake: int
-) -> None:
+def test_a_lost_datagram_delays_the_world_by_one_second(monkeypatch: pytest.MonkeyPatch, wake: int) -> None:
     host, sender = Host(monkeypatch), Sender()
-    world = lockstep(sender)
+    world = make_lockstep(sender)
     world.update(Stepped({"imu": 4_000}))
     sender.sent_us = {"imu": 8_000}
     began_s = host.now_s
@@ -179,11 +175,11 @@ def test_a_lost_datagram_holds_the_world_for_a_second_only(
         (Stepped({"imu": 4_000}, commands=1), "the result of a command"),
     ],
 )
-def test_who_does_not_answer_for_ten_seconds_ends_the_flight_and_is_named(
+def test_a_participant_that_is_silent_for_ten_seconds_is_named_and_ends_the_flight(
     monkeypatch: pytest.MonkeyPatch, wake: int, report: Stepped, missing: str
 ) -> None:
     host = Host(monkeypatch)
-    world = lockstep(Sender())
+    world = make_lockstep(Sender())
     world.update(report)
     began_s = host.now_s
     with pytest.raises(SilentParticipantError, match=f"waited 10 s for {missing}"):
@@ -191,22 +187,22 @@ def test_who_does_not_answer_for_ten_seconds_ends_the_flight_and_is_named(
     assert host.now_s - began_s == pytest.approx(10.0, abs=0.2)
 
 
-def test_who_does_not_answer_is_named_while_others_go_on_reporting(
+def test_a_silent_participant_is_named_while_others_keep_reporting(
     monkeypatch: pytest.MonkeyPatch, wake: int
 ) -> None:
     host = Host(monkeypatch)
-    world = lockstep(Sender())
+    world = make_lockstep(Sender())
     world.update(Stepped({}, plan_due_us=3_000))
     host.after = lambda: world.update(Stepped({}, plan_due_us=3_000))
     with pytest.raises(SilentParticipantError, match="the planner"):
         world.wait(8_000, [wake], lambda: True)
 
 
-def test_an_application_that_is_stopped_ends_the_flight_although_messages_may_be_lost(
+def test_a_stopped_application_ends_the_flight_despite_the_tolerance_of_losses(
     monkeypatch: pytest.MonkeyPatch, wake: int
 ) -> None:
     host, sender = Host(monkeypatch), Sender()
-    world = lockstep(sender)
+    world = make_lockstep(sender)
     world.update(Stepped({"imu": 4_000}))
     began_s = host.now_s
     ticks: list[int] = []
@@ -223,11 +219,11 @@ def test_an_application_that_is_stopped_ends_the_flight_although_messages_may_be
     assert len(ticks) <= 10
 
 
-def test_time_in_which_the_world_itself_did_not_run_is_nobodys_silence(
+def test_a_suspension_of_the_host_does_not_count_as_silence(
     monkeypatch: pytest.MonkeyPatch, wake: int
 ) -> None:
     host = Host(monkeypatch)
-    world = lockstep(Sender())
+    world = make_lockstep(Sender())
     world.update(Stepped({}, plan_due_us=0))
 
     def sleep() -> None:
@@ -241,13 +237,13 @@ def test_time_in_which_the_world_itself_did_not_run_is_nobodys_silence(
     world.wait(4_000, [wake], lambda: True)
 
 
-def test_a_world_without_its_application_goes_on(wake: int) -> None:
-    lockstep(Sender()).wait(4_000, [wake], lambda: False)
+def test_the_world_continues_without_its_application(wake: int) -> None:
+    make_lockstep(Sender()).wait(4_000, [wake], lambda: False)
 
 
-def test_px4s_sender_gets_time_to_send_what_is_due(monkeypatch: pytest.MonkeyPatch, wake: int) -> None:
+def test_px4_gets_time_to_send_telemetry_that_is_due(monkeypatch: pytest.MonkeyPatch, wake: int) -> None:
     host, sender = Host(monkeypatch), Sender()
-    world = lockstep(sender, answers_at_rest=False, sender_lag_us=16_000)
+    world = make_lockstep(sender, answers_at_rest=False, sender_lag_us=16_000)
     world.update(Stepped({"imu": 100_000}))
     sender.sent_us = {"imu": 100_000}
     assert world.outstanding(116_000) is None

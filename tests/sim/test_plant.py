@@ -1,4 +1,4 @@
-"""The plant's truth against the reference solutions, and what a body may not do."""
+"""The plant's truth against the reference solutions, and its physical limits."""
 
 import csv
 import math
@@ -16,14 +16,14 @@ from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.sim.plant import Plant
 
 ROOT = Path(__file__).parents[2]
-# The reference solutions are of a point.
+# The reference solutions model the vehicle as a point.
 VEHICLE = load_vehicle(ROOT / "configs/dart.yaml", ["simulation.contact.body=point"])
 ROWS = list(csv.DictReader((ROOT / "tests/data/wall_collisions.csv").open()))
 HOVER = VEHICLE.thrust.command_for(VEHICLE.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
 
 
 def flying_plant(onset: str, mode: Mode, normal_m_s: float, tangential_m_s: float, heading: float) -> Plant:
-    """A hovering plant without drag, 5 cm before an acrylic wall, heading parallel to it."""
+    """Return a hovering plant without drag, 5 cm before an acrylic wall, heading parallel to it."""
     still_air = msgspec.structs.replace(VEHICLE.airframe, drag_per_s=(0.0, 0.0, 0.0))
     vehicle = msgspec.structs.replace(VEHICLE, onset=onset, airframe=still_air)
     wall = Wall("wall", (1.0, 0.0), (-1.0, 0.0), 80.0, "acrylic")
@@ -82,7 +82,7 @@ def test_a_vehicle_beside_the_wall_flies_past() -> None:
     assert plant.frame.point_from_ned(plant.position)[0] > 1.1
 
 
-def test_with_a_significant_incidence_free_arms_behave_rigid() -> None:
+def test_flexible_arms_behave_rigidly_at_a_large_incidence() -> None:
     times = {}
     for incidence_deg in (0.0, 40.0):
         plant = flying_plant("lcp", Mode.FLEXIBLE, -1.0, 0.0, 0.0)
@@ -93,7 +93,7 @@ def test_with_a_significant_incidence_free_arms_behave_rigid() -> None:
     assert times[40.0] == pytest.approx(55.6, abs=1.0)
 
 
-def test_a_rod_cannot_lock_in_contact() -> None:
+def test_the_arms_cannot_lock_during_a_contact() -> None:
     plant = flying_plant("lcp", Mode.FLEXIBLE, -1.0, 0.0, 0.0)
     while not plant.in_contact:
         plant.advance((HOVER,) * 4)
@@ -104,7 +104,7 @@ def test_a_rod_cannot_lock_in_contact() -> None:
     assert plant.truth().mode is Mode.RIGID
 
 
-def test_resting_on_the_ground_it_stays_level_and_still() -> None:
+def test_a_vehicle_on_the_ground_stays_level_and_still() -> None:
     plant = Plant(VEHICLE, (), MissionFrame())
     plant.q = quaternion_from_euler(0.15, -0.1, 0.3)
     plant.velocity = (0.3, 0.0, 0.0)
@@ -119,15 +119,15 @@ def test_resting_on_the_ground_it_stays_level_and_still() -> None:
 
 def test_the_imu_saturates_at_full_scale() -> None:
     plant = flying_plant("lcp", Mode.RIGID, -4.0, 0.0, 0.0)
-    most = 0.0
+    largest = 0.0
     while not plant.finished:
-        most = max(most, *(abs(f) for f in plant.advance((HOVER,) * 4)))
+        largest = max(largest, *(abs(f) for f in plant.advance((HOVER,) * 4)))
     assert plant.finished[0].peak_normal_force_n / VEHICLE.airframe.mass_kg > 180.0
-    assert most == pytest.approx(VEHICLE.imu.full_scale_m_s2)
+    assert largest == pytest.approx(VEHICLE.imu.full_scale_m_s2)
 
 
 def test_arm_vibration_shakes_the_imu_but_not_the_centre_of_mass() -> None:
-    """After a flexible contact the IMU goes on shaking while the true velocity hardly changes."""
+    """After a flexible contact the IMU keeps shaking, while the true velocity hardly changes."""
     plant = flying_plant("lcp", Mode.FLEXIBLE, -1.0, 0.0, 0.0)
     first_contact(plant)
     speed = plant.velocity[0]

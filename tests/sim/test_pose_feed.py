@@ -1,4 +1,4 @@
-"""Frames of the simulated motion capture, and what faults make of them."""
+"""Frames of the simulated motion capture, with and without faults."""
 
 import math
 from pathlib import Path
@@ -25,7 +25,7 @@ LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
 class Frames:
-    """A publisher that keeps what it is given: time, tracked, position and attitude in NED."""
+    """A publisher that stores time, tracked, position and attitude in NED of every frame."""
 
     def __init__(self) -> None:
         self.kept: list[tuple[int, bool, Vec3, Quaternion]] = []
@@ -36,7 +36,7 @@ class Frames:
         self.kept.append((t_us, tracked, *MOCAP.room_frame().pose_to_ned(position_room, q_body_to_room)))
 
 
-def fed(fault: Fault | None, seconds: float = 1.0) -> tuple[Frames, list[float]]:
+def feed_poses(fault: Fault | None, seconds: float = 1.0) -> tuple[Frames, list[float]]:
     """Feed a vehicle that flies north at 1 m/s, with poses at 100 Hz; return frames and their times."""
     frames, times = Frames(), []
     feed = PoseFeed(MOCAP, frames, (0.0, -2.0, 0.0))
@@ -51,8 +51,8 @@ def fed(fault: Fault | None, seconds: float = 1.0) -> tuple[Frames, list[float]]
     return frames, times
 
 
-def test_without_a_fault_every_pose_arrives_in_the_axes_of_the_room() -> None:
-    frames, times = fed(None)
+def test_every_pose_arrives_in_the_axes_of_the_room_without_a_fault() -> None:
+    frames, times = feed_poses(None)
     assert len(times) == 100
     for t_us, tracked, position, q in frames.kept:
         assert tracked
@@ -61,8 +61,8 @@ def test_without_a_fault_every_pose_arrives_in_the_axes_of_the_room() -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.1, 0.3])
-def test_a_lost_body_is_in_the_frames_but_not_tracked(seconds: float) -> None:
-    frames, _ = fed(Fault("mocap-lost", seconds))
+def test_a_lost_body_remains_in_the_frames_as_untracked(seconds: float) -> None:
+    frames, _ = feed_poses(Fault("mocap-lost", seconds))
     lost = [1e-6 * t_us for t_us, tracked, _, _ in frames.kept if not tracked]
     assert min(lost) == 0.0
     assert max(lost) == pytest.approx(seconds, abs=0.012)
@@ -70,31 +70,31 @@ def test_a_lost_body_is_in_the_frames_but_not_tracked(seconds: float) -> None:
 
 @pytest.mark.parametrize("angle_deg", [90.0, 180.0])
 def test_swapped_markers_turn_the_body_about_its_origin(angle_deg: float) -> None:
-    frames, _ = fed(Fault("mocap-flip", angle_deg))
+    frames, _ = feed_poses(Fault("mocap-flip", angle_deg))
     _, _, _, q = frames.kept[-1]
     turn = quaternion_multiply(quaternion_conjugate(LEVEL), q)
     assert 2.0 * math.degrees(math.acos(min(1.0, abs(turn[0])))) == pytest.approx(angle_deg, abs=1e-3)
 
 
-def test_another_body_stands_north_of_the_start() -> None:
-    frames, _ = fed(Fault("mocap-other-body", 1.5))
+def test_the_pose_of_another_body_is_north_of_the_start() -> None:
+    frames, _ = feed_poses(Fault("mocap-other-body", 1.5))
     assert {tuple(round(x, 6) for x in position) for _, _, position, _ in frames.kept} == {(1.5, -2.0, 0.0)}
 
 
 @pytest.mark.parametrize("later_ms", [50.0, 150.0])
 def test_late_poses_keep_the_stamp_of_their_measurement(later_ms: float) -> None:
-    frames, times = fed(Fault("mocap-late", later_ms))
+    frames, times = feed_poses(Fault("mocap-late", later_ms))
     ages_s = [now_s - 1e-6 * frame[0] for now_s, frame in zip(times, frames.kept, strict=True)]
     assert min(ages_s) >= 1e-3 * later_ms - 1e-9
     assert max(ages_s) <= 1e-3 * later_ms + 0.004
 
 
-def test_slow_poses_come_at_their_rate() -> None:
-    _, times = fed(Fault("mocap-slow", 10.0), 2.0)
+def test_slow_poses_arrive_at_their_rate() -> None:
+    _, times = feed_poses(Fault("mocap-slow", 10.0), 2.0)
     assert len(times) == pytest.approx(20, abs=1)
 
 
-def test_the_embedded_autopilot_has_no_position_but_the_one_it_is_sent() -> None:
+def test_the_embedded_autopilot_has_a_position_only_while_poses_arrive() -> None:
     autopilot = make_autopilot(load_flyable(SINGLE), 1)
     autopilot.use_external_poses()
     for _ in range(500):
@@ -109,7 +109,7 @@ def test_the_embedded_autopilot_has_no_position_but_the_one_it_is_sent() -> None
     assert not autopilot.estimator.ok
 
 
-def test_poses_without_attitude_hold_the_position_and_leave_the_heading_to_the_gyro() -> None:
+def test_poses_without_attitude_correct_the_position_but_not_the_heading() -> None:
     autopilot = make_autopilot(load_flyable(SINGLE), 1)
     autopilot.use_external_poses()
     for _ in range(300):
@@ -124,7 +124,7 @@ def test_poses_without_attitude_hold_the_position_and_leave_the_heading_to_the_g
     assert yaw_ned_of(autopilot.estimator.q) == pytest.approx(heading, abs=math.radians(3.0))
 
 
-def test_an_autopilot_with_a_position_of_its_own_ignores_poses() -> None:
+def test_an_autopilot_with_its_own_position_ignores_poses() -> None:
     plain, sent = (make_autopilot(load_flyable(SINGLE), 1) for _ in range(2))
     for _ in range(200):
         plain.step()
@@ -133,7 +133,7 @@ def test_an_autopilot_with_a_position_of_its_own_ignores_poses() -> None:
     assert sent.estimator.position == plain.estimator.position
 
 
-def test_a_flight_on_forwarded_poses_alone_is_as_good_and_the_same_again() -> None:
+def test_a_flight_on_forwarded_poses_completes_and_is_reproducible() -> None:
     settings = ["simulation.pose_delay_s=0.03", "mocap.delay_ms=30", "mocap.up=y", "mocap.heading_deg=40"]
     mission = with_simulated_mocap(load_flyable(SINGLE, None, settings), "udp")
     first, again = (fly_fast(mission, 1, None) for _ in range(2))

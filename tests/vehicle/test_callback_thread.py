@@ -1,4 +1,4 @@
-"""MAVSDK's callback thread stays known to the interpreter: real MAVSDK, against the embedded autopilot."""
+"""MAVSDK's callback thread keeps its thread-local data: real MAVSDK against the embedded autopilot."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _WAIT_S, _ENOUGH = 20.0, 100
 
 @pytest.mark.realtime
 @pytest.mark.mavlink
-def test_what_a_callback_leaves_behind_the_next_one_finds() -> None:
-    """A thread that the interpreter forgets between two callbacks begins at one every time."""
+def test_thread_local_data_persists_between_callbacks() -> None:
+    """If the interpreter forgot the thread between two callbacks, the count would restart at one."""
     port = free_udp_port()
-    own = threading.local()
+    thread_data = threading.local()
     counts: dict[int, int] = {}
 
     async def listen() -> None:
@@ -32,9 +32,9 @@ def test_what_a_callback_leaves_behind_the_next_one_finds() -> None:
         loop, enough = asyncio.get_running_loop(), asyncio.Event()
 
         def deliver(_: object) -> None:
-            own.count = getattr(own, "count", 0) + 1
-            counts[threading.get_ident()] = own.count
-            if own.count == _ENOUGH:
+            thread_data.count = getattr(thread_data, "count", 0) + 1
+            counts[threading.get_ident()] = thread_data.count
+            if thread_data.count == _ENOUGH:
                 loop.call_soon_threadsafe(enough.set)
 
         async with connect(f"udpin://127.0.0.1:{port}", _WAIT_S, deliver) as session:

@@ -12,25 +12,27 @@ _KEPT_S = 8
 
 
 @given(st.lists(st.tuples(st.integers(1, 900_000), st.integers(0, 400_000)), min_size=1, max_size=60))
-def test_it_is_the_least_late_message_of_the_last_seconds(steps: list[tuple[int, int]]) -> None:
-    """Steps: how much later a message comes than the one before, and how late it is."""
+def test_the_offset_follows_the_least_delayed_message_of_the_last_seconds(
+    steps: list[tuple[int, int]],
+) -> None:
+    """Each step holds the time since the previous message and the delay of the message."""
     clock, host_us = ClockEstimate(), 0
     best: dict[int, int] = {}  # second -> largest difference
     reported: int | None = None
-    for later_us, late_us in steps:
-        host_us += later_us
+    for interval_us, delay_us in steps:
+        host_us += interval_us
         second = host_us // 1_000_000
-        best[second] = max(best.get(second, -late_us), -late_us)
+        best[second] = max(best.get(second, -delay_us), -delay_us)
         expected = _AHEAD_US + max(list(best.values())[-_KEPT_S:])
-        said = clock.update(host_us - late_us + _AHEAD_US, host_us)
+        announced = clock.update(host_us - delay_us + _AHEAD_US, host_us)
         assert clock.offset_us == expected
         noticeable = reported is None or abs(expected - reported) >= 200
-        assert said == (expected if noticeable else None)
+        assert announced == (expected if noticeable else None)
         reported = expected if noticeable else reported
         assert clock.to_autopilot(host_us) == host_us + expected
 
 
-def test_another_vehicles_clock_is_not_believed_at_once() -> None:
+def test_another_vehicles_clock_is_adopted_only_after_fifty_messages() -> None:
     clock = ClockEstimate()
     clock.update(1_000_000, 500_000)
     for i in range(49):

@@ -1,4 +1,4 @@
-"""Real MAVSDK on a link that another component of the same system shares: nothing of it becomes a sample."""
+"""Real MAVSDK on a link shared with another component: its messages do not become samples."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _WAIT_S, _ENOUGH = 30.0, 200
 
 @pytest.mark.mavlink
 def test_no_sample_of_another_component_reaches_the_core() -> None:
-    port, seen = free_udp_port(), list[Any]()
+    port, delivered = free_udp_port(), list[Any]()
     vehicle = load_mission(MISSION).vehicle
 
     async def listen() -> dict[tuple[str, int, int, int], Any]:
@@ -43,7 +43,7 @@ def test_no_sample_of_another_component_reaches_the_core() -> None:
         )
 
         def deliver(record: Any) -> None:
-            seen.append(record)
+            delivered.append(record)
             if type(record) in counts:
                 counts[type(record)] += 1
                 if min(counts.values()) >= _ENOUGH and session_senders:
@@ -68,17 +68,17 @@ def test_no_sample_of_another_component_reaches_the_core() -> None:
         finally:
             simulator.terminate()
 
-    def of(kind: type[Any]) -> list[Any]:
-        return [record for record in seen if isinstance(record, kind)]
+    def records_of(kind: type[Any]) -> list[Any]:
+        return [record for record in delivered if isinstance(record, kind)]
 
-    assert all(abs(c) < 20.0 for s in of(OdometrySample) for c in s.position_ned)
-    assert all(s.specific_force_frd[2] > -50.0 for s in of(ImuSample))
-    assert max(s.t_us for s in of(ImuSample)) < 10**12
-    assert all(s.motors == (0.0,) * 4 for s in of(ActuatorSample))
-    assert all(s.position_sd_m is None or s.position_sd_m < 1.0 for s in of(EstimatorSample))
-    assert {s.reset_counter for s in of(EstimatorSample)} <= {None, *range(10)}
-    for status in of(StatusSample):
+    assert all(abs(c) < 20.0 for s in records_of(OdometrySample) for c in s.position_ned)
+    assert all(s.specific_force_frd[2] > -50.0 for s in records_of(ImuSample))
+    assert max(s.t_us for s in records_of(ImuSample)) < 10**12
+    assert all(s.motors == (0.0,) * 4 for s in records_of(ActuatorSample))
+    assert all(s.position_sd_m is None or s.position_sd_m < 1.0 for s in records_of(EstimatorSample))
+    assert {s.reset_counter for s in records_of(EstimatorSample)} <= {None, *range(10)}
+    for status in records_of(StatusSample):
         assert status.landed is not LandedState.LANDING
         assert status.battery_v is None or status.battery_v > 10.0
-    assert not any("failsafe" in text.text for text in of(StatusText))
+    assert not any("failsafe" in text.text for text in records_of(StatusText))
     assert all(count.usable == 0 for key, count in senders.items() if key[2] == COMPONENT)

@@ -1,4 +1,4 @@
-"""One link, one program: leases between processes, other people's programs, serial devices."""
+"""Exclusive use of a link: leases between processes, foreign programs, serial devices."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def url(port: int) -> str:
 
 
 @pytest.fixture
-def flying(url: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+def holding_process(url: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """Another process that holds the link, as a flight does."""
     command = [sys.executable, "-c", HOLD, url, str(tmp_path / "flight.mcap")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -69,7 +69,7 @@ def flying(url: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     process.communicate()
 
 
-def test_two_ways_to_write_one_place_are_one_place(tmp_path: Path) -> None:
+def test_different_urls_of_one_endpoint_have_the_same_key(tmp_path: Path) -> None:
     device = tmp_path / "ttyTest"
     device.touch()
     (tmp_path / "serial0").symlink_to(device)
@@ -81,27 +81,29 @@ def test_two_ways_to_write_one_place_are_one_place(tmp_path: Path) -> None:
 
 
 def test_the_program_that_holds_a_link_is_named(
-    flying: subprocess.Popen[str], url: str, tmp_path: Path
+    holding_process: subprocess.Popen[str], url: str, tmp_path: Path
 ) -> None:
     with pytest.raises(LinkInUseError) as caught:
         LinkLease(url.replace("0.0.0.0", "127.0.0.1"), "monitor").acquire()
-    assert caught.value.message == f"in use by fly, process {flying.pid}"
+    assert caught.value.message == f"in use by fly, process {holding_process.pid}"
     holder = find_holder(url)
     assert holder is not None
-    assert (holder.pid, holder.log) == (flying.pid, str(tmp_path / "flight.mcap"))
-    assert [one.pid for one in held_links()] == [flying.pid]
+    assert (holder.pid, holder.log) == (holding_process.pid, str(tmp_path / "flight.mcap"))
+    assert [lease.pid for lease in held_links()] == [holding_process.pid]
 
 
-def test_a_link_is_free_again_however_its_program_ended(flying: subprocess.Popen[str], url: str) -> None:
-    flying.send_signal(signal.SIGKILL)
-    flying.wait()
+def test_a_link_is_free_again_after_its_program_was_killed(
+    holding_process: subprocess.Popen[str], url: str
+) -> None:
+    holding_process.send_signal(signal.SIGKILL)
+    holding_process.wait()
     assert find_holder(url) is None
     with LinkLease(url, "check"):
         assert find_holder(url) is not None
     assert list(held_links()) == []
 
 
-def test_two_parts_of_one_program_exclude_each_other(url: str) -> None:
+def test_two_leases_in_one_program_exclude_each_other(url: str) -> None:
     with LinkLease(url, "fly"), pytest.raises(LinkInUseError, match="in use by fly"):
         LinkLease(url, "check").acquire()
 
@@ -118,22 +120,22 @@ def test_two_parts_of_one_program_exclude_each_other(url: str) -> None:
     ids=lambda command: command[0],
 )
 def test_every_command_on_a_link_in_use_is_refused_in_one_line(
-    flying: subprocess.Popen[str], url: str, command: list[str], capsys: pytest.CaptureFixture[str]
+    holding_process: subprocess.Popen[str], url: str, command: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*command, "--connection", url]) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "in use" in line]
-    assert f"in use by fly, process {flying.pid}" in line
+    assert f"in use by fly, process {holding_process.pid}" in line
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])
-def test_a_port_that_cannot_be_bound_is_not_called_free(host: str, port: int) -> None:
+def test_a_port_that_cannot_be_bound_is_not_reported_as_free(host: str, port: int) -> None:
     with pytest.raises(InputError, match=rf"cannot open UDP port {host}:{port}: "):
         udp_port_is_free(port, host)
 
 
 def test_a_foreign_program_on_the_port_is_named(port: int, url: str) -> None:
     listen = "import socket,sys,time; s=socket.socket(type=socket.SOCK_DGRAM);"
-    # As MAVSDK and ground stations open it: others may share.
+    # MAVSDK and ground stations open the port like this, so that others may share it.
     listen += "s.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1);"
     listen += f"s.bind(('127.0.0.1', {port})); print('bound', flush=True); time.sleep(60)"
     other = subprocess.Popen([sys.executable, "-c", listen], stdout=subprocess.PIPE, text=True)
@@ -152,7 +154,7 @@ def test_a_foreign_program_on_the_port_is_named(port: int, url: str) -> None:
         pass
 
 
-def test_free_links_differ() -> None:
+def test_two_acquired_free_links_differ() -> None:
     (one, first), (two, second) = acquire_free_link("dry-run"), acquire_free_link("dry-run")
     first.release()
     second.release()
@@ -182,21 +184,23 @@ def test_a_serial_device_that_another_program_has_open_is_refused(tmp_path: Path
         os.close(master)
 
 
-def test_a_serial_device_is_locked_for_other_programs_and_other_state_folders() -> None:
+def test_a_serial_device_is_locked_against_programs_with_other_state_folders() -> None:
     master, slave = pty.openpty()
     name = os.ttyname(slave)
     os.close(slave)
     url = f"serial://{name}:57600"
     with LinkLease(url, "fly") as lease:
         lease.lock_device()
-        take = "import fcntl,os,sys; d=os.open(sys.argv[1], os.O_RDWR);"
-        take += "fcntl.flock(d, fcntl.LOCK_EX|fcntl.LOCK_NB)"
-        # What pyserial does with exclusive=True.
-        done = subprocess.run([sys.executable, "-c", take, name], capture_output=True, text=True, check=False)
+        lock_code = "import fcntl,os,sys; d=os.open(sys.argv[1], os.O_RDWR);"
+        lock_code += "fcntl.flock(d, fcntl.LOCK_EX|fcntl.LOCK_NB)"
+        # pyserial does the same with exclusive=True.
+        done = subprocess.run(
+            [sys.executable, "-c", lock_code, name], capture_output=True, text=True, check=False
+        )
         assert done.returncode != 0
-        elsewhere = {**os.environ, "DART_FLIGHT_STATE_DIR": os.environ["DART_FLIGHT_STATE_DIR"] + "2"}
+        other_environment = {**os.environ, "DART_FLIGHT_STATE_DIR": os.environ["DART_FLIGHT_STATE_DIR"] + "2"}
         command = [sys.executable, "-m", "dart_flight", "check", MISSION, "--connection", url]
-        checked = subprocess.run(command, env=elsewhere, capture_output=True, text=True, check=False)
+        checked = subprocess.run(command, env=other_environment, capture_output=True, text=True, check=False)
         assert checked.returncode == 2
         assert f"{name} is in use by" in checked.stderr
         assert f"process {os.getpid()}" in checked.stderr
@@ -206,25 +210,25 @@ def test_a_serial_device_is_locked_for_other_programs_and_other_state_folders() 
     os.close(master)
 
 
-def test_a_read_of_nothing_waits_once_the_link_is_open() -> None:
-    """With VMIN 0, as MAVSDK sets it, its thread would read nothing for ever and take a whole core."""
+def test_an_empty_serial_read_blocks_once_the_device_is_locked() -> None:
+    """MAVSDK sets VMIN 0, with which its thread would poll without end and occupy a whole core."""
     master, slave = pty.openpty()
     name = os.ttyname(slave)
     os.close(slave)
     with LinkLease(f"serial://{name}:57600", "fly") as lease:
-        theirs = os.open(name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        tty.setraw(theirs)
-        settings = termios.tcgetattr(theirs)
+        mavsdk_descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(mavsdk_descriptor)
+        settings = termios.tcgetattr(mavsdk_descriptor)
         settings[6][termios.VMIN] = 0
-        termios.tcsetattr(theirs, termios.TCSANOW, settings)
-        assert os.read(theirs, 1) == b""
+        termios.tcsetattr(mavsdk_descriptor, termios.TCSANOW, settings)
+        assert os.read(mavsdk_descriptor, 1) == b""
         lease.lock_device()
         with pytest.raises(BlockingIOError):
-            os.read(theirs, 1)
-        os.close(theirs)
+            os.read(mavsdk_descriptor, 1)
+        os.close(mavsdk_descriptor)
     os.close(master)
 
 
-def test_a_serial_device_that_is_not_there_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_serial_device_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InputError, match="this serial device does not exist"):
         LinkLease("serial:///dev/ttyNone9:57600", "fly").acquire()

@@ -1,4 +1,4 @@
-"""The acceptance table: every row with a wrong sender, another instance, no values, a neighbouring scale."""
+"""The message table: every entry with a foreign sender, another instance, no values and a wrong scale."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Fields = dict[str, Any]
 
 
 class Row(NamedTuple):
-    """A good message of an entry and its neighbours; None: the message cannot have one."""
+    """A good message of an entry and its bad variants; None if the message has no such variant."""
 
     good: Fields
     nothing: Fields  # marked as invalid
@@ -39,7 +39,7 @@ class Row(NamedTuple):
     other_instance: Fields | None = None
 
 
-_NAN = None  # as it arrives
+_NAN = None  # JSON has no NaN
 _IMU: Fields = {
     "time_usec": 5, "xacc": 0.1, "yacc": 0.2, "zacc": -9.8, "xgyro": 0.3, "ygyro": 0.1, "zgyro": 0.0,
     "fields_updated": 63, "id": 0,
@@ -66,7 +66,7 @@ ROWS: dict[str, Row] = {
     "HEARTBEAT": Row(
         {"autopilot": 12, "base_mode": 129, "custom_mode": 6 << 16, "system_status": 4},
         {"base_mode": 128},
-        {"autopilot": 3},  # the same numbers mean other modes
+        {"autopilot": 3},  # ArduPilot numbers other modes
     ),
     "EXTENDED_SYS_STATE": Row({"landed_state": 1}, {"landed_state": 0}, {"landed_state": 100}),
     "ACTUATOR_OUTPUT_STATUS": Row(
@@ -78,7 +78,7 @@ ROWS: dict[str, Row] = {
         {"time_usec": 5, "index": 0, "rpm": [9000] * 4},
         {"rpm": []},
         {"rpm": [9_000_000] * 4},  # 1/min times 1000
-        {"index": 4},  # a group without the first one
+        {"index": 4},  # a group without the first motor
     ),
     "BATTERY_STATUS": Row(
         _BATTERY,
@@ -103,66 +103,68 @@ def message(fields: Fields, component: int = 1, system: int = 1) -> Any:
     return SimpleNamespace(system_id=system, component_id=component, fields_json=json.dumps(fields))
 
 
-class Heard:
-    """A session that is sent messages of one entry: what becomes of them."""
+class EntryRig:
+    """A session that receives messages of one entry, with the number of records they produce."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, entry: MessageEntry) -> None:
         self.rig, self.name = Rig(monkeypatch, {}), entry.message
         estimation = SimpleNamespace(uses_esc=True, thrust_source=None)
         self.rig.session.subscribe(estimation, 4, lowest_battery_v=14.0)  # type: ignore[arg-type]
         if entry.message not in self.rig.plugins["MavlinkDirect"].callbacks:
-            self.rig.session.listen(entry, lambda value, _: self.rig.seen.append(value))
+            self.rig.session.listen(entry, lambda value, _: self.rig.delivered.append(value))
 
     def send(self, fields: Fields, component: int = 1, system: int = 1) -> int:
-        """Send a message; returns how many records or values it led to."""
-        before = len(self.rig.seen)
-        self.rig.say("MavlinkDirect", self.name, message(fields, component, system))
-        return len(self.rig.seen) - before
+        """Send a message; return the number of records or values it produces."""
+        before = len(self.rig.delivered)
+        self.rig.publish("MavlinkDirect", self.name, message(fields, component, system))
+        return len(self.rig.delivered) - before
 
     @property
     def usable(self) -> dict[tuple[int, int], int]:
-        """Usable messages by system and component."""
+        """Number of usable messages by system and component."""
         found: dict[tuple[int, int], int] = {}
         for (_, system, component, _), count in self.rig.session.senders.items():
             found[system, component] = found.get((system, component), 0) + count.usable
         return found
 
 
-def test_the_table_and_the_rows_here_are_the_same() -> None:
+def test_every_table_entry_has_a_row() -> None:
     assert [entry.message for entry in ENTRIES] == list(ROWS)
     assert {entry.stream for entry in ENTRIES} >= {stream.name for stream in STREAMS}
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.message)
-def test_only_the_autopilots_component_is_heard(monkeypatch: pytest.MonkeyPatch, entry: MessageEntry) -> None:
-    good, heard = ROWS[entry.message].good, Heard(monkeypatch, entry)
-    for component, system in ((197, 1), (154, 1), (0, 1), (1, 7)):
-        assert heard.send(good, component, system) == 0
-        assert heard.usable[system, component] == 0, "counted all the same, for `check`"
-    assert heard.send(good) > 0
-    assert heard.usable[1, 1] == 1
-
-
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.message)
-@pytest.mark.parametrize("what", ["nothing", "other_scale", "other_instance"])
-def test_a_message_without_usable_values_is_no_sample(
-    monkeypatch: pytest.MonkeyPatch, entry: MessageEntry, what: str
+def test_only_messages_of_the_autopilots_component_are_used(
+    monkeypatch: pytest.MonkeyPatch, entry: MessageEntry
 ) -> None:
-    row, heard = ROWS[entry.message], Heard(monkeypatch, entry)
-    changes = getattr(row, what)
-    if changes is None or (entry.message, what) == ("BATTERY_STATUS", "other_instance"):
-        return  # judged among the others: see the tests of batteries
-    assert heard.send({**row.good, **changes}) == 0
-    assert heard.usable[1, 1] == 0
-    (count,) = heard.rig.session.senders.values()
-    assert count.reason
-    if what != "other_instance" and entry.message != "ACTUATOR_OUTPUT_STATUS":
-        assert entry.decode(json.dumps({**row.good, **changes})) is None
-    assert heard.send(row.good) > 0, "the next good one counts"
+    good, entry_rig = ROWS[entry.message].good, EntryRig(monkeypatch, entry)
+    for component, system in ((197, 1), (154, 1), (0, 1), (1, 7)):
+        assert entry_rig.send(good, component, system) == 0
+        assert entry_rig.usable[system, component] == 0, "foreign messages are counted for `check`"
+    assert entry_rig.send(good) > 0
+    assert entry_rig.usable[1, 1] == 1
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.message)
-def test_whatever_json_comes_a_decoder_answers(entry: MessageEntry) -> None:
+@pytest.mark.parametrize("variant", ["nothing", "other_scale", "other_instance"])
+def test_a_message_without_usable_values_produces_no_sample(
+    monkeypatch: pytest.MonkeyPatch, entry: MessageEntry, variant: str
+) -> None:
+    row, entry_rig = ROWS[entry.message], EntryRig(monkeypatch, entry)
+    changes = getattr(row, variant)
+    if changes is None or (entry.message, variant) == ("BATTERY_STATUS", "other_instance"):
+        return  # covered by the tests of batteries
+    assert entry_rig.send({**row.good, **changes}) == 0
+    assert entry_rig.usable[1, 1] == 0
+    (count,) = entry_rig.rig.session.senders.values()
+    assert count.reason
+    if variant != "other_instance" and entry.message != "ACTUATOR_OUTPUT_STATUS":
+        assert entry.decode(json.dumps({**row.good, **changes})) is None
+    assert entry_rig.send(row.good) > 0, "the next good message counts"
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.message)
+def test_a_decoder_returns_none_for_malformed_messages(entry: MessageEntry) -> None:
     for text in ("", "null", "[]", "{}", '{"x":', '{"id": "a"}'):
         assert entry.decode(text) is None
 
@@ -170,36 +172,38 @@ def test_whatever_json_comes_a_decoder_answers(entry: MessageEntry) -> None:
 @given(
     st.dictionaries(st.sampled_from([*_ODOMETRY]), st.none() | st.floats(-1e9, 1e9) | st.integers(-9, 300))
 )
-def test_no_odometry_has_a_value_that_is_none(changes: Fields) -> None:
+def test_decoded_odometry_has_only_finite_values(changes: Fields) -> None:
     found = messages.ODOMETRY.decode(json.dumps({**_ODOMETRY, **changes}))
     if found is not None:
         assert all(math.isfinite(v) and abs(v) <= 1e4 for v in (*found.position_ned, *found.velocity_ned))
 
 
-# --- the senders of the issue ------------------------------------------------------------------------------
+# --- foreign senders ---------------------------------------------------------------------------------------
 
 
-def heard(monkeypatch: pytest.MonkeyPatch) -> Rig:
+def subscribed_rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
     rig = Rig(monkeypatch, {})
     estimation = SimpleNamespace(uses_esc=True, thrust_source=None)
     rig.session.subscribe(estimation, 4, lowest_battery_v=14.0)  # type: ignore[arg-type]
     return rig
 
 
-def test_a_visual_odometry_turned_or_shifted_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = heard(monkeypatch)
+def test_visual_odometry_of_another_component_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = subscribed_rig(monkeypatch)
     turned = {**_ODOMETRY, "x": -1.2, "y": 1.9, "frame_id": 20, "child_frame_id": 12, "estimator_type": 2}
     for fields, component in ((turned, 197), (_ODOMETRY, 1), ({**_ODOMETRY, "x": 1.25}, 197)):
-        rig.say("MavlinkDirect", "ODOMETRY", message(fields, component))
-    (sample,) = rig.of(OdometrySample)
+        rig.publish("MavlinkDirect", "ODOMETRY", message(fields, component))
+    (sample,) = rig.records_of(OdometrySample)
     assert sample.position_ned == (1.0, 2.0, -3.0)
-    assert len(rig.of(EstimatorSample)) == 1  # a foreign reset counter is none either
+    assert len(rig.records_of(EstimatorSample)) == 1  # the foreign reset counter is ignored too
 
 
 @pytest.mark.parametrize("velocity", [None, 0.1])
 @pytest.mark.parametrize("frame", [1, 20])
-def test_a_loopback_of_an_external_pose_is_refused_by_name(velocity: float | None, frame: int) -> None:
-    """PX4 before 1.14 with MAV_ODOM_LP 1."""
+def test_a_loopback_of_an_external_pose_is_refused_with_its_reason(
+    velocity: float | None, frame: int
+) -> None:
+    """PX4 before 1.14 sends it with MAV_ODOM_LP 1."""
     echo = {**_ODOMETRY, "frame_id": frame, "child_frame_id": 12, "estimator_type": 2,
             **dict.fromkeys(("vx", "vy", "vz"), velocity)}  # fmt: skip
     _, refused = messages.ODOMETRY.reader()(json.dumps(echo))
@@ -208,7 +212,7 @@ def test_a_loopback_of_an_external_pose_is_refused_by_name(velocity: float | Non
     assert ("without a velocity" in refused.reason) is (velocity is None)
 
 
-def test_a_velocity_in_the_body_frame_is_refused_with_the_version_that_sends_it() -> None:
+def test_a_body_frame_velocity_is_refused_with_the_px4_version_that_sends_it() -> None:
     _, refused = messages.ODOMETRY.reader()(json.dumps({**_ODOMETRY, "child_frame_id": 12}))
     assert "before PX4 1.14" in refused.reason
 
@@ -216,31 +220,31 @@ def test_a_velocity_in_the_body_frame_is_refused_with_the_version_that_sends_it(
 def test_a_stream_without_a_usable_message_is_reported_with_its_reason(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    rig = heard(monkeypatch)
+    rig = subscribed_rig(monkeypatch)
     for _ in range(100):
-        rig.hear("ODOMETRY", **{**_ODOMETRY, "vx": None})
-    (text,) = rig.of(StatusText)
+        rig.receive("ODOMETRY", **{**_ODOMETRY, "vx": None})
+    (text,) = rig.records_of(StatusText)
     assert text.text == "ODOMETRY arrives, none has a velocity"
     assert text.found_here
     assert EventFormatter().format_event(text) == (Level.ERROR, "link", text.text, "")
 
 
-def test_a_foreign_imu_and_a_second_one_are_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = heard(monkeypatch)
-    rig.say("MavlinkDirect", "HIGHRES_IMU", message({**_IMU, "time_usec": 10**12}, 197))
-    assert rig.session.clock.offset_us is None  # and the clock does not follow it
-    rig.hear("HIGHRES_IMU", **{**_IMU, "id": 1})
-    assert rig.of(ImuSample) == []
-    rig.hear("HIGHRES_IMU", **_IMU)
-    (sample,) = rig.of(ImuSample)
+def test_a_foreign_imu_and_a_second_imu_are_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = subscribed_rig(monkeypatch)
+    rig.publish("MavlinkDirect", "HIGHRES_IMU", message({**_IMU, "time_usec": 10**12}, 197))
+    assert rig.session.clock.offset_us is None  # the clock does not follow the foreign IMU
+    rig.receive("HIGHRES_IMU", **{**_IMU, "id": 1})
+    assert rig.records_of(ImuSample) == []
+    rig.receive("HIGHRES_IMU", **_IMU)
+    (sample,) = rig.records_of(ImuSample)
     assert (sample.specific_force_frd, sample.rate_frd) == ((0.1, 0.2, -9.8), (0.3, 0.1, 0.0))
     assert rig.session.clock.offset_us == 5 - sample.received_us
 
 
-def test_a_failsafe_and_a_landing_of_another_component_are_not_the_vehicles(
+def test_status_messages_of_another_component_are_ignored(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    rig = heard(monkeypatch)
+    rig = subscribed_rig(monkeypatch)
     for name, fields in (
         ("STATUSTEXT", {"severity": 2, "text": "failsafe", "id": 0}),
         ("EXTENDED_SYS_STATE", {"landed_state": 1}),
@@ -248,9 +252,9 @@ def test_a_failsafe_and_a_landing_of_another_component_are_not_the_vehicles(
         ("ESTIMATOR_STATUS", {"flags": 0, "pos_horiz_accuracy": 9.0}),
         ("SYS_STATUS", dict.fromkeys(_SENSORS, 1)),
     ):
-        rig.say("MavlinkDirect", name, message(fields, 197))
-    rig.say("Events", "events", SimpleNamespace(compid=197, log_level=2, message="failsafe"))
-    assert rig.seen == []
+        rig.publish("MavlinkDirect", name, message(fields, 197))
+    rig.publish("Events", "events", SimpleNamespace(compid=197, log_level=2, message="failsafe"))
+    assert rig.delivered == []
 
 
 # --- batteries ---------------------------------------------------------------------------------------------
@@ -271,55 +275,55 @@ FLIGHT_FULL, RAIL = battery(0, 16.2, 95), battery(1, 5.0, 40)
     [
         ((FLIGHT_LOW, OTHER_FULL), (0, 9.0, 0.04), []),
         ((FLIGHT_FULL, RAIL), (0, 16.2, 0.95), [1]),
-        ((FLIGHT_FULL, battery(1, 16.0, 30, function=4)), (0, 16.2, 0.95), [1]),  # a payload's
+        ((FLIGHT_FULL, battery(1, 16.0, 30, function=4)), (0, 16.2, 0.95), [1]),  # of a payload
         ((battery(0, 15.0, 60), battery(1, 15.5, 20)), (1, 15.5, 0.2), []),
-        ((battery(0, 12.0, 90), battery(1, 15.5, 50)), (0, 12.0, 0.9), []),  # the voltage says it first
-        ((RAIL, battery(0, 6.0, 90)), (1, 5.0, 0.4), []),  # nothing that can fly: the worst of all
+        ((battery(0, 12.0, 90), battery(1, 15.5, 50)), (0, 12.0, 0.9), []),  # low by its voltage
+        ((RAIL, battery(0, 6.0, 90)), (1, 5.0, 0.4), []),  # no flight battery: the worst of all
     ],
 )
-def test_the_worst_battery_that_flies_is_judged_in_any_order(
+def test_the_worst_flight_battery_is_reported_in_any_message_order(
     monkeypatch: pytest.MonkeyPatch,
     both: tuple[Fields, Fields],
     judged: tuple[int, float, float],
     others: list[int],
     order: int,
 ) -> None:
-    rig = heard(monkeypatch)
+    rig = subscribed_rig(monkeypatch)
     for _ in range(2):
         for fields in both[::order]:
-            rig.hear("BATTERY_STATUS", **fields)
-    for status in rig.of(StatusSample)[1:]:  # no reading of the other one in between
+            rig.receive("BATTERY_STATUS", **fields)
+    for status in rig.records_of(StatusSample)[1:]:  # the other battery never appears in between
         assert (status.battery_id, status.battery_v, status.battery_remaining) == judged
     assert [reading.id for reading in rig.session.batteries.other_batteries()] == others
 
 
-def test_a_flight_battery_that_collapses_stays_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its voltage has been a flight battery's; a rail's never was."""
-    rig = heard(monkeypatch)
+def test_a_collapsing_flight_battery_remains_a_flight_battery(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It once had the voltage of a flight battery; a power rail never had."""
+    rig = subscribed_rig(monkeypatch)
     for fields in (FLIGHT_FULL, OTHER_FULL, battery(0, 5.0, 40)):
-        rig.hear("BATTERY_STATUS", **fields)
-    assert rig.of(StatusSample)[-1].battery_id == 0
+        rig.receive("BATTERY_STATUS", **fields)
+    assert rig.records_of(StatusSample)[-1].battery_id == 0
 
 
-def test_a_battery_that_is_taken_off_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = heard(monkeypatch)
+def test_a_removed_battery_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = subscribed_rig(monkeypatch)
     gone = {**battery(0, 9.0, -1), "voltages": [65535] * 10}
     for fields in (FLIGHT_LOW, OTHER_FULL, gone):
-        rig.hear("BATTERY_STATUS", **fields)
-    assert rig.of(StatusSample)[-1].battery_id == 1
+        rig.receive("BATTERY_STATUS", **fields)
+    assert rig.records_of(StatusSample)[-1].battery_id == 1
 
 
 @pytest.mark.parametrize(
     ("voltages", "more", "expected"),
     [
         ([4000, 4010, 4020, 4030], [], 16.06),  # cells
-        ([16000], [], 16.0),  # all in the first
-        ([65534, 4466], [], 70.0),  # more than fits into one
+        ([16000], [], 16.0),  # all in the first field
+        ([65534, 4466], [], 70.0),  # more than one field can hold
         ([4000] * 10, [4000, 4000, 0, 0], 48.0),
         ([], [], None),
     ],
 )
-def test_a_voltage_is_the_sum_of_what_is_known(
+def test_a_battery_voltage_is_the_sum_of_the_known_fields(
     voltages: list[int], more: list[int], expected: float | None
 ) -> None:
     fields = {**_BATTERY, "voltages": voltages + [65535] * (10 - len(voltages)), "voltages_ext": more}
@@ -328,58 +332,60 @@ def test_a_voltage_is_the_sum_of_what_is_known(
     assert found.remaining == 0.8
 
 
-# --- parts -------------------------------------------------------------------------------------------------
+# --- messages in parts -------------------------------------------------------------------------------------
 
 
-def say(rig: Rig, *parts: tuple[int, int, str]) -> list[str]:
+def deliver_text_parts(rig: Rig, *parts: tuple[int, int, str]) -> list[str]:
     for number, chunk, text in parts:
-        rig.hear("STATUSTEXT", severity=4, id=number, chunk_seq=chunk, text=text)
-    return [text.text for text in rig.of(StatusText)]
+        rig.receive("STATUSTEXT", severity=4, id=number, chunk_seq=chunk, text=text)
+    return [text.text for text in rig.records_of(StatusText)]
 
 
 LONG = "Critical battery level: switching to Land because "  # 50 bytes
 
 
-def test_a_long_text_comes_in_parts_and_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_parts_of_a_long_text_are_joined(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(LONG) == 50
     parts = ((7, 0, LONG), (7, 1, LONG), (7, 2, "of it"))
-    assert say(heard(monkeypatch), *parts) == [LONG + LONG + "of it"]
-    assert say(heard(monkeypatch), (7, 0, LONG), (7, 1, "")) == [LONG.strip()]  # it ends where a part does
+    assert deliver_text_parts(subscribed_rig(monkeypatch), *parts) == [LONG + LONG + "of it"]
+    assert deliver_text_parts(subscribed_rig(monkeypatch), (7, 0, LONG), (7, 1, "")) == [
+        LONG.strip()
+    ]  # ends exactly with a part
 
 
-def test_a_text_that_lost_a_part_is_delivered_with_a_mark(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert say(heard(monkeypatch), (7, 0, LONG), (7, 2, "end")) == [LONG + "...end"]
-    rig = heard(monkeypatch)
-    assert say(rig, (7, 0, LONG), (8, 0, "another")) == [LONG + "...", "another"]
-    rig = heard(monkeypatch)
-    say(rig, (7, 0, LONG))
+def test_a_text_with_a_lost_part_is_delivered_with_an_ellipsis(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert deliver_text_parts(subscribed_rig(monkeypatch), (7, 0, LONG), (7, 2, "end")) == [LONG + "...end"]
+    rig = subscribed_rig(monkeypatch)
+    assert deliver_text_parts(rig, (7, 0, LONG), (8, 0, "another")) == [LONG + "...", "another"]
+    rig = subscribed_rig(monkeypatch)
+    deliver_text_parts(rig, (7, 0, LONG))
     for _ in range(2):  # seconds later
-        rig.hear("HEARTBEAT", **ROWS["HEARTBEAT"].good)
-    assert [text.text for text in rig.of(StatusText)] == [LONG + "..."]
+        rig.receive("HEARTBEAT", **ROWS["HEARTBEAT"].good)
+    assert [text.text for text in rig.records_of(StatusText)] == [LONG + "..."]
 
 
-def test_speeds_of_six_motors_come_in_two_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_speeds_of_six_motors_are_joined_from_two_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(SimpleNamespace(uses_esc=True), 6)  # type: ignore[arg-type]
     for time_us, index, rpm in (
         (5, 4, [9] * 4),  # its first part is lost
         (6, 0, [1, 2, 3, 4]),
-        (7, 4, [9] * 4),  # of another moment
+        (7, 4, [9] * 4),  # of another time
         (8, 0, [1, 2, 3, 4]),
         (8, 4, [5, 6, 0, 0]),
         (9, 3, [1, 2, 3, 4]),
     ):
-        rig.hear("ESC_STATUS", time_usec=time_us, index=index, rpm=rpm)
-    (found,) = rig.of(EscSample)
+        rig.receive("ESC_STATUS", time_usec=time_us, index=index, rpm=rpm)
+    (found,) = rig.records_of(EscSample)
     assert (found.t_us, found.rpm) == (8, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
 
 
-def test_a_group_about_motors_that_are_none_is_no_second_sample(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Eight channels of a controller, four of them in use."""
-    rig = heard(monkeypatch)
+def test_speeds_of_unused_channels_produce_no_second_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The controller has eight channels, four of which are in use."""
+    rig = subscribed_rig(monkeypatch)
     for index in (0, 4):
-        rig.hear("ESC_STATUS", time_usec=8, index=index, rpm=[1, 2, 3, 4])
-    assert len(rig.of(EscSample)) == 1
+        rig.receive("ESC_STATUS", time_usec=8, index=index, rpm=[1, 2, 3, 4])
+    assert len(rig.records_of(EscSample)) == 1
 
 
 # --- motor outputs -----------------------------------------------------------------------------------------
@@ -389,15 +395,17 @@ def test_a_group_about_motors_that_are_none_is_no_second_sample(monkeypatch: pyt
     ("stopped", "idle", "full", "name"),
     [(900.0, 1000.0, 2000.0, "PWM"), (0.0, 110.0, 1999.0, "DShot"), (0.0, 1.0, 8191.0, "UAVCAN")],
 )
-def test_the_same_throttle_comes_out_of_any_output_type(
+def test_every_output_type_yields_the_same_throttle(
     monkeypatch: pytest.MonkeyPatch, stopped: float, idle: float, full: float, name: str
 ) -> None:
-    rig = heard(monkeypatch)
+    rig = subscribed_rig(monkeypatch)
     zero = 1000.0 if name == "PWM" else 0.0
     for share in (-1.0, 0.0, 0.2, 0.5, 0.6, 0.95, 0.4):
         raw = stopped if share < 0.0 else max(idle, zero + share * (full - zero))
-        rig.hear("ACTUATOR_OUTPUT_STATUS", time_usec=1, active=5, actuator=[raw] * 4 + [1500.0] + [0.0] * 27)
-    found = rig.of(ActuatorSample)
+        rig.receive(
+            "ACTUATOR_OUTPUT_STATUS", time_usec=1, active=5, actuator=[raw] * 4 + [1500.0] + [0.0] * 27
+        )
+    found = rig.records_of(ActuatorSample)
     assert found[0].motors == (0.0,) * 4
     for sample, share in zip(found[3:], (0.5, 0.6, 0.95, 0.4), strict=True):
         assert sample.motors == (pytest.approx(share, abs=1e-6),) * 4
@@ -407,39 +415,43 @@ def test_the_same_throttle_comes_out_of_any_output_type(
 
 
 @pytest.mark.parametrize("raw", [900.0, 1000.0, 0.0])
-def test_an_idle_bank_in_flight_is_not_the_motors(monkeypatch: pytest.MonkeyPatch, raw: float) -> None:
-    rig = heard(monkeypatch)
+def test_an_idle_output_bank_in_flight_is_not_used_for_the_motors(
+    monkeypatch: pytest.MonkeyPatch, raw: float
+) -> None:
+    rig = subscribed_rig(monkeypatch)
     outputs = {"time_usec": 1, "active": 8, "actuator": [raw] * 8 + [0.0] * 24}
-    rig.hear("ACTUATOR_OUTPUT_STATUS", **outputs)
-    assert rig.of(ActuatorSample)[-1].motors == (0.0,) * 4  # on the ground that is what motors do
-    rig.hear("EXTENDED_SYS_STATE", landed_state=2)
-    before = len(rig.of(ActuatorSample))
+    rig.receive("ACTUATOR_OUTPUT_STATUS", **outputs)
+    assert rig.records_of(ActuatorSample)[-1].motors == (0.0,) * 4  # normal for motors on the ground
+    rig.receive("EXTENDED_SYS_STATE", landed_state=2)
+    before = len(rig.records_of(ActuatorSample))
     for _ in range(30):
-        rig.hear("ACTUATOR_OUTPUT_STATUS", **outputs)
-    assert len(rig.of(ActuatorSample)) == before
-    assert "another output bank" in rig.of(StatusText)[-1].text
+        rig.receive("ACTUATOR_OUTPUT_STATUS", **outputs)
+    assert len(rig.records_of(ActuatorSample)) == before
+    assert "another output bank" in rig.records_of(StatusText)[-1].text
 
 
-def test_motors_that_have_turned_may_stop_in_flight(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A kill in the air: throttle 0 is a value then."""
-    rig = heard(monkeypatch)
-    rig.hear("EXTENDED_SYS_STATE", landed_state=2)
+def test_motors_that_stop_in_flight_are_reported_at_throttle_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a kill in the air, throttle 0 is valid."""
+    rig = subscribed_rig(monkeypatch)
+    rig.receive("EXTENDED_SYS_STATE", landed_state=2)
     for raw in (1500.0, 900.0):
-        rig.hear("ACTUATOR_OUTPUT_STATUS", time_usec=1, active=4, actuator=[raw] * 4)
-    assert rig.of(ActuatorSample)[-1].motors == (0.0,) * 4
+        rig.receive("ACTUATOR_OUTPUT_STATUS", time_usec=1, active=4, actuator=[raw] * 4)
+    assert rig.records_of(ActuatorSample)[-1].motors == (0.0,) * 4
 
 
-def test_too_few_outputs_are_no_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_few_outputs_produce_no_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(SimpleNamespace(uses_esc=False), 6)  # type: ignore[arg-type]
-    rig.hear("ACTUATOR_OUTPUT_STATUS", time_usec=7, active=4, actuator=[1500.0] * 4 + [0.0] * 28)
-    assert rig.of(ActuatorSample) == []
+    rig.receive("ACTUATOR_OUTPUT_STATUS", time_usec=7, active=4, actuator=[1500.0] * 4 + [0.0] * 28)
+    assert rig.records_of(ActuatorSample) == []
 
 
-def test_a_mode_of_another_autopilot_is_no_mode_of_px4() -> None:
+def test_a_mode_of_another_autopilot_is_refused() -> None:
     """ArduPilot's custom mode 4 is guided."""
-    beat = {"autopilot": 3, "base_mode": 217, "custom_mode": 4, "system_status": 4}
-    _, refused = messages.HEARTBEAT.reader()(json.dumps(beat))
+    heartbeat = {"autopilot": 3, "base_mode": 217, "custom_mode": 4, "system_status": 4}
+    _, refused = messages.HEARTBEAT.reader()(json.dumps(heartbeat))
     assert "ArduPilot" in refused.reason
-    known = messages.HEARTBEAT.decode(json.dumps({**beat, "autopilot": 12, "custom_mode": 4 << 16 | 3 << 24}))
+    known = messages.HEARTBEAT.decode(
+        json.dumps({**heartbeat, "autopilot": 12, "custom_mode": 4 << 16 | 3 << 24})
+    )
     assert (known.armed, known.hil, known.flight_mode) == (True, False, FlightMode.HOLD)

@@ -1,4 +1,4 @@
-"""PX4's reasons in words: its checks as MAVSDK reports them, else the sensors of SYS_STATUS."""
+"""Arming problems in plain text: PX4's checks as MAVSDK reports them, or the sensors of SYS_STATUS."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def problem(text: str, level: LogLevel = LogLevel.ERROR) -> HealthAndArmingCheck
     return HealthAndArmingCheckProblem(text, "", level, "system")
 
 
-def test_what_blocks_comes_before_what_is_wrong_for_other_modes() -> None:
+def test_blocking_problems_are_separated_from_those_of_other_modes() -> None:
     blocking = [problem("No valid position estimate"), problem("Home position not set", LogLevel.INFO)]
     everything = [*blocking, problem("No manual control input"), problem("No valid position estimate")]
     report = HealthAndArmingCheckReport(HealthAndArmingCheckMode("Hold", False, blocking), [], everything)
@@ -34,7 +34,7 @@ def sys_status(enabled: int, healthy: int) -> Sensors:
     return Sensors(enabled, healthy)
 
 
-def test_sensors_in_use_that_are_not_well_are_named() -> None:
+def test_unhealthy_enabled_sensors_are_named() -> None:
     every = 1 << 28 | 1 | 2 | 4 | 8
     assert report_from_sys_status(sys_status(every, every)) == (True, (), ())
     assert report_from_sys_status(sys_status(every, every & ~4 & ~(1 << 28))) == (
@@ -49,8 +49,8 @@ def test_sensors_in_use_that_are_not_well_are_named() -> None:
     )
 
 
-def test_a_check_that_fails_in_v1_14_is_not_among_what_is_in_use() -> None:
-    """SYS_STATUS of v1.14.2 in simulation, indoors, in Hold: without a global position it would not arm."""
+def test_failed_preflight_checks_of_px4_1_14_are_reported() -> None:
+    """SYS_STATUS of PX4 v1.14.2 in simulation: in Hold it would not arm without a global position."""
     assert report_from_sys_status(sys_status(35749897, 572555327)) == (
         False,
         ("preflight checks failed",),
@@ -58,7 +58,7 @@ def test_a_check_that_fails_in_v1_14_is_not_among_what_is_in_use() -> None:
     )
 
 
-def test_levels_of_events_are_those_of_texts() -> None:
+def test_event_levels_are_converted_to_severities_of_texts() -> None:
     assert severity(LogLevel.CRITICAL) == "critical"
     assert severity(LogLevel.WARNING) == "warning"
     assert severity(9) == "debug"

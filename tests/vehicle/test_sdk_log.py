@@ -1,4 +1,4 @@
-"""What MAVSDK says goes to the log, once; a socket that complains of being closed is an error only in use."""
+"""MAVSDK's messages are logged once; a bad file descriptor is an error only while the link is in use."""
 
 import logging
 
@@ -10,7 +10,7 @@ RACE = "Error from async_receive_from: Bad file descriptor"
 
 
 @pytest.fixture(autouse=True)
-def _nothing_said_yet() -> None:
+def _clear_repeated_messages() -> None:
     with sdk_log.closing():
         pass
 
@@ -23,7 +23,7 @@ def _nothing_said_yet() -> None:
         ("Connection send error", True, logging.ERROR),
     ],
 )
-def test_only_a_closing_socket_may_complain(
+def test_a_socket_error_is_downgraded_only_while_the_link_closes(
     caplog: pytest.LogCaptureFixture, message: str, closing: bool, level: int
 ) -> None:
     with caplog.at_level(logging.DEBUG, "dart_flight.mavsdk"):
@@ -36,7 +36,9 @@ def test_only_a_closing_socket_may_complain(
     assert [r.levelno for r in caplog.records] == [level, logging.ERROR][: 1 + closing]
 
 
-def test_what_is_said_again_and_again_comes_once_and_with_its_count(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_repeated_message_is_logged_once_and_at_the_end_with_its_count(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     with caplog.at_level(logging.DEBUG, "dart_flight.mavsdk"):
         for i in range(200):
             assert sdk_log.log_message(3, "Retrying failed", None, 0)

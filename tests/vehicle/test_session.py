@@ -1,4 +1,4 @@
-"""A session between app and MAVSDK, with MAVSDK's plugins in its place: what is asked, what is delivered."""
+"""A VehicleSession on doubles of MAVSDK's plugins: its requests, commands and delivered records."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
 
 
 class Plugin:
-    """In the place of a plugin: notes every call; a subscription's callback is kept by its name."""
+    """A double of a MAVSDK plugin that records every call and stores subscription callbacks by name."""
 
     def __init__(self, answers: dict[str, Callable[..., Any]]) -> None:
         self.calls: list[tuple[str, tuple[Any, ...]]] = []
@@ -62,11 +62,11 @@ class Plugin:
 
 
 class Rig:
-    """A session on such plugins.
+    """A VehicleSession on doubles of the plugins.
 
     Args:
-        answers: what calls return or raise, by name.
-        systems: ids of the systems on the link; the first one is the vehicle's.
+        answers: functions that answer the plugins' calls, by name.
+        systems: ids of the systems on the link; the first is the vehicle's.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Rig:
         for name in ("Telemetry", "Offboard", "Action", "MavlinkDirect", "Events"):
             plugin = self.plugins[name] = Plugin(answers)
             monkeypatch.setattr(module, name, lambda _, plugin=plugin: plugin)
-        self.seen: list[Input] = []
+        self.delivered: list[Input] = []
         found = [
             SimpleNamespace(get_system_id=lambda number=number: number, has_autopilot=lambda: True)
             for number in systems or (1,)
@@ -85,25 +85,27 @@ class Rig:
         async def get_systems() -> list[Any]:
             return found
 
-        self.session = VehicleSession(SimpleNamespace(get_systems=get_systems), found[0], self.seen.append)
+        self.session = VehicleSession(
+            SimpleNamespace(get_systems=get_systems), found[0], self.delivered.append
+        )
 
-    def of(self, kind: type[Any]) -> list[Any]:
-        return [item for item in self.seen if isinstance(item, kind)]
+    def records_of(self, kind: type[Any]) -> list[Any]:
+        return [item for item in self.delivered if isinstance(item, kind)]
 
-    def say(self, plugin: str, stream: str, value: Any) -> None:
+    def publish(self, plugin: str, stream: str, value: Any) -> None:
         self.plugins[plugin].callbacks[stream](value, None)
 
-    def hear(self, stream: str, **fields: object) -> None:
-        """The autopilot's component sends a message."""
-        self.say("MavlinkDirect", stream, message(**fields))
+    def receive(self, stream: str, **fields: object) -> None:
+        """Deliver a message of the autopilot's component."""
+        self.publish("MavlinkDirect", stream, message(**fields))
 
 
 def message(**fields: object) -> Any:
-    """A message of the autopilot's component."""
+    """Return a message of the autopilot's component."""
     return SimpleNamespace(system_id=1, component_id=1, fields_json=json.dumps(fields))
 
 
-def test_a_new_session_sends(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_session_sends_setpoints(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.send(Setpoint(1, 1, (1.0, 2.0, -3.0), 0.0))
     assert [name for name, _ in rig.plugins["Offboard"].calls] == ["set_position_ned"]
@@ -113,14 +115,14 @@ def refuse(*_: Any) -> None:
     raise MavsdkError("refused")
 
 
-def test_every_stream_is_asked_for_and_a_refusal_is_named(
+def test_every_stream_is_requested_and_a_refusal_is_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rig = Rig(monkeypatch, {"set_rate_odometry": refuse})
     assert asyncio.run(rig.session.set_rates()) == ["odometry"]
-    asked = {name.removeprefix("set_rate_"): rate for name, (rate,) in rig.plugins["Telemetry"].calls}
-    assert len(asked) == len(STREAMS)
-    assert asked["imu"] == next(s.rate_hz for s in STREAMS if s.name == "imu")
+    requested = {name.removeprefix("set_rate_"): rate for name, (rate,) in rig.plugins["Telemetry"].calls}
+    assert len(requested) == len(STREAMS)
+    assert requested["imu"] == next(s.rate_hz for s in STREAMS if s.name == "imu")
     few = Rig(monkeypatch, {})
     assert asyncio.run(few.session.set_rates(["imu", "attitude"], watching=True)) == []
     assert {name for name, _ in few.plugins["Telemetry"].calls} == {
@@ -130,7 +132,7 @@ def test_every_stream_is_asked_for_and_a_refusal_is_named(
 
 
 @pytest.mark.parametrize(("result", "refused"), [(0, False), (4, True), (None, True)])
-def test_a_further_stream_is_asked_for_by_its_message(
+def test_an_optional_stream_is_requested_by_its_message_id(
     monkeypatch: pytest.MonkeyPatch, result: int | None, refused: bool
 ) -> None:
     sent: list[dict[str, Any]] = []
@@ -157,31 +159,31 @@ def test_a_further_stream_is_asked_for_by_its_message(
     ]
 
 
-def test_a_local_position_is_one_that_is_sent_and_is_well(
+def test_local_position_is_ok_only_with_odometry_and_a_healthy_estimator(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """PX4 sends a position without motion capture and GPS, too."""
+    """PX4 also sends a position when it has neither motion capture nor GPS."""
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4)
-    rig.hear("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=None)
-    rig.hear("ODOMETRY", **ODOMETRY)
-    assert not any(status.local_position_ok for status in rig.of(StatusSample))
-    rig.hear("ESTIMATOR_STATUS", flags=0xFFFF & ~0x0400, pos_horiz_accuracy=0.1)
-    assert rig.of(StatusSample)[-1].local_position_ok
-    rig.hear("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=0.1)
-    assert not rig.of(StatusSample)[-1].local_position_ok
+    rig.receive("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=None)
+    rig.receive("ODOMETRY", **ODOMETRY)
+    assert not any(status.local_position_ok for status in rig.records_of(StatusSample))
+    rig.receive("ESTIMATOR_STATUS", flags=0xFFFF & ~0x0400, pos_horiz_accuracy=0.1)
+    assert rig.records_of(StatusSample)[-1].local_position_ok
+    rig.receive("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=0.1)
+    assert not rig.records_of(StatusSample)[-1].local_position_ok
 
 
-def test_without_word_of_the_estimator_a_usable_odometry_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_usable_odometry_suffices_if_no_estimator_status_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4)
-    rig.hear("ODOMETRY", **{**ODOMETRY, "vx": None})
-    assert rig.of(StatusSample) == []
-    rig.hear("ODOMETRY", **ODOMETRY)
-    assert rig.of(StatusSample)[-1].local_position_ok
+    rig.receive("ODOMETRY", **{**ODOMETRY, "vx": None})
+    assert rig.records_of(StatusSample) == []
+    rig.receive("ODOMETRY", **ODOMETRY)
+    assert rig.records_of(StatusSample)[-1].local_position_ok
 
 
-def test_what_keeps_px4_from_arming_is_delivered_when_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arming_problems_are_delivered_when_they_change(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     monkeypatch.setattr(
         reasons, "report_from_sys_status", lambda sensors: (False, (str(sensors.enabled),), ())
@@ -189,25 +191,26 @@ def test_what_keeps_px4_from_arming_is_delivered_when_it_changes(monkeypatch: py
     rig.session.subscribe(VEHICLE.estimation, 4)
     sensors = {"onboard_control_sensors_present": 7, "onboard_control_sensors_health": 7}
     for number in (1, 1, 2):
-        rig.hear("SYS_STATUS", **sensors, onboard_control_sensors_enabled=number)
-    assert [report.blocking for report in rig.of(HealthReport)] == [("1",), ("2",)]
+        rig.receive("SYS_STATUS", **sensors, onboard_control_sensors_enabled=number)
+    assert [report.blocking for report in rig.records_of(HealthReport)] == [("1",), ("2",)]
     monkeypatch.setattr(reasons, "report_from_checks", lambda report: (True, (), (report,)))
-    rig.say("Events", "health_and_arming_checks", "its own words")
-    rig.hear("SYS_STATUS", **sensors, onboard_control_sensors_enabled=1)  # the checks count from then on
-    assert [report.blocking for report in rig.of(HealthReport)] == [("1",), ("2",), ()]
+    rig.publish("Events", "health_and_arming_checks", "its own words")
+    # The checks now replace SYS_STATUS.
+    rig.receive("SYS_STATUS", **sensors, onboard_control_sensors_enabled=1)
+    assert [report.blocking for report in rig.records_of(HealthReport)] == [("1",), ("2",), ()]
 
 
 @pytest.mark.parametrize(("name", "said"), [("SUCCESS", ""), ("COMMAND_DENIED", "COMMAND_DENIED")])
-def test_an_action_ends_with_its_answer(monkeypatch: pytest.MonkeyPatch, name: str, said: str) -> None:
+def test_an_action_returns_its_answer(monkeypatch: pytest.MonkeyPatch, name: str, said: str) -> None:
     def answer(done: Callable[[Any, Any], None]) -> None:
-        for _ in range(2):  # MAVSDK may say it twice
+        for _ in range(2):  # MAVSDK may deliver the result twice
             done(SimpleNamespace(name=name), None)
 
     rig = Rig(monkeypatch, {"arm_async": answer})
     assert asyncio.run(rig.session.perform(VehicleAction.ARM)) == said
 
 
-def test_an_action_without_an_answer_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unanswered_action_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_ACTION_TIMEOUT_S", 0.01)
     rig = Rig(monkeypatch, {"land_async": lambda _: None})
     assert asyncio.run(rig.session.perform(VehicleAction.LAND)) == "no answer"
@@ -217,13 +220,13 @@ def test_another_autopilot_on_the_link_is_delivered_once(monkeypatch: pytest.Mon
     rig = Rig(monkeypatch, {}, 1, 7)
     for _ in range(2):
         asyncio.run(rig.session.detect_other_autopilot())
-    assert [other.system for other in rig.of(OtherVehicle)] == [7]
+    assert [other.system for other in rig.records_of(OtherVehicle)] == [7]
     alone = Rig(monkeypatch, {}, 1)
     asyncio.run(alone.session.detect_other_autopilot())
-    assert alone.of(OtherVehicle) == []
+    assert alone.records_of(OtherVehicle) == []
 
 
-def test_modes_that_no_word_of_ours_has_are_the_pilots(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_px4_modes_are_converted_and_other_modes_are_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4)
     for main, sub, expected in (
@@ -232,11 +235,11 @@ def test_modes_that_no_word_of_ours_has_are_the_pilots(monkeypatch: pytest.Monke
         (4, 9, FlightMode.LAND),
         (10, 0, FlightMode.UNKNOWN),
     ):
-        rig.hear("HEARTBEAT", **{**HEARTBEAT, "custom_mode": main << 16 | sub << 24})
-        assert rig.of(StatusSample)[-1].flight_mode is expected
+        rig.receive("HEARTBEAT", **{**HEARTBEAT, "custom_mode": main << 16 | sub << 24})
+        assert rig.records_of(StatusSample)[-1].flight_mode is expected
 
 
-# --- what comes ------------------------------------------------------------------------------------------
+# --- incoming messages -----------------------------------------------------------------------------------
 
 UP_US = 7_000_000_000  # the autopilot's time at the first sample
 IMU = {
@@ -252,7 +255,7 @@ HEARTBEAT = {"autopilot": 12, "base_mode": 129, "custom_mode": 6 << 16, "system_
 BATTERY = {"id": 0, "battery_function": 1, "battery_remaining": 50, "voltages": [15000] + [65535] * 9}
 
 
-def test_whatever_is_subscribed_to_is_delivered_with_its_receipt(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_subscribed_message_is_delivered_with_its_receive_time(monkeypatch: pytest.MonkeyPatch) -> None:
     rig, estimation = Rig(monkeypatch, {}), SimpleNamespace(uses_esc=True, thrust_source=None)
     began_us = host_us()
     rig.session.subscribe(estimation, 4)  # type: ignore[arg-type]
@@ -273,36 +276,38 @@ def test_whatever_is_subscribed_to_is_delivered_with_its_receipt(monkeypatch: py
         ("Events", "events", event, StatusText),
     ]
     for plugin, stream, value, kind in said:
-        before = len(rig.of(kind))
-        rig.say(plugin, stream, value)
-        found = rig.of(kind)[before:][-1]
+        before = len(rig.records_of(kind))
+        rig.publish(plugin, stream, value)
+        found = rig.records_of(kind)[before:][-1]
         assert began_us <= found.received_us <= host_us()
-        if isinstance(found, StatusSample | StatusText):  # unstamped: by the clock that the IMU has told
-            (offset,) = rig.of(ClockOffset)
+        if isinstance(found, StatusSample | StatusText):  # unstamped: timed by the clock of the IMU's stamps
+            (offset,) = rig.records_of(ClockOffset)
             assert found.t_us == found.received_us + offset.offset_us
             assert abs(found.t_us - UP_US) < 5_000_000
-    status = rig.of(StatusSample)[-1]
+    status = rig.records_of(StatusSample)[-1]
     assert (status.armed, status.landed, status.battery_v) == (True, LandedState.IN_AIR, 15.0)
     assert (status.system_status, status.battery_id) == (SystemStatus.ACTIVE, 0)
-    assert [(text.text, text.event) for text in rig.of(StatusText)] == [("low", ""), ("gone", "went")]
-    assert rig.of(EscSample)[0].rpm == (1.0,) * 4  # of so many motors
+    assert [(text.text, text.event) for text in rig.records_of(StatusText)] == [("low", ""), ("gone", "went")]
+    assert rig.records_of(EscSample)[0].rpm == (1.0,) * 4  # one per motor
 
 
-def test_only_a_guarded_flight_asks_for_what_the_guard_wants(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unguarded_flight_does_not_subscribe_to_the_guards_messages(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4, guarded=False)
     assert rig.plugins["Events"].calls == []
     assert not rig.plugins["MavlinkDirect"].callbacks.keys() & {"ESTIMATOR_STATUS", "SYS_STATUS"}
 
 
-def test_the_estimators_word_is_delivered_beside_the_position(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_estimators_health_and_accuracy_are_delivered(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4)
-    rig.hear("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=0.25)
-    assert [(e.healthy, e.position_sd_m) for e in rig.of(EstimatorSample)] == [(False, 0.25)]
+    rig.receive("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=0.25)
+    assert [(e.healthy, e.position_sd_m) for e in rig.records_of(EstimatorSample)] == [(False, 0.25)]
 
 
-def test_only_the_autopilots_heartbeat_says_whether_it_is_in_a_failsafe(
+def test_the_failsafe_state_comes_only_from_the_autopilots_heartbeat(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rig = Rig(monkeypatch, {})
@@ -316,17 +321,17 @@ def test_only_the_autopilots_heartbeat_says_whether_it_is_in_a_failsafe(
         (own, 1, 5),
         (own, 1, 9),
     ):
-        beat = message(**{**HEARTBEAT, "system_status": number})
-        beat.system_id, beat.component_id = system, component
-        rig.say("MavlinkDirect", "HEARTBEAT", beat)
-    statuses = [status.system_status for status in rig.of(StatusSample)]
+        heartbeat = message(**{**HEARTBEAT, "system_status": number})
+        heartbeat.system_id, heartbeat.component_id = system, component
+        rig.publish("MavlinkDirect", "HEARTBEAT", heartbeat)
+    statuses = [status.system_status for status in rig.records_of(StatusSample)]
     assert statuses == ["active", "critical", "critical", "unknown"]
 
 
-# --- what is sent ----------------------------------------------------------------------------------------
+# --- outgoing messages -----------------------------------------------------------------------------------
 
 
-def test_a_setpoint_carries_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_setpoint_is_sent_with_the_fields_that_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     place, velocity, acceleration = (1.0, 2.0, -3.0), (0.1, 0.2, 0.3), (0.4, 0.5, 0.6)
     for v, a in ((None, None), (velocity, None), (velocity, acceleration)):
@@ -347,7 +352,7 @@ def test_a_setpoint_carries_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None
     assert (pushed.north_m_s2, pushed.east_m_s2, pushed.down_m_s2) == acceleration
 
 
-def test_the_ground_and_the_servo_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_texts_are_sent_in_chunks_and_the_servo_is_commanded(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.send_text("x" * 60)
     rig.session.send_text("short")
@@ -356,11 +361,11 @@ def test_the_ground_and_the_servo_are_told(monkeypatch: pytest.MonkeyPatch) -> N
     assert [(s["text"], s["chunk_seq"]) for s in sent] == [("x" * 50, 0), ("x" * 10, 1), ("short", 0)]
     assert sent[0]["id"] == sent[1]["id"] != 0 == sent[2]["id"]
     assert rig.plugins["Action"].calls == [("set_actuator", (2, 0.5))]
-    deaf = Rig(monkeypatch, {"send_message": refuse})
-    deaf.session.send_text("where the link allows")
+    one_way = Rig(monkeypatch, {"send_message": refuse})
+    one_way.session.send_text("where the link allows")
 
 
-def test_only_mavsdks_errors_are_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_mavsdk_errors_count_as_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any) -> None:
         raise TypeError("no rate")
 
@@ -372,7 +377,7 @@ def test_only_mavsdks_errors_are_refusals(monkeypatch: pytest.MonkeyPatch) -> No
         Rig(monkeypatch, {"set_actuator": refuse}).session.set_actuator(1, 0.5)
 
 
-def test_messages_are_stopped_one_by_one_whatever_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_are_stopped_one_by_one_even_if_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {"send_command": refuse})
     asyncio.run(rig.session.stop_messages((30, 33)))
     sent = [json.loads(command.fields_json) for _, (command,) in rig.plugins["MavlinkDirect"].calls]
@@ -383,44 +388,44 @@ def test_messages_are_stopped_one_by_one_whatever_is_answered(monkeypatch: pytes
 # --- the round trip --------------------------------------------------------------------------------------
 
 
-def answering(rig: Rig, *, ahead_us: int = 0, system: int = 1, other_first: bool = False) -> None:
-    """The vehicle answers each request, by its own clock."""
+def answer_timesync(rig: Rig, *, ahead_us: int = 0, system: int = 1, other_first: bool = False) -> None:
+    """Make the vehicle answer each TIMESYNC request by its own clock."""
 
-    def answer(asked: Any) -> None:
-        ts1 = json.loads(asked.fields_json)["ts1"]
+    def answer(requested: Any) -> None:
+        ts1 = json.loads(requested.fields_json)["ts1"]
         reply = message(tc1=ts1 + 1000 * ahead_us, ts1=ts1)
         reply.system_id = system
-        rig.say("MavlinkDirect", "TIMESYNC", reply)
+        rig.publish("MavlinkDirect", "TIMESYNC", reply)
 
     rig.plugins["MavlinkDirect"]._answers["send_message"] = answer
 
 
-def test_a_round_trip_that_comes_back_is_delivered(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answered_round_trip_is_delivered(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
-    answering(rig, ahead_us=500)
+    answer_timesync(rig, ahead_us=500)
     assert asyncio.run(rig.session.measure_link(5.0)) == []
-    (trip,) = rig.of(RoundTrip)  # the first one is enough
+    (trip,) = rig.records_of(RoundTrip)  # the first one is enough
     assert 0 <= trip.received_us - trip.sent_us < 5_000_000
     assert trip.autopilot_us == trip.sent_us + 500
     rig.session.clock = LockstepClock()
     assert asyncio.run(rig.session.measure_link(5.0)) == []
-    assert rig.of(RoundTrip)[-1].autopilot_us is None  # it goes at any pace
+    assert rig.records_of(RoundTrip)[-1].autopilot_us is None  # a lockstep clock runs at any pace
 
 
-def test_what_another_asks_or_answers_is_no_round_trip(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_timesync_of_other_systems_does_not_count_as_a_round_trip(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
-    answering(rig, ahead_us=500, system=7)
-    assert asyncio.run(rig.session.measure_link(0.01)) == []  # the rate's answer counts
+    answer_timesync(rig, ahead_us=500, system=7)
+    assert asyncio.run(rig.session.measure_link(0.01)) == []  # the answer to the rate request suffices
     for tc1, ts1 in ((0, 1_000_000), (5_000_000, 1_000_000)):  # a request, and an answer to no request
         strange = message(tc1=tc1, ts1=ts1)
         strange.system_id = 1
-        rig.say("MavlinkDirect", "TIMESYNC", strange)
-    (trip,) = rig.of(RoundTrip)
+        rig.publish("MavlinkDirect", "TIMESYNC", strange)
+    (trip,) = rig.records_of(RoundTrip)
     assert trip.autopilot_us is None
     assert trip.received_us >= trip.sent_us
 
 
-def test_a_link_that_only_sends_is_named_by_what_it_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_one_way_link_is_reported_with_its_unanswered_requests(monkeypatch: pytest.MonkeyPatch) -> None:
     class TimedOutError(MavsdkError):  # type: ignore[misc]  # mavsdk has no types
         result = SimpleNamespace(name="TIMEOUT")
 
@@ -429,25 +434,25 @@ def test_a_link_that_only_sends_is_named_by_what_it_does_not_answer(monkeypatch:
 
     rig = Rig(monkeypatch, {"set_rate_imu": time_out, "send_message": refuse})
     assert asyncio.run(rig.session.measure_link(0.01)) == ["TIMESYNC", f"rate of {STREAMS[0].message}"]
-    assert rig.of(RoundTrip) == []
-    refused = Rig(monkeypatch, {"set_rate_imu": refuse})  # it says no: that is an answer
+    assert rig.records_of(RoundTrip) == []
+    refused = Rig(monkeypatch, {"set_rate_imu": refuse})  # a refusal is an answer
     assert asyncio.run(refused.session.measure_link(0.01)) == []
-    assert len(refused.of(RoundTrip)) == 1
+    assert len(refused.records_of(RoundTrip)) == 1
 
 
-def test_while_it_is_measured_requests_go_on_and_then_they_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The flight asks by itself afterwards: not twice as often."""
+def test_timesync_requests_continue_only_during_the_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The flight sends its own requests afterwards; continued ones would double the rate."""
     monkeypatch.setattr(module, "_REQUEST_PERIOD_S", 0.001)
     rig = Rig(monkeypatch, {})
-    asked: list[Any] = []
+    requested: list[Any] = []
 
     def answer_the_third(request: Any) -> None:
-        asked.append(request)
-        if len(asked) == 3:
-            ts1 = json.loads(asked[0].fields_json)["ts1"]  # seconds late, to the first of them
+        requested.append(request)
+        if len(requested) == 3:
+            ts1 = json.loads(requested[0].fields_json)["ts1"]  # a late answer to the first request
             reply = message(tc1=ts1 + 1, ts1=ts1)
             reply.system_id = 1
-            rig.say("MavlinkDirect", "TIMESYNC", reply)
+            rig.publish("MavlinkDirect", "TIMESYNC", reply)
 
     rig.plugins["MavlinkDirect"]._answers["send_message"] = answer_the_third
 
@@ -463,17 +468,17 @@ def test_while_it_is_measured_requests_go_on_and_then_they_end(monkeypatch: pyte
 
 
 class Sdk:
-    """In the place of MAVSDK: a link on which an autopilot answers, or none, or that cannot be opened."""
+    """A double of MAVSDK whose link finds an autopilot, finds none, or cannot be opened."""
 
     def __init__(self, system: object, problem: Exception | None) -> None:
         self._system, self._problem = system, problem
-        self.left = 0
+        self.exits = 0
 
     async def __aenter__(self) -> Sdk:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        self.left += 1
+        self.exits += 1
 
     async def add_any_connection(self, url: str) -> None:
         if self._problem is not None:
@@ -484,32 +489,32 @@ class Sdk:
 
 
 @pytest.mark.parametrize(
-    ("answers", "problem", "says"),
+    ("answers", "problem", "message_part"),
     [
         (True, None, ""),
         (False, None, "no autopilot on udpin://here within 3 s"),
         (True, OSError("in use"), "cannot open udpin://here: in use"),
     ],
 )
-def test_a_connection_is_opened_and_closed_and_says_what_is_wrong(
-    monkeypatch: pytest.MonkeyPatch, answers: bool, problem: Exception | None, says: str
+def test_a_connection_is_opened_and_closed_and_its_problem_is_reported(
+    monkeypatch: pytest.MonkeyPatch, answers: bool, problem: Exception | None, message_part: str
 ) -> None:
     Rig(monkeypatch, {})
     sdk, opened = Sdk(object() if answers else None, problem), list[bool]()
     monkeypatch.setattr(module, "Mavsdk", lambda _: sdk)
-    redirected = list[bool]()  # what MAVSDK itself writes is not for the terminal
+    redirected = list[bool]()  # MAVSDK's own output must not reach the terminal
     monkeypatch.setattr("dart_flight.vehicle.sdk_log.redirect", lambda: redirected.append(True))
 
     async def use() -> None:
         async with connect("udpin://here", 3.0, lambda _: None, opened=lambda: opened.append(True)):
             assert opened == [True]
-            assert sdk.left == 0
+            assert sdk.exits == 0
 
-    if says:
-        with pytest.raises(VehicleError, match=says):
+    if message_part:
+        with pytest.raises(VehicleError, match=message_part):
             asyncio.run(use())
     else:
         asyncio.run(use())
-    assert opened == [True] * (not says)
+    assert opened == [True] * (not message_part)
     assert redirected == [True]
-    assert sdk.left == 1
+    assert sdk.exits == 1

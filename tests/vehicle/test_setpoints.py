@@ -1,4 +1,4 @@
-"""Which setpoints leave, and which are left to MAVSDK's repeating."""
+"""Setpoints that the session sends, and those that it leaves to MAVSDK's repetition."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from dart_flight.vehicle.vehicle_session import VehicleSession
 _TICK_US = 20_000
 
 
-class Sent:
-    """A session without a link, whose setpoints are counted."""
+class RecordedSetpoints:
+    """A session without a link that records its setpoints."""
 
     def __init__(self, mode: FlightMode) -> None:
         self.now_us = 1_000_000
@@ -36,39 +36,40 @@ class Sent:
         self.session.send(Setpoint(self.now_us, self.now_us, (north_m, 0.0, -1.0), 0.0, **more))
 
 
-def test_one_that_is_being_repeated_leaves_ten_times_a_second() -> None:
-    sent = Sent(FlightMode.OFFBOARD)
+def test_an_unchanged_setpoint_is_sent_ten_times_a_second() -> None:
+    recorded = RecordedSetpoints(FlightMode.OFFBOARD)
     for _ in range(50):
-        sent.send(1.0)
-    assert len(sent.norths) == 10
+        recorded.send(1.0)
+    assert len(recorded.norths) == 10
 
 
-def test_another_one_leaves_at_once() -> None:
-    sent = Sent(FlightMode.OFFBOARD)
+def test_a_changed_setpoint_is_sent_at_once() -> None:
+    recorded = RecordedSetpoints(FlightMode.OFFBOARD)
     for north_m in (1.0, 1.0, 2.0, 1.0, 1.0):
-        sent.send(north_m)
-    sent.send(1.0, velocity_ned=(0.1, 0.0, 0.0))
-    assert sent.norths == [1.0, 2.0, 1.0, 1.0]
-    sent.send(1.0, velocity_ned=(0.1, 0.0, 0.0), recovery=True)  # the log says of it that it left
-    assert len(sent.norths) == 5
+        recorded.send(north_m)
+    recorded.send(1.0, velocity_ned=(0.1, 0.0, 0.0))
+    assert recorded.norths == [1.0, 2.0, 1.0, 1.0]
+    # The log reports every recovery setpoint as sent.
+    recorded.send(1.0, velocity_ned=(0.1, 0.0, 0.0), recovery=True)
+    assert len(recorded.norths) == 5
 
 
 @pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.UNKNOWN])
-def test_before_offboard_every_one_leaves(mode: FlightMode) -> None:
-    """MAVSDK stops repeating when it sees another mode, and refuses to start offboard without a setpoint."""
-    sent = Sent(mode)
+def test_every_setpoint_is_sent_before_offboard_mode(mode: FlightMode) -> None:
+    """In other modes MAVSDK stops repeating, and it refuses to start offboard without a setpoint."""
+    recorded = RecordedSetpoints(mode)
     for _ in range(5):
-        sent.send(1.0)
-    assert len(sent.norths) == 5
+        recorded.send(1.0)
+    assert len(recorded.norths) == 5
 
 
-def test_after_silence_nothing_leaves_not_even_an_action() -> None:
-    """The pilot has the vehicle: a setpoint or a mode would fight him."""
-    sent = Sent(FlightMode.OFFBOARD)
-    sent.send(1.0)
-    sent.session.silence()
-    sent.send(2.0)
-    sent.send(3.0, recovery=True, velocity_ned=(0.1, 0.0, 0.0))
-    assert sent.norths == [1.0]
-    for action in VehicleAction:  # there is no action plugin to call: it would be an AttributeError
-        assert asyncio.run(sent.session.perform(action)) == "silent"
+def test_a_silenced_session_sends_neither_setpoints_nor_actions() -> None:
+    """The pilot has control: a setpoint or a mode change would fight him."""
+    recorded = RecordedSetpoints(FlightMode.OFFBOARD)
+    recorded.send(1.0)
+    recorded.session.silence()
+    recorded.send(2.0)
+    recorded.send(3.0, recovery=True, velocity_ned=(0.1, 0.0, 0.0))
+    assert recorded.norths == [1.0]
+    for action in VehicleAction:  # without an action plugin, a call would raise an AttributeError
+        assert asyncio.run(recorded.session.perform(action)) == "silent"

@@ -1,4 +1,4 @@
-"""The bridge: conversion to ODOMETRY, decimation, and what it delivers."""
+"""The motion capture bridge: conversion to ODOMETRY, decimation, and delivered records."""
 
 import json
 from collections.abc import Callable
@@ -42,7 +42,7 @@ def pose(source_us: int, tracked: bool = True) -> RawPose:
     return RawPose("dart", tracked, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), None, source_us, "a:1")
 
 
-def test_a_pose_leaves_as_odometry_in_local_ned() -> None:
+def test_a_pose_is_sent_as_odometry_in_local_ned() -> None:
     config = MotionCapture(heading_deg=30.0, body_yaw_deg=20.0, body_offset_m=(0.1, 0.0, -0.05))
     bridge, _, sent, delivered = make_bridge(config)
     bridge.forward(pose(0))
@@ -57,7 +57,7 @@ def test_a_pose_leaves_as_odometry_in_local_ned() -> None:
     assert delivered == [PoseSample(5_000_000, 5_000_000, *pose(0))]
 
 
-def test_a_lost_pose_is_delivered_and_not_sent() -> None:
+def test_a_lost_pose_is_delivered_but_not_sent() -> None:
     bridge, source, sent, delivered = make_bridge(MotionCapture())
     bridge.forward(lost_pose("dart", 1, 20_000, "a:1"))
     assert (sent, [p.tracked for p in delivered]) == ([], [False])
@@ -66,7 +66,7 @@ def test_a_lost_pose_is_delivered_and_not_sent() -> None:
     assert (len(sent), source.stopped, len(delivered)) == (0, True, 1)
 
 
-def test_withheld_attitudes_leave_the_position_and_withheld_poses_nothing() -> None:
+def test_withheld_attitudes_keep_the_position_and_withheld_poses_are_not_sent() -> None:
     bridge, _, sent, delivered = make_bridge(MotionCapture())
     bridge.withhold(attitude_only=True)
     bridge.forward(pose(0))
@@ -83,7 +83,9 @@ def test_withheld_attitudes_leave_the_position_and_withheld_poses_nothing() -> N
     source_hz=st.floats(20.0, 500.0),
     jitter=st.lists(st.integers(-300, 300), min_size=600, max_size=600),
 )
-def test_decimation_keeps_the_mean_rate_evenly(rate_hz: float, source_hz: float, jitter: list[int]) -> None:
+def test_decimation_reaches_the_mean_rate_with_even_gaps(
+    rate_hz: float, source_hz: float, jitter: list[int]
+) -> None:
     frame_us, period_us = 1e6 / source_hz, 1e6 / rate_hz
     stamps = [round(i * frame_us) + j for i, j in enumerate(jitter)]
     decimation = Decimation(rate_hz)
@@ -94,17 +96,17 @@ def test_decimation_keeps_the_mean_rate_evenly(rate_hz: float, source_hz: float,
     assert max(b - a for a, b in pairwise(selected)) <= longest + 0.125 * period_us
 
 
-def test_decimation_of_240_hz_to_50_hz() -> None:
+def test_decimation_from_240_hz_to_50_hz_keeps_every_fourth_or_fifth_pose() -> None:
     decimation = Decimation(50.0)
     selected = [i for i in range(2401) if decimation.selects(round(i * 1e6 / 240))]
     assert len(selected) == 501
     assert {b - a for a, b in pairwise(selected)} == {4, 5}
 
 
-@pytest.mark.parametrize("leap_us", [-10_000_000, 10_000_000])
-def test_decimation_survives_a_leap_of_the_clock(leap_us: int) -> None:
+@pytest.mark.parametrize("jump_us", [-10_000_000, 10_000_000])
+def test_decimation_continues_after_a_clock_jump(jump_us: int) -> None:
     decimation = Decimation(50.0)
     assert decimation.selects(0)
-    assert decimation.selects(leap_us)
-    assert not decimation.selects(leap_us + 5_000)
-    assert decimation.selects(leap_us + 20_000)
+    assert decimation.selects(jump_us)
+    assert not decimation.selects(jump_us + 5_000)
+    assert decimation.selects(jump_us + 20_000)

@@ -1,4 +1,4 @@
-"""Figures of poses: rate, gaps, age and the deviation of PX4's estimate."""
+"""Statistics of poses: rate, gaps, age and the deviation of PX4's estimate."""
 
 import math
 from collections.abc import Iterable
@@ -33,7 +33,7 @@ def figures_of(found: list[PoseSample], now_us: int, delay_ms: float | None = No
 
 
 @given(rate_hz=st.floats(5.0, 500.0), seconds=st.floats(1.0, 6.0))
-def test_the_rate_is_that_of_the_last_seconds(rate_hz: float, seconds: float) -> None:
+def test_the_rate_is_measured_over_the_last_seconds(rate_hz: float, seconds: float) -> None:
     times = [round(1e6 * i / rate_hz) for i in range(round(seconds * rate_hz) + 1)]
     figures = figures_of(poses(times), times[-1])
     assert figures.rate_hz == pytest.approx(rate_hz, abs=1.01)
@@ -41,7 +41,7 @@ def test_the_rate_is_that_of_the_last_seconds(rate_hz: float, seconds: float) ->
     assert figures.lost == 0.0
 
 
-def test_lost_poses_make_a_gap() -> None:
+def test_lost_poses_count_as_a_gap() -> None:
     found = poses(range(0, 1_000_000, 10_000))
     found += poses(range(1_000_000, 1_500_000, 10_000), tracked=False)
     found += poses(range(1_500_000, 2_000_000, 10_000))
@@ -55,7 +55,7 @@ def test_lost_poses_make_a_gap() -> None:
     assert (silent.rate_hz, silent.senders, silent.distance_to_px4_m) == (0.0, (), None)
 
 
-def test_the_age_counts_from_the_shortest_one_and_its_growth_from_the_first() -> None:
+def test_age_is_relative_to_the_shortest_delay_and_growth_to_the_first_poses() -> None:
     found = poses(range(0, 1_000_000, 10_000), 4_000) + poses(range(1_000_000, 2_000_000, 10_000), 34_000)
     figures = figures_of(found, 2_030_000, delay_ms=12.0)
     assert figures.age_ms == pytest.approx(12.0 + 30.0)

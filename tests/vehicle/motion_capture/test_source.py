@@ -1,4 +1,4 @@
-"""URLs of pose sources, and poses as JSON datagrams."""
+"""URLs of pose sources, and JSON datagrams with poses."""
 
 import json
 import queue
@@ -44,7 +44,9 @@ def test_a_wrong_url_is_refused_in_one_line(url: str, fragment: str) -> None:
 
 
 @pytest.mark.parametrize("system", ["optitrack", "qualisys"])
-def test_a_missing_client_names_the_extra(system: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_client_is_reported_with_the_package_to_install(
+    system: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def missing(name: str) -> None:
         raise ModuleNotFoundError("No module named 'natnet'", name="natnet")
 
@@ -96,7 +98,7 @@ def test_any_datagram_is_decoded_or_ignored(data: bytes) -> None:
     assert isinstance(decode(b"[" * 100_000, "dart", "a:1"), str)
 
 
-def test_the_emulated_json_system_feeds_its_source() -> None:
+def test_a_source_reads_poses_of_the_emulated_json_system() -> None:
     server = make_server("udp", "my drone")
     assert server.clients == 0
     source = open_source(server.url)

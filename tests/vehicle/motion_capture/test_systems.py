@@ -1,4 +1,4 @@
-"""The emulated systems against the vendors' unmodified clients and against our sources; damaged packets."""
+"""The emulated systems with the vendors' unmodified clients and with our sources; damaged packets."""
 
 import asyncio
 import contextlib
@@ -41,22 +41,22 @@ VECTORS = st.tuples(*[st.floats(-2.5, 2.5)] * 3)
 SYSTEMS = ("optitrack", "qualisys", "vicon", "udp")
 
 
-def until(is_so: Callable[[], object]) -> None:
+def wait_until(condition: Callable[[], object]) -> None:
     end_s = time.monotonic() + 30.0
-    while not is_so():
+    while not condition():
         assert time.monotonic() < end_s
         time.sleep(0.005)
 
 
 @contextlib.contextmanager
-def fed(kind: str) -> Iterator[tuple[PoseServer, PoseSource, "queue.Queue[RawPose]"]]:
+def connected_source(kind: str) -> Iterator[tuple[PoseServer, PoseSource, "queue.Queue[RawPose]"]]:
     server = make_server(kind, BODY)
     poses: queue.Queue[RawPose] = queue.Queue()
     try:
         source = open_source(server.url)
         source.start(poses.put)
         try:
-            until(lambda: server.clients)
+            wait_until(lambda: server.clients)
             yield server, source, poses
         finally:
             source.stop()
@@ -66,7 +66,7 @@ def fed(kind: str) -> Iterator[tuple[PoseServer, PoseSource, "queue.Queue[RawPos
 
 @pytest.mark.parametrize("kind", SYSTEMS)
 def test_a_source_reads_its_emulated_system(kind: str) -> None:
-    with fed(kind) as (server, source, poses):
+    with connected_source(kind) as (server, source, poses):
         server.publish(1_000_000, POSITION, ATTITUDE)
         server.publish(1_020_000, POSITION, ATTITUDE, tracked=False)
         first, second = poses.get(timeout=30), poses.get(timeout=30)
@@ -83,7 +83,7 @@ def test_a_source_reads_its_emulated_system(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["optitrack", "qualisys"])
-def test_a_wrong_body_is_refused_with_the_names_of_the_right_ones(kind: str) -> None:
+def test_an_unknown_body_is_refused_with_the_names_of_the_known_bodies(kind: str) -> None:
     server = make_server(kind, BODY)
     try:
         with pytest.raises(InputError, match=f"no .*body cat, only .*{BODY}.*wand"):
@@ -92,23 +92,23 @@ def test_a_wrong_body_is_refused_with_the_names_of_the_right_ones(kind: str) -> 
         server.close()
 
 
-@pytest.mark.parametrize(("scheme", "says"), [("optitrack", "Motive"), ("qualisys", "QTM")])
+@pytest.mark.parametrize(("scheme", "program"), [("optitrack", "Motive"), ("qualisys", "QTM")])
 def test_a_system_that_does_not_answer_is_named(
-    scheme: str, says: str, monkeypatch: pytest.MonkeyPatch
+    scheme: str, program: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dart_flight.vehicle.motion_capture.optitrack._PING_S", 0.05)
-    with pytest.raises(InputError, match=says) as caught:
+    with pytest.raises(InputError, match=program) as caught:
         open_source(f"{scheme}://127.0.0.1:9/{BODY}")
     assert "\n" not in str(caught.value)
 
 
-def test_an_optitrack_body_may_be_named_by_its_id() -> None:
+def test_an_optitrack_body_can_be_selected_by_its_id() -> None:
     server = make_server("optitrack", BODY)
     poses: queue.Queue[RawPose] = queue.Queue()
     source = open_source(server.url.rpartition("/")[0] + "/7")
     source.start(poses.put)
     try:
-        until(lambda: server.clients)
+        wait_until(lambda: server.clients)
         server.publish(0, POSITION, ATTITUDE)
         assert poses.get(timeout=30).tracked
     finally:
@@ -121,17 +121,17 @@ def test_an_optitrack_source_survives_a_damaged_frame(monkeypatch: pytest.Monkey
     module = "dart_flight.vehicle.motion_capture.optitrack"
     monkeypatch.setattr(f"{module}._SILENT_S", 0.1)
     monkeypatch.setattr(f"{module}._DEAD_S", 0.3)
-    with fed("optitrack") as (server, source, poses):
+    with connected_source("optitrack") as (server, source, poses):
         (client,) = server._clients.values()  # type: ignore[attr-defined]
         client.send(struct.pack("<HHI", 7, 4, 1))
-        until(lambda: source.problem)
+        wait_until(lambda: source.problem)
         assert "no frame" in str(source.problem)
 
-        def arrives() -> bool:
+        def pose_arrives() -> bool:
             server.publish(0, POSITION, ATTITUDE)
             return not poses.empty()
 
-        until(arrives)
+        wait_until(pose_arrives)
         assert source.problem is None
 
 
@@ -150,10 +150,10 @@ def test_the_natnet_client_understands_the_emulated_server() -> None:
         with client:
             assert client.server_info.application_name == "Motive"
             client.request_modeldef()
-            until(lambda: client.update_sync() or models)
-            until(lambda: server.clients)
+            wait_until(lambda: client.update_sync() or models)
+            wait_until(lambda: server.clients)
             server.publish(5_000_000, POSITION, ATTITUDE)
-            until(lambda: client.update_sync() or frames)
+            wait_until(lambda: client.update_sync() or frames)
     finally:
         server.close()
     (model, frame), w = (models[0], frames[0]), ATTITUDE[0]
@@ -169,7 +169,7 @@ def test_the_qtm_client_understands_the_emulated_server() -> None:
     server = make_server("qualisys", BODY)
     port = int(server.url.split(":")[2].partition("/")[0])
 
-    async def talk() -> tuple[bytes, Any]:
+    async def receive_frame() -> tuple[bytes, Any]:
         connection = await qtm_rt.connect("127.0.0.1", port)
         assert connection is not None
         names = await connection.get_parameters(parameters=["6d"])
@@ -179,7 +179,7 @@ def test_the_qtm_client_understands_the_emulated_server() -> None:
         streaming = asyncio.create_task(
             connection.stream_frames(components=["6d"], on_packet=packets.put_nowait)
         )
-        await asyncio.to_thread(until, lambda: server.clients)
+        await asyncio.to_thread(wait_until, lambda: server.clients)
         server.publish(5_000_000, POSITION, ATTITUDE)
         packet = await packets.get()
         assert await streaming == b"Ok"
@@ -187,7 +187,7 @@ def test_the_qtm_client_understands_the_emulated_server() -> None:
         return names, packet
 
     try:
-        names, packet = asyncio.run(asyncio.wait_for(talk(), 60))
+        names, packet = asyncio.run(asyncio.wait_for(receive_frame(), 60))
     finally:
         server.close()
     assert body_names(names.decode())[0] == ["wand", BODY]
@@ -201,13 +201,13 @@ GROUP = (239, 255, 42, 99)
 
 
 class OldMotive:
-    """A Motive 2 by hand: NatNet 3.1, without sizes of lists, with markers, a skeleton and a force plate."""
+    """A minimal Motive 2: NatNet 3.1 without list sizes, with markers, a skeleton and a force plate."""
 
     def __init__(self, data_port: int = 0) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
-        self.data_port = data_port  # of multicast; 0: unicast
+        self.data_port = data_port  # multicast port, or 0 for unicast
         self.client: tuple[str, int] | None = None
         threading.Thread(target=self.answer, daemon=True).start()
 
@@ -257,7 +257,7 @@ class OldMotive:
 
 
 @pytest.mark.parametrize("multicast", [False, True])
-def test_a_natnet_3_frame_among_other_things_is_read(multicast: bool) -> None:
+def test_a_body_is_read_from_a_natnet_3_frame_with_other_content(multicast: bool) -> None:
     motive = OldMotive(free_udp_port() if multicast else 0)
     poses: queue.Queue[RawPose] = queue.Queue()
     source = open_source(f"optitrack://127.0.0.1:{motive.socket.getsockname()[1]}/my%20dart")
@@ -265,7 +265,7 @@ def test_a_natnet_3_frame_among_other_things_is_read(multicast: bool) -> None:
     try:
         client = (".".join(map(str, GROUP)), motive.data_port)
         if not multicast:
-            until(lambda: motive.client)
+            wait_until(lambda: motive.client)
             assert motive.client is not None
             client = motive.client
         motive.send(7, motive.frame(41, 2_000_000), client)
@@ -279,7 +279,7 @@ def test_a_natnet_3_frame_among_other_things_is_read(multicast: bool) -> None:
     assert (pose.frame_number, pose.source_us) == (41, 2_000_000)
 
 
-# --- packets by hand -----------------------------------------------------------------------------------
+# --- handwritten packets -------------------------------------------------------------------------------
 
 
 def vicon_block(*objects: tuple[str, tuple[float, ...]], frame: int = 9, count: int | None = None) -> bytes:
@@ -324,13 +324,15 @@ def test_any_vicon_datagram_is_decoded_or_ignored(data: bytes) -> None:
 
 
 @given(VECTORS)
-def test_vicons_euler_angles_are_the_inverse_of_its_attitude(vector: tuple[float, float, float]) -> None:
+def test_vicon_euler_angles_convert_back_to_the_attitude(vector: tuple[float, float, float]) -> None:
     q = quaternion_from_rotation_vector(vector)
     assert rotation_angle(quaternion_from_intrinsic_xyz(*euler_xyz(q)), q) < 1e-5
 
 
 @given(VECTORS | st.sampled_from([tuple(math.pi * x for x in v) for v in product((0, 1), repeat=3)]))
-def test_a_matrix_by_columns_is_its_attitude(vector: tuple[float, float, float]) -> None:
+def test_a_rotation_matrix_by_columns_converts_back_to_the_attitude(
+    vector: tuple[float, float, float],
+) -> None:
     q = quaternion_from_rotation_vector(vector)
     axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     columns = [x for axis in axes for x in rotate(q, axis)]
@@ -342,15 +344,15 @@ def test_a_matrix_that_is_not_a_rotation_is_refused() -> None:
         quaternion_from_matrix([math.nan] * 9)
 
 
-def test_a_qtm_frame_with_another_number_of_bodies_is_lost_and_named() -> None:
-    with fed("qualisys") as (server, source, poses):
+def test_a_qtm_frame_with_a_wrong_body_count_is_lost_and_reported() -> None:
+    with connected_source("qualisys") as (server, source, poses):
         source._all = source._enabled = ["wand", "hat", BODY]  # type: ignore[attr-defined]
         server.publish(0, POSITION, ATTITUDE)
         assert not poses.get(timeout=30).tracked
         assert source.problem == "QTM sends 2 bodies but has named 3: restart the stream"
 
 
-def test_disabled_qtm_bodies_are_known() -> None:
+def test_disabled_qtm_bodies_are_recognised() -> None:
     xml = (
         "<QTM_Parameters_Ver_1.25><The_6D><Body><Name>a</Name><Enabled>false</Enabled></Body>"
         "<Body><Name>b</Name><Enabled>true</Enabled></Body></The_6D></QTM_Parameters_Ver_1.25>"
@@ -360,7 +362,7 @@ def test_disabled_qtm_bodies_are_known() -> None:
         body_names("Parse error")
 
 
-def test_an_optitrack_server_announces_its_transmission() -> None:
+def test_the_transmission_of_an_optitrack_server_is_decoded() -> None:
     sender = b"Motive".ljust(256, b"\0") + bytes((2, 2, 0, 0, 3, 1, 0, 0))
     transmission = struct.pack("<QHB4B", 3_000_000, 1600, 1, 239, 1, 2, 3)
     data = struct.pack("<HH", 1, 279) + sender + transmission
