@@ -18,7 +18,7 @@ from dart_flight.vehicle.ground_link import HeartbeatMode, Observation
 
 
 def round_trip_limit_s(mission: Mission) -> float:
-    """Return the longest allowed round trip, seconds: twice the limit of a sample's delay."""
+    """Return the longest allowed round trip, seconds: twice `guard.telemetry_late_s`."""
     return 2.0 * mission.vehicle.guard.telemetry_late_s
 
 

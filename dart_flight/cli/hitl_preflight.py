@@ -1,4 +1,4 @@
-"""Steps of `dry-run --hitl`: checks and confirmation before the flight, instructions for the end after it.
+"""Steps of `dry-run --hitl`: checks and confirmation before the flight, and instructions after the flight.
 
 The operator must confirm that the propellers are off, because arming is real.
 """

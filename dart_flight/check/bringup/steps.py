@@ -308,7 +308,7 @@ class Bringup(CheckContext[StepFinding]):
         return StepFinding(position.result, f"{poses.message}; {position.message}", measured)
 
     def _measure_poses(self, link: GroundLink) -> StepFinding:
-        """Compare the poses with gyro and accelerometer while the operator moves the vehicle; judge them."""
+        """Judge the poses, compared with gyro and accelerometer while the operator moves the vehicle."""
         t, config = self._telemetry, self._mission.vehicle.mocap
         t.clear()
         with contextlib.suppress(NotDoneError):
