@@ -1,7 +1,7 @@
 """DART flight: fly a dual-stiffness quadrotor into walls on purpose and profit from it.
 
-What a script needs is here by name (`dart_flight.simulate`, ... : docs/python.md); it is imported when it is
-first asked for. `docs/architecture.md` shows the rooms and the way of one IMU sample through them.
+Scripts use the names in this package (`dart_flight.simulate`, ...; docs/python.md). Each name is imported
+when a script first uses this name. `docs/architecture.md` shows the folders and the path of one IMU sample.
 """
 
 import os

@@ -37,7 +37,7 @@ class LowPass:
         self.value: Vec3 = (0.0, 0.0, 0.0)
 
     def update(self, x: Vec3, dt_s: float) -> Vec3:
-        """Filter a sample that follows the previous one by `dt_s`; return the new value."""
+        """Filter the next sample, `dt_s` seconds after the previous sample; return the filtered value."""
         if dt_s != self._dt_s:
             self._dt_s, self._keep = dt_s, decay_factor(dt_s, self._time_s)
         keep, old = self._keep, self.value
@@ -52,13 +52,13 @@ class LowPass:
 class VarianceEstimate:
     """Running estimate of a noise variance: the mean of the squares that `update` receives.
 
-    Outliers have little weight. The variance never reaches 0, because no noise is ever known to be absent.
+    Outliers have little weight. The variance stays above 0, because some noise is always possible.
 
     Args:
         value: initial variance.
         time_s: time constant.
         least: lower bound of the variance.
-        added: increment of the variance with every square.
+        added: increment of the variance at every update.
     """
 
     def __init__(self, value: float, time_s: float, least: float = 0.0, added: float = 0.0) -> None:
@@ -66,9 +66,9 @@ class VarianceEstimate:
         self._time_s, self._least, self._added = time_s, least, added
 
     def update(self, square: float, dt_s: float, least_share: float = 0.0) -> float:
-        """Update the variance with a square, `dt_s` after the previous one; return the new variance.
+        """Update the variance with the next square; return the new variance.
 
-        The new square has at least the weight `least_share`.
+        The time since the previous square is `dt_s`. The weight of the new square is at least `least_share`.
         """
         share = (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / self._time_s
         share = share if share > least_share else least_share

@@ -6,7 +6,7 @@ Frames (`docs/concepts.md`):
 * NED: PX4's local world frame, north, east, down;
 * FRD: the body frame, forward, right, down;
 * collision frame of a wall: X outward normal, Y to the right when looking along X in a z-up frame,
-  Z = X x Y (it points down at a wall).
+  Z = X x Y, which points down because walls are vertical.
 
 Vectors are plain tuples of floats and quaternions are (w, x, y, z): scalar arithmetic is deterministic and,
 for three numbers, faster than small arrays. Walls, with their collision frame, are in `walls`.
@@ -206,7 +206,9 @@ def quaternion_from_intrinsic_xyz(x_rad: float, y_rad: float, z_rad: float) -> Q
 
 
 def quaternion_from_matrix(columns: Sequence[float]) -> Quaternion:
-    """Return the rotation of a matrix whose nine elements come column by column, as QTM sends them.
+    """Return the rotation of a matrix whose nine elements come column by column.
+
+    Qualisys Track Manager (QTM) sends the elements in this order.
 
     Raises:
         ValueError: the matrix is not a rotation.

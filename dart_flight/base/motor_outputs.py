@@ -1,7 +1,7 @@
 """Motor outputs as PX4 reports them: the output type, its scale, and throttle 0 to 1.
 
 ACTUATOR_OUTPUT_STATUS and the topic `actuator_outputs` of PX4's logs carry the raw values of the output
-driver, but do not name the driver. The live link and the log reader determine the scale here.
+driver, but do not name the driver. The live link and the log reader use this module to determine the scale.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class OutputScale(msgspec.Struct, frozen=True):
         name: output type, such as DShot.
         stop: raw value at throttle 0.
         full: raw value at throttle 1.
-        unit: unit of the raw values, with a leading space; empty for counts.
+        unit: unit of the raw values, with a leading space; empty if the raw values have no unit.
     """
 
     name: str
@@ -52,8 +52,8 @@ def identify_scale(lowest: float, highest: float) -> OutputScale | None:
     """Return the output scale that a range of raw values implies.
 
     Args:
-        lowest: smallest value above 0 of any motor.
-        highest: largest value of any motor.
+        lowest: smallest of all motors' values, without values of 0.
+        highest: largest of all motors' values.
 
     Returns:
         The scale, or None if no value is above 0 or a value exceeds every scale.

@@ -157,7 +157,7 @@ class Record(msgspec.Struct, frozen=True, gc=False):
     """Base of all records that are exchanged and logged.
 
     Attributes:
-        topic: name of its channel in the log.
+        topic: name of the record's channel in the log.
         frequent: whether records of this kind arrive many times a second. If the log is short of space, these
             records are dropped first.
     """
@@ -191,7 +191,7 @@ class AttitudeSample(Record, frozen=True, gc=False):
 
 
 class OdometrySample(Record, frozen=True, gc=False):
-    """ODOMETRY: PX4's position (m) and velocity (m/s) estimate in local NED."""
+    """ODOMETRY: PX4's estimate of position (m) and velocity (m/s) in local NED."""
 
     topic: ClassVar[str] = "/in/odometry"
     frequent: ClassVar[bool] = True
@@ -223,7 +223,7 @@ class EscSample(Record, frozen=True, gc=False):
 
 
 class StatusSample(Record, frozen=True, gc=False):
-    """Slow state of the autopilot; one record for every change."""
+    """State of the autopilot that changes rarely; one record for every change."""
 
     topic: ClassVar[str] = "/in/status"
     t_us: int
@@ -337,7 +337,7 @@ class CommandResult(Record, frozen=True, gc=False):
 
 
 class OperatorRequest(Record, frozen=True, gc=False):
-    """Request of the operator; `detail` names the failed part of the simulated vehicle."""
+    """Request of the operator or the shell; for `world_died`, `detail` is the cause."""
 
     topic: ClassVar[str] = "/in/operator"
     t_us: int
@@ -367,8 +367,9 @@ class RoundTrip(Record, frozen=True, gc=False):
 class PlanAnswer(Record, frozen=True, gc=False):
     """The planner's answer to a `PlanRequest`: a trajectory from a future time, and the predicted contact.
 
-    x and y are polynomials of fifth order in the seconds since `begin_us`, constant term first. Beyond the
-    last polynomial the vehicle continues at its final velocity.
+    x and y are polynomials of fifth order, constant term first. The variable of each polynomial is the time
+    since the beginning of this polynomial, seconds. The first polynomial begins at `begin_us`. After the last
+    polynomial, the vehicle continues at its final velocity.
     """
 
     topic: ClassVar[str] = "/in/plan"
@@ -388,7 +389,7 @@ class PlanAnswer(Record, frozen=True, gc=False):
 
 
 class ContactAnswer(Record, frozen=True, gc=False):
-    """Results of fitting the contact of a `ContactRequest`; the core outputs `body` and `wall` as records."""
+    """Results of the fit for a `ContactRequest`; the core outputs `body` and `wall` as records."""
 
     topic: ClassVar[str] = "/in/contact"
     received_us: int
@@ -399,7 +400,7 @@ class ContactAnswer(Record, frozen=True, gc=False):
 
 
 class Tick(Record, frozen=True, gc=False):
-    """Host time, at least every 20 ms, so that silent streams can be detected."""
+    """Host time. One record arrives at least every 20 ms, so that the core can detect silent streams."""
 
     topic: ClassVar[str] = "/in/tick"
     frequent: ClassVar[bool] = True
@@ -473,7 +474,7 @@ class LockCommand(Record, frozen=True, gc=False):
 
 
 class LockPermission(Record, frozen=True, gc=False):
-    """Whether the arms are clear of contact and back in place, for the lock's state machine."""
+    """Whether the lock's state machine may move the lock: the arms have no contact and are back in place."""
 
     topic: ClassVar[str] = "/out/lock_permission"
     t_us: int
@@ -542,7 +543,8 @@ class Silence(Record, frozen=True, gc=False):
 class ForceEstimate(Record, frozen=True, gc=False):
     """External force on the vehicle at an IMU sample, mission frame, newton (docs/force.md).
 
-    A sample is the mean over the IMU's tick that ends at `t_us`. Clipped samples are lower bounds.
+    A sample is the mean over one IMU tick, the interval that ends at `t_us`. A clipped sample is a lower
+    bound of the true force.
     """
 
     topic: ClassVar[str] = "/estimate/force"
@@ -559,8 +561,8 @@ class ForceEstimate(Record, frozen=True, gc=False):
 class TorqueEstimate(Record, frozen=True, gc=False):
     """External torque about the centre of mass at an IMU sample, body FRD (docs/torque.md).
 
-    The torque is the inertia times the change of the body rate over the tick, plus the gyroscopic term, minus
-    the torque of the motors. A sample is the mean over the tick that ends at `t_us`.
+    The torque is the inertia times the angular acceleration, plus the gyroscopic term, minus the torque of
+    the motors. A sample is the mean over one IMU tick, the interval that ends at `t_us`.
     """
 
     topic: ClassVar[str] = "/estimate/torque"
@@ -608,7 +610,7 @@ class ContactEnd(Record, frozen=True, gc=False):
 
 
 class ContactSide(StrEnum):
-    """Guard that touched the wall first, as seen when flying into the wall."""
+    """Propeller guard that touched the wall first; left and right are relative to the direction of flight."""
 
     LEFT = "left"
     RIGHT = "right"
@@ -638,10 +640,10 @@ class ImpactBody(Record, frozen=True, gc=False):
 
 
 class WallEstimate(Record, frozen=True, gc=False):
-    """Properties of the wall and the arms, estimated from a planned contact at its end (docs/felt.md).
+    """Properties of the wall and the arms, estimated at the end of a planned contact (docs/felt.md).
 
-    The coefficients are posterior means, and hold for the estimated mode of the arms. If the contact does not
-    decide between the modes, they hold for the mode that the lock reports.
+    The coefficients are posterior means, and hold for the estimated mode of the arms. If the mode cannot be
+    estimated from the contact, the coefficients hold for the mode that the lock reports.
     """
 
     topic: ClassVar[str] = "/estimate/wall"
@@ -673,7 +675,10 @@ class WallEstimate(Record, frozen=True, gc=False):
 
 
 class DetectionFloor(Record, frozen=True, gc=False):
-    """Smallest force, N, that is detectable despite the noise when an approach begins (docs/force.md)."""
+    """Smallest force, N, that can be detected in the present noise (docs/force.md).
+
+    The record is written once, when the mission begins to expect a wall.
+    """
 
     topic: ClassVar[str] = "/estimate/detection"
     t_us: int
@@ -696,7 +701,10 @@ class PhaseChange(Record, frozen=True, gc=False):
 
 
 class PosesWithheld(Record, frozen=True, gc=False):
-    """Notice that wrong poses, or only their attitudes, are no longer forwarded; PX4 uses its IMU instead."""
+    """Notice that this program has stopped forwarding wrong poses; PX4 uses its IMU instead.
+
+    If only the attitudes of the poses are wrong, the positions are still forwarded.
+    """
 
     topic: ClassVar[str] = "/event/poses_withheld"
     t_us: int
@@ -715,7 +723,7 @@ class GuardEvent(Record, frozen=True, gc=False):
 
 
 class GoalPassed(Record, frozen=True, gc=False):
-    """Closest approach to the goal after the last contact; from this moment on the vehicle holds the goal."""
+    """Closest approach to the goal after the last contact; then the vehicle holds its place at the goal."""
 
     topic: ClassVar[str] = "/event/goal"
     t_us: int
@@ -811,7 +819,7 @@ class TruthSample(Record, frozen=True, gc=False):
 
 
 class ComputerSample(Record, frozen=True, gc=False):
-    """State of the onboard computer, once a second; None if its kernel does not report it."""
+    """State of the onboard computer, once a second; values that the kernel does not report are None."""
 
     topic: ClassVar[str] = "/computer"
     t_us: int  # host's monotonic clock

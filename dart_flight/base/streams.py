@@ -1,7 +1,8 @@
 """The telemetry streams: requested rates, required rates and messages.
 
 `vehicle` requests the rates, the guard checks the age of samples in host time, and `check` compares the
-measured rates. PX4 rounds intervals to ticks of 4 ms: request 250 Hz, not 200.
+measured rates. PX4 rounds the interval between two messages to a multiple of 4 ms. Therefore the requested
+rate of the IMU is 250 Hz, not 200 Hz.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ class Stream(msgspec.Struct, frozen=True):
 
     @property
     def watched_hz(self) -> float:
-        """Rate requested by commands that only watch: full for the IMU, reduced for other streams."""
+        """Rate requested by a command that does not fly: `rate_hz` for the IMU, at most 62.5 Hz otherwise."""
         return self.rate_hz if self.name == "imu" else min(self.rate_hz, 62.5)
 
 

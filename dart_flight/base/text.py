@@ -22,7 +22,7 @@ def battery_figures(remaining: float | None, voltage_v: float | None) -> list[st
 
 
 def printable(text: str) -> str:
-    """Return the text with every character escaped that UTF-8 cannot encode."""
+    """Return the text; characters that UTF-8 cannot encode are replaced by escapes."""
     return text if text.isascii() else text.encode("utf-8", ESCAPED).decode()
 
 

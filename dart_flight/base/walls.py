@@ -1,7 +1,7 @@
 """Walls and posts, and the collision frame of a wall.
 
-Collision frame: X is the outward normal, Y points to the right when looking along X in a z-up frame, and Z =
-X x Y (it points down at a wall).
+Collision frame: X is the outward normal, and Y points to the right when looking along X in a z-up frame.
+Z = X x Y points down, because walls are vertical.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Post(msgspec.Struct, frozen=True):
     material: str
 
     def distance_to_segment(self, a: Vec2, b: Vec2) -> float:
-        """Return the distance of the axis from the segment between two places, metres."""
+        """Return the distance between the cylinder's axis and the segment from `a` to `b`, metres."""
         return distance_to_segment(self.centre, a, b)
 
 
@@ -47,11 +47,12 @@ class Wall(msgspec.Struct, frozen=True):
         material: key of the materials table.
         position_sd_m: standard deviation of the plane's position along the normal; None if not configured.
         yaw_sd_rad: standard deviation of the plane's direction, about `point`; None if not configured.
-        half_vehicle_m: distance from the vehicle's centre to its side. An impact keeps at least this distance
-            inside the wall's end. A path that passes the wall keeps at least this distance outside that end.
-        post_radius_m: radius of the post whose tangent plane this is; 0 for a wall.
-        sought: whether a probe searches for the wall, because the wall's position is unknown. The plane is
-            then assumed where the probe's path ends.
+        half_vehicle_m: distance from the vehicle's centre to the vehicle's side. Measured along the wall, an
+            impact is at least this distance inside the ends of the wall, and a path past the wall is at least
+            this distance outside the ends.
+        post_radius_m: radius of the post, if the wall is the tangent plane of a post; 0 for a flat wall.
+        sought: whether a probe searches for the wall, because the wall's position is unknown. In this case,
+            the plane is assumed at the end of the probe's path.
         material_known: whether the material is given. If not, `material` is the vehicle's stiffest material
             until a contact identifies the wall's material.
     """
@@ -105,7 +106,7 @@ class Wall(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(self, normal=(c * nx - s * ny, s * nx + c * ny))
 
     def plane_sd_m(self, position: tuple[Any, ...]) -> Any:
-        """Return the standard deviation of the plane's position opposite a place, metres.
+        """Return the standard deviation of the plane's position, metres, at the point nearest to `position`.
 
         The deviation grows with the distance from the middle of the wall. Coordinates may be numbers or
         arrays.
@@ -131,12 +132,18 @@ class Wall(msgspec.Struct, frozen=True):
         return abs(self.along(position)) <= 0.5 * self.length_m
 
     def to_collision(self, v_mission: Vec3) -> Vec3:
-        """Convert a direction from the mission frame to the wall's collision frame (R dagger transposed)."""
+        """Convert a direction from the mission frame to the wall's collision frame.
+
+        The conversion is the transpose of the matrix in `from_collision`.
+        """
         nx, ny = self.normal
         return (v_mission[0] * nx + v_mission[1] * ny, v_mission[0] * ny - v_mission[1] * nx, -v_mission[2])
 
     def from_collision(self, v_collision: Vec3) -> Vec3:
-        """Convert a direction from the wall's collision frame to the mission frame (R dagger)."""
+        """Convert a direction from the wall's collision frame to the mission frame.
+
+        The columns of the conversion's matrix are the axes X, Y and Z of the collision frame.
+        """
         nx, ny = self.normal
         return (
             v_collision[0] * nx + v_collision[1] * ny,
@@ -145,10 +152,11 @@ class Wall(msgspec.Struct, frozen=True):
         )
 
     def parallel_yaw(self, yaw_mission_rad: float) -> float:
-        """Return the heading nearest to the given heading at which the leading edge is parallel to the wall.
+        """Return the nearest heading at which the vehicle's leading edge is parallel to the wall.
 
-        The vehicle is four-fold symmetric, so any quarter turn is equivalent. Two perpendicular walls need no
-        rotation between them (`docs/concepts.md`, yaw).
+        The vehicle is four-fold symmetric, so four headings are parallel to the wall. The result is the
+        heading nearest to `yaw_mission_rad`. Between two perpendicular walls, the vehicle does not need to
+        turn (`docs/concepts.md`, yaw).
         """
         facing = math.atan2(-self.normal[1], -self.normal[0])
         quarter = 0.5 * math.pi

@@ -1,4 +1,4 @@
-"""The checks before a flight, as findings that end in go or no-go, for `check`, `fly` and `survey`.
+"""The checks before a flight, for `check`, `fly` and `survey`; their findings decide between go and no-go.
 
 `checks` lists all checks by stage, and `stages` runs them. `mission_check` judges a mission alone: bounds,
 walls, speeds, forces, servo times, coefficients. With a connection, `vehicle_reading` reads the vehicle's

@@ -1,4 +1,4 @@
-"""The checks of `check`, `fly`, `survey` and hardware in the loop: one list, by stage.
+"""The list of all checks for `check`, `fly`, `survey` and hardware in the loop; each check has a stage.
 
 A command chooses stages (`select_checks`), creates a `FlightContext` and shows the findings of `run_checks`.
 To add a check, add one line to `CHECKS`. The steps on the bench have their own list, `bringup.steps.STEPS`.
@@ -67,7 +67,7 @@ class FlightContext(CheckContext[CheckFinding]):
         log_dir: the folder of the flight log.
         url: MAVSDK connection URL of the vehicle, or None without a vehicle.
         position_from: the position source that the operator claims, or None to use the vehicle's parameters.
-        reading: the vehicle's reports, read by the first check of a stage with a vehicle.
+        reading: the vehicle's reports, or None. In a stage with a vehicle, the first check reads the reports.
         found: the findings of the earlier checks.
     """
 

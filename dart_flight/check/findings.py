@@ -1,6 +1,6 @@
-"""Findings of the checks before a flight and the decision from them.
+"""Findings of the checks before a flight, and the decision between go and no-go.
 
-Every no-go has a name. The operator overrules a no-go by that name only.
+Every no-go has a name. The operator must give this name to overrule the no-go.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Checks that a flight controller is set up for hardware in the loop, on a table, with propellers off.
+"""Checks of a flight controller's setup for hardware in the loop.
 
-`configs/px4/hitl.params` lists the parameters that this mode adds to the vehicle's own, with reasons.
+The flight controller is on a table, with propellers off. `configs/px4/hitl.params` lists the parameters that
+hardware in the loop needs in addition to the vehicle's parameters, each with a reason.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _MOTORS = range(101, 113)  # output functions "Motor 1" to "Motor 12"
 
 
 def hitl_parameters() -> dict[str, Parameter]:
-    """Return by name the parameters that hardware in the loop adds to the vehicle's own."""
+    """Return the parameters that hardware in the loop needs in addition to the vehicle's, by name."""
     return load_parameters(packaged("configs", "px4", "hitl.params"))
 
 
@@ -40,13 +41,13 @@ def evaluate_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
 def evaluate_own_parameters(
     mission: Mission, values: Mapping[str, float], position_from: PositionSource | None
 ) -> list[CheckFinding]:
-    """Judge the vehicle's own parameters as before a flight, except those that this mode sets."""
+    """Judge the vehicle's own parameters as before a flight, except the parameters in `hitl.params`."""
     wanted = hitl_parameters()
     return [f for f in evaluate_parameters(mission, values, position_from) if f.item not in wanted]
 
 
 def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """Return whether the flight controller is disarmed and was restarted into this mode."""
+    """Return whether the flight controller is disarmed and has restarted with hardware in the loop."""
     if mode is None:
         return [CheckFinding("heartbeat", False, "no heartbeat with a mode within 3 s")]
     if mode.armed:
@@ -61,7 +62,7 @@ def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) 
 def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
     """Return a no-go if the firmware lacks simulated outputs, or if a PX4IO would drive real motors.
 
-    A PX4IO keeps its outputs active in this mode, according to the source of PX4 v1.18.
+    According to the source of PX4 v1.18, hardware in the loop does not switch off the outputs of a PX4IO.
     """
     turning = [name for name in IO_OUTPUTS if round(values.get(name, 0)) in _MOTORS]
     if BOARD in values and ON_A_BOARD not in values:
@@ -74,7 +75,7 @@ def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
 
 
 def evaluate_hitl_lock(mission: Mission) -> CheckFinding:
-    """Return whether the lock's servo can move in this mode."""
+    """Return whether the lock's servo can move during hardware in the loop."""
     lock = mission.vehicle.lock
     if lock is not None and lock.driver is LockDriver.PX4:
         return CheckFinding(

@@ -209,7 +209,11 @@ def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
-    """Compare the predicted force with the vibration that is assumed before any is measured in flight."""
+    """Compare the predicted force with the detection limit.
+
+    The limit follows from the configured vibration. The detector assumes this vibration until it has measured
+    the vibration in flight.
+    """
     hit, vehicle = expected_hit(mission, collision), mission.vehicle
     if hit is None:
         return []
@@ -299,7 +303,11 @@ def _states(mission: Mission, planned: PredictedFlight) -> Iterator[tuple[float,
 def _check_recovery(
     mission: Mission, collision: Collision, planned: PredictedFlight | None
 ) -> list[CheckFinding]:
-    """Check that a recovery leads to the next wall if that is planned; otherwise, that it hits no wall."""
+    """Check the place to which a recovery leads.
+
+    If the mission hits the next wall from the recovery, the recovery must lead to that wall. Otherwise the
+    recovery must hit no wall and no post.
+    """
     hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
     place = collision.impact_point or (collision.predicted.position_m if collision.predicted else None)
     velocity = impact_velocity(collision)
@@ -368,7 +376,8 @@ def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, fir
     """Return a finding about the recovery setpoint's distance outside the bounds.
 
     A setpoint slightly outside is a remark, because the vehicle reaches the place that `first` names before
-    it reaches the setpoint. A setpoint far outside is a no-go, because its alpha is probably a mistake.
+    it reaches the setpoint. A setpoint far outside is a no-go, because the collision's gain alpha is probably
+    wrong.
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
@@ -413,7 +422,10 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def check_flown(mission: Mission) -> CheckFinding:
-    """Return the result of the simulated flights, and whether the mission has changed since these flights."""
+    """Return the recorded result of the mission's simulated flights.
+
+    If no result is recorded, or if the mission has changed since these flights, return a remark.
+    """
     flown = mission.flown
     again = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
     if flown is None:

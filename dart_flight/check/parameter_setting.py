@@ -48,7 +48,7 @@ class ParameterReading(msgspec.Struct, frozen=True):
 
     Attributes:
         rows: one row for each of these parameters.
-        position_from: the wanted position source, or None if a file is written back.
+        position_from: the wanted position source, or None if the wanted values are those of a file.
         version: PX4's version, empty if not reported.
         restart_source: source of the list of parameters that need a restart, or None if there are no rows.
     """
@@ -78,7 +78,7 @@ def read_differences(
         mission: provides the vehicle and the frame.
         claimed: position source that the operator claims, or None. With None the source is motion capture if
             the configuration has one; otherwise the vehicle's parameters select the source.
-        restored: parameter file whose values are wanted instead, or None.
+        restored: file to restore, or None. The wanted values are then the values of this file.
         progress: receives the number of parameters read and the total number.
 
     Raises:
@@ -158,7 +158,7 @@ def write_rows(
     """Write parameters and read them back.
 
     Returns:
-        The reason for each parameter that was not accepted, by name.
+        The names of the parameters that were not accepted, each with the reason.
 
     Raises:
         NoAnswerError: the vehicle does not answer requests.

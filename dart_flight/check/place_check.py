@@ -1,6 +1,6 @@
 """The check of a connected vehicle's place in the mission's frame.
 
-The operator compares its finding with the room before take-off.
+Before take-off, the operator compares the finding with the room.
 """
 
 from __future__ import annotations
@@ -69,10 +69,10 @@ def evaluate_place(
 def _surroundings(
     mission: Mission, frame: MissionFrame, place: Vec2, yaw_ned: float
 ) -> Iterator[tuple[str, float, float, str]]:
-    """Yield name, distance, bearing in degrees and side of the vehicle for every wall and post.
+    """Yield name, distance (m), bearing (deg) and side (ahead, right, behind or left) of each wall and post.
 
-    Distances are measured to the surface, as with a tape measure. If `given_at: surface` is missing in the
-    mission, the operator therefore notices that the distances are wrong.
+    Distances are measured to the surface, so that the operator can compare them with a tape measure. A wrong
+    distance reveals that `given_at: surface` is missing in the mission.
     """
     to_surface_m = mission.vehicle.airframe.contact_distance_m
     points = [
@@ -108,7 +108,10 @@ def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator
 
 
 def _walls_facing_away(mission: Mission, place: Vec2) -> Iterator[str]:
-    """Yield the walls that the vehicle is behind, except walls that are hit after the first collision."""
+    """Yield the names of the walls whose back faces the vehicle.
+
+    Walls that are hit after the first collision are not checked.
+    """
     later = {collision.wall.name for collision in mission.collisions[1:]}
     for wall in mission.walls:
         if wall.name not in later and wall.spans(place) and wall.signed_distance(place) < 0.0:

@@ -1,4 +1,4 @@
-"""The checks of probes, and of collisions with walls that are found or anchored in flight."""
+"""The checks of probes, of walls that a probe finds in flight, and of contacts that correct the frame."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
 
 
 def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
-    """If the frame drifts, check that each wall, or a wall parallel to it, is probed before its impact."""
+    """If the frame drifts, check that a contact with each wall, or a parallel wall, precedes the impact."""
     if not mission.is_anchored:
         return
     touched: list[Collision] = []
@@ -108,7 +108,10 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
 
 
 def _hit_times_s(mission: Mission) -> dict[int, float]:
-    """Return the approximate time of each collision by index, seconds from the start of the first run-up."""
+    """Return the approximate time of each collision, seconds from the start of the first run-up.
+
+    The keys are the indices of the collisions.
+    """
     times, now_s = {}, 0.0
     flying = mission.vehicle.flying
     here: Vec2 | None = None

@@ -233,7 +233,10 @@ def evaluate_parameters(
 def _is_absent(
     missing: Parameter, wanted: Mapping[str, Parameter], values: Mapping[str, float], version: Version | None
 ) -> bool:
-    """Return whether this PX4 lacks a parameter; without a version, decide by the other parameters."""
+    """Return whether this PX4 lacks a parameter.
+
+    If the version is unknown, the presence of other parameters decides.
+    """
     if version is not None:
         return missing.is_absent_in(version)
     # A newer parameter is absent if a parameter of older versions only is present, and vice versa.
@@ -291,7 +294,7 @@ def _evaluate_pose_delay(
 
 
 def position_source(values: Mapping[str, float], gps_fix: str | None) -> PositionSource | None:
-    """Return the position source that PX4 fuses, with the quality of the GPS fix.
+    """Return the position source that PX4 fuses; for GPS, the fix decides between RTK and plain GPS.
 
     Args:
         values: parameters read from the vehicle.

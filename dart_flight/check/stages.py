@@ -73,9 +73,10 @@ class Check(NamedTuple, Generic[Context, Found]):
 
 
 def run_checks(checks: Iterable[Check[Context, Found]], context: Context) -> list[Found]:
-    """Run checks in order and return their findings, including those for `own_errors`.
+    """Run checks in order and return their findings.
 
-    After `EndOfStageError`, skip the remaining checks of that stage.
+    Convert each exception in `own_errors` to a finding. After `EndOfStageError`, skip the remaining checks of
+    that stage.
     """
     first, ended = len(context.found), set[Stage]()
     for check in checks:

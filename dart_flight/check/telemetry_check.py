@@ -45,8 +45,8 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
     """Compare the rates of usable samples with the rates that a mission needs.
 
     Args:
-        rates_hz: rate by name in the stream table.
-        unusable: reason by stream, for streams with an unusable message.
+        rates_hz: rate of each stream; the keys are the names in the stream table.
+        unusable: for each stream with an unusable message, the reason.
     """
     slow = {name: rate < BY_NAME[name].expected_hz for name, rate in rates_hz.items()}
     return [
@@ -60,7 +60,7 @@ def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[C
 
     Args:
         observed: rates and senders.
-        values: parameters read from the vehicle, with `LOOPBACK` if the vehicle has it.
+        values: parameters read from the vehicle, including `LOOPBACK` if this parameter was read.
     """
     findings = []
     for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):
@@ -72,7 +72,7 @@ def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[C
 
 
 def evaluate_sources(observed: Observation) -> list[CheckFinding]:
-    """Return a finding that names each stream's component and every other sender of its message."""
+    """Return a finding that lists the used messages with their sender, and the senders that are not used."""
     taken = [s for s in observed.sources if s.is_vehicle and s.usable_hz > 0.0]
     if not taken:
         return []
@@ -136,9 +136,10 @@ _SLOWEST_DSHOT = -2  # value of PWM_<bank>_TIM<n>: -2 and below is DShot, -1 is 
 
 
 def motor_output_names(values: Mapping[str, float], motors: int) -> list[str]:
-    """Return the parameters that must be read next to find the motors' outputs; empty when all are read.
+    """Return the next parameters to read in the search for the motors' outputs; empty when all are read.
 
-    Reading an absent parameter takes seconds, so the first output of a bank decides whether the bank exists.
+    A bank is a group of outputs, such as PWM_MAIN. Reading an absent parameter takes seconds, so the first
+    output of a bank decides whether the bank exists.
     """
     for bank in _BANKS:
         pins = [f"{bank}_FUNC{k}" for k in range(1, motors + 1)]

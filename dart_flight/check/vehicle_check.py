@@ -18,7 +18,7 @@ from dart_flight.vehicle.ground_link import HeartbeatMode, Observation
 
 
 def round_trip_limit_s(mission: Mission) -> float:
-    """Return the longest round trip with which samples are still in time, seconds."""
+    """Return the longest allowed round trip, seconds: twice `guard.telemetry_late_s`."""
     return 2.0 * mission.vehicle.guard.telemetry_late_s
 
 
@@ -56,7 +56,7 @@ def evaluate_observation(observed: Observation) -> list[CheckFinding]:
 
 
 def evaluate_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """Return a no-go with the autopilot's name if it is not PX4."""
+    """If the autopilot is not PX4, return a no-go with the autopilot's name."""
     if mode is None or not mode.not_px4:
         return []
     says = f"heartbeats arrive, but none {mode.not_px4}: this program supports only PX4"
@@ -64,7 +64,10 @@ def evaluate_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
 
 
 def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """Return a no-go if the vehicle has used simulated sensors since its start, whatever SYS_HITL is now."""
+    """Return a no-go if the vehicle has used simulated sensors since its start.
+
+    The present value of SYS_HITL does not matter, because a new value takes effect only after a restart.
+    """
     if mode is None or not mode.hil:
         return []
     says = "PX4 uses simulated sensors (hardware in the loop): restart it with SYS_HITL 0"

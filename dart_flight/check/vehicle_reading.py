@@ -95,7 +95,9 @@ def _read_outputs(link: GroundLink, motors: int) -> dict[str, float]:
 
 
 def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
-    """Read a flight controller over the application's link before it receives simulated sensors.
+    """Read a flight controller before it receives simulated sensors.
+
+    The URL is that of the application's link, not that of the link for simulated sensors.
 
     Raises:
         VehicleError: no autopilot is found at the URL.

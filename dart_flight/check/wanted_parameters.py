@@ -1,6 +1,7 @@
 """The wanted values of a vehicle's PX4 parameters, from `configs/px4/`, configuration and measurements.
 
-`check` compares the vehicle's parameters with them; `dart-flight parameters` lists and writes them.
+`check` compares the vehicle's parameters with the wanted values. `dart-flight parameters` lists the
+differences and writes the wanted values.
 """
 
 from __future__ import annotations
@@ -99,12 +100,12 @@ def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[s
 def with_lock_output(
     mission: Mission, wanted: Mapping[str, Parameter], values: Mapping[str, Value]
 ) -> dict[str, Parameter]:
-    """Add the parameters of the lock's output on PX4, if the lock has one.
+    """If PX4 drives the lock's servo, add the parameters of the servo's output.
 
     Args:
         mission: provides the lock.
         wanted: the other wanted parameters.
-        values: the vehicle's values, whose bits outside a parameter's mask are kept.
+        values: the vehicle's values. If a parameter has a mask, the bits outside the mask are kept.
     """
     lock, found = mission.vehicle.lock, dict(wanted)
     if lock is None or lock.driver is not LockDriver.PX4:

@@ -101,7 +101,7 @@ class _Parser(argparse.ArgumentParser):
         return self
 
     def _suggest_choice(self, message: str) -> str:
-        """Return a message about a wrong value with the nearest allowed value."""
+        """Return the message; if it is about a wrong value, add the nearest allowed value."""
         wrong = _WRONG_VALUE.match(message)
         if wrong is None:
             return message
@@ -198,7 +198,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _show_warning(
     message: Warning | str, category: type[Warning], filename: str, lineno: int, *rest: Any, **more: Any
 ) -> None:
-    """Print a warning about the user's file as one line, and any other warning like Python."""
+    """Print a warning about the user's file as one line; print any other warning in Python's format."""
     if issubclass(category, RetiredKeyWarning):
         print_status(message)
     else:

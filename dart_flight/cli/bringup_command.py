@@ -1,4 +1,4 @@
-"""`dart-flight bringup [MISSION]`: bring a vehicle up on the bench, from wiring to remote control."""
+"""`dart-flight bringup [MISSION]`: bring up a vehicle on the bench, step by step, and judge each step."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class _Terminal:
 
 
 def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: float) -> None:
-    """Write the measured age of the poses into the configuration, or print that the operator must do so."""
+    """Write the measured age of the poses into the configuration; on failure, ask the operator to set it."""
     path = Path(source or default_config_path())
     try:
         refuse_unwritable(arguments, path)

@@ -84,7 +84,7 @@ def keep_checking(check: Callable[[], int], sleep: Callable[[float], None] = tim
 
 
 def _wait_for_save(watched: dict[Path, Stamp], sleep: Callable[[float], None]) -> None:
-    """Wait until a file has changed and all files have settled; update the stamps."""
+    """Wait until a file has changed and no file changes any more; update the stamps."""
     changed = False
     while True:
         now = {path: stamp_of(path) for path in watched}

@@ -1,4 +1,4 @@
-"""`dart-flight dry-run MISSION`: fly it in simulation."""
+"""`dart-flight dry-run MISSION`: fly the mission in simulation."""
 
 from __future__ import annotations
 
@@ -142,7 +142,9 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
 
 
 def with_emulated_mocap(arguments: argparse.Namespace, mission: Mission) -> Mission:
-    """Return the mission for a simulation, with the motion capture of `--mocap` or without one.
+    """Return the mission for a simulation, with the emulated motion capture that `--mocap` names.
+
+    Without `--mocap`, the mission has no motion capture.
 
     Raises:
         InputError: there is no such motion capture, or it does not fit the other options.

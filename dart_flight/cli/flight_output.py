@@ -142,7 +142,7 @@ def _styled(record: Record, event: Event) -> list[tuple[str, str]]:
 
 
 def verdict_table(verdict: Verdict) -> RenderableType:
-    """Return the outcome of a flight, its collisions (planned, measured, true) and its figures as a table."""
+    """Return a table of a flight: the outcome, the collisions (planned, measured, true) and the figures."""
     title = Text(f"{verdict.mission}, {verdict.world or 'unknown'}: {verdict.outcome}", style="italic")
     parts: list[RenderableType] = [title]
     if verdict.reason is not None:
@@ -180,7 +180,7 @@ def verdict_table(verdict: Verdict) -> RenderableType:
 
 
 def _resets_line(verdict: Verdict) -> Text:
-    """Return the number of PX4's estimator resets in the air and their largest steps."""
+    """Return a line about PX4's estimator resets in the air: the number and the largest steps."""
     resets = verdict.estimator_resets
     position_m, velocity_m_s = max(r.position_m for r in resets), max(r.velocity_m_s for r in resets)
     heading_deg = max((r.heading_deg for r in resets), key=abs)
@@ -200,7 +200,7 @@ def _goal_line(verdict: Verdict) -> Text:
 
 
 def _plan_line(verdict: Verdict) -> Text:
-    """Return a line about the plan: followed, or its largest deviations."""
+    """Return a line about the plan: followed, or the largest deviations of the flight from the plan."""
     if verdict.plan_followed:
         return Text("plan followed")
     return Text(f"plan not followed: {format_departures(verdict.deviations)}", style="yellow")

@@ -1,4 +1,4 @@
-"""`dart-flight fly MISSION`: fly it on the vehicle."""
+"""`dart-flight fly MISSION`: fly the mission on the vehicle."""
 
 from __future__ import annotations
 
@@ -97,7 +97,10 @@ def _listed(mission: Mission, url: str) -> list[Px4LogEntry] | None:
 
 
 def _downloaded(mission: Mission, url: str, log: Path, before: list[Px4LogEntry] | None) -> str | None:
-    """Download PX4's log and return its path, or print why not; a failure keeps the flight's result."""
+    """Download PX4's log and return the path of the log, or print the reason for a failure.
+
+    A failure does not change the result of the flight.
+    """
     try:
         span = armed_span(read_log(log))
         timeout_s = mission.vehicle.connection.timeout_s
@@ -113,7 +116,7 @@ def _downloaded(mission: Mission, url: str, log: Path, before: list[Px4LogEntry]
 def fly_if_go(
     arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkLease, findings: list[CheckFinding]
 ) -> Verdict | None:
-    """Fly with the vehicle if the findings permit and the operator agrees; return None if not flown."""
+    """If the findings permit and the operator agrees, fly with the vehicle; otherwise return None."""
     console = messages()
     report = decide(mission, findings, arguments.overrule)
     show(report, console)

@@ -1,4 +1,4 @@
-"""Steps of `dry-run --hitl` before and after the flight: checks, confirmation, and how to leave this mode.
+"""Steps of `dry-run --hitl`: checks and confirmation before the flight, and instructions after the flight.
 
 The operator must confirm that the propellers are off, because arming is real.
 """

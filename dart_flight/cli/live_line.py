@@ -1,4 +1,4 @@
-"""Live line at the bottom of the terminal: phase, position and state of a flight between its decisions."""
+"""Live line at the bottom of the terminal, below the decisions of a flight: phase, position and state."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ _CLEAR = "\r\x1b[K"
 class LiveLine:
     """Line with phase, position, speed, force, lock and battery, updated five times per second.
 
-    It does not use rich's Live, because its refresh blocks the core's interpreter for half a millisecond.
+    The class does not use `Live` of rich, because a refresh of `Live` blocks the core's interpreter for half
+    a millisecond.
 
     Args:
         mission: mission that is flown.

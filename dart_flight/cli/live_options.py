@@ -21,7 +21,7 @@ _LOCAL = ("127.0.0.1", "::1", "localhost")
 
 
 class LiveView:
-    """The lab's live view of a flight; a failure in it prints one line and does not end the flight.
+    """The lab's live view of a flight; if the view fails, one line is printed and the flight continues.
 
     Args:
         view: the lab's view, which receives the records.
@@ -83,14 +83,17 @@ def live_view(
     frame_known: bool = False,
     from_truth: bool = False,
 ) -> Iterator[LiveView | None]:
-    """Open the live view of `--live` as a context and print its address; the value is None without `--live`.
+    """Open the live view and print the address; close the view at the end of the context.
+
+    The value of the context is the view, or None without `--live` or after a failure of the lab.
 
     Args:
         arguments: parsed arguments of the command.
         mission: mission that is shown.
         show_room: whether to show the mission's room.
-        frame_known: whether the mission frame is at its specified place from the beginning of the flight.
-        from_truth: whether to show a simulated vehicle alone, at its true pose.
+        frame_known: whether the place of the mission frame is known when the view opens. Otherwise the
+            flight's records give the place.
+        from_truth: whether to show only the simulated vehicle, at the true pose.
 
     Raises:
         InputError: the port cannot be opened, or another live option is given without `--live`.

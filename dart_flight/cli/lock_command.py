@@ -1,4 +1,4 @@
-"""`dart-flight lock`: move or report the locking mechanism, calibrate its servo."""
+"""`dart-flight lock`: move the locking mechanism, report its state, or calibrate its servo."""
 
 from __future__ import annotations
 

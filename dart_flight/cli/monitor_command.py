@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -> Mission:
-    """Watch a flight by its log, or the vehicle on the link, and return the mission that was used."""
+    """Watch a flight through its log, or a vehicle through the link; return the mission that was used."""
     placed = arguments.mission is not None
     # Without --mission, the vehicle is that of the working folder, not that of the packaged mission.
     config = arguments.config or (None if placed else default_config_path())
@@ -104,8 +104,8 @@ def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | Non
     The result is None if no flight is in progress.
 
     Raises:
-        InputError: several flights are in progress, and none or more than one of them uses the
-            configuration's link.
+        InputError: several flights are in progress, and the number of flights on the configuration's link is
+            not one.
     """
     if log is not None:
         held = [holder for holder in held_links() if holder.log == printable(str(log.resolve()))]
@@ -133,7 +133,7 @@ def _ignore(record: Record) -> None:
 def _follow(
     log: Path, flying: Callable[[], bool], show: Callable[[MonitorView], None], arguments: argparse.Namespace
 ) -> Mission:
-    """Watch a flight by its log and return its mission.
+    """Watch a flight through its log and return the mission of the flight.
 
     Raises:
         InputError: the log cannot be read.

@@ -71,7 +71,7 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_vary_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the quantities of the simulated world that differ at random with every seed."""
+    """Add the option for the quantities of the simulated world that each seed draws at random."""
     parser.add_argument(
         "--vary",
         action="append",
@@ -115,7 +115,7 @@ def add_emulated_mocap_option(parser: argparse.ArgumentParser) -> None:
 
 
 def link_of(arguments: argparse.Namespace, connection: ConnectionConfig) -> str:
-    """Return the URL of `--connection`, or without that option `connection.url` of the configuration.
+    """Return the URL of `--connection`; without this option, return the configuration's `connection.url`.
 
     Raises:
         InputError: the URL is malformed, or names a serial port that does not exist.

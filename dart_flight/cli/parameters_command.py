@@ -131,7 +131,10 @@ def _report_written(rows: list[ParameterRow]) -> None:
 
 @contextlib.contextmanager
 def _shown(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show progress on a terminal within the context; the value is a callback for (done, total)."""
+    """Show progress on a terminal until the context ends.
+
+    The value of the context is a function that receives the number of finished items and the total number.
+    """
     from rich.progress import Progress  # slow to import
 
     console = messages()

@@ -66,8 +66,8 @@ def download_px4_log(
 
     Args:
         url, timeout_s, folder, armed, before: as for `fetch_px4_log`.
-        log_id: log that the operator has chosen. With None, the operator is asked if several logs may belong
-            to the flight.
+        log_id: number of the log that the operator has chosen. If the number is None and several logs may
+            belong to the flight, the operator must choose a log.
 
     Raises:
         InputError: several logs may belong to the flight, and there is no terminal or no valid choice.

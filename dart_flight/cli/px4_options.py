@@ -77,5 +77,5 @@ def position_source_of(arguments: argparse.Namespace) -> PositionSource:
 
 
 def position_warnings(position_from: PositionSource) -> list[str]:
-    """Return the warnings about a position source before the flight, a line each."""
+    """Return the warnings about a position source, one line each, to be shown before the flight."""
     return [PLAIN_GPS] if position_from is PositionSource.PLAIN else []

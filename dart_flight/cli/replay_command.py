@@ -37,7 +37,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return 0 if all decisions are equal, 1 if one differs.
 
-    With --json, print one object. For several logs it contains whether all are equal, and an object per log.
+    With --json, print one object. For several logs, `equal` states whether all are equal, and `replays` lists
+    one object per log.
     """
     paths = find_logs(arguments.logs)
     summaries: list[dict[str, Any]] = []
@@ -117,7 +118,7 @@ def _print(name: str, result: Replay) -> None:
 def _changes(before: str, after: str) -> tuple[str, str]:
     """Return the parts in which two texts of a decision differ.
 
-    If only one side has the decision, return both texts unchanged.
+    If the recording or the replay lacks the decision, return both texts unchanged.
     """
     one, other = _PARTS.split(before), _PARTS.split(after)
     if len(one) != len(other) or "-" in (before, after):

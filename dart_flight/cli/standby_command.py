@@ -1,4 +1,4 @@
-"""`dart-flight standby [MISSION ...]`: hold link and lock, answer a ground station's buttons."""
+"""`dart-flight standby [MISSION ...]`: keep link and lock open, and obey the buttons of a ground station."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) -> int:
-    """Search for the walls of an unknown room, flight by flight, until its outline is closed."""
+    """Search for the walls of an unknown room, flight by flight, until the room's outline is closed."""
     console = messages()
     print_vehicle(mission.flown_vehicle(), arguments)
     directions = [2.0 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
@@ -187,7 +187,7 @@ def _room_table(walls: dict[str, dict[str, Any]]) -> Table:
 
 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
-    """Touch the walls in the selected world or with the vehicle; return None if not flown."""
+    """Touch the walls in the selected world or with the vehicle; return None if the vehicle did not fly."""
     console = messages()
     refuse_unflyable(mission)
     if arguments.connection is not None:
@@ -229,7 +229,7 @@ def _write(
 
 
 def _coefficient_lines(wall: MeasuredWall) -> Iterator[str]:
-    """Yield a line per mode with a wall's estimated coefficients, for `materials` of the vehicle."""
+    """Yield one line per mode: a wall's estimated coefficients, for the vehicle's key `materials`."""
     for mode, found in wall.coefficients.items():
         figures = ", ".join(f"{name} {value:.4g} ± {100.0 * sd:.0f} %" for name, (value, sd) in found.items())
         yield f"{wall.name}, {mode}: {figures}"

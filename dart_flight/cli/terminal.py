@@ -167,7 +167,7 @@ def tables() -> Console:
 
 
 def styled(*parts: str | tuple[str, str]) -> Text:
-    """Return a line of parts, each text or (text, style)."""
+    """Return a line of parts; each part is a text, or a pair of text and style."""
     from rich.text import Text
 
     return Text.assemble(*parts)

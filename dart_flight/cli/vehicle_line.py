@@ -1,4 +1,4 @@
-"""Line about the vehicle's configuration, printed by commands on standard error before their results."""
+"""Line about the vehicle's configuration; commands print this line on standard error before the results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from dart_flight.config.provenance import VehicleSource, unused_configurations
 def print_vehicle(
     source: VehicleSource | None, arguments: argparse.Namespace, *, flown: bool = False
 ) -> None:
-    """Print the configuration and its mass, and a note if another configuration was found but not used.
+    """Print the configuration and the vehicle's mass.
+
+    If another configuration was found but not used, print a note.
 
     Args:
         source: source of the configuration; if None, nothing is printed.

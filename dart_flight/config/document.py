@@ -50,8 +50,8 @@ _SPECIAL: dict[str, Any] = {
 class InputError(ValueError):
     """An input error in one line: `file:line: key: problem, allowed values`.
 
-    The command line prints it and exits with status 2 before vehicle or lock move. For input from Python,
-    `<dict>` replaces file and line.
+    The command line prints the error and exits with status 2, before the vehicle or the lock moves. For input
+    from Python, `<dict>` replaces file and line.
     """
 
     def __init__(self, message: str, *, source: str = "", line: int | None = None, key: Key = ()) -> None:
@@ -106,7 +106,7 @@ def stamp_of(path: Path) -> Stamp:
 
 @contextlib.contextmanager
 def noting_files() -> Iterator[dict[Path, Stamp]]:
-    """Collect the files that are opened within the context, each with its stamp before it was read."""
+    """Collect the files that are opened within the context, and the stamp of each file before reading."""
     noted: dict[Path, Stamp] = {}
     _noting.append(noted)
     try:
@@ -118,7 +118,7 @@ def noting_files() -> Iterator[dict[Path, Stamp]]:
 def open_file(path: str | Path, most_bytes: int = MAX_LOG_BYTES) -> BinaryIO:
     """Open a file named by the operator for reading; every command opens its input here.
 
-    Only regular files are accepted: a pipe may never deliver data, and a device may never end.
+    Only regular files are accepted. A pipe might not deliver any data, and reading a device might not end.
 
     Raises:
         InputError: the file cannot be read, is not a regular file, or is larger than `most_bytes`.
@@ -185,12 +185,13 @@ def iterate_leaves(tree: Any, key: Key = (), *, in_lists: bool = False) -> Itera
 class Document:
     """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
 
-    If an option set a key that is not from the file, `set_by` names that option (`config.settings`). If this
-    document is part of another document, `above` is the key of this part in the other document.
+    `set_by` names the source of each value that is not from this file: an option (`config.settings`), or
+    another configuration file. If this document is part of another document, `above` is the key of this part
+    in the other document.
 
     Raises:
-        InputError: the text is not YAML, not a mapping, too large or too deep, has duplicate keys, aliases,
-            tags, or numbers that are not finite.
+        InputError: the text is not YAML, is not a mapping, is too large or is nested too deep; the text
+            contains duplicate keys, aliases or tags; or a number is not finite.
     """
 
     def __init__(self, text: str, source: str) -> None:
@@ -240,16 +241,17 @@ class Document:
         return document
 
     def part(self, name: str) -> Document:
-        """Return the mapping below a key as a document; its errors name a line and key of this document."""
+        """Return the mapping below a key as a document; errors name the line and full key in the file."""
         part = Document.from_tree(self.tree[name], self.source)
         part.lines = {key[1:]: line for key, line in self.lines.items() if key[:1] == (name,)}
         part.above = (*self.above, name)
         return part
 
     def error(self, key: Key, message: str) -> InputError:
-        """Return an error at a key of this document, with the line of the nearest key that is in the file.
+        """Return an error at a key of this document, with the line of the key.
 
-        If `--set` set the key, the error names that setting instead of file and line.
+        If the key is not in the file, the line is that of the nearest key above the missing key. If an option
+        such as `--set` has set the key, the error names this option instead of file and line.
         """
         for given, setting in self.set_by.items():
             # The error is at the setting, below it, or in a section that only the setting created.
@@ -467,7 +469,7 @@ _WORDS = {
 
 
 def _range(type_: Any, value: Any, key: Key) -> str:
-    """Return as text the allowed range that a number violates, with the unit and the number."""
+    """Return a text with the allowed range, the unit and the number; empty if no range is known."""
     limits = next(_limits(type_), None)
     if limits is None or isinstance(value, bool) or not isinstance(value, int | float):
         return ""

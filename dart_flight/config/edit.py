@@ -13,7 +13,7 @@ from dart_flight.config.document import Document, InputError, Key, read_text, re
 
 
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
-    """Return a YAML text with the scalars at some keys replaced by numbers; comments keep their column.
+    """Return a YAML text in which numbers replace the values at the given keys; comments keep their column.
 
     An integer in a key is an index into a list, from 0.
 

@@ -47,7 +47,10 @@ def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:
 
 
 def kind_of_file(path: str | Path) -> FileKind | None:
-    """Return the kind of a file by its content (CSV by its name), or None if it is unknown or unreadable."""
+    """Return the kind of a file, or None if the kind is unknown or the file is unreadable.
+
+    The name identifies a CSV file. The content identifies any other file.
+    """
     try:
         with open_file(path) as file:
             start = file.read(8)

@@ -1,4 +1,7 @@
-"""Checks of walls, places and modes that missions and scenarios share, against each other and the vehicle."""
+"""Checks of walls, places and modes, for missions and scenarios.
+
+The checks compare walls, places and modes with each other and with the vehicle.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,8 @@ def resolve_space(
     """Check start, goal, bounds and walls against each other, and return the walls by name.
 
     Raises:
-        InputError: bounds are empty, start or goal lies outside them or in a wall, or as in `resolve_walls`.
+        InputError: the bounds are empty; start or goal lies outside the bounds or in a wall; or a wall is
+            invalid, as in `resolve_walls`.
     """
     for axis in ("x", "y", "z"):
         low, high = getattr(bounds, axis)
@@ -110,7 +114,7 @@ def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, doc
 
     The plane contains the vehicle's centre at the first touch of the post. The wall's length is the range in
     which the vehicle's leading side touches the post. Beyond this range the vehicle passes the post, or
-    another part of it touches the post.
+    another part of the vehicle touches the post.
 
     Raises:
         InputError: the distance of `impact` from the post's axis is not the distance at which the vehicle
@@ -206,8 +210,8 @@ def resolve_alphas(
     """Return the gains (A_n, A_t) in the wall's axes, m/N, from `alpha_m_per_n` or `alpha_wall_m_per_n`.
 
     Raises:
-        InputError: both or neither is given, gains per mission axis differ at an oblique wall, or the gain
-            along the normal is 0.
+        InputError: not exactly one of the two keys is given; the wall is oblique to the mission's axes, but
+            the two gains of `alpha_m_per_n` differ; or the gain along the normal is not above 0.
     """
     if (per_axis is None) == (per_wall is None):
         raise document.error(key, "give exactly one of alpha_m_per_n and alpha_wall_m_per_n")

@@ -54,7 +54,7 @@ class Inherited(NamedTuple):
     Attributes:
         file, base: the vehicle's own file, and the file that it inherits from.
         keys: inherited keys with their values, as text.
-        contradictions: for each changed value, the inherited keys with their values that it contradicts.
+        contradictions: for each changed value, the inherited keys that contradict this value, as in `keys`.
     """
 
     file: str
@@ -102,7 +102,10 @@ def find_inherited(
 
 
 def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
-    """Return the keys that a file sets itself and the file it inherits from, or None for a packaged file."""
+    """Return two results: the keys that a file sets itself, and the file from which this file inherits.
+
+    For a packaged file, return None.
+    """
     own = Document.load(path).tree
     try:
         original = packaged("configs", path.name)
@@ -122,7 +125,7 @@ def _by_name(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _values(vehicle: VehicleConfig) -> dict[str, Any]:
-    """Return the vehicle's values by the keys of `FOLLOWS_FROM` and of materials."""
+    """Return the vehicle's values for the keys in `FOLLOWS_FROM` and for the keys of the materials."""
     tree = vehicle.to_dict()
     values: dict[str, Any] = {LOCK: "servo" if vehicle.has_lock else "none"}
     for key in {key for row in FOLLOWS_FROM.items() for key in (row[0], *row[1])} - {LOCK}:
@@ -139,7 +142,7 @@ def _is_given(key: str, given: set[str]) -> bool:
 
 
 def _differ(a: Any, b: Any) -> bool:
-    """Return whether two values differ by more than two measurements of the same quantity would differ."""
+    """Return whether two values differ too much to be two measurements of the same quantity."""
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) > _SAME * max(abs(a), abs(b))
     if isinstance(a, Sequence) and isinstance(b, Sequence) and len(a) == len(b) and not isinstance(a, str):

@@ -85,7 +85,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @property
     def is_conditional(self) -> bool:
-        """Whether the mission is valid without a contact at this collision."""
+        """Whether the mission remains valid if this collision ends without a contact."""
         unsure = self.probe is not None or self.wall.sought
         return unsure or self.if_met is not None or self.if_not_met is not None
 
@@ -337,7 +337,7 @@ def load_mission(
 
     Args:
         path: the mission, or a mapping with the same content.
-        config: vehicle configuration that overrides the mission's: a file, or a loaded configuration.
+        config: vehicle configuration that replaces the mission's vehicle: a file or a loaded configuration.
         settings: `KEY=VALUE` pairs that override keys of the vehicle configuration.
 
     Raises:
@@ -417,7 +417,7 @@ def _add_tangent_walls(
     walls: dict[str, Wall],
     document: Document,
 ) -> None:
-    """Add the tangent planes of the posts to be hit to the walls.
+    """Add a wall for each post to be hit: the tangent plane of the post.
 
     Raises:
         InputError: an impact on a post has no place, two impacts on a post have different places, or a probe
@@ -480,7 +480,7 @@ def _resolve_waypoints(
 
 
 def _check_order(one: WaypointSpec, flown: int, spec: MissionFile, key: Key, document: Document) -> None:
-    """Raise InputError if a waypoint and a pause are mixed, or `after` is out of order."""
+    """Raise InputError if an entry mixes keys of a waypoint and a pause, or if `after` is out of order."""
     if [one.position_m, one.at_wall, one.pause].count(None) != 2:
         raise document.error(key, "give exactly one of position_m, at_wall (waypoints) and pause")
     others = ("timeout_s",) if one.pause is None else ("altitude_m", "speed_m_s", "hold_s")
@@ -607,7 +607,7 @@ def _check_replanned(mission: MissionFile, key: Key, document: Document) -> None
 
 
 def _rest_before(mission: MissionFile, flown: int) -> Vec2 | None:
-    """Return the resting position after `flown` collisions, or None while a recovery is flown."""
+    """Return the resting position after `flown` collisions, or None if the vehicle flies a recovery then."""
     reached = [w.position_m for w in mission.waypoints if w.after == flown and w.position_m is not None]
     return reached[-1] if reached else mission.start.position_m if flown == 0 else None
 

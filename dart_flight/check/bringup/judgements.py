@@ -59,7 +59,7 @@ Measured = dict[str, float | str | None]
 
 
 class StepFinding(msgspec.Struct, frozen=True):
-    """The outcome of a step, its explanation and the measured values, with units in their names."""
+    """The outcome of a step, the explanation, and the measured values; names of values contain the units."""
 
     result: StepOutcome
     message: str
@@ -263,9 +263,9 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
 
     Args:
         config: configuration of the lock.
-        moves: commanded mode, final state and confirmation of each move. If a limit switch has reported the
-            mode, the confirmation is None. Otherwise it is the operator's answer whether the arms are in that
-            mode.
+        moves: commanded mode, final state and confirmation of each move. The confirmation is the operator's
+            answer to the question whether the arms are in that mode. The confirmation is None if a limit
+            switch has reported the mode, or if the lock has not settled.
     """
     measured: Measured = {}
     wrong = []
@@ -300,7 +300,7 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
 
 
 def measure_displacement(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
-    """Return the displacement of a carried vehicle, or None until it has been carried and rests again.
+    """Return the displacement of a carried vehicle; None if the distance is too short or the vehicle moves.
 
     Args:
         samples: odometry since the start.
@@ -344,7 +344,7 @@ def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
 
 
 def is_moved_enough(motion: MotionEstimate) -> bool:
-    """Return whether a motion by hand has turned the vehicle about every axis and carried it, both enough."""
+    """Return whether a motion by hand was large enough: rotation about every axis, and translation."""
     x, y, z = motion.turned_rad_s
     return z > _TURNED_RAD_S and min(x, y) > _TILTING_RAD_S and motion.carried_m_s2 > _CARRIED_M_S2
 
@@ -352,13 +352,13 @@ def is_moved_enough(motion: MotionEstimate) -> bool:
 def evaluate_motion(
     motion: MotionEstimate, config: MotionCapture, round_trip_s: float | None, heading_off_deg: float | None
 ) -> StepFinding:
-    """Judge the motion-capture poses by a motion of the vehicle by hand.
+    """Judge the motion-capture poses of a vehicle that the operator has moved by hand.
 
     Args:
         motion: estimate from poses, gyro and accelerometer.
         config: configuration with which the poses were converted.
-        round_trip_s: round trip of the link, or None if unknown. It contains the delay of a pose on its way
-            to PX4 and the delay of an IMU sample on its way to this program.
+        round_trip_s: round trip of the link, or None if unknown. The round trip contains the delay of a pose
+            from this program to PX4, and the delay of an IMU sample from PX4 to this program.
         heading_off_deg: PX4's heading minus the heading of the poses, or None if unknown.
     """
     delay_ms = 1e3 * max(0.0, motion.latency_s + (round_trip_s or 0.0))
@@ -454,6 +454,6 @@ def _heading_deg(v: Vec3) -> float:
 
 
 def _side(angle_deg: float) -> str:
-    """Return the name of the side nearest to a direction in the vehicle's axes."""
+    """Return the side of the vehicle, such as left, that is nearest to a direction in body axes."""
     names = ("forward", "right", "back", "left")
     return names[round(wrap_deg(angle_deg) / 90.0) % 4]

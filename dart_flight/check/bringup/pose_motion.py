@@ -1,14 +1,17 @@
-"""Estimates of age, axes, scale and handedness of the poses of a vehicle that the operator moves by hand.
+"""Estimates of age, axes, scale and handedness of motion-capture poses.
 
-Gyro and accelerometer are the reference, because they depend neither on the room's axes nor on the cameras'
-clock. Let R be the attitude (FRD to NED), f the specific force and w the body rate. If the room is rotated by
-A and the marker body by B, the poses show the attitude A R B, the rate B'w and the acceleration A (R f + g).
+The operator moves the vehicle by hand. Gyro and accelerometer are the reference, because they depend neither
+on the room's axes nor on the cameras' clock.
+
+Let R be the attitude (FRD to NED), f the specific force and w the body rate. If the room is rotated by A and
+the marker body by B, the poses show the attitude A R B, the rate B'w and the acceleration A (R f + g).
 Therefore the rates give the age and B. The accelerations then give the scale and A g, the room's vertical.
-A mirrored room does not change the rates, because a rate is an axial vector. It does reverse the
-accelerations, so a negative correlation of the accelerations reveals it.
+A mirrored room does not change the rates, because a rate is an axial vector. A mirrored room reverses the
+accelerations, so a negative correlation of the accelerations reveals the mirroring.
 
-Rates and accelerations pass the same Gaussian filter. To differentiate the noisy positions twice, they are
-filtered with the second derivative of the Gaussian. Constant parts are removed, because gravity is constant.
+Gyro and accelerometer pass the same Gaussian filters as the poses. The noisy positions are filtered with the
+second derivative of the Gaussian, which differentiates them twice. The mean of each acceleration is
+subtracted, because the mean measured by the accelerometer contains gravity.
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ class MotionEstimate(NamedTuple):
         rate_correlation: correlation of the pose's and the gyro's rates at that latency, -1 to 1.
         turned_rad_s: root mean square of the gyro's rates about the axes, FRD.
         body_to_frd: rotation from the pose's body axes to the gyro's, 3 x 3; identity if they agree.
-        up_room: upward vertical in the poses' frame; (0, 0, -1) in NED.
+        up_room: upward vertical in the poses' frame; (0, 0, -1) if this frame is NED.
         force_correlation: correlation of the accelerations; negative if the room is mirrored.
         carried_m_s2: root mean square of the horizontal acceleration measured by the IMU.
         scale: ratio of a length in the poses to the same length measured by the accelerometer; valid only if
@@ -131,7 +134,7 @@ def estimate_motion(
 
 
 def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: Array) -> float | None:
-    """Return the median difference in heading, the vehicle's attitudes minus the poses, degrees.
+    """Return the median of the vehicle's heading minus the heading of the poses, degrees.
 
     The result is None if the poses and the attitudes do not overlap.
 
@@ -193,7 +196,7 @@ def _resample(at_s: Array, times_s: Array, values: Array) -> Array:
 
 
 def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.bool_]:
-    """Return a mask of the times that are farther from every gap than the filter reaches."""
+    """Return a mask of the times whose distance to every gap exceeds `reach_s`, the filter's half width."""
     whole = np.ones(len(grid), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(times_s) > _GAP_S):
         whole &= (grid < times_s[k] - reach_s) | (grid > times_s[k + 1] + reach_s)

@@ -1,4 +1,7 @@
-"""The progress of a bring-up: a record, with which the operator can resume, and a printable page."""
+"""The progress of a bring-up, stored as a record and as a printable page.
+
+With the record, the operator can resume an interrupted bring-up.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +77,7 @@ def store_finding(record: BringupRecord, name: str, finding: StepFinding) -> Non
 
 
 def save_record(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
-    """Write the stored progress, today's record and today's page; return the paths of the last two.
+    """Write the stored progress, today's record and today's page; return the paths of today's two files.
 
     Raises:
         InputError: the folder cannot be written.

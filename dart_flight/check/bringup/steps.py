@@ -81,7 +81,7 @@ class NotDoneError(Exception):
 
 
 class Telemetry:
-    """The samples received since the last `clear`, by stream, and the force estimated from them."""
+    """The samples since the last `clear`, one queue per stream; `force_at` estimates the force from them."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -93,7 +93,10 @@ class Telemetry:
         self._all: deque[Input] = deque(maxlen=4 * _KEPT)
 
     def store(self, record: Input) -> None:
-        """Store a telemetry record, on MAVSDK's thread, or a pose, on the motion capture's thread."""
+        """Store a telemetry record or a pose.
+
+        MAVSDK's thread stores telemetry records. The motion capture's thread stores poses.
+        """
         if isinstance(record, PoseSample):
             self.poses.append(record)
             return
@@ -142,7 +145,7 @@ class Bringup(CheckContext[StepFinding]):
         url: MAVSDK connection URL.
         operator: the operator at the vehicle.
         wait_s: timeout of the operator's actions, seconds.
-        opened: called once the link is open (`LinkLease.lock_device`).
+        opened: function to call after the link has opened, such as `LinkLease.lock_device`.
     """
 
     own_errors = (NotDoneError, VehicleError, NoAnswerError)
@@ -188,7 +191,7 @@ class Bringup(CheckContext[StepFinding]):
         return self._link
 
     def _explain_silence(self, says: str) -> str:
-        """Return the reason why no autopilot answers, from the bytes that arrive on a serial port."""
+        """Return the reason why no autopilot answers; on a serial port, judge by the bytes that arrive."""
         link = parse_link(self._url)
         if link is None or link.kind != "serial":
             return says
@@ -305,7 +308,7 @@ class Bringup(CheckContext[StepFinding]):
         return StepFinding(position.result, f"{poses.message}; {position.message}", measured)
 
     def _measure_poses(self, link: GroundLink) -> StepFinding:
-        """Judge the poses by gyro and accelerometer while the operator moves the vehicle."""
+        """Judge the poses, compared with gyro and accelerometer while the operator moves the vehicle."""
         t, config = self._telemetry, self._mission.vehicle.mocap
         t.clear()
         with contextlib.suppress(NotDoneError):
