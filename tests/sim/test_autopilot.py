@@ -18,12 +18,7 @@ NAN = math.nan
 
 @pytest.fixture
 def autopilot() -> Autopilot:
-    texts: list[str] = []
-    vehicle = make_autopilot(
-        load_mission(ROOT / "missions/paper_dual_collision.yaml"), 1, lambda _, t: texts.append(t)
-    )
-    vehicle.texts = texts  # type: ignore[attr-defined]
-    return vehicle
+    return make_autopilot(load_mission(ROOT / "missions/paper_dual_collision.yaml"), 1)
 
 
 def run(autopilot: Autopilot, seconds: float, setpoint: TrajectorySetpoint | None = None) -> None:

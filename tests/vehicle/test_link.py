@@ -229,6 +229,6 @@ def test_an_empty_serial_read_blocks_once_the_device_is_locked() -> None:
     os.close(master)
 
 
-def test_a_missing_serial_device_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_serial_device_is_reported() -> None:
     with pytest.raises(InputError, match="this serial device does not exist"):
         LinkLease("serial:///dev/ttyNone9:57600", "fly").acquire()

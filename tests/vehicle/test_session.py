@@ -388,7 +388,7 @@ def test_messages_are_stopped_one_by_one_even_if_refused(monkeypatch: pytest.Mon
 # --- the round trip --------------------------------------------------------------------------------------
 
 
-def answer_timesync(rig: Rig, *, ahead_us: int = 0, system: int = 1, other_first: bool = False) -> None:
+def answer_timesync(rig: Rig, *, ahead_us: int = 0, system: int = 1) -> None:
     """Make the vehicle answer each TIMESYNC request by its own clock."""
 
     def answer(requested: Any) -> None:
