@@ -27,7 +27,7 @@ def test_behind_its_wall_counts_only_shortly_before_the_impact(before_s: float, 
     hits = load_mission(packaged("missions", "touch_and_return.yaml")).to_dict()["collisions"]
     untouched = {"collisions": [hit for hit in hits if hit.get("trajectory")], "waypoints": []}
     c = HandFedCore(RETURNING, settings=untouched)
-    c.to_flight()
+    c.enter_approach()
     assert c.core.phase is Phase.APPROACH
     trajectory = c.core.mission.collisions[0].trajectory
     assert trajectory is not None
@@ -41,7 +41,7 @@ def test_a_goal_that_is_passed_on_the_way_is_not_held_before_the_end() -> None:
     away: dict[str, Any] = {"position_m": [0.0, 0.0], "pieces": [[s, j, 0.0] for s, j in AWAY_AND_BACK]}
     goal = {"position_m": [0.0, 0.0], "capture_radius_m": 0.15, "hold_s": 0.2}
     c = HandFedCore(WITHOUT_WALLS, settings={"goal": goal, "goal_trajectory": away})
-    c.climbed()
+    c.finish_climb()
     phases = []
     for seconds in (0.5, 1.8, 1.0):
         c.run(seconds)

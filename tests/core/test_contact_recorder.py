@@ -33,7 +33,7 @@ def of(kind: type[R], outputs: list[Output]) -> list[R]:
 
 def hit(fed: HandFedCore) -> tuple[ContactRequest, list[Output]]:
     """Hit the wooden wall; returns the request, and all outputs up to it."""
-    fed.at_the_wood()
+    fed.fly_to_wood()
     out = fed.pulse((-10.0, -16.0))
     fed.position_ned, fed.velocity_ned = (1.0, 1.0, -1.0), (0.0, 0.0, 0.0)
     while not of(ContactRequest, out):
@@ -59,7 +59,7 @@ def test_a_request_has_the_contact_from_four_samples_before_it(hand_fed: HandFed
 
 
 def test_the_normal_of_an_unplanned_contact_is_that_of_its_force(hand_fed: HandFedCore) -> None:
-    hand_fed.at_the_wood()
+    hand_fed.fly_to_wood()
     out = hand_fed.pulse((10.0, 16.0)) + hand_fed.run(0.1)
     (peak,), (request,) = of(ImpactPeak, out), of(ContactRequest, out)
     assert request.wall is None
@@ -70,10 +70,10 @@ def test_the_normal_of_an_unplanned_contact_is_that_of_its_force(hand_fed: HandF
 def test_an_answer_becomes_the_records_that_it_carries_once(hand_fed: HandFedCore) -> None:
     request, _ = hit(hand_fed)
     answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
-    out = hand_fed.give(answer)
+    out = hand_fed.feed(answer)
     assert of(ImpactBody, out) == [answer.body]
     assert of(WallEstimate, out) == [answer.wall]
-    again = hand_fed.give(answer) + hand_fed.run(2.0 * WITHIN_S)
+    again = hand_fed.feed(answer) + hand_fed.run(2.0 * WITHIN_S)
     assert not of(ImpactBody, again)
     assert not of(WallEstimate, again)
 
@@ -89,7 +89,7 @@ def test_without_an_answer_mode_and_wall_are_undecided_after_its_time(hand_fed: 
     assert (felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m) == (wood.k, wood.f, wood.mu)
     assert not of(WallEstimate, hand_fed.run(2.0 * WITHIN_S))
     late = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
-    out = hand_fed.give(late)
+    out = hand_fed.feed(late)
     assert not of(WallEstimate, out)
     assert not of(ImpactBody, out)
 
@@ -97,7 +97,7 @@ def test_without_an_answer_mode_and_wall_are_undecided_after_its_time(hand_fed: 
 @pytest.mark.parametrize("problem", ["the planner process ended", ""])
 def test_an_answer_that_says_nothing_is_undecided_at_once(hand_fed: HandFedCore, problem: str) -> None:
     request, _ = hit(hand_fed)
-    (felt,) = of(WallEstimate, hand_fed.give(ContactAnswer(hand_fed.t_us, request.number, problem=problem)))
+    (felt,) = of(WallEstimate, hand_fed.feed(ContactAnswer(hand_fed.t_us, request.number, problem=problem)))
     assert (felt.mode_felt, felt.problem) == (None, problem or "no estimate")
     assert not of(WallEstimate, hand_fed.run(2.0 * WITHIN_S))
 
@@ -106,9 +106,9 @@ def test_an_answer_of_another_wall_or_contact_is_not_believed(hand_fed: HandFedC
     request, _ = hit(hand_fed)
     answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
     other = msgspec.structs.replace(answer, number=request.number + 1)
-    assert not of(WallEstimate, hand_fed.give(other))
+    assert not of(WallEstimate, hand_fed.feed(other))
     assert answer.wall is not None
     elsewhere = msgspec.structs.replace(answer.wall, wall="acrylic")
-    out = hand_fed.give(msgspec.structs.replace(answer, wall=elsewhere))
+    out = hand_fed.feed(msgspec.structs.replace(answer, wall=elsewhere))
     (felt,) = of(WallEstimate, out)
     assert (felt.wall, felt.mode_felt) == ("wood", None)

@@ -56,8 +56,8 @@ def pulse(core: HandFedCore, peak_ned: tuple[float, float]) -> list[Output]:
     return core.pulse(peak_ned)
 
 
-def at_the_wood(core: HandFedCore) -> None:
-    core.at_the_wood()
+def fly_to_wood(core: HandFedCore) -> None:
+    core.fly_to_wood()
     assert core.core.phase is Phase.APPROACH
 
 
@@ -70,10 +70,10 @@ def test_it_asks_for_offboard_only_with_set_points_streaming(hand_fed: HandFedCo
     assert not of(VehicleCommand, [o for o in out if getattr(o, "action", None) is VehicleAction.ARM])
 
 
-def test_acknowledgements_prove_nothing(impatient: HandFedCore) -> None:
+def test_acknowledgements_prove_nothing(hasty_core: HandFedCore) -> None:
     """Only telemetry moves it on: without it the command is repeated, then the mission given up."""
-    impatient.set_lock(Mode.RIGID)
-    out = impatient.run(5.0)
+    hasty_core.set_lock(Mode.RIGID)
+    out = hasty_core.run(5.0)
     asked = [o for o in of(VehicleCommand, out) if o.action is VehicleAction.OFFBOARD]
     assert len(asked) >= 3
     ends = of(MissionEnd, out)
@@ -99,7 +99,7 @@ def test_an_estimate_that_settles_on_the_ground_carries_the_mission_with_it(hand
     # Height counts from where the vehicle stands; a surveyed room stays where it is.
     assert last.position_ned == pytest.approx((0.2, 0.1, 1.15 - hand_fed.core.mission.altitude_m), abs=1e-6)
     reader = MissionFrameReader(hand_fed.core.mission)
-    for record in hand_fed.seen:
+    for record in hand_fed.records:
         reader.add(record)
     assert reader.frame is not None
     assert reader.frame.point_from_ned((0.2, 0.1, 1.15)) == pytest.approx((0.2, -0.1, 0.0), abs=1e-9)
@@ -125,7 +125,7 @@ def test_it_waits_for_the_lock_before_anything(hand_fed: HandFedCore) -> None:
 
 
 def test_one_impact_is_one_onset_one_peak_one_set_point(hand_fed: HandFedCore) -> None:
-    at_the_wood(hand_fed)
+    fly_to_wood(hand_fed)
     out = pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.1)
     assert len(of(ImpactOnset, out)) == 1
     peaks = of(ImpactPeak, out)
@@ -148,7 +148,7 @@ def test_where_no_pulse_can_be_fitted_the_samples_say_how_hard_it_was(
     hand_fed: HandFedCore, monkeypatch: pytest.MonkeyPatch, along_n: float
 ) -> None:
     monkeypatch.setattr("dart_flight.core.sense.detector.fit_normal", lambda *_: None)
-    at_the_wood(hand_fed)
+    fly_to_wood(hand_fed)
     (peak,) = of(ImpactPeak, pulse(hand_fed, (along_n, -16.0)) + hand_fed.run(0.1))
     assert peak.normal_force_n == pytest.approx(16.0, rel=0.05)
     assert peak.tangential_force_n == pytest.approx(along_n, rel=0.05)
@@ -158,7 +158,7 @@ def test_where_no_pulse_can_be_fitted_the_samples_say_how_hard_it_was(
 def test_a_contact_that_nothing_closes_in_on_says_nothing_of_the_wall(
     hand_fed: HandFedCore, closing_m_s: float, judged: bool
 ) -> None:
-    at_the_wood(hand_fed)
+    fly_to_wood(hand_fed)
     hand_fed.velocity_ned = (0.5, closing_m_s, 0.0)
     hand_fed.run(0.05)
     pulse(hand_fed, (-10.0, -16.0))
@@ -166,13 +166,13 @@ def test_a_contact_that_nothing_closes_in_on_says_nothing_of_the_wall(
     (request,) = of(ContactRequest, hand_fed.run(0.2))
     answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
     assert bool(answer.problem) is not judged
-    (felt,) = of(WallEstimate, hand_fed.give(answer))
+    (felt,) = of(WallEstimate, hand_fed.feed(answer))
     assert (felt.log_odds != 0.0) is judged
     assert felt.problem == answer.problem
 
 
 def test_the_lock_never_moves_in_contact_or_before_the_arms_relaxed(hand_fed: HandFedCore) -> None:
-    at_the_wood(hand_fed)
+    fly_to_wood(hand_fed)
     out = pulse(hand_fed, (-10.0, -16.0))
     assert [p.permitted for p in of(LockPermission, out)] == [False]
     assert not of(LockCommand, out)
@@ -190,7 +190,7 @@ def test_the_lock_never_moves_in_contact_or_before_the_arms_relaxed(hand_fed: Ha
 
 
 def test_a_lock_that_is_late_breaks_off_the_next_collision(hand_fed: HandFedCore) -> None:
-    at_the_wood(hand_fed)
+    fly_to_wood(hand_fed)
     pulse(hand_fed, (-10.0, -16.0))
     hand_fed.run(0.1)
     hand_fed.set_lock(Mode.RIGID, LockPhase.TRAVELLING)
@@ -203,7 +203,7 @@ def test_a_lock_that_is_late_breaks_off_the_next_collision(hand_fed: HandFedCore
 
 
 def test_the_same_lock_in_time_does_not(hand_fed: HandFedCore) -> None:
-    at_the_wood(hand_fed)
+    fly_to_wood(hand_fed)
     pulse(hand_fed, (-10.0, -16.0))
     hand_fed.run(0.1)
     hand_fed.set_lock(Mode.RIGID)
@@ -216,7 +216,7 @@ def test_the_same_lock_in_time_does_not(hand_fed: HandFedCore) -> None:
 
 
 def test_silence_of_the_imu_is_judged_within_its_timeout(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
+    hand_fed.enter_approach()
     hand_fed.silent.add("imu")
     start = hand_fed.t_us
     event = of(GuardEvent, hand_fed.run(0.3))[0]
@@ -224,21 +224,21 @@ def test_silence_of_the_imu_is_judged_within_its_timeout(hand_fed: HandFedCore) 
 
 
 def test_a_failsafe_of_px4_is_aborted_and_a_pilot_is_released(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
-    hand_fed.give(StatusText(hand_fed.t_us, hand_fed.t_us, "critical", "Failsafe activated"))
+    hand_fed.enter_approach()
+    hand_fed.feed(StatusText(hand_fed.t_us, hand_fed.t_us, "critical", "Failsafe activated"))
     out = hand_fed.set_status(flight_mode=FlightMode.LAND)
     end = of(MissionEnd, out)[0]
     assert end.outcome == "aborted"
     other = HandFedCore()
-    other.to_flight()
+    other.enter_approach()
     other.set_status(flight_mode=FlightMode.HOLD)
     end = of(MissionEnd, other.run(0.11))[0]  # until it cannot be another vehicle's mode
     assert end.outcome == "released"
 
 
 def test_after_the_guard_has_fired_the_mission_is_not_heard(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
-    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))
+    hand_fed.enter_approach()
+    hand_fed.feed(OperatorRequest(hand_fed.t_us, Request.LAND))
     out = hand_fed.run(4.0)
     assert {o.position_ned for o in of(Setpoint, out)} == {of(Setpoint, out)[0].position_ned}
     assert next(o.action for o in of(VehicleCommand, out)) is VehicleAction.LAND
@@ -250,8 +250,8 @@ def test_after_the_guard_has_fired_the_mission_is_not_heard(hand_fed: HandFedCor
 
 
 def test_the_ground_under_the_guards_landing_is_no_impact(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
-    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))  # breaks off first, then lands
+    hand_fed.enter_approach()
+    hand_fed.feed(OperatorRequest(hand_fed.t_us, Request.LAND))  # breaks off first, then lands
     hand_fed.run(0.5)
     assert of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)))  # still in the air: a wall behind it counts
     hand_fed.run(4.0)
@@ -261,7 +261,7 @@ def test_the_ground_under_the_guards_landing_is_no_impact(hand_fed: HandFedCore)
 
 
 def test_nothing_is_an_impact_once_a_rule_lands_at_once(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
+    hand_fed.enter_approach()
     hand_fed.silent.add("imu")
     assert [g.action for g in of(GuardEvent, hand_fed.run(0.3))] == ["land"]
     hand_fed.silent.clear()
@@ -269,17 +269,17 @@ def test_nothing_is_an_impact_once_a_rule_lands_at_once(hand_fed: HandFedCore) -
 
 
 def test_a_stronger_action_replaces_a_weaker_one_and_never_the_other_way(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
-    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))
+    hand_fed.enter_approach()
+    hand_fed.feed(OperatorRequest(hand_fed.t_us, Request.LAND))
     hand_fed.silent.add("imu")
     hand_fed.run(0.3)
-    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))
+    hand_fed.feed(OperatorRequest(hand_fed.t_us, Request.LAND))
     actions = [g.action for g in of(GuardEvent, hand_fed.outputs)]
     assert actions == ["break_off", "land"]
 
 
 def test_a_fault_in_the_mission_code_becomes_a_landing(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
+    hand_fed.enter_approach()
     hand_fed.break_mission()
     out = hand_fed.run(0.1)
     events = of(GuardEvent, out)
@@ -291,7 +291,7 @@ def test_a_fault_in_the_mission_code_becomes_a_landing(hand_fed: HandFedCore) ->
 
 def test_a_fault_in_the_guard_holds_back_the_steps_commands_alone(hand_fed: HandFedCore) -> None:
     """What was found out is kept, what nobody has judged does not go out, and the next step lands."""
-    hand_fed.to_prepare()
+    hand_fed.enter_prepare()
     review = hand_fed.core._guard.review
 
     def broken(*_: object) -> None:
@@ -310,7 +310,7 @@ def test_a_fault_in_the_guard_holds_back_the_steps_commands_alone(hand_fed: Hand
 
 @pytest.mark.parametrize("shift_us", [0, -1_000_000])
 def test_stamps_that_do_not_advance_are_passed_over(hand_fed: HandFedCore, shift_us: int) -> None:
-    hand_fed.to_flight()
+    hand_fed.enter_approach()
     estimates = of(ForceEstimate, hand_fed.outputs)
     t_us = hand_fed.t_us
     hand_fed.t_us += shift_us - 4000
@@ -358,16 +358,16 @@ def reason(outputs: list[Output]) -> str:
     return str(end.reason)
 
 
-def test_a_refusal_carries_what_px4_says(impatient: HandFedCore) -> None:
-    impatient.set_lock(Mode.RIGID)
-    impatient.run(2.0)
-    t_us = impatient.t_us
-    impatient.give(
+def test_a_refusal_carries_what_px4_says(hasty_core: HandFedCore) -> None:
+    hasty_core.set_lock(Mode.RIGID)
+    hasty_core.run(2.0)
+    t_us = hasty_core.t_us
+    hasty_core.feed(
         HealthReport(t_us, t_us, False, ("Heading estimate invalid",), ("No manual control input",))
     )
-    impatient.give(StatusText(t_us, t_us, "critical", "Arming denied: Resolve system health failures first"))
-    impatient.give(StatusText(t_us, t_us, "info", "logging: opened log file"))
-    assert reason(impatient.run(10.0)) == (
+    hasty_core.feed(StatusText(t_us, t_us, "critical", "Arming denied: Resolve system health failures first"))
+    hasty_core.feed(StatusText(t_us, t_us, "info", "logging: opened log file"))
+    assert reason(hasty_core.run(10.0)) == (
         "offboard_refused: PX4 refused offboard mode; PX4 reports: Heading estimate invalid, "
         "Arming denied: Resolve system health failures first; also No manual control input"
     )
@@ -392,35 +392,35 @@ def test_whatever_px4_sends_tells_the_hosts_time(item: Input) -> None:
 def test_words_of_long_ago_explain_nothing(hand_fed: HandFedCore) -> None:
     hand_fed.set_lock(Mode.RIGID)
     hand_fed.run(0.2)
-    hand_fed.give(StatusText(hand_fed.t_us, hand_fed.t_us, "warning", "compass swung"))
+    hand_fed.feed(StatusText(hand_fed.t_us, hand_fed.t_us, "warning", "compass swung"))
     assert reason(hand_fed.run(25.0)) == "offboard_refused: PX4 refused offboard mode"
 
 
-def test_without_words_the_answer_is_told(impatient: HandFedCore) -> None:
-    impatient.set_lock(Mode.RIGID)
-    impatient.run(1.0)
-    impatient.give(CommandResult(impatient.t_us, "offboard", False, "COMMAND_DENIED"))
+def test_without_words_the_answer_is_told(hasty_core: HandFedCore) -> None:
+    hasty_core.set_lock(Mode.RIGID)
+    hasty_core.run(1.0)
+    hasty_core.feed(CommandResult(hasty_core.t_us, "offboard", False, "COMMAND_DENIED"))
     assert (
-        reason(impatient.run(5.0))
+        reason(hasty_core.run(5.0))
         == "offboard_refused: PX4 refused offboard mode; PX4 answers: COMMAND_DENIED"
     )
 
 
-def test_what_is_wrong_for_other_modes_is_told_where_nothing_else_is(impatient: HandFedCore) -> None:
-    impatient.set_lock(Mode.RIGID)
-    impatient.give(HealthReport(impatient.t_us, impatient.t_us, True, (), ("No offboard signal",)))
-    assert reason(impatient.run(5.0)).endswith("; PX4 gives no reason, but reports: No offboard signal")
+def test_what_is_wrong_for_other_modes_is_told_where_nothing_else_is(hasty_core: HandFedCore) -> None:
+    hasty_core.set_lock(Mode.RIGID)
+    hasty_core.feed(HealthReport(hasty_core.t_us, hasty_core.t_us, True, (), ("No offboard signal",)))
+    assert reason(hasty_core.run(5.0)).endswith("; PX4 gives no reason, but reports: No offboard signal")
 
 
-def test_no_flight_at_a_wall_begins_where_px4_is_not_sure_of_its_position(impatient: HandFedCore) -> None:
-    impatient.set_status(landed=LandedState.ON_GROUND)
-    impatient.set_lock(Mode.RIGID)
-    impatient.give(EstimatorSample(impatient.t_us, impatient.t_us, healthy=True, position_sd_m=0.23))
+def test_no_flight_at_a_wall_begins_where_px4_is_not_sure_of_its_position(hasty_core: HandFedCore) -> None:
+    hasty_core.set_status(landed=LandedState.ON_GROUND)
+    hasty_core.set_lock(Mode.RIGID)
+    hasty_core.feed(EstimatorSample(hasty_core.t_us, hasty_core.t_us, healthy=True, position_sd_m=0.23))
     why = "not_ready: standard deviation of the position 0.23 m, limit 0.10 m"
-    assert reason(impatient.run(5.0)) == why
+    assert reason(hasty_core.run(5.0)) == why
 
 
-def test_a_lock_that_is_not_ready_is_not_px4s_affair(impatient: HandFedCore) -> None:
-    impatient.run(1.0)
-    impatient.give(HealthReport(impatient.t_us, impatient.t_us, False, ("Battery low",), ()))
-    assert reason(impatient.run(5.0)) == "not_ready: the lock is not rigid"
+def test_a_lock_that_is_not_ready_is_not_px4s_affair(hasty_core: HandFedCore) -> None:
+    hasty_core.run(1.0)
+    hasty_core.feed(HealthReport(hasty_core.t_us, hasty_core.t_us, False, ("Battery low",), ()))
+    assert reason(hasty_core.run(5.0)) == "not_ready: the lock is not rigid"

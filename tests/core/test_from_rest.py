@@ -63,7 +63,7 @@ def test_having_arrived_for_one_phase_is_not_having_arrived_for_the_next() -> No
     """The same place twice: each time it is to be there, slow and turned as wanted, for the whole time."""
     there = {"position_m": [0.0, 0.0], "hold_s": 0.0}
     c = HandFedCore(settings={"waypoints": [there, there | {"altitude_m": 1.0}]})
-    c.climbed()
+    c.finish_climb()
     c.run(2.0)
     arrive_us = ARRIVED_S * 1e6
     times = [o.t_us for o in c.outputs if isinstance(o, PhaseChange) and o.before is not Phase.READYING]
@@ -82,7 +82,7 @@ def test_wherever_it_stops_the_lock_is_brought_back_to_the_transit_mode(
     stop: dict[str, Any], phase: Phase
 ) -> None:
     c = HandFedCore(settings={"waypoints": [stop]})
-    c.climbed()
+    c.finish_climb()
     assert c.core.phase is phase
     c.outputs.clear()
     c.set_lock(Mode.FLEXIBLE)  # somebody has moved it
@@ -105,7 +105,7 @@ def test_at_the_goal_the_lock_is_brought_back_to_the_transit_mode() -> None:
 def test_a_new_phase_does_not_wait_to_give_the_lock_its_order_again() -> None:
     """An order that has had no effect is repeated every second, and at once where a phase begins."""
     c = HandFedCore(SINGLE, settings={"waypoints": [{"position_m": [0.2, 1.5], "after": 1}]})
-    c.to_flight()
+    c.enter_approach()
     c.position_ned, c.velocity_ned = (1.6, -0.5, -1.0), (1.0, -0.5, 0.0)
     c.run(0.05)
     c.pulse((-20.0, 10.0))

@@ -62,7 +62,7 @@ from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.contact_fit import ContactFitter
-from tests.core.conftest import IMPATIENT, TELEPORTING, HandFedCore
+from tests.core.conftest import RULES_WITHOUT_JUMP, SHORT_TIMEOUTS, HandFedCore
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
 SETTINGS: dict[str, Mapping[str, Any]] = {}
@@ -84,14 +84,14 @@ def cause_with(settings: Mapping[str, Any]) -> Callable[[Callable[[HandFedCore],
     return register
 
 
-def rig_for(name: str, rules: tuple[Rule, ...] = TELEPORTING) -> HandFedCore:
+def rig_for(name: str, rules: tuple[Rule, ...] = RULES_WITHOUT_JUMP) -> HandFedCore:
     """A core on which the cause of a rule can be flown."""
     return HandFedCore(rules=rules, settings=SETTINGS.get(name, {}))
 
 
 def at_the_acrylic(c: HandFedCore) -> None:
     """After the first collision, on the way to the second wall."""
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
     c.run(0.1)
     c.position_ned = (1.2, 0.9, -1.0)
@@ -99,45 +99,45 @@ def at_the_acrylic(c: HandFedCore) -> None:
 
 @cause
 def pilot(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_status(flight_mode=FlightMode.MANUAL)
 
 
 @cause
 def px4_failsafe(c: HandFedCore) -> None:
-    c.to_flight()
-    c.give(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
+    c.enter_approach()
+    c.feed(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
     c.set_status(flight_mode=FlightMode.LAND)
 
 
 @cause
 def failsafe_announced(c: HandFedCore) -> None:
-    c.to_flight()
-    c.give(StatusText(c.t_us, c.t_us, "critical", "Critical battery level: switching to Land"))
+    c.enter_approach()
+    c.feed(StatusText(c.t_us, c.t_us, "critical", "Critical battery level: switching to Land"))
 
 
 @cause
 def terminated(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_status(system_status=SystemStatus.FLIGHT_TERMINATION)
 
 
 @cause
 def disarmed(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_status(armed=False)
 
 
 @cause
 def link_lost(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
     c.run(6.0)
 
 
 def silent(stream: str, seconds: float) -> Callable[[HandFedCore], object]:
     def fly(c: HandFedCore) -> None:
-        c.to_flight()
+        c.enter_approach()
         c.silent.add(stream)
         c.run(seconds)
 
@@ -156,7 +156,7 @@ for _stream, _seconds in (
 
 @cause
 def stream_rate(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.odometry_every = 14  # 18 Hz, needs 30
     c.run(2.2)
 
@@ -167,14 +167,14 @@ def in_turn(c: HandFedCore, ahead_us: int, apart_m: float, seconds: float) -> No
         c.run(0.004)
         t, received = c.t_us + ahead_us + 1000, c.t_us
         x, y, z = c.position_ned
-        c.give(ImuSample(t, received, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
-        c.give(AttitudeSample(t, received, c.q))
-        c.give(OdometrySample(t, received, (x, y + apart_m, z), c.velocity_ned))
+        c.feed(ImuSample(t, received, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
+        c.feed(AttitudeSample(t, received, c.q))
+        c.feed(OdometrySample(t, received, (x, y + apart_m, z), c.velocity_ned))
 
 
 def late(c: HandFedCore) -> None:
     """A round trip of a second, then samples as before."""
-    c.give(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
+    c.feed(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
     c.run(0.3)
 
 
@@ -186,7 +186,7 @@ def telemetry_late_ground(c: HandFedCore) -> None:
 
 @cause
 def telemetry_late(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     late(c)
 
 
@@ -198,44 +198,44 @@ def second_vehicle_ground(c: HandFedCore) -> None:
 
 @cause
 def second_vehicle(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     in_turn(c, -238_000_000, 0.0, 0.1)
 
 
 @cause
 def stamps_backwards(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     for i in range(5):
-        c.give(AttitudeSample(c.t_us - 1_000_000 + 8000 * i, c.t_us, c.q))
-    c.give(Tick(c.t_us + 20_000))
+        c.feed(AttitudeSample(c.t_us - 1_000_000 + 8000 * i, c.t_us, c.q))
+    c.feed(Tick(c.t_us + 20_000))
 
 
 @cause
 def imu_stuck(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.noise_m_s2 = 0.0
     c.run(0.15)
 
 
 @cause
 def imu_clipped(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.force_ned = (250.0, 0.0, 0.0)
     c.run(0.3)
 
 
 @cause
 def estimator_jump(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (0.0, -0.4, -1.0)
     c.run(0.1)
 
 
 @cause
 def estimator_reset(c: HandFedCore) -> None:
-    c.to_flight()
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    c.enter_approach()
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
     north, east, down = c.position_ned
     c.position_ned = (north + 0.08, east, down)
     c.run(0.05)
@@ -243,31 +243,31 @@ def estimator_reset(c: HandFedCore) -> None:
 
 @cause
 def heading_reset(c: HandFedCore) -> None:
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
-    c.to_flight()
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.enter_approach()
     c.q = quaternion_from_euler(0.0, 0.0, 0.5)
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
     c.run(0.05)
 
 
 @cause
 def estimator_flags(c: HandFedCore) -> None:
-    c.to_flight()
-    c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+    c.enter_approach()
+    c.feed(EstimatorSample(c.t_us, c.t_us, healthy=False))
     c.run(0.4)
 
 
 @cause
 def position_uncertain(c: HandFedCore) -> None:
-    c.to_flight()
-    c.give(EstimatorSample(c.t_us, c.t_us, healthy=True, position_sd_m=0.23))
+    c.enter_approach()
+    c.feed(EstimatorSample(c.t_us, c.t_us, healthy=True, position_sd_m=0.23))
     c.run(0.1)
 
 
 @cause
 def position_delayed(c: HandFedCore) -> None:
     """The vehicle goes up and down; its velocity is estimated as with EKF2_EV_DELAY 0.15 s too long."""
-    c.to_flight()
+    c.enter_approach()
     mass_kg = c.core.mission.vehicle.airframe.mass_kg
     for tick in range(750):
         t_s = 0.004 * tick
@@ -279,7 +279,7 @@ def position_delayed(c: HandFedCore) -> None:
 
 @cause_with({"vehicle.guard.kill_after_s": 10.0})
 def still_armed(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND, battery_v=15.0)
@@ -288,28 +288,28 @@ def still_armed(c: HandFedCore) -> None:
 
 @cause
 def battery(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
 
 
 @cause
 def tilt(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.q = quaternion_from_euler(1.2, 0.0, 0.0)
     c.run(0.02)
 
 
 @cause
 def altitude(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (0.0, 0.0, -2.2)
     c.run(0.1)
 
 
 @cause
 def bounds(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.velocity_ned = (-1.0, 0.0, 0.0)
     c.position_ned = (-1.7, 0.0, -1.0)  # inside, but half a metre of braking is not
     c.run(0.1)
@@ -317,7 +317,7 @@ def bounds(c: HandFedCore) -> None:
 
 @cause
 def speed(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     for step in range(1, 12):
         c.velocity_ned = (0.0, -0.33 * step, 0.0)
         c.run(0.008)
@@ -325,26 +325,26 @@ def speed(c: HandFedCore) -> None:
 
 @cause
 def force_over_limit(c: HandFedCore) -> None:
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((0.0, -190.0))
 
 
 @cause
 def peak_force(c: HandFedCore) -> None:
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((0.0, -160.0))
 
 
 @cause
 def wall_not_met(c: HandFedCore) -> None:
-    c.at_the_wood()
+    c.fly_to_wood()
     c.position_ned = (0.917, 1.3, -1.0)
     c.run(0.1)
 
 
 @cause
 def wall_met_early(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (0.5, 0.6, -1.0)
     c.run(0.1)
     c.pulse((0.0, -20.0))
@@ -352,13 +352,13 @@ def wall_met_early(c: HandFedCore) -> None:
 
 @cause_with({"collisions": []})
 def unplanned_hit(c: HandFedCore) -> None:
-    c.climbed()
+    c.finish_climb()
     c.pulse((20.0, 0.0))
 
 
 @cause
 def no_peak(c: HandFedCore) -> None:
-    c.at_the_wood()
+    c.fly_to_wood()
     c.hide_peaks()
     c.force_ned = (0.0, -20.0, 0.0)
     c.run(0.4)
@@ -366,7 +366,7 @@ def no_peak(c: HandFedCore) -> None:
 
 @cause
 def lock_not_settled(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_lock(None, LockPhase.FAULT)
     c.run(0.02)
 
@@ -381,11 +381,11 @@ def lock_late(c: HandFedCore) -> None:
 
 @cause
 def lock_not_ready(c: HandFedCore) -> None:
-    c.to_prepare()
+    c.enter_prepare()
     c.run(3.6)
 
 
-@cause_with(IMPATIENT)
+@cause_with(SHORT_TIMEOUTS)
 def climb_timeout(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(0.5)
@@ -395,7 +395,7 @@ def climb_timeout(c: HandFedCore) -> None:
     c.run(3.5)
 
 
-@cause_with(IMPATIENT)
+@cause_with(SHORT_TIMEOUTS)
 def transit_timeout(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(0.5)
@@ -413,28 +413,28 @@ def transit_timeout(c: HandFedCore) -> None:
 
 @cause_with({"collisions": [], "limits.collision_timeout_s": 2.0})
 def goal_not_reached(c: HandFedCore) -> None:
-    c.climbed()
+    c.finish_climb()
     c.run(8.0)
 
 
 @cause_with({"waypoints": [{"pause": "operator", "timeout_s": 5.0}]})
 def pause_timeout(c: HandFedCore) -> None:
-    c.climbed()
+    c.finish_climb()
     c.run(6.0)
 
 
-@cause_with(IMPATIENT)
+@cause_with(SHORT_TIMEOUTS)
 def not_ready(c: HandFedCore) -> None:
     c.run(3.5)  # the lock says nothing
 
 
-@cause_with(IMPATIENT)
+@cause_with(SHORT_TIMEOUTS)
 def offboard_refused(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(4.0)
 
 
-@cause_with(IMPATIENT)
+@cause_with(SHORT_TIMEOUTS)
 def arming_refused(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(0.5)
@@ -444,8 +444,8 @@ def arming_refused(c: HandFedCore) -> None:
 
 def asked(request: Request) -> Callable[[HandFedCore], object]:
     def fly(c: HandFedCore) -> None:
-        c.to_flight()
-        c.give(OperatorRequest(c.t_us, request))
+        c.enter_approach()
+        c.feed(OperatorRequest(c.t_us, request))
 
     return fly
 
@@ -474,7 +474,7 @@ def hit_in_noise(c: HandFedCore) -> None:
 @cause_with({"vehicle.airframe.mass_kg": 0.85})
 def hover_thrust(c: HandFedCore) -> None:
     """1.3 kg fly, 0.85 kg are configured."""
-    c.to_climb()
+    c.enter_climb()
     c.run(2.0)
     c.position_ned = (0.0, 0.0, -1.0)
     c.run(0.5)
@@ -482,11 +482,11 @@ def hover_thrust(c: HandFedCore) -> None:
 
 def rigid_pulse(c: HandFedCore) -> None:
     """The lock says flexible; a pulse as of locked arms at 0.6 m/s, without the friction of free ones."""
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((0.0, -41.0), 0.056)
     c.run(0.08)
     request = next(o for o in c.outputs if isinstance(o, ContactRequest))
-    c.give(ContactFitter(c.core.mission.vehicle).answer(request, c.t_us))
+    c.feed(ContactFitter(c.core.mission.vehicle).answer(request, c.t_us))
 
 
 @cause_with({"mode_mismatch": "land"})
@@ -514,7 +514,7 @@ def mode_felt(c: HandFedCore) -> None:
 )
 def no_approach(c: HandFedCore) -> None:
     """The board stands 1.7 m nearer than the probe goes: behind the start there is not as much room."""
-    c.to_prepare()
+    c.enter_prepare()
     c.run(0.1)
     c.position_ned, c.velocity_ned = (0.4, 0.0, -1.0), (0.5, 0.0, 0.0)
     c.run(0.05)
@@ -526,7 +526,7 @@ def no_approach(c: HandFedCore) -> None:
 def lost_body(c: HandFedCore, seconds: float) -> None:
     """A pose, and then frames without the body."""
     for tracked in (True, *(False,) * round(seconds / 0.02)):
-        c.give(PoseSample(c.t_us, c.t_us, "dart", tracked, c.position_ned, c.q))
+        c.feed(PoseSample(c.t_us, c.t_us, "dart", tracked, c.position_ned, c.q))
         c.run(0.02)
 
 
@@ -538,13 +538,13 @@ def pose_source_ground(c: HandFedCore) -> None:
 
 @cause
 def pose_source(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     lost_body(c, 0.4)
 
 
 @cause
 def pose_source_blind(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     lost_body(c, 1.7)
 
 
@@ -562,12 +562,12 @@ CAUSES |= {
 @cause
 def operator_ground(c: HandFedCore) -> None:
     c.run(0.1)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
 
 
 @cause
 def mission_fault(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.break_mission()
     c.run(0.02)
 
@@ -582,7 +582,7 @@ def test_every_rule_has_a_cause_here() -> None:
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda r: r.name)
 def test_a_rule_fires_on_its_cause_and_says_so(rule: Rule) -> None:
-    c = rig_for(rule.name, RULES if rule.name == "estimator_jump" else TELEPORTING)
+    c = rig_for(rule.name, RULES if rule.name == "estimator_jump" else RULES_WITHOUT_JUMP)
     CAUSES[rule.name](c)
     events = fired(c)
     mine = [e for e in events if e.rule == rule.name]
@@ -632,7 +632,7 @@ def test_a_lock_that_lies_is_only_noted_where_the_mission_goes_on() -> None:
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda r: r.name)
 def test_without_the_rule_nobody_says_it(rule: Rule) -> None:
-    c = rig_for(rule.name, tuple(r for r in TELEPORTING if r is not rule))
+    c = rig_for(rule.name, tuple(r for r in RULES_WITHOUT_JUMP if r is not rule))
     CAUSES[rule.name](c)
     assert rule.name not in [e.rule for e in fired(c)]
 
@@ -647,8 +647,8 @@ def test_without_the_rule_nobody_says_it(rule: Rule) -> None:
     ],
 )
 def test_another_system_on_the_link_is_named_where_a_stream_fails(name: str, says: bool) -> None:
-    c = rig_for(name, tuple(rule for rule in TELEPORTING if rule.name != "second_vehicle_ground"))
-    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    c = rig_for(name, tuple(rule for rule in RULES_WITHOUT_JUMP if rule.name != "second_vehicle_ground"))
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))
     CAUSES[name](c)
     event = next(e for e in fired(c) if e.rule == name)
     assert event.detail.endswith("system 7 sends on the same link") is says
@@ -673,7 +673,7 @@ def test_a_flight_is_released_by_persons_alone(name: str, outcome: str) -> None:
 
 def test_nothing_fires_in_a_quiet_flight() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.run(1.0)
     assert not fired(c)
 
@@ -796,7 +796,7 @@ def test_a_peak_without_a_contact_of_the_plans_starts_no_recovery(phase: Phase, 
 
 def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_command() -> None:
     c, proposal = HandFedCore(), Proposal()
-    c.to_flight()
+    c.enter_approach()
     state, t_us = c.core._senses.state, c.t_us
     record = PhaseChange(t_us, Phase.APPROACH, Phase.CONTACT, "impact", 1)
     commands: list[Output] = [
@@ -824,7 +824,7 @@ def test_of_two_findings_in_one_step_the_stronger_action_is_taken_and_the_weaker
     found: tuple[str, str], events: list[str]
 ) -> None:
     c, proposal = HandFedCore(), Proposal()
-    c.to_flight()
+    c.enter_approach()
     for name in found:
         proposal.add_finding(name, "by hand")
     guard, state = c.core._guard, c.core._senses.state
@@ -858,7 +858,7 @@ def test_a_planned_hit_is_in_the_noise_where_its_modes_floor_is_above_it(
 
 def test_a_landed_vehicle_is_told_to_disarm_only_where_it_has_long_not_done_so_itself() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
@@ -882,7 +882,7 @@ def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:
         return any(isinstance(o, VehicleCommand) and o.action is VehicleAction.KILL for o in outputs)
 
     c = HandFedCore(settings={"vehicle.guard.kill_after_s": 10.0})
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
@@ -897,7 +897,7 @@ def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:
 def test_a_landing_is_waited_for_until_the_motors_would_be_stopped() -> None:
     """A minute is too short where the configuration gives a landing more than that."""
     c = HandFedCore(settings={"vehicle.guard.kill_after_s": 61.0})
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
@@ -920,7 +920,7 @@ def ends_after(c: HandFedCore, seconds: float) -> bool:
 
 def test_a_landing_without_a_time_to_stop_the_motors_is_waited_for_a_minute() -> None:
     c = HandFedCore(settings={"vehicle.guard.kill_after_s": None})
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     assert [ends_after(c, seconds) for seconds in (1.0, 59.9, 60.1)] == [False, False, True]
@@ -929,7 +929,7 @@ def test_a_landing_without_a_time_to_stop_the_motors_is_waited_for_a_minute() ->
 def test_beside_a_second_vehicle_a_landing_takes_fifteen_seconds_at_least() -> None:
     """Whose state says landed and disarmed is not known."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     in_turn(c, 238_000_000, 0.0, 0.1)
     c.set_status(armed=False, landed=LandedState.ON_GROUND)
     assert [ends_after(c, seconds) for seconds in (1.0, 14.9, 15.1)] == [False, False, True]
@@ -942,13 +942,13 @@ def test_without_ticks_all_rules_are_judged_as_often(every_us: int, after_us: in
     With one every 20 ms a dozen of them have not come by then, and it is given the 0.2 s of any stream.
     """
     c = HandFedCore(rules=tuple(rule for rule in RULES if rule.name == "imu_silent"))
-    c.to_flight()
+    c.enter_approach()
     c.run(0.02)
-    c.give(Tick(c.t_us))
+    c.feed(Tick(c.t_us))
     last_us = c.t_us
     while not fired(c):
         c.t_us += every_us
-        c.give(AttitudeSample(c.t_us, c.t_us, c.q))
+        c.feed(AttitudeSample(c.t_us, c.t_us, c.q))
     assert c.t_us - last_us == after_us
 
 
@@ -957,7 +957,7 @@ def test_an_altitude_outside_of_the_flight_space_by_a_hands_breadth_is_none(
     above_m: float, rules: list[str]
 ) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (*c.position_ned[:2], -(c.core.mission.bounds.z[1] + above_m))
     c.run(0.05)
     assert [e.rule for e in fired(c)] == rules
@@ -965,7 +965,7 @@ def test_an_altitude_outside_of_the_flight_space_by_a_hands_breadth_is_none(
 
 @pytest.mark.parametrize("armed", [False, True])
 def test_a_vehicle_that_somebody_has_armed_is_not_left_so_when_the_flight_is_given_up(armed: bool) -> None:
-    c = HandFedCore(settings=IMPATIENT)
+    c = HandFedCore(settings=SHORT_TIMEOUTS)
     c.set_status(armed=armed)
     CAUSES["not_ready"](c)
     assert c.core.end is not None
@@ -976,7 +976,7 @@ def test_a_vehicle_that_somebody_has_armed_is_not_left_so_when_the_flight_is_giv
 def test_only_an_armed_vehicle_in_land_mode_has_been_landing() -> None:
     """Else a long flight, or a long wait on the ground, would count as a landing that does not end."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     watch = c.core._guard._watch
     c.run(2.0)
     assert watch.landing_s == 0.0
@@ -995,12 +995,12 @@ def test_only_an_armed_vehicle_in_land_mode_has_been_landing() -> None:
 
 def test_stamps_that_jump_in_a_landing_do_not_stop_the_motors() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
     c.run(1.0)
-    c.give(ImuSample(c.t_us + 60_000_000, c.t_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0)))
+    c.feed(ImuSample(c.t_us + 60_000_000, c.t_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0)))
     c.run(0.5)
     assert "still_armed" not in [e.rule for e in fired(c)]
 
@@ -1009,7 +1009,7 @@ def test_stamps_that_jump_in_a_landing_do_not_stop_the_motors() -> None:
 def test_one_clock_that_leaps_in_a_landing_does_not_stop_the_motors(whose: str) -> None:
     """Both must say that a landing has long ended."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
@@ -1025,9 +1025,9 @@ def test_one_clock_that_leaps_in_a_landing_does_not_stop_the_motors(whose: str) 
 
 def test_a_count_without_a_step_is_no_reset() -> None:
     c = HandFedCore()
-    c.to_flight()
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    c.enter_approach()
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
     c.run(0.12)
     # Long after it, a step too small for `estimator_jump` has nothing to do with it.
     north, east, down = c.position_ned
@@ -1041,8 +1041,8 @@ def test_a_count_without_a_step_is_no_reset() -> None:
 )
 def test_a_velocity_that_jumps_is_a_jump_too(faster_m_s: float, says: list[str]) -> None:
     c = HandFedCore()
-    c.to_flight()
-    c.judge_by(RULES)
+    c.enter_approach()
+    c.use_rules(RULES)
     c.velocity_ned = (faster_m_s, 0.0, 0.0)
     c.run(0.016)
     assert [e.detail for e in fired(c) if e.rule == "estimator_jump"] == says
@@ -1055,13 +1055,13 @@ def test_a_position_is_compared_with_where_the_velocity_has_carried_it(
 ) -> None:
     """A quarter of a metre in the time of a seldom sample is no jump at nearly 3 m/s, nor is it one back."""
     c = HandFedCore()
-    c.climbed()
+    c.finish_climb()
     fast, there = [0.0, 0.0, 0.0], list(c.position_ned)
     fast[axis] = 2.9
     for away_m, after_us in ((0.0, 8000), (along * 2.9 * 0.09, 90_000)):
         there[axis], c.t_us = there[axis] + away_m, c.t_us + after_us
         position, velocity = (there[0], there[1], there[2]), (fast[0], fast[1], fast[2])
-        c.give(OdometrySample(c.t_us, c.t_us, position, velocity))
+        c.feed(OdometrySample(c.t_us, c.t_us, position, velocity))
     says = f"position jumped by {2 * 2.9 * 0.09:.2f} m, limit 0.3 m"
     assert (c.core._guard._watch.estimator.jump == says) is jumps
     assert bool(c.core._guard._watch.estimator.jump) is jumps
@@ -1094,20 +1094,20 @@ def test_a_wall_that_may_be_further_away_is_late_as_much_later(sd: float | None)
 @pytest.mark.parametrize("name", ["estimator_jump", "estimator_reset", "estimator_flags"])
 def test_the_estimator_is_not_judged_shortly_after_an_impact(name: str) -> None:
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
     c.set_lock(Mode.RIGID)
     c.run(0.15)
-    c.judge_by(RULES)  # only now: placing the vehicle by hand is a jump, too
+    c.use_rules(RULES)  # only now: placing the vehicle by hand is a jump, too
     # One disturbance at a time: of two rules with the same action only the first is heard.
     if name == "estimator_flags":
-        c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+        c.feed(EstimatorSample(c.t_us, c.t_us, healthy=False))
     else:
         north, east, down = c.position_ned
         c.position_ned = (north + (0.4 if name == "estimator_jump" else 0.1), east, down)
     if name == "estimator_reset":
-        c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
-        c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=2))
+        c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
+        c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=2))
     c.run(0.5)
     assert name not in [e.rule for e in fired(c)]
 
@@ -1115,7 +1115,7 @@ def test_the_estimator_is_not_judged_shortly_after_an_impact(name: str) -> None:
 def test_a_gap_and_then_hold_is_a_failsafe_and_sticks_are_a_pilot() -> None:
     for mode, rule in ((FlightMode.HOLD, "px4_failsafe"), (FlightMode.MANUAL, "pilot")):
         c = HandFedCore()
-        c.to_flight()
+        c.enter_approach()
         c.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
         c.run(1.5)
         c.silent.clear()
@@ -1126,8 +1126,8 @@ def test_a_gap_and_then_hold_is_a_failsafe_and_sticks_are_a_pilot() -> None:
 
 @pytest.mark.parametrize(("silent_s", "rule"), [(0.3, "pilot"), (0.7, "px4_failsafe")])
 def test_a_gap_hides_what_px4_says_only_where_it_is_long_enough(silent_s: float, rule: str) -> None:
-    c = HandFedCore(rules=tuple(r for r in TELEPORTING if not r.name.endswith("_silent")))
-    c.to_flight()
+    c = HandFedCore(rules=tuple(r for r in RULES_WITHOUT_JUMP if not r.name.endswith("_silent")))
+    c.enter_approach()
     c.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
     c.run(silent_s)
     c.silent.clear()
@@ -1142,10 +1142,10 @@ def test_a_gap_hides_what_px4_says_only_where_it_is_long_enough(silent_s: float,
 def test_what_explains_a_change_of_mode_does_so_for_three_seconds(
     cause: str, before_s: float, rule: str
 ) -> None:
-    c = HandFedCore(rules=tuple(r for r in TELEPORTING if not r.name.endswith("_silent")))
-    c.to_flight()
+    c = HandFedCore(rules=tuple(r for r in RULES_WITHOUT_JUMP if not r.name.endswith("_silent")))
+    c.enter_approach()
     if cause == "word":
-        c.give(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
+        c.feed(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
     else:
         c.silent |= {"imu", "attitude", "odometry", "actuator"}
         c.run(0.7)
@@ -1163,7 +1163,7 @@ def test_a_pause_of_this_program_is_named_for_three_seconds(
     paused_s: float, later_s: float, named: bool
 ) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.t_us += round(paused_s * 1e6)  # no sample, and no tick either
     c.run(later_s)
     c.silent.add("imu")
@@ -1175,7 +1175,7 @@ def test_a_pause_of_this_program_is_named_for_three_seconds(
 
 def test_of_the_pauses_of_the_last_seconds_the_longest_is_named() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for paused_us in (60_000, 80_000, 50_000):
         c.t_us += paused_us
         c.run(0.5)
@@ -1186,7 +1186,7 @@ def test_of_the_pauses_of_the_last_seconds_the_longest_is_named() -> None:
 
 def test_a_position_after_a_pause_of_its_stream_is_no_jump() -> None:
     c = HandFedCore(rules=RULES)
-    c.climbed()
+    c.finish_climb()
     before = [e.rule for e in fired(c)]
     c.silent.add("odometry")
     c.run(0.15)
@@ -1200,7 +1200,7 @@ def test_a_position_after_a_pause_of_its_stream_is_no_jump() -> None:
 def test_a_pause_of_everything_is_given_longer_than_one_of_the_imu() -> None:
     """A busy host holds up all streams for a tenth of a second; the guard lands when it lasts."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.silent |= {"imu", "attitude", "odometry", "actuator"}
     c.run(0.15)
     assert not fired(c)
@@ -1210,9 +1210,9 @@ def test_a_pause_of_everything_is_given_longer_than_one_of_the_imu() -> None:
 
 def test_one_late_datagram_is_no_clock_that_runs_backwards() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for _ in range(20):
-        c.give(AttitudeSample(c.t_us - 1_000_000, c.t_us, c.q))
+        c.feed(AttitudeSample(c.t_us - 1_000_000, c.t_us, c.q))
         c.run(0.02)
     assert not fired(c)
 
@@ -1220,7 +1220,7 @@ def test_one_late_datagram_is_no_clock_that_runs_backwards() -> None:
 @pytest.mark.parametrize("stream", ["imu", "attitude", "odometry"])
 def test_stamps_of_every_stream_may_run_backwards(stream: str) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for i in range(5):
         t_us = c.t_us - 1_000_000 + 8000 * i
         samples: dict[str, Input] = {
@@ -1228,8 +1228,8 @@ def test_stamps_of_every_stream_may_run_backwards(stream: str) -> None:
             "attitude": AttitudeSample(t_us, c.t_us, c.q),
             "odometry": OdometrySample(t_us, c.t_us, c.position_ned, c.velocity_ned),
         }
-        c.give(samples[stream])
-    c.give(Tick(c.t_us + 20_000))
+        c.feed(samples[stream])
+    c.feed(Tick(c.t_us + 20_000))
     assert [(e.rule, e.detail) for e in fired(c)] == [
         ("stamps_backwards", f"{stream}: 5 samples in a row more than 0.5 s in the past")
     ]
@@ -1237,11 +1237,11 @@ def test_stamps_of_every_stream_may_run_backwards(stream: str) -> None:
 
 def test_commands_to_the_motors_that_come_too_seldom_are_named() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.silent.add("actuator")
     for _ in range(25):
         c.run(0.1)
-        c.give(ActuatorSample(c.t_us, c.t_us, c.motors))
+        c.feed(ActuatorSample(c.t_us, c.t_us, c.motors))
     assert [(e.rule, e.detail) for e in fired(c)] == [
         ("stream_rate", f"actuator arrives at 10 Hz, minimum {BY_NAME['actuator'].expected_hz:.0f} Hz")
     ]
@@ -1290,7 +1290,7 @@ def test_two_clocks_in_turn_are_two_vehicles_and_time_does_not_leap(
 ) -> None:
     """Also where every sample of the one comes between two of the other, in all streams."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.odometry_every = odometry_every
     before_us = c.t_us
     in_turn(c, round(ahead_s * 1e6), 0.0, 0.1)
@@ -1301,7 +1301,7 @@ def test_two_clocks_in_turn_are_two_vehicles_and_time_does_not_leap(
 
 def test_two_positions_at_one_clock_are_two_vehicles() -> None:
     c = HandFedCore(rules=RULES)
-    c.to_flight()
+    c.enter_approach()
     in_turn(c, 0, 3.0, 0.1)
     assert fired(c)[-1].rule == "second_vehicle"  # after the jump, which is seen first
     assert "3.0 m apart" in fired(c)[-1].detail
@@ -1386,7 +1386,7 @@ def test_a_clock_that_goes_back_again_and_again_is_one() -> None:
 def test_a_second_vehicle_explains_what_had_fired_before_it_was_told_apart() -> None:
     """Both rules land: the second one changes nothing but the reason."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.silent = {"odometry"}
     c.run(0.3)
     assert [e.rule for e in fired(c)] == ["odometry_silent"]
@@ -1398,7 +1398,7 @@ def test_a_second_vehicle_explains_what_had_fired_before_it_was_told_apart() -> 
 def test_the_slow_state_of_the_other_vehicle_ends_nothing() -> None:
     """It stands there disarmed, in another mode: neither a pilot, a landing, nor the end of the flight."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     in_turn(c, 238_000_000, 3.0, 0.1)
     assert any(isinstance(o, VehicleCommand) and o.action is VehicleAction.LAND for o in c.outputs)
     c.set_status(armed=False, flight_mode=FlightMode.HOLD, landed=LandedState.ON_GROUND)
@@ -1410,7 +1410,7 @@ def test_the_slow_state_of_the_other_vehicle_ends_nothing() -> None:
 @pytest.mark.parametrize("ahead_us", [238_000_000, 0])
 def test_a_mode_that_comes_before_the_other_vehicles_samples_is_no_pilots(ahead_us: int) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.outputs.clear()
     c.set_status(armed=False, flight_mode=FlightMode.HOLD, landed=LandedState.ON_GROUND)
     c.run(0.02)
@@ -1425,7 +1425,7 @@ def test_a_mode_that_comes_before_the_other_vehicles_samples_is_no_pilots(ahead_
 
 def test_a_switch_to_hold_silences_the_mission_at_once_and_ends_it_a_tenth_of_a_second_later() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.outputs.clear()
     c.set_status(flight_mode=FlightMode.HOLD)
     c.run(0.09)
@@ -1438,7 +1438,7 @@ def test_a_switch_to_hold_silences_the_mission_at_once_and_ends_it_a_tenth_of_a_
 
 def test_a_mode_that_goes_back_to_offboard_at_once_costs_only_that_moment() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(flight_mode=FlightMode.HOLD)
     c.run(0.05)
     c.set_status(flight_mode=FlightMode.OFFBOARD)
@@ -1461,7 +1461,7 @@ def test_a_battery_is_low_by_its_charge_or_its_voltage_whichever_is_known(
     left: dict[str, float], says: list[str]
 ) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(**left)
     c.run(1.2)
     assert [(e.rule, e.detail) for e in fired(c)] == [("battery", words) for words in says]
@@ -1470,7 +1470,7 @@ def test_a_battery_is_low_by_its_charge_or_its_voltage_whichever_is_known(
 def test_a_battery_that_recovers_has_its_time_again() -> None:
     """A current for a moment is no low battery, however often it comes."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for _ in range(4):
         c.set_status(battery_v=12.9)
         c.run(0.6)
@@ -1481,11 +1481,11 @@ def test_a_battery_that_recovers_has_its_time_again() -> None:
 
 def test_what_lasts_only_for_a_moment_at_a_time_does_not_add_up() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for _ in range(6):
-        c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+        c.feed(EstimatorSample(c.t_us, c.t_us, healthy=False))
         c.run(0.2)
-        c.give(EstimatorSample(c.t_us, c.t_us, healthy=True))
+        c.feed(EstimatorSample(c.t_us, c.t_us, healthy=True))
         c.run(0.05)
         c.noise_m_s2 = 0.0
         c.run(0.06)
@@ -1497,7 +1497,7 @@ def test_what_lasts_only_for_a_moment_at_a_time_does_not_add_up() -> None:
 def test_a_kill_switch_shows_by_the_fall_before_px4_disarms() -> None:
     """Until the fall breaks another rule it has lasted 0.3 s; armed stays true for 5 s more."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.motors, c.falling = (0.0,) * 4, True
     c.run(0.1)
     assert not fired(c)
@@ -1511,7 +1511,7 @@ def test_a_kill_switch_shows_by_the_fall_before_px4_disarms() -> None:
 @pytest.mark.parametrize("falling", [True, False])
 def test_motors_at_nothing_or_a_moment_without_weight_alone_are_no_kill_switch(falling: bool) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.motors, c.falling = c.motors if falling else (0.0,) * 4, falling
     c.run(0.3)
     assert "disarmed" not in {e.rule for e in fired(c)}
@@ -1525,7 +1525,7 @@ def test_from_a_wall_that_is_not_in_the_mission_it_goes_away_the_way_it_was_push
         return north, east
 
     c = HandFedCore()
-    c.climbed()
+    c.finish_climb()
     assert c.core.phase is Phase.TRANSIT
     c.position_ned = (0.3, 0.2, -1.0)
     c.run(0.02)
@@ -1540,7 +1540,7 @@ def test_from_a_wall_that_is_not_in_the_mission_it_goes_away_the_way_it_was_push
 def test_one_report_of_landed_and_disarmed_does_not_end_a_landing_of_the_guard() -> None:
     """It may be that of a vehicle which stands on the same link, before its first sample."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
@@ -1554,7 +1554,7 @@ def test_one_report_of_landed_and_disarmed_does_not_end_a_landing_of_the_guard()
 
 def test_a_vehicle_that_is_reported_disarmed_in_the_air_has_not_landed() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND, armed=False)
@@ -1567,7 +1567,7 @@ def test_a_vehicle_that_is_reported_disarmed_in_the_air_has_not_landed() -> None
 
 def test_a_pilot_still_takes_over_beside_a_second_vehicle() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     in_turn(c, 238_000_000, 3.0, 0.1)
     c.set_status(flight_mode=FlightMode.MANUAL)
     assert fired(c)[-1].rule == "pilot"
@@ -1576,24 +1576,24 @@ def test_a_pilot_still_takes_over_beside_a_second_vehicle() -> None:
 @pytest.mark.parametrize("back_s", [5.0, 400.0])
 def test_a_clock_that_jumps_once_stays_one_that_runs_backwards(back_s: float) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     us = round(back_s * 1e6)
     for i in range(1, 60):
         t, received = c.t_us - us + 4000 * i, c.t_us + 4000 * i
-        c.give(AttitudeSample(t, received, c.q))
-        c.give(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
-        c.give(OdometrySample(t, received, c.position_ned, c.velocity_ned))
-        c.give(Tick(received))
+        c.feed(AttitudeSample(t, received, c.q))
+        c.feed(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
+        c.feed(OdometrySample(t, received, c.position_ned, c.velocity_ned))
+        c.feed(Tick(received))
     assert [e.rule for e in fired(c)] == ["stamps_backwards"]
 
 
 def test_a_clock_that_jumps_ahead_is_believed_in_the_end() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for i in range(1, 60):
         t, received = c.t_us + 50_000_000 + 4000 * i, c.t_us + 4000 * i
-        c.give(AttitudeSample(t, received, c.q))
-        c.give(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
+        c.feed(AttitudeSample(t, received, c.q))
+        c.feed(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
     assert c.core.state.imu is not None
     assert c.core.state.imu.t_us > c.t_us + 50_000_000
     assert "second_vehicle" not in [e.rule for e in fired(c)]
@@ -1601,18 +1601,18 @@ def test_a_clock_that_jumps_ahead_is_believed_in_the_end() -> None:
 
 def test_what_is_known_of_link_and_computer_is_said_where_a_stream_fails() -> None:
     c = HandFedCore()
-    c.to_flight()
-    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    c.enter_approach()
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))
     c.silent.add("imu")
     c.run(0.1)
     assert [(e.rule, e.detail) for e in fired(c)] == [
         ("imu_silent", "no data for 100 ms; system 7 sends on the same link")
     ]
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.odometry_every = 14
     c.run(1.0)
-    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))
     c.run(1.2)
     assert [(e.rule, e.detail) for e in fired(c)] == [
         ("stream_rate", "odometry arrives at 18 Hz, minimum 30 Hz; system 7 sends on the same link")
@@ -1621,7 +1621,7 @@ def test_what_is_known_of_link_and_computer_is_said_where_a_stream_fails() -> No
 
 def test_a_program_that_did_not_run_is_named_as_the_cause_of_silence() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.run(0.1)
     c.t_us += 400_000  # no sample, and no tick either
     c.run(0.004)
@@ -1629,7 +1629,7 @@ def test_a_program_that_did_not_run_is_named_as_the_cause_of_silence() -> None:
     said = r"no data for 40\d ms; the computer is too busy: this program did not run for 40\d ms"
     assert re.fullmatch(said, fired(c)[0].detail)
     c = HandFedCore()  # a vehicle that falls silent is none of the computer's business
-    c.to_flight()
+    c.enter_approach()
     c.silent.add("attitude")
     c.run(0.3)
     assert [(e.rule, e.detail) for e in fired(c)] == [("attitude_silent", "no data for 220 ms")]
@@ -1647,7 +1647,7 @@ def test_a_position_that_cannot_be_is_called_so_and_not_subtracted(
 ) -> None:
     c = HandFedCore(rules=RULES)
     c.run(0.5)
-    c.give(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))  # on the ground: not taken
+    c.feed(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))  # on the ground: not taken
     assert c.core.state.odometry is not None
     assert c.core.state.odometry.position_ned == c.position_ned
     c = HandFedCore(rules=RULES)
@@ -1659,7 +1659,7 @@ def test_a_position_that_cannot_be_is_called_so_and_not_subtracted(
     c.run(0.1)
     assert c.core.phase is Phase.CLIMB
     before = c.core.state.position
-    c.give(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))
+    c.feed(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))
     assert [(e.rule, e.detail) for e in fired(c)] == [("estimator_jump", words)]
     assert c.core.state.position == before
 
@@ -1667,23 +1667,23 @@ def test_a_position_that_cannot_be_is_called_so_and_not_subtracted(
 def test_another_system_on_the_link_is_refused_before_take_off_and_harmless_in_the_air() -> None:
     c = HandFedCore()
     c.run(0.1)
-    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))
     assert [(e.rule, e.detail) for e in fired(c)] == [
         ("second_vehicle_ground", "system 7 sends on the same link")
     ]
     assert c.core.end is not None
     c = HandFedCore()
-    c.to_flight()
-    c.give(OtherVehicle(c.t_us, c.t_us, 7))  # its samples are told apart
+    c.enter_approach()
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))  # its samples are told apart
     c.run(0.2)
     assert not fired(c)
 
 
 def test_a_stream_without_usable_messages_is_silent_with_the_cause() -> None:
     c = HandFedCore(rules=tuple(r for r in RULES if r.name == "actuator_silent"))
-    c.to_flight()
-    c.give(StatusText(c.t_us, c.t_us, "error", "ODOMETRY arrives, none has a velocity"))
-    c.give(
+    c.enter_approach()
+    c.feed(StatusText(c.t_us, c.t_us, "error", "ODOMETRY arrives, none has a velocity"))
+    c.feed(
         StatusText(c.t_us, c.t_us, "error", "ACTUATOR_OUTPUT_STATUS arrives, none has the motors' outputs")
     )
     c.silent.add("actuator")

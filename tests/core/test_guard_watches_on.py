@@ -27,12 +27,12 @@ def fired(c: HandFedCore) -> list[tuple[str, str]]:
 
 def broken_off() -> HandFedCore:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     return ask_to_land(c)
 
 
 def ask_to_land(c: HandFedCore) -> HandFedCore:
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     c.run(0.1)
     assert fired(c) == [("operator", "break_off")]
     c.velocity_ned = (0.3, 0.0, 0.0)  # under way: it lands only after 3 s
@@ -76,7 +76,7 @@ def test_a_landing_may_go_through_the_floor() -> None:
 
 def test_a_climb_that_is_broken_off_is_not_below_the_floor() -> None:
     c = HandFedCore()
-    c.to_climb()
+    c.enter_climb()
     assert c.core.phase is Phase.CLIMB
     c.position_ned = (0.0, 0.0, -0.1)
     ask_to_land(c)
@@ -98,7 +98,7 @@ def test_a_tilt_that_changes_nothing_any_more_is_noted_once() -> None:
 
 def test_an_estimate_that_jumps_moves_the_place_to_hold_with_it() -> None:
     c = broken_off()
-    c.judge_by(RULES)
+    c.use_rules(RULES)
     for east_m in (0.5, 1.0):  # the second jump finds the guard holding already
         c.position_ned = (0.0, east_m, -1.0)
         last = [o for o in c.run(0.1) if isinstance(o, Setpoint)][-1]
@@ -109,8 +109,8 @@ def test_an_estimate_that_jumps_moves_the_place_to_hold_with_it() -> None:
 def test_an_impact_explains_no_doubt_of_px4_about_its_position() -> None:
     """Its deviation does not rise in a hit; that of a position adrift passed the limit within the window."""
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
-    c.give(EstimatorSample(c.t_us, c.t_us, position_sd_m=0.11))
+    c.feed(EstimatorSample(c.t_us, c.t_us, position_sd_m=0.11))
     c.run(0.05)
     assert ("position_uncertain", "land") in fired(c)

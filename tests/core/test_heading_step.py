@@ -139,7 +139,7 @@ def test_steps_of_position_and_velocity_are_measured_beside_the_motion() -> None
 def turn(c: HandFedCore, step_deg: float, counter: int = 2) -> None:
     """Reset the heading."""
     c.q = quaternion_multiply(quaternion_from_euler(0.0, 0.0, math.radians(step_deg)), c.q)
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=counter))
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=counter))
     c.run(0.05)
 
 
@@ -148,14 +148,14 @@ def fired(c: HandFedCore) -> list[tuple[str, str]]:
 
 
 def counted(c: HandFedCore) -> HandFedCore:
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
     return c
 
 
 @pytest.mark.parametrize("step_deg", [5.5, -30.0, 90.0, 175.0, -175.0])
 def test_a_step_of_the_heading_breaks_off_before_the_wall(step_deg: float) -> None:
     c = counted(HandFedCore())
-    c.to_flight()
+    c.enter_approach()
     assert c.core.phase is Phase.APPROACH
     turn(c, step_deg)
     assert fired(c) == [("heading_reset", f"heading stepped by {step_deg:.1f} deg, limit 5 deg")]
@@ -164,7 +164,7 @@ def test_a_step_of_the_heading_breaks_off_before_the_wall(step_deg: float) -> No
 
 def test_small_steps_and_counts_alone_end_nothing() -> None:
     c = counted(HandFedCore())
-    c.to_flight()
+    c.enter_approach()
     turn(c, 4.5)
     c.run(0.3)
     turn(c, 0.0, counter=3)
@@ -174,7 +174,7 @@ def test_small_steps_and_counts_alone_end_nothing() -> None:
 
 def test_a_heading_may_align_in_the_climb() -> None:
     c = counted(HandFedCore())
-    c.to_climb()
+    c.enter_climb()
     assert c.core.phase is Phase.CLIMB
     turn(c, 60.0)
     c.run(0.1)
@@ -187,7 +187,7 @@ def test_a_heading_may_align_in_the_climb() -> None:
 
 def test_an_impact_explains_no_step_of_the_heading() -> None:
     c = counted(HandFedCore())
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
     c.set_lock("rigid")  # type: ignore[arg-type]
     c.run(0.1)

@@ -180,9 +180,9 @@ def test_where_the_autopilots_time_goes_at_any_pace_round_trips_alone_count() ->
 def test_a_late_backlog_is_not_stepped_one_by_one_near_a_wall() -> None:
     """MAVSDK's thread hands over and goes on emptying it; what has become old is left out by the queue."""
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     paces = [c.core.pace]
-    c.give(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
+    c.feed(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
     for i in range(80):
-        c.give(ImuSample(c.t_us + 4000 * i, c.t_us + 4000 * i, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
+        c.feed(ImuSample(c.t_us + 4000 * i, c.t_us + 4000 * i, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
     assert [*paces, c.core.pace] == [Pace.IMMEDIATE, Pace.BATCHED]

@@ -29,14 +29,14 @@ from dart_flight.base.records import (
 )
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_BAD_S
-from tests.core.conftest import TELEPORTING, HandFedCore
+from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore
 
 SINGLE = "missions/paper_single_wall.yaml"
 
 
 def after_the_contact(c: HandFedCore) -> None:
     """The single wall has been hit at 1.65 m north, and the lock has followed; the vehicle is clear of it."""
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (1.6, -0.5, -1.0)
     c.velocity_ned = (1.0, -0.5, 0.0)
     c.run(0.05)
@@ -54,7 +54,7 @@ def after_the_contact(c: HandFedCore) -> None:
 def test_arms_that_swing_after_a_contact_are_no_second_impact() -> None:
     """For the refractory time after a contact's end nothing is an impact, and after it everything is."""
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
     refractory_s = c.core.mission.vehicle.detection.refractory_s
     c.velocity_ned = (0.0, 0.0, 0.0)
@@ -71,7 +71,7 @@ def test_arms_that_swing_after_a_contact_are_no_second_impact() -> None:
 def test_friction_alone_is_the_beginning_of_the_planned_hit() -> None:
     """It comes first: only a force clearly into the wall is not the planned one."""
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     out = c.pulse((-14.0, 0.0))
     assert [o.planned for o in out if isinstance(o, ImpactOnset)] == [True]
     assert not [o for o in out if isinstance(o, GuardEvent)]
@@ -80,7 +80,7 @@ def test_friction_alone_is_the_beginning_of_the_planned_hit() -> None:
 def test_the_peak_of_a_hit_from_behind_is_felt_as_soon_as_any() -> None:
     """Its force points into the wall: the wall's normal says nothing of it."""
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     began = c.t_us
     out = c.pulse((0.0, 16.0)) + c.run(0.1)
     assert [o.planned for o in out if isinstance(o, ImpactOnset)] == [False]
@@ -91,8 +91,8 @@ def test_the_peak_of_a_hit_from_behind_is_felt_as_soon_as_any() -> None:
 
 def test_a_push_over_the_threshold_is_taken_for_wind_only_where_it_has_outlasted_a_contact() -> None:
     climbing, pushed = HandFedCore(), HandFedCore()
-    climbing.to_climb()  # nothing is watched for yet
-    pushed.at_the_wood()
+    climbing.enter_climb()  # nothing is watched for yet
+    pushed.fly_to_wood()
     pushed.pulse((-10.0, -16.0))
     pushed.position_ned, pushed.velocity_ned = (1.0, 1.0, -1.0), (0.0, 0.0, 0.0)
     for c in (climbing, pushed):
@@ -116,7 +116,7 @@ def lands(c: HandFedCore, seconds: float) -> list[float]:
 
 def test_the_guard_asks_for_its_landing_every_second_until_telemetry_shows_it() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (0.0, 0.0, -2.2)  # lands at once
     times = lands(c, 3.5)
     assert [round(t) for t in times] == [0, 1, 2, 3]
@@ -148,17 +148,17 @@ def test_the_mission_asks_for_its_landing_every_second_until_telemetry_shows_it(
 
 def test_a_stronger_action_asks_at_once_and_does_not_wait_for_the_retry_of_a_weaker_one() -> None:
     c = HandFedCore()
-    c.to_flight()
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.enter_approach()
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     assert lands(c, 1.6) == [pytest.approx(1.5, abs=0.02)]
-    c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+    c.feed(EstimatorSample(c.t_us, c.t_us, healthy=False))
     assert lands(c, 0.9) == [pytest.approx(ESTIMATOR_BAD_S, abs=0.03)]
 
 
 def test_a_vehicle_that_is_turned_over_is_stopped_by_setpoints_before_it_lands() -> None:
     """PX4's land mode takes a tilt back at MPC_JERK_AUTO: it flew 17 m, to 7 m/s, after 64 degrees."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.q, c.velocity_ned = quaternion_from_euler(1.2, 0.0, 0.0), (1.5, 0.0, 0.0)
     out = c.run(0.5)
     assert [e.rule for e in out if isinstance(e, GuardEvent)] == ["tilt"]
@@ -183,11 +183,11 @@ def test_a_vehicle_that_is_turned_over_is_stopped_by_setpoints_before_it_lands()
 )
 def test_the_guard_holds_at_the_missions_altitude_or_where_it_is_above_it(up_m: float, held_m: float) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (0.0, 0.0, -up_m)
     c.run(0.02)
     assert not [o for o in c.outputs if isinstance(o, GuardEvent)]
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert held
     assert {round(o.position_ned[2], 6) for o in held} == {-held_m}
@@ -217,7 +217,7 @@ def test_breaking_off_keeps_its_distance_from_a_wall_that_is_before_it(
     mission: str, distance_m: float, along_m: float, closing_m_s: float, held_m: float
 ) -> None:
     c = HandFedCore(mission)
-    c.to_prepare()
+    c.enter_prepare()
     wall = c.core.mission.walls[0]
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
     away_m = distance_m - wall.signed_distance(wall.point)
@@ -225,7 +225,7 @@ def test_breaking_off_keeps_its_distance_from_a_wall_that_is_before_it(
     c.position_ned, c.velocity_ned = (x, -y, -1.0), (-closing_m_s * nx, closing_m_s * ny, 0.0)
     c.run(0.02)
     assert wall.signed_distance(c.core.state.position) == pytest.approx(distance_m, abs=0.01)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     north, east, _ = next(o for o in c.run(0.1) if isinstance(o, Setpoint)).position_ned
     assert wall.signed_distance((north, -east)) == pytest.approx(held_m, abs=0.02)
     assert (north - x) * tx + (-east - y) * ty == pytest.approx(0.0, abs=0.01)
@@ -234,7 +234,7 @@ def test_breaking_off_keeps_its_distance_from_a_wall_that_is_before_it(
 def test_where_it_has_stopped_beyond_its_retreat_it_stays() -> None:
     """A way back would be one to the wall: after 64 degrees PX4 led past the retreat and touched it."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
 
     def held(position: tuple[float, float], speed: float, seconds: float = 0.1) -> set[tuple[float, float]]:
         c.position_ned, c.velocity_ned = (*position, -1.0), (-speed, 0.0, 0.0)
@@ -242,7 +242,7 @@ def test_where_it_has_stopped_beyond_its_retreat_it_stays() -> None:
         return {o.position_ned[:2] for o in c.run(seconds) if isinstance(o, Setpoint)}
 
     held((0.2, 0.0), 1.2)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     (away,) = held((0.1, 0.0), 1.2)
     assert held((-0.6, 0.0), 1.0) == {away}  # while it still goes
     assert held((-0.8, 0.0), 0.1) == {(-0.8, 0.0)}
@@ -251,11 +251,11 @@ def test_where_it_has_stopped_beyond_its_retreat_it_stays() -> None:
 
 def test_from_a_wall_of_the_mission_it_goes_away_along_the_normal_however_it_was_pushed() -> None:
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
     c.velocity_ned = (0.0, 0.0, 0.0)
     c.run(0.02)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     north, east, _ = next(o for o in c.run(0.1) if isinstance(o, Setpoint)).position_ned
     assert north == pytest.approx(c.position_ned[0], abs=0.01)
     assert east < c.position_ned[1] - 0.4
@@ -264,9 +264,9 @@ def test_from_a_wall_of_the_mission_it_goes_away_along_the_normal_however_it_was
 def test_after_a_change_of_altitude_the_guard_holds_at_the_new_one() -> None:
     higher = {"position_m": [0.0, 0.0], "altitude_m": 1.4, "speed_m_s": 0.5, "hold_s": 1.0}
     c = HandFedCore(settings={"waypoints": [higher]})
-    c.to_prepare()
+    c.enter_prepare()
     assert c.core.phase is Phase.WAYPOINT
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert {round(o.position_ned[2], 6) for o in held} == {-1.4}
 
@@ -276,12 +276,12 @@ def test_the_guard_does_not_climb_out_of_the_flight_space() -> None:
     c = HandFedCore()
     mission = c.core.mission
     low = msgspec.structs.replace(mission.bounds, z=(0.3, 0.96))
-    c.core = FlightCore(msgspec.structs.replace(mission, bounds=low), TELEPORTING)
-    c.give(ClockOffset(c.t_us, 0))
-    c.to_flight()
+    c.core = FlightCore(msgspec.structs.replace(mission, bounds=low), RULES_WITHOUT_JUMP)
+    c.feed(ClockOffset(c.t_us, 0))
+    c.enter_approach()
     c.position_ned = (0.0, 0.0, -0.9)
     c.run(0.02)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert {round(o.position_ned[2], 6) for o in held} == {-0.96}
 
@@ -289,18 +289,18 @@ def test_the_guard_does_not_climb_out_of_the_flight_space() -> None:
 @pytest.mark.parametrize(("speed_m_s", "after_s"), [(0.0, 1.5), (0.05, 1.5), (0.3, 3.0)])
 def test_the_guard_holds_half_as_long_where_it_stands_still(speed_m_s: float, after_s: float) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.velocity_ned = (speed_m_s, 0.0, 0.0)
     c.run(0.02)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     assert lands(c, after_s + 0.5)[0] == pytest.approx(after_s, abs=0.02)
 
 
 @pytest.mark.parametrize("detail", ["", "PX4 has ended by SIGKILL"])
 def test_what_has_died_is_said_where_it_is_known(detail: str) -> None:
     c = HandFedCore()
-    c.to_flight()
-    c.give(OperatorRequest(c.t_us, Request.WORLD_DIED, detail))
+    c.enter_approach()
+    c.feed(OperatorRequest(c.t_us, Request.WORLD_DIED, detail))
     said = [o.detail for o in c.outputs if isinstance(o, GuardEvent)]
     assert said == [detail or "the simulated vehicle ended"]
 
@@ -358,7 +358,7 @@ def test_the_goal_is_passed_once_the_way_to_it_grows_by_more_than_its_noise() ->
 def test_while_a_contact_lasts_the_goal_is_not_passed() -> None:
     """It slides along the wall, away from the goal."""
     c = HandFedCore(SINGLE)
-    c.to_flight()
+    c.enter_approach()
     c.position_ned, c.velocity_ned = (1.6, -0.5, -1.0), (1.0, -0.5, 0.0)
     c.run(0.05)
     c.pulse((-40.0, 0.0), 0.04)

@@ -21,7 +21,7 @@ from dart_flight.base.records import (
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.core.guard.pose_watch import PoseWatch
 from dart_flight.core.sense.state import FlightState
-from tests.core.conftest import TELEPORTING, HandFedCore
+from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore
 
 MOCAP = MotionCapture(url="udp://127.0.0.1:9763/dart", up="y", heading_deg=30.0, body_yaw_deg=90.0)
 WITH_MOCAP = {"vehicle.mocap": MOCAP}
@@ -239,8 +239,8 @@ def test_a_flight_with_latency_noise_and_occlusion_has_no_fault(data: st.DataObj
 
 def flown(phase: str) -> HandFedCore:
     """A core with motion capture, in an approach or in a contact."""
-    c = PosedCore(rules=TELEPORTING, settings=WITH_MOCAP)
-    c.at_the_wood()
+    c = PosedCore(rules=RULES_WITHOUT_JUMP, settings=WITH_MOCAP)
+    c.fly_to_wood()
     c.begin()
     c.run(0.2)
     if phase == "contact":
@@ -267,7 +267,7 @@ class PosedCore(HandFedCore):
             out += super().run(0.004)
             if self.begun:
                 pose = ROOM.pose_from_ned(add(self.position_ned, self.away), self.q)
-                self.give(PoseSample(self.t_us, self.t_us, "dart", not self.lost, *pose))
+                self.feed(PoseSample(self.t_us, self.t_us, "dart", not self.lost, *pose))
         return out
 
 
@@ -310,10 +310,10 @@ def test_another_body_in_a_contact_ends_the_recovery_before_the_next_wall() -> N
 def test_without_a_url_poses_change_nothing() -> None:
     bare, posed = HandFedCore(), HandFedCore()
     for c, with_poses in ((bare, False), (posed, True)):
-        c.to_flight()
+        c.enter_approach()
         for _ in range(100):
             c.run(0.008)
             if with_poses:
-                c.give(PoseSample(c.t_us, c.t_us, "dart", False, (9.0, 9.0, 9.0), LEVEL))
+                c.feed(PoseSample(c.t_us, c.t_us, "dart", False, (9.0, 9.0, 9.0), LEVEL))
     assert bare.outputs == posed.outputs
     assert posed.core.state.pose is not None

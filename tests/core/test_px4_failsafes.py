@@ -29,12 +29,12 @@ def fired(c: HandFedCore) -> list[tuple[str, str]]:
 
 
 def say(c: HandFedCore, text: str, event: str = "") -> None:
-    c.give(StatusText(c.t_us, c.t_us, "critical", text, event))
+    c.feed(StatusText(c.t_us, c.t_us, "critical", text, event))
 
 
 def flying() -> HandFedCore:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(system_status=SystemStatus.ACTIVE)
     assert c.core.phase is Phase.APPROACH
     return c

@@ -22,7 +22,7 @@ def follow(c: HandFedCore, seconds: float) -> list[Setpoint]:
 
 def test_to_the_next_wall_it_flies_from_rest_however_long_the_lock_has_taken() -> None:
     c = HandFedCore(settings={"standoff_m": 0.3})
-    c.to_flight()
+    c.enter_approach()
     while c.core.phase is Phase.APPROACH:
         follow(c, 0.1)
     assert c.core.phase is Phase.RECOVERY

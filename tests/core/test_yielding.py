@@ -102,7 +102,7 @@ def test_a_contact_is_forgotten_once_two_hundredths_of_its_acceleration_are_left
 def test_in_a_contact_that_does_not_end_its_motion_is_asked_for_a_quarter_of_a_second() -> None:
     """PX4 keeps the last setpoint of a program that hangs: none for longer than a contact takes."""
     c = HandFedCore(rules=())
-    c.at_the_wood()
+    c.fly_to_wood()
     c.hide_peaks()
     c.force_ned = (-10.0, -16.0, 0.0)
     c.run(0.02)
