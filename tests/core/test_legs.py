@@ -25,7 +25,7 @@ from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from tests.core.test_anchors import felt
+from tests.core.test_anchors import wall_estimate
 
 FIND = load_mission(packaged("missions", "find_a_wall.yaml"))
 AWAY = FIND.waypoints[0]
@@ -35,7 +35,7 @@ HERE = (0.3, -0.4)
 def met(name: str, place: Vec2 = (1.9, 0.1), normal: Vec2 = (-0.8, 0.6)) -> EstimatedWalls:
     walls = EstimatedWalls()
     wall = next(c.wall for c in FIND.collisions if c.wall.name == name)
-    walls.add_estimate(felt(place, normal, wall=name), wall)
+    walls.add_estimate(wall_estimate(place, normal, wall=name), wall)
     return walls
 
 
