@@ -1,4 +1,4 @@
-"""How old samples are when they come, by stamps, receipts and round trips."""
+"""Age of samples at their receipt, from stamps, times of receipt and round trips."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dart_flight.core.guard.stream_watch import TelemetryDelay
 from dart_flight.core.pace import Pace
 from tests.core.conftest import HandFedCore
 
-AHEAD_US = 300_000_000  # the autopilot's clock
+AHEAD_US = 300_000_000  # offset of the autopilot's clock
 
 
 def feed(
@@ -21,16 +21,16 @@ def feed(
     delay_s: Callable[[float], float],
     *,
     from_s: float = 0.0,
-    trips: bool = True,
+    round_trips: bool = True,
     drift: float = 0.0,
 ) -> bool:
-    """IMU samples that come so late, each way of a round trip likewise; whether they ever counted as late."""
+    """Feed IMU samples and round trips with this delay each way; return whether they ever were late."""
     was_late = False
     for i in range(round(seconds / 0.004)):
         now_s = from_s + 0.004 * i
         autopilot_us = AHEAD_US + round(1e6 * now_s * (1.0 + drift))
         way_s = delay_s(now_s)
-        if trips and i % 25 == 0:
+        if round_trips and i % 25 == 0:
             here_us = round(1e6 * now_s)
             lateness.add_round_trip(
                 RoundTrip(here_us + round(1e6 * way_s), here_us - round(1e6 * way_s), autopilot_us)
@@ -40,13 +40,13 @@ def feed(
     return was_late
 
 
-def test_without_a_round_trip_nothing_is_known() -> None:
+def test_no_delay_is_known_without_a_round_trip() -> None:
     lateness = TelemetryDelay(0.075)
-    assert not feed(lateness, 2.0, lambda t: 1.0, trips=False)
+    assert not feed(lateness, 2.0, lambda t: 1.0, round_trips=False)
     assert lateness.age_us == 0.0
 
 
-def test_a_delay_that_is_always_the_same_is_found_by_the_round_trip() -> None:
+def test_a_constant_delay_is_measured_by_round_trips() -> None:
     lateness = TelemetryDelay(0.075)
     assert not feed(lateness, 2.0, lambda t: 0.05)
     assert abs(lateness.age_us - 50e3) < 1.0
@@ -55,15 +55,15 @@ def test_a_delay_that_is_always_the_same_is_found_by_the_round_trip() -> None:
     assert lateness.describe() == "telemetry arrives 1000 ms after sampling, limit 75 ms, round trip 2000 ms"
 
 
-def test_a_delay_that_comes_later_shows_although_no_request_is_answered_any_more() -> None:
+def test_a_later_delay_is_detected_without_further_round_trips() -> None:
     lateness = TelemetryDelay(0.075)
     assert not feed(lateness, 60.0, lambda t: 0.003)
-    assert feed(lateness, 0.3, lambda t: 0.1, from_s=60.0, trips=False)
+    assert feed(lateness, 0.3, lambda t: 0.1, from_s=60.0, round_trips=False)
     assert lateness.describe() == "telemetry arrives 100 ms after sampling, limit 75 ms"
 
 
-def test_it_stays_late_however_long_that_lasts() -> None:
-    """The offset between the clocks adapts within seconds; the best round trip is not forgotten so soon."""
+def test_a_lasting_delay_stays_late() -> None:
+    """The clock offset adapts within seconds, but the best round trip is kept for longer."""
     lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)
     feed(lateness, 120.0, lambda t: 2.4, from_s=1.0)
@@ -72,29 +72,29 @@ def test_it_stays_late_however_long_that_lasts() -> None:
     assert not lateness.late
 
 
-def test_clocks_that_drift_apart_are_no_lateness() -> None:
+def test_clock_drift_is_no_delay() -> None:
     for drift in (1e-4, -1e-4):
         lateness = TelemetryDelay(0.075)
-        chance = random.Random(1)
-        assert not feed(lateness, 1800.0, lambda t, c=chance: 0.002 + 0.02 * c.random(), drift=drift)  # type: ignore[misc]
+        rng = random.Random(1)
+        assert not feed(lateness, 1800.0, lambda t, c=rng: 0.002 + 0.02 * c.random(), drift=drift)  # type: ignore[misc]
 
 
-def test_what_comes_at_one_go_after_a_pause_is_no_lateness() -> None:
+def test_a_burst_after_a_pause_is_no_delay() -> None:
     lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)
-    assert not feed(lateness, 0.4, lambda t: 0.003 + 1.4 - t, from_s=1.0, trips=False)
+    assert not feed(lateness, 0.4, lambda t: 0.003 + 1.4 - t, from_s=1.0, round_trips=False)
     assert not feed(lateness, 1.0, lambda t: 0.003, from_s=1.4)
 
 
-def test_jitter_is_lateness_where_too_much_of_it_comes_late() -> None:
-    chance = random.Random(1)
-    assert not feed(TelemetryDelay(0.075), 60.0, lambda t: 0.075 * chance.random())
-    assert feed(TelemetryDelay(0.075), 5.0, lambda t: 0.15 * chance.random())
+def test_jitter_counts_as_a_delay_if_too_many_samples_are_late() -> None:
+    rng = random.Random(1)
+    assert not feed(TelemetryDelay(0.075), 60.0, lambda t: 0.075 * rng.random())
+    assert feed(TelemetryDelay(0.075), 5.0, lambda t: 0.15 * rng.random())
 
 
 @pytest.mark.parametrize(("every_ms", "samples"), [(4, 41), (20, 9), (100, 9)])
-def test_samples_are_late_once_they_are_for_a_sixth_of_a_second(every_ms: int, samples: int) -> None:
-    """A share of 15 % of the last second; a sample counts for 20 ms at most, however long none came."""
+def test_samples_count_as_late_after_a_sixth_of_a_second(every_ms: int, samples: int) -> None:
+    """15 % of the last second must be late; one sample counts for at most 20 ms."""
     lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.0)
     count = 0
@@ -105,21 +105,19 @@ def test_samples_are_late_once_they_are_for_a_sixth_of_a_second(every_ms: int, s
     assert count == samples
 
 
-@pytest.mark.parametrize(("way_ms", "taken"), [(20, True), (22, False)])
-def test_a_round_trip_counts_again_when_the_clocks_may_have_drifted_as_far_as_it_may_err(
-    way_ms: int, taken: bool
-) -> None:
-    """After 100 s by 20 ms, on top of the millisecond by which the one before may err."""
+@pytest.mark.parametrize(("way_ms", "used"), [(20, True), (22, False)])
+def test_a_slow_round_trip_is_used_once_clock_drift_may_exceed_its_error(way_ms: int, used: bool) -> None:
+    """After 100 s the drift may be 20 ms, in addition to 1 ms error of the previous round trip."""
     lateness = TelemetryDelay(0.075)
     lateness.add_round_trip(RoundTrip(1_000, -1_000, AHEAD_US))
     later_us, way_us = 100_001_000, 1000 * way_ms
     autopilot_us = AHEAD_US + later_us - way_us + 5_000
     lateness.add_round_trip(RoundTrip(later_us, later_us - 2 * way_us, autopilot_us))
     lateness.add_sample(AHEAD_US, 10_000)
-    assert lateness.age_us == (15_000.0 if taken else 10_000.0)
+    assert lateness.age_us == (15_000.0 if used else 10_000.0)
 
 
-def test_where_clocks_cannot_be_compared_the_shortest_of_three_round_trips_counts() -> None:
+def test_the_shortest_of_three_round_trips_counts_without_comparable_clocks() -> None:
     lateness, ages_us = TelemetryDelay(0.075), []
     for took_us in (10_000, 400_000, 400_000, 400_000):
         lateness.add_round_trip(RoundTrip(took_us, 0, None))
@@ -128,7 +126,7 @@ def test_where_clocks_cannot_be_compared_the_shortest_of_three_round_trips_count
     assert ages_us == [5_000.0, 5_000.0, 5_000.0, 200_000.0]
 
 
-def test_a_clock_that_jumps_is_compared_anew() -> None:
+def test_a_clock_jump_restarts_the_comparison() -> None:
     lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)
     for i in range(250):
@@ -141,8 +139,8 @@ def test_a_clock_that_jumps_is_compared_anew() -> None:
 
 
 @pytest.mark.parametrize("back_ms", [4, 40])
-def test_a_clock_that_jumps_is_compared_anew_by_whatever_round_trip_comes(back_ms: int) -> None:
-    """Also by one that is slower than those before it."""
+def test_any_round_trip_restarts_the_comparison_after_a_clock_jump(back_ms: int) -> None:
+    """Even a round trip that is slower than those before it restarts the comparison."""
     lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)
     way_us = 1000 * back_ms
@@ -151,8 +149,8 @@ def test_a_clock_that_jumps_is_compared_anew_by_whatever_round_trip_comes(back_m
     assert lateness.age_us == 0.0
 
 
-def test_a_slower_round_trip_does_not_spoil_what_a_faster_one_has_told() -> None:
-    """Forty milliseconds there and none back: of that, half would be taken for a delay."""
+def test_a_slower_round_trip_does_not_replace_a_faster_one() -> None:
+    """With 40 ms out and 0 ms back, half of the round trip would count as a delay."""
     lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)
     lateness.add_round_trip(RoundTrip(1_000_000, 960_000, AHEAD_US + 1_000_000))
@@ -160,7 +158,7 @@ def test_a_slower_round_trip_does_not_spoil_what_a_faster_one_has_told() -> None
     assert lateness.age_us == pytest.approx(3000.0, abs=1.0)
 
 
-def test_where_the_autopilots_time_goes_at_any_pace_round_trips_alone_count() -> None:
+def test_only_round_trips_count_if_the_autopilots_clock_rate_differs() -> None:
     lateness = TelemetryDelay(0.075)
     for i in range(1000):
         now_us = 4000 * i
@@ -177,8 +175,8 @@ def test_where_the_autopilots_time_goes_at_any_pace_round_trips_alone_count() ->
     assert lateness.late
 
 
-def test_a_late_backlog_is_not_stepped_one_by_one_near_a_wall() -> None:
-    """MAVSDK's thread hands over and goes on emptying it; what has become old is left out by the queue."""
+def test_a_late_backlog_near_a_wall_is_stepped_in_batches() -> None:
+    """MAVSDK's thread hands the samples over and keeps reading; the queue discards old samples."""
     c = HandFedCore()
     c.fly_to_wood()
     paces = [c.core.pace]
