@@ -48,7 +48,7 @@ SHORT_TIMEOUTS: Mapping[str, Any] = {"vehicle.flying.ready_timeout_s": 3.0}
 
 
 class HandFedCore:
-    """Feeds hovering telemetry at 250 Hz; position, velocity and force are set by the test.
+    """A core that receives hovering telemetry at 250 Hz; tests set position, velocity and force.
 
     Args:
         mission: mission file.
@@ -168,7 +168,7 @@ class HandFedCore:
         """
         rules, first = self.rules, None
         if set(rules) <= set(RULES_WITHOUT_JUMP):
-            first = self._first_of_its_kind()
+            first = self._cached_core()
         if first is None:
             self._approach()
             return
@@ -176,7 +176,7 @@ class HandFedCore:
         vars(self).update(vars(copy.deepcopy(first, shared)))
         self.use_rules(rules)
 
-    def _first_of_its_kind(self) -> HandFedCore | None:
+    def _cached_core(self) -> HandFedCore | None:
         attributes = {name: value for name, value in vars(self).items() if name not in ("core", "rules")}
         kind = f"{type(self)} {self.core.mission} {attributes}"
         if kind not in _CORES_IN_APPROACH:

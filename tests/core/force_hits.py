@@ -58,7 +58,7 @@ _ATTITUDE_SIGMA_RAD, _VELOCITY_SIGMA_M_S = 0.005, 0.03
 class Hit(msgspec.Struct, frozen=True):
     """One case: velocity at the wall, mode and material, and tilt.
 
-    `lean` says where the thrust points: `in` to the wall, `along` it, or `away` from it.
+    `lean` is the direction of the horizontal thrust: `in` to the wall, `along` it, or `away` from it.
     """
 
     normal_m_s: float
@@ -311,7 +311,7 @@ class HitFigures(msgspec.Struct):
 
 
 def figures_of(mission: Mission, hit: Hit, sigma: float, seed: int) -> HitFigures:
-    """Fly one hit and estimate it under a noise."""
+    """Fly one hit and return the figures of its estimate under IMU noise."""
     flown = fly_hit(mission.vehicle, hit)
     onsets, peak = estimate_hit(mission.vehicle, FlightState(), flown, sigma, seed)
     delay = None

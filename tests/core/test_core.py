@@ -244,9 +244,8 @@ def test_mission_commands_are_ignored_after_the_guard_has_fired(hand_fed: HandFe
     assert next(o.action for o in of_kind(VehicleCommand, out)) is VehicleAction.LAND
     hand_fed.set_status(flight_mode=FlightMode.LAND, landed=LandedState.ON_GROUND)
     hand_fed.run(0.1)
-    assert not of_kind(
-        MissionEnd, hand_fed.set_status(armed=False)
-    )  # one report may come from another vehicle
+    # One report may come from another vehicle.
+    assert not of_kind(MissionEnd, hand_fed.set_status(armed=False))
     end = of_kind(MissionEnd, hand_fed.run(0.21))[0]
     assert (end.outcome, end.reason) == ("aborted", "operator: landing requested")
 

@@ -37,7 +37,7 @@ class FixedThreshold(ImpactDetector):
 
 
 def noisy(seconds: float, sigma_n: float, seed: int = 1, tone_hz: float | None = None) -> Forces:
-    """White noise, or a tone with the same root mean square and a phase that wanders."""
+    """Return white noise, or a tone with the same root mean square and a wandering phase."""
     rng = random.Random(seed)
     phase, out = rng.uniform(0.0, math.tau), []
     for _ in range(round(seconds / 0.004)):

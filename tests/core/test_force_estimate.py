@@ -397,7 +397,7 @@ def test_the_force_is_the_residual_of_thrust_gravity_and_drag(seed: int) -> None
     """Attitude, heading and velocity are random; the gyro propagates the attitude for 50 ms."""
     rng = random.Random(seed)
 
-    def drawn(most: float) -> Vec3:
+    def random_vector(most: float) -> Vec3:
         return (rng.uniform(-most, most), rng.uniform(-most, most), rng.uniform(-most, most))
 
     airframe = msgspec.structs.replace(VEHICLE.airframe, drag_per_s=(0.3, 0.2, 0.1))
@@ -405,9 +405,9 @@ def test_the_force_is_the_residual_of_thrust_gravity_and_drag(seed: int) -> None
     estimator, state = ForceEstimator(vehicle), FlightState()
     frame = MissionFrame(1.0, 2.0, -3.0, rng.uniform(-3.0, 3.0))
     state.anchor(frame)
-    velocity_ned, rate, f = drawn(2.0), drawn(3.0), drawn(20.0)
+    velocity_ned, rate, f = random_vector(2.0), random_vector(3.0), random_vector(20.0)
     state.update_odometry(OdometrySample(1_000_000, 0, (0.0, 0.0, 0.0), velocity_ned))
-    q = quaternion_from_euler(*drawn(1.5))
+    q = quaternion_from_euler(*random_vector(1.5))
     estimator.add_attitude(AttitudeSample(1_000_000, 0, q))
     estimator.thrust.add_commands(ActuatorSample(900_000, 0, (HOVER,) * 4))
     hover = estimator.hover
@@ -557,7 +557,7 @@ def test_peak_forces_do_not_depend_on_the_wall_angle(angle: float, direction: fl
     """The friction comes from the fit; the thrust pushes into the wall and along it."""
     co, so = math.cos(angle), math.sin(angle)
 
-    def turned(x: float, y: float) -> tuple[float, float]:
+    def rotated(x: float, y: float) -> tuple[float, float]:
         return x * co - y * so, x * so + y * co
 
     pulse = true_pulse(750.0, 8.5, 1.0, 0.0, -direction, 5.0)
@@ -567,7 +567,7 @@ def test_peak_forces_do_not_depend_on_the_wall_angle(angle: float, direction: fl
     peaks = []
     for seen, normal, lean in (
         (forces, (-1.0, 0.0), push),
-        ([turned(*force) for force in forces], turned(-1.0, 0.0), turned(*push)),
+        ([rotated(*force) for force in forces], rotated(-1.0, 0.0), rotated(*push)),
     ):
         (peak,) = [e for e in detector_events(seen, normal=normal, push=lean) if isinstance(e, ImpactPeak)]
         assert peak.normal == pytest.approx(normal)

@@ -705,11 +705,8 @@ def test_the_expected_contact_is_with_the_next_wall(
     phase: Phase, walls: tuple[str | None, str | None]
 ) -> None:
     flown, state = executive.Executive(HandFedCore().core.mission), FlightState()
-    flown.progress.phase, flown.progress.entered_us, state.now_us = (
-        phase,
-        0,
-        2_000_000,
-    )  # a bounce would be over
+    # 2 s after the beginning of the phase, a bounce is over.
+    flown.progress.phase, flown.progress.entered_us, state.now_us = phase, 0, 2_000_000
     for flown.progress.index, name in enumerate(walls):
         expected = flown.progress.expected = flown._impacts.expected(flown.progress, state)
         assert (expected.wall.name if expected.wall else None) == name
@@ -756,9 +753,8 @@ def test_a_bounce_on_the_wall_just_hit_is_only_reported(
     flown.progress.phase, flown.progress.index, flown.progress.entered_us = Phase.RECOVERY, hits, 0
     state.now_us = round(1e6 * after_s)
     state.position = place = (0.4, -1.1 + before_m, 1.0)
-    assert (flown._impacts.expected(flown.progress, state).wall is None) is (
-        noted or hits == 1
-    )  # no contact with the wall ahead is expected
+    # During a bounce, no contact with the wall ahead is expected.
+    assert (flown._impacts.expected(flown.progress, state).wall is None) is (noted or hits == 1)
     onset = ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), place, True)
     finding = flown._impacts.on_onset(onset, flown.progress, state).finding
     assert finding is not None
@@ -856,7 +852,7 @@ def test_a_planned_hit_is_in_the_noise_if_the_floor_of_its_mode_is_higher(
     assert (finding is not None and finding.rule == "hit_in_noise") is fires
 
 
-def test_a_landed_vehicle_is_disarmed_only_if_px4_has_not_done_so_for_long() -> None:
+def test_a_landed_vehicle_is_disarmed_only_if_px4_has_not_done_so_in_15_s() -> None:
     c = HandFedCore()
     c.enter_approach()
     c.set_status(battery_v=12.9)
@@ -936,7 +932,7 @@ def test_a_landing_beside_a_second_vehicle_lasts_at_least_fifteen_seconds() -> N
 
 
 @pytest.mark.parametrize(("every_us", "after_us"), [(4_000, 96_000), (20_000, 240_000)])
-def test_rules_are_checked_as_often_without_ticks(every_us: int, after_us: int) -> None:
+def test_rules_are_checked_at_the_same_interval_without_ticks(every_us: int, after_us: int) -> None:
     """Checks are more than 20 ms apart: with a sample every 4 ms, 80 ms without IMU are found after 96 ms.
 
     With a sample every 20 ms, a dozen have not arrived by then, so the timeout is the 0.2 s of any stream.
@@ -1365,7 +1361,9 @@ def test_two_clocks_are_detected_by_three_alternations_within_two_seconds(
 
 
 @pytest.mark.parametrize(("ahead_us", "odd"), [(5_900_000, False), (6_100_000, True)])
-def test_a_stamp_further_ahead_than_the_elapsed_time_is_of_another_clock(ahead_us: int, odd: bool) -> None:
+def test_a_stamp_further_ahead_than_the_elapsed_time_belongs_to_another_clock(
+    ahead_us: int, odd: bool
+) -> None:
     """The limit is a second plus twenty times the elapsed time of the host."""
     clocks = SecondClockDetector(100_000.0)
     clocks.update(10_000_000, 0)
@@ -1585,7 +1583,7 @@ def test_a_single_backwards_jump_of_a_clock_is_reported_as_backwards_stamps(back
     assert [e.rule for e in fired(c)] == ["stamps_backwards"]
 
 
-def test_a_clock_that_jumps_ahead_is_accepted_in_the_end() -> None:
+def test_a_clock_that_jumps_ahead_is_accepted_eventually() -> None:
     c = HandFedCore()
     c.enter_approach()
     for i in range(1, 60):

@@ -67,9 +67,8 @@ def test_the_heading_returns_without_overshoot_in_the_predicted_time(
     assert settling_time_s(guided) <= settling_time_s(plain) + 0.1
     if abs(rate_rad_s) >= 1.5:  # from this rate on, PX4 alone overshoots
         assert settling_time_s(guided) < 0.6 * settling_time_s(plain)
-    side = math.copysign(
-        1.0, error_rad + 0.5 * rate_rad_s * abs(rate_rad_s) / 3.0
-    )  # the side from which the heading returns
+    # The side from which the heading returns.
+    side = math.copysign(1.0, error_rad + 0.5 * rate_rad_s * abs(rate_rad_s) / 3.0)
     assert max(-side * heading for heading in guided[-150:]) < SQUARE_RAD
 
 

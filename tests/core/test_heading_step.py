@@ -133,7 +133,7 @@ def test_position_and_velocity_steps_are_separated_from_the_motion() -> None:
     assert resets.newest.velocity_m_s == pytest.approx(0.1, abs=1e-6)
 
 
-# --- reaction of the guard --------------------------------------------------------------------------
+# --- reaction of the guard ------------------------------------------------------------------------------
 
 
 def step_heading(c: HandFedCore, step_deg: float, counter: int = 2) -> None:

@@ -62,7 +62,7 @@ def test_a_later_delay_is_detected_without_further_round_trips() -> None:
     assert lateness.describe() == "telemetry arrives 100 ms after sampling, limit 75 ms"
 
 
-def test_a_lasting_delay_stays_late() -> None:
+def test_a_lasting_delay_keeps_counting_as_late() -> None:
     """The clock offset adapts within seconds, but the best round trip is kept for longer."""
     lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)

@@ -106,7 +106,7 @@ def test_a_place_at_a_wall_has_its_distance_from_the_wall_and_along_it(away_m: f
     assert wall.along(place) == pytest.approx(along_m, abs=1e-9)
 
 
-# --- path of a probe -----------------------------------------------------------------------------------
+# --- path of a probe ------------------------------------------------------------------------------------
 
 
 def mission_with_probe(angle: float, length_m: float, speed_m_s: float) -> Mission:

@@ -71,9 +71,7 @@ def test_inputs_are_stepped_at_once_shortly_before_a_wall(
     pace = pace_near_walls(SINGLE_WALL, state, phase)
     if distance_m < LEAD_S * closing_m_s:
         assert pace is Pace.IMMEDIATE
-    elif (
-        distance_m > LEAD_S * closing_m_s + 0.3
-    ):  # beyond the earliest contact that is attributed to the wall
+    elif distance_m > LEAD_S * closing_m_s + 0.3:  # too far for a contact with the wall
         assert pace is Pace.BATCHED
 
 

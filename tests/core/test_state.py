@@ -172,7 +172,7 @@ def test_the_position_uncertainty_is_kept_until_it_is_reported_again() -> None:
     assert (state.position_sd_m, state.host_us) == (0.3, 20)
 
 
-# --- reports of PX4 -----------------------------------------------------------------------------------------
+# --- reports of PX4 -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

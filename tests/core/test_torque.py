@@ -50,7 +50,7 @@ component = st.floats(-3.0, 3.0)
 vectors = st.tuples(component, component, component)
 
 
-# --- rotation ------------------------------------------------------------------------------------------
+# --- rotation -------------------------------------------------------------------------------------------
 
 
 @given(force=vectors, rate=vectors, change=vectors, at=vectors)
@@ -130,7 +130,7 @@ def sense_hit(
     commands: tuple[float, float, float, float],
     heading_rad: float = 0.0,
 ) -> SensedHit:
-    """Fly a plant past its first contact and feed its IMU to the estimators of a mission heading."""
+    """Fly a plant past its first contact and feed its IMU to the estimators."""
     state = FlightState()
     state.frame = frame = MissionFrame(heading_rad=heading_rad)
     state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)

@@ -210,7 +210,7 @@ class Corner(NamedTuple):
 
     @property
     def tangents(self) -> Array:
-        """Y of the collision frames: to the right when looking along the normal."""
+        """Return Y of the collision frames: to the right when looking along the normal."""
         return np.stack((self.normals[:, 1], -self.normals[:, 0]), axis=1)
 
 
