@@ -25,7 +25,7 @@ def fired(c: HandFedCore) -> list[str]:
 def test_a_position_behind_the_wall_is_a_miss_only_shortly_before_the_impact(
     before_s: float, missed: bool
 ) -> None:
-    """A trajectory may begin beside its wall, behind the plane."""
+    """A trajectory may start beside its wall, on the far side of the plane."""
     hits = load_mission(packaged("missions", "touch_and_return.yaml")).to_dict()["collisions"]
     untouched = {"collisions": [hit for hit in hits if hit.get("trajectory")], "waypoints": []}
     c = HandFedCore(RETURNING, settings=untouched)

@@ -87,16 +87,16 @@ def test_an_approach_is_consistent_with_its_derivatives(
         ends = zip(getattr(before, part), getattr(after, part), strict=True)
         assert [(b - a) / (2.0 * h) for a, b in ends] == pytest.approx(slope, rel=1e-3, abs=1e-3)
     assert approach.at(0.0).position == pytest.approx((*begin, 1.5))
-    met = approach.at(approach.duration_s)
+    at_impact = approach.at(approach.duration_s)
     if steady_s > 0.0:
-        assert met.position == pytest.approx((*impact, 1.5))
-        assert met.velocity == pytest.approx((speed_m_s * direction[0], speed_m_s * direction[1], 0.0))
-        assert met.acceleration == met.jerk == (0.0, 0.0, 0.0)
+        assert at_impact.position == pytest.approx((*impact, 1.5))
+        assert at_impact.velocity == pytest.approx((speed_m_s * direction[0], speed_m_s * direction[1], 0.0))
+        assert at_impact.acceleration == at_impact.jerk == (0.0, 0.0, 0.0)
     assert approach.at(-1.0).position == approach.at(0.0).position
     beyond = approach.at(approach.duration_s + 0.1)
-    assert beyond.velocity == pytest.approx(met.velocity)
-    moved = [b - a for a, b in zip(met.position, beyond.position, strict=True)]
-    assert moved == pytest.approx([0.1 * v for v in met.velocity])
+    assert beyond.velocity == pytest.approx(at_impact.velocity)
+    moved = [b - a for a, b in zip(at_impact.position, beyond.position, strict=True)]
+    assert moved == pytest.approx([0.1 * v for v in at_impact.velocity])
 
 
 @given(st.tuples(beside, beside, away), st.tuples(beside, beside, away), st.floats(0.0, 1.0))

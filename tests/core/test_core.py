@@ -74,8 +74,8 @@ def test_a_command_is_repeated_until_telemetry_confirms_it(hasty_core: HandFedCo
     """An acknowledgement is not enough: without telemetry the mission is given up in the end."""
     hasty_core.set_lock(Mode.RIGID)
     out = hasty_core.run(5.0)
-    asked = [o for o in of_kind(VehicleCommand, out) if o.action is VehicleAction.OFFBOARD]
-    assert len(asked) >= 3
+    requests = [o for o in of_kind(VehicleCommand, out) if o.action is VehicleAction.OFFBOARD]
+    assert len(requests) >= 3
     ends = of_kind(MissionEnd, out)
     assert [(e.outcome, e.reason) for e in ends] == [
         ("aborted", "offboard_refused: PX4 refused offboard mode")

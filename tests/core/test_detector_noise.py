@@ -116,11 +116,11 @@ def test_the_long_windows_do_not_lower_the_detection_floor_in_low_noise() -> Non
     least, tick_s = VEHICLE.detection.force_threshold_n, VEHICLE.imu.tick_s
     assert detector.thresholds_n() == (least,) * 4
     for duration_s in (0.02, 0.06, 0.3):
-        asked = [
+        needed_n = [
             (least + _MARGIN_SIGMA * window.noise_n) / half_sine_share(i + 1, duration_s, tick_s)
             for i, window in enumerate(detector._windows[:2])
         ]
-        assert detector.detection_floor_n(duration_s) == pytest.approx(min(asked))
+        assert detector.detection_floor_n(duration_s) == pytest.approx(min(needed_n))
 
 
 @pytest.mark.parametrize("seed", range(4))

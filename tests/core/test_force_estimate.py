@@ -89,8 +89,8 @@ def readings_of(
     n = t = 0.0
     fine = []
     for i in range(-4000, min(len(pulse), top + 1500)):
-        wanted = pulse[i] if i >= 0 else (0.0, 0.0)
-        n, t = wanted[0] + (n - wanted[0]) * keep, wanted[1] + (t - wanted[1]) * keep
+        true_forces = pulse[i] if i >= 0 else (0.0, 0.0)
+        n, t = true_forces[0] + (n - true_forces[0]) * keep, true_forces[1] + (t - true_forces[1]) * keep
         fine.append((min(n, full_n), t))
     out = []
     first = round(phase_s * 1e5)
@@ -419,8 +419,8 @@ def test_the_force_is_the_residual_of_thrust_gravity_and_drag(seed: int) -> None
     assert thrust_n == pytest.approx(0.9 * MASS * 9.81, rel=0.01)
     lag_s = vehicle.imu.reading_lag_s
     then = advance_attitude(q, rate, 0.05 - round(lag_s * 1e6) * 1e-6)
-    seen = rotate(then, (MASS * (f[0] - 0.3), MASS * (f[1] + 0.2), MASS * f[2] + thrust_n))
-    (x, y, z), v = frame.vector_from_ned(seen), frame.vector_from_ned(velocity_ned)
+    force_ned = rotate(then, (MASS * (f[0] - 0.3), MASS * (f[1] + 0.2), MASS * f[2] + thrust_n))
+    (x, y, z), v = frame.vector_from_ned(force_ned), frame.vector_from_ned(velocity_ned)
     drag = (0.3 * MASS * v[0], 0.2 * MASS * v[1], 0.1 * MASS * v[2])
     force = (x + drag[0], y + drag[1], z + drag[2])
     assert estimate.force_mission == pytest.approx(force)
@@ -565,11 +565,11 @@ def test_peak_forces_do_not_depend_on_the_wall_angle(angle: float, direction: fl
     hit = [(-sum(n for n, _ in one) / 400, direction * 0.3 * sum(n for n, _ in one) / 400) for one in ticks]
     forces, push = [(0.0, 0.0)] * 20 + hit + [(0.0, 0.0)] * 20, (1.5, 0.8 * direction)
     peaks = []
-    for seen, normal, lean in (
+    for samples, normal, lean in (
         (forces, (-1.0, 0.0), push),
         ([rotated(*force) for force in forces], rotated(-1.0, 0.0), rotated(*push)),
     ):
-        (peak,) = [e for e in detector_events(seen, normal=normal, push=lean) if isinstance(e, ImpactPeak)]
+        (peak,) = [e for e in detector_events(samples, normal=normal, push=lean) if isinstance(e, ImpactPeak)]
         assert peak.normal == pytest.approx(normal)
         peaks.append(peak)
     straight, oblique = peaks
@@ -583,11 +583,11 @@ def test_peak_forces_do_not_depend_on_the_wall_angle(angle: float, direction: fl
 def test_the_peak_is_awaited_until_the_wall_pushes_if_friction_comes_first(
     bump_n: float, peak_n: float
 ) -> None:
-    """The wall must push with half the threshold; a smaller force may drop before the real contact."""
+    """The wall must push with half the threshold; a smaller force can drop before the real contact."""
     foot = [(-0.5 * bump_n, 8.0), (-bump_n, 9.0), (-bump_n, 9.0), (-0.5 * bump_n, 9.0), (-0.1, 9.0)]
     pulse = [(-f, 6.0) for f in half_sine(30.0, 12)]
-    seen = detector_events([(0.0, 0.0)] * 20 + foot + pulse + [(0.0, 0.0)] * 60, 0.01, (-1.0, 0.0))
-    first = next(e for e in seen if isinstance(e, ImpactPeak))
+    events = detector_events([(0.0, 0.0)] * 20 + foot + pulse + [(0.0, 0.0)] * 60, 0.01, (-1.0, 0.0))
+    first = next(e for e in events if isinstance(e, ImpactPeak))
     assert first.normal_force_n == pytest.approx(peak_n, rel=0.1)
 
 
@@ -596,8 +596,8 @@ def test_a_dip_of_a_quarter_of_the_threshold_ends_a_weak_peak(
     dip_n: float, noise_n: float, past: bool
 ) -> None:
     flat = [(-8.0, 0.0)] * 6
-    seen = detector_events([(0.0, 0.0)] * 20 + flat + [(dip_n - 8.0, 0.0)] + flat, noise_n, (-1.0, 0.0))
-    assert any(isinstance(e, ImpactPeak) for e in seen) is past
+    events = detector_events([(0.0, 0.0)] * 20 + flat + [(dip_n - 8.0, 0.0)] + flat, noise_n, (-1.0, 0.0))
+    assert any(isinstance(e, ImpactPeak) for e in events) is past
 
 
 def test_an_endless_contact_is_ended_after_half_a_second() -> None:
@@ -610,8 +610,8 @@ def test_an_endless_contact_is_ended_after_half_a_second() -> None:
 @pytest.mark.parametrize(("into_n", "planned"), [(0.9, True), (1.2, False)])
 def test_a_force_slightly_into_the_wall_can_be_the_planned_hit(into_n: float, planned: bool) -> None:
     """The limit is a tenth of the force: friction comes first, with noise on top."""
-    seen = detector_events([(0.0, 0.0)] * 20 + [(into_n, 10.0)] * 3, 0.001, (-1.0, 0.0))
-    assert [e.planned for e in seen if isinstance(e, ImpactOnset)] == [planned]
+    events = detector_events([(0.0, 0.0)] * 20 + [(into_n, 10.0)] * 3, 0.001, (-1.0, 0.0))
+    assert [e.planned for e in events if isinstance(e, ImpactOnset)] == [planned]
 
 
 @pytest.mark.parametrize(("noise_n", "samples"), [(1.19, 2), (1.2, 3)])

@@ -135,6 +135,6 @@ def test_measured_walls_stay_in_place_when_the_frame_moves() -> None:
 def test_wall_position_uncertainty_includes_the_frame(sd_m: float | None) -> None:
     wall = Wall("wood", (2.0, 1.0), (-0.6, -0.8), 2.0, "acrylic", position_sd_m=sd_m)
     anchors = FrameAnchors(0.1)
-    seen = EstimatedWalls(anchors).known_wall(wall, 5_000_000)
-    assert seen.position_sd_m == pytest.approx(math.hypot(sd_m or 0.0, anchors.sd_m(wall.normal, 5_000_000)))
+    known = EstimatedWalls(anchors).known_wall(wall, 5_000_000)
+    assert known.position_sd_m == pytest.approx(math.hypot(sd_m or 0.0, anchors.sd_m(wall.normal, 5_000_000)))
     assert EstimatedWalls(anchors).known_wall(wall) == EstimatedWalls().known_wall(wall, 5_000_000) == wall

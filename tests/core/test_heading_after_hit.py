@@ -49,9 +49,9 @@ def test_the_heading_after_a_hit_is_square_to_the_next_wall(east: float, west: f
     # The hit has turned the vehicle; the next wall has another rotation.
     now.phase, now.collision = Phase.RECOVERY, WEST
     state.yaw = approach + spun
-    wanted = SELECTION.wanted_yaw(now, state)
-    assert off_square(wanted, WEST, rotations) == pytest.approx(0.0, abs=1e-9)
-    assert abs(wrap_angle(wanted - approach)) == pytest.approx(abs(west - east), abs=1e-9)
+    target = SELECTION.wanted_yaw(now, state)
+    assert off_square(target, WEST, rotations) == pytest.approx(0.0, abs=1e-9)
+    assert abs(wrap_angle(target - approach)) == pytest.approx(abs(west - east), abs=1e-9)
 
 
 def test_the_heading_from_before_the_hits_is_kept_to_the_goal() -> None:
@@ -65,11 +65,11 @@ def test_the_heading_from_before_the_hits_is_kept_to_the_goal() -> None:
 
 @given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0.1, 2.0), st.floats(0.0, 3.0))
 def test_a_heading_turns_in_the_shorter_direction_at_its_rate(
-    yaw: float, wanted: float, rate_rad_s: float, for_s: float
+    yaw: float, target: float, rate_rad_s: float, for_s: float
 ) -> None:
     before = Heading(yaw, 1_000_000)
-    after = before.turn(wanted, 1_000_000 + round(for_s * 1e6), rate_rad_s)
-    angle = abs(wrap_angle(wanted - yaw))
+    after = before.turn(target, 1_000_000 + round(for_s * 1e6), rate_rad_s)
+    angle = abs(wrap_angle(target - yaw))
     assert abs(wrap_angle(after.yaw - yaw)) == pytest.approx(min(angle, rate_rad_s * for_s), abs=1e-5)
-    left = abs(wrap_angle(wanted - after.yaw))
+    left = abs(wrap_angle(target - after.yaw))
     assert left == pytest.approx(max(0.0, angle - rate_rad_s * for_s), abs=1e-5)

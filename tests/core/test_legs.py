@@ -83,8 +83,8 @@ def test_a_probe_may_begin_where_the_vehicle_rests(from_here: bool) -> None:
     now = update_collision(one, EstimatedWalls(), 0, HERE).probe
     assert now is not None
     assert now.begin == (HERE if from_here else probe.begin)
-    way, before = (tuple(e - b for b, e in zip(p.begin, p.end, strict=True)) for p in (now, probe))
-    assert way == pytest.approx(before, abs=1e-12)
+    approach, before = (tuple(e - b for b, e in zip(p.begin, p.end, strict=True)) for p in (now, probe))
+    assert approach == pytest.approx(before, abs=1e-12)
 
 
 def test_an_updated_mission_contains_the_measured_walls() -> None:
@@ -131,8 +131,8 @@ def test_a_probe_flies_straight_from_rest_to_rest_within_its_speed(
     mission = mission_with_probe(angle, length_m, speed_m_s)
     (collision,) = mission.collisions
     assert collision.probe is not None
-    way = plan_approach(mission, collision)
-    path = [way.at(way.duration_s * k / 200) for k in range(201)]
+    approach = plan_approach(mission, collision)
+    path = [approach.at(approach.duration_s * k / 200) for k in range(201)]
     assert path[0].position == pytest.approx((0.1, -0.2, 1.0), abs=1e-9)
     assert path[-1].position[:2] == pytest.approx(collision.probe.end, abs=2e-3)
     for end in (path[0], path[-1]):
@@ -141,16 +141,16 @@ def test_a_probe_flies_straight_from_rest_to_rest_within_its_speed(
     assert speeds.max() <= speed_m_s * (1.0 + 1e-9)
     most = mission.vehicle.flying.acceleration_m_s2
     assert max(math.hypot(*one.acceleration) for one in path) <= most * (1.0 + 1e-6)
-    ways = [distance2(one.position[:2], (0.1, -0.2)) for one in path]
-    assert all(b >= a - 1e-9 for a, b in itertools.pairwise(ways))
+    distances_m = [distance2(one.position[:2], (0.1, -0.2)) for one in path]
+    assert all(b >= a - 1e-9 for a, b in itertools.pairwise(distances_m))
     ux, uy = math.cos(angle), math.sin(angle)
     assert all(abs((p[0] - 0.1) * uy - (p[1] + 0.2) * ux) < 1e-9 for p in (one.position for one in path))
 
 
 def test_a_long_probe_reaches_its_speed() -> None:
     mission = mission_with_probe(0.0, 2.0, 0.5)
-    way = plan_approach(mission, mission.collisions[0])
-    assert way.at(0.5 * way.duration_s).velocity == pytest.approx((0.5, 0.0, 0.0))
+    approach = plan_approach(mission, mission.collisions[0])
+    assert approach.at(0.5 * approach.duration_s).velocity == pytest.approx((0.5, 0.0, 0.0))
 
 
 def test_a_probe_without_a_contact_ends_at_the_vehicle() -> None:

@@ -180,19 +180,19 @@ def sense_hit(
 def test_the_estimated_torque_matches_the_torque_of_the_wall(mode: Mode, yaw: float) -> None:
     # Folding arms move their motors, which causes an unknown torque that no wall exerts.
     vehicle = body_vehicle(fold_share=0.0)
-    seen = sense_hit(before_the_wall(vehicle, mode, -1.0, 0.4, yaw), vehicle, (HOVER,) * 4)
-    top = max(norm(t) for t in seen.true)
+    sensed = sense_hit(before_the_wall(vehicle, mode, -1.0, 0.4, yaw), vehicle, (HOVER,) * 4)
+    top = max(norm(t) for t in sensed.true)
     assert top > 0.5
-    worst = max(math.dist(e.torque_frd, t) for e, t in zip(seen.torques, seen.true, strict=True))
+    worst = max(math.dist(e.torque_frd, t) for e, t in zip(sensed.torques, sensed.true, strict=True))
     # The remaining error is timing: means of the truth over 4 ms are compared at their ends.
     assert worst < 0.1 * top
-    assert seen.contact is not None
-    last = seen.bodies[-1]
+    assert sensed.contact is not None
+    last = sensed.bodies[-1]
     assert last.final
-    assert last.peak_torque_nm == pytest.approx(seen.contact.peak_torque_nm, rel=0.1, abs=0.15)
-    assert last.incidence_rad == pytest.approx(seen.contact.incidence_rad, abs=math.radians(1.0))
-    assert last.lead_m * seen.contact.lead_m > 0.0
-    assert last.side is ContactSide.from_lead(seen.contact.lead_m)
+    assert last.peak_torque_nm == pytest.approx(sensed.contact.peak_torque_nm, rel=0.1, abs=0.15)
+    assert last.incidence_rad == pytest.approx(sensed.contact.incidence_rad, abs=math.radians(1.0))
+    assert last.lead_m * sensed.contact.lead_m > 0.0
+    assert last.side is ContactSide.from_lead(sensed.contact.lead_m)
 
 
 @pytest.mark.parametrize("heading_rad", [0.4, -1.1])
@@ -211,10 +211,10 @@ def test_contact_estimates_do_not_depend_on_the_mission_heading(heading_rad: flo
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_centred_hit_has_no_torque(mode: Mode) -> None:
     vehicle = body_vehicle(vertical_lever_m=0.0, fold_share=0.0)
-    seen = sense_hit(before_the_wall(vehicle, mode, -1.0, 0.0, 0.0), vehicle, (HOVER,) * 4)
-    assert max(norm(e.torque_frd) for e in seen.torques) < 1e-6
-    assert [(b.side, b.final) for b in seen.bodies] == [(ContactSide.BOTH, True)]
-    assert seen.bodies[-1].peak_torque_nm < 1e-3
+    sensed = sense_hit(before_the_wall(vehicle, mode, -1.0, 0.0, 0.0), vehicle, (HOVER,) * 4)
+    assert max(norm(e.torque_frd) for e in sensed.torques) < 1e-6
+    assert [(b.side, b.final) for b in sensed.bodies] == [(ContactSide.BOTH, True)]
+    assert sensed.bodies[-1].peak_torque_nm < 1e-3
 
 
 @settings(max_examples=8, deadline=None)
@@ -243,10 +243,10 @@ def test_a_contact_on_the_right_is_reported_as_right() -> None:
     """Yawed to the left, the right guard hits first and is pushed back: the vehicle yaws to the right."""
     vehicle = body_vehicle()
     # The wall is to the north; a yaw of -5 degrees (FRD) is to the left.
-    seen = sense_hit(
+    sensed = sense_hit(
         before_the_wall(vehicle, Mode.RIGID, -1.0, 0.0, -math.radians(5.0)), vehicle, (HOVER,) * 4
     )
-    last = seen.bodies[-1]
+    last = sensed.bodies[-1]
     assert (last.side, last.lead_m > 0.0, last.incidence_rad > 0.0) == (ContactSide.RIGHT, True, True)
     assert last.torque_peak_frd[2] > 1.0
 
@@ -284,22 +284,22 @@ def test_a_constant_torque_is_learned_and_subtracted() -> None:
     torque, turning = TorqueEstimator(VEHICLE), AngularMotion()
     each = tuple(MASS * 9.81 / 4.0 + d for d in (-0.12, 0.12, -0.12, 0.12))
     a, b, c, d = each
-    seen = []
+    estimates = []
     for i in range(2000):
         t = 1_000_000 + 4000 * i
         x, y, z = rng.normal(0.0, 0.01, 3)
         turning.update(ImuSample(t, t, (0.0, 0.0, -9.81), (float(x), float(y), float(z))))
         found = torque.estimate(t, turning, (a, b, c, d), 1.0, True)
         if found is not None:
-            seen.append(found)
-    assert abs(np.mean([s.torque_frd[1] for s in seen[:50]])) > 0.03
-    late = np.array([s.torque_frd for s in seen[1000:]])
+            estimates.append(found)
+    assert abs(np.mean([s.torque_frd[1] for s in estimates[:50]])) > 0.03
+    late = np.array([s.torque_frd for s in estimates[1000:]])
     assert np.abs(late.mean(axis=0)).max() < 0.005
     inertia = VEHICLE.airframe.inertia_kg_m2
     for k in range(3):
         white = inertia[k] * math.sqrt(2.0) * 0.01 / 0.004
         assert late[:, k].std() == pytest.approx(white, rel=0.1)
-        assert seen[-1].noise_frd_nm[k] == pytest.approx(white, rel=0.25)
+        assert estimates[-1].noise_frd_nm[k] == pytest.approx(white, rel=0.25)
 
 
 def test_a_lasting_torque_beyond_the_learning_limit_stays_visible() -> None:
@@ -324,14 +324,14 @@ def test_constant_torque_and_noise_are_learned_at_their_rates() -> None:
     """A sample changes the torque by 1/250 of the difference, and the variance by 1/125."""
     torque, turning = TorqueEstimator(VEHICLE), AngularMotion()
     jx = VEHICLE.airframe.inertia_kg_m2[0]
-    seen = []
+    estimates = []
     for t_us, rate in ((1_000_000, 0.0), (1_004_000, 0.02), (1_008_000, 0.04), (1_012_000, 0.06)):
         turning.update(ImuSample(t_us, t_us, (0.0, 0.0, -9.81), (rate, 0.0, 0.0)))
         found = torque.estimate(t_us, turning, None, 1.0, learns=True)
         if found is not None:
-            seen.append(found)
+            estimates.append(found)
     kept = 1.0
-    for i, found in enumerate(seen):
+    for i, found in enumerate(estimates):
         kept *= 1.0 - 0.004
         assert found.torque_frd[0] == pytest.approx(kept * jx * 5.0)
         variance = 1e-3

@@ -72,13 +72,13 @@ def nearest(points: Array, pillar: Pillar) -> Nearest:
     s = np.einsum("ij,ij->i", pillar.centre - ends[:, 0], line) / np.einsum("ij,ij->i", line, line)
     s = np.clip(s, 0.0, 1.0)
     feet = ends[:, 0] + s[:, None] * line
-    ways = np.linalg.norm(feet - pillar.centre, axis=1)
-    i = int(np.argmin(ways))
+    distances = np.linalg.norm(feet - pillar.centre, axis=1)
+    i = int(np.argmin(distances))
     first, second = (int(n) for n in hull.simplices[i])
     if 0.0 < s[i] < 1.0:
         gap, normal = heights[i], -out[i]
     else:
-        gap, normal = ways[i], (feet[i] - pillar.centre) / ways[i]
+        gap, normal = distances[i], (feet[i] - pillar.centre) / distances[i]
     return Nearest(
         float(gap) - pillar.radius,
         np.append(normal, 0.0),
