@@ -1,4 +1,4 @@
-"""A battery in words, the same in the guard's reason, in `check` and on the operator's line."""
+"""Battery figures as text, shared by the guard, `check` and the monitor; angles wrapped in degrees."""
 
 import math
 
@@ -16,14 +16,16 @@ from dart_flight.vehicle.messages import BatteryReading
     ("remaining", "voltage_v", "figures"),
     [(0.954, 16.24, ["95 %", "16.2 V"]), (None, 16.2, ["16.2 V"]), (0.1, None, ["10 %"]), (None, None, [])],
 )
-def test_what_is_known_is_said(remaining: float | None, voltage_v: float | None, figures: list[str]) -> None:
+def test_battery_figures_contain_only_the_known_values(
+    remaining: float | None, voltage_v: float | None, figures: list[str]
+) -> None:
     assert battery_figures(remaining, voltage_v) == figures
     reading = BatteryReading(3, voltage_v, remaining, flies=True)
     assert describe_reading(reading) == f"id 3: {', '.join(figures[::-1])}"
 
 
 @given(st.floats(-1e4, 1e4), st.integers(-3, 3))
-def test_turned_by_whole_turns_it_is_the_same_angle(angle_deg: float, turns: int) -> None:
+def test_wrapping_an_angle_ignores_whole_turns(angle_deg: float, turns: int) -> None:
     wrapped = wrap_deg(angle_deg + 360.0 * turns)
     assert -180.0 - 1e-9 <= wrapped < 180.0 + 1e-9
     assert math.cos(math.radians(wrapped - angle_deg)) == pytest.approx(1.0, abs=1e-9)

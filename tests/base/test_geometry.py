@@ -1,4 +1,4 @@
-"""Frames round-trip, whatever the numbers."""
+"""Property tests of frames, rotations and walls."""
 
 import math
 
@@ -87,7 +87,7 @@ def test_collision_frame_axes_are_those_of_the_paper() -> None:
 
 
 @given(walls(), metres, metres)
-def test_distance_and_place_along_a_wall(wall: Wall, away: float, along: float) -> None:
+def test_a_wall_returns_the_distance_and_the_position_along_it(wall: Wall, away: float, along: float) -> None:
     n, t = wall.normal, wall.tangent
     p = (wall.point[0] + away * n[0] + along * t[0], wall.point[1] + away * n[1] + along * t[1])
     assert wall.signed_distance(p) == pytest.approx(away, abs=1e-9)
@@ -125,26 +125,26 @@ def test_product_rotates_by_the_right_factor_first(a: Quaternion, b: Quaternion,
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-0.7, 0.7), st.floats(-0.7, 0.7))
-def test_euler_angles_come_back(yaw: float, pitch: float, roll: float) -> None:
+def test_euler_angles_round_trip_through_a_quaternion(yaw: float, pitch: float, roll: float) -> None:
     q = quaternion_from_euler(roll, pitch, yaw)
     assert yaw_ned_of(q) == pytest.approx(yaw, abs=1e-9)
     assert math.cos(tilt_of(q)) == pytest.approx(math.cos(roll) * math.cos(pitch), abs=1e-9)
 
 
 @given(rotations(), vectors, st.floats(-0.05, 0.05))
-def test_attitude_carried_forth_and_back(q: Quaternion, rate: Vec3, dt: float) -> None:
+def test_an_attitude_advanced_and_reversed_is_unchanged(q: Quaternion, rate: Vec3, dt: float) -> None:
     back = advance_attitude(advance_attitude(q, rate, dt), rate, -dt)
     assert abs(abs(sum(x * y for x, y in zip(back, q, strict=True))) - 1.0) < 1e-9
 
 
 @given(st.floats(-1e4, 1e4))
-def test_wrapped_angles(angle: float) -> None:
+def test_wrapped_angles_lie_within_half_a_turn(angle: float) -> None:
     wrapped = wrap_angle(angle)
     assert -math.pi <= wrapped < math.pi
     assert math.cos(wrapped - angle) == pytest.approx(1.0, abs=1e-9)
 
 
-def test_a_zero_quaternion_is_no_rotation() -> None:
+def test_a_zero_quaternion_is_rejected() -> None:
     with pytest.raises(ValueError, match="not a rotation"):
         quaternion_normalise((0.0, 0.0, 0.0, 0.0))
 
@@ -159,7 +159,7 @@ def test_a_pose_in_the_room_converts_to_ned_and_back(
     assert abs(sum(a * b for a, b in zip(q, q_back, strict=True))) == pytest.approx(1.0, abs=1e-9)
 
 
-def test_the_axes_of_a_room_with_z_up_and_of_one_with_y_up() -> None:
+def test_room_axes_map_to_ned_with_z_up_and_with_y_up() -> None:
     east = RoomFrame(False, math.radians(90.0))  # x points east, so y points north
     position, q = east.pose_to_ned((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
     assert close(position, (2.0, 1.0, -3.0))
@@ -171,7 +171,7 @@ def test_the_axes_of_a_room_with_z_up_and_of_one_with_y_up() -> None:
     assert tilt_of(q) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_marker_body_beside_the_centre_whose_nose_points_to_its_left() -> None:
+def test_marker_body_offset_and_nose_direction_are_applied() -> None:
     room = RoomFrame(False, 0.0, (0.1, 0.0, -0.05), math.radians(90.0))
     position, q = room.pose_to_ned((1.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))
     assert close(position, (1.1, 0.0, -0.95))

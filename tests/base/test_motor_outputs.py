@@ -1,4 +1,4 @@
-"""Raw motor outputs of any type become the throttle that PX4 meant."""
+"""Raw motor outputs of any type are decoded to PX4's throttle."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ THROTTLE = st.floats(0.0, 1.0)
 
 @pytest.mark.parametrize("scale", [PWM, DSHOT, UAVCAN])
 @given(flown=st.lists(st.tuples(*[THROTTLE] * 4), min_size=1, max_size=20))
-def test_throttle_comes_back_from_any_type(scale: OutputScale, flown: list[tuple[float, ...]]) -> None:
+def test_throttle_is_decoded_from_any_output_type(scale: OutputScale, flown: list[tuple[float, ...]]) -> None:
     decoder = MotorOutputDecoder(4)
-    # Before it leaves the ground a motor passes from a little to more than a quarter.
+    # Before take-off, every motor spins up past a quarter of its range.
     for share in (0.02, 0.3):
         decoder.decode([scale.stop + share * (scale.full - scale.stop)] * 4, airborne=False)
     for throttles in flown:
@@ -33,7 +33,7 @@ def test_throttle_comes_back_from_any_type(scale: OutputScale, flown: list[tuple
 
 
 @given(st.lists(st.none() | st.floats(-300.0, 9000.0), max_size=8), st.booleans())
-def test_what_comes_out_is_a_throttle_or_a_reason(raw: list[float | None], airborne: bool) -> None:
+def test_decoding_returns_a_throttle_or_a_reason(raw: list[float | None], airborne: bool) -> None:
     found = MotorOutputDecoder(4).decode(raw, airborne)
     if not isinstance(found, str):
         assert len(found) == 4
@@ -47,11 +47,13 @@ def test_what_comes_out_is_a_throttle_or_a_reason(raw: list[float | None], airbo
         (0.0, 0.0, None), (900.0, 65535.0, None),
     ],
 )  # fmt: skip
-def test_a_type_follows_from_the_range(lowest: float, highest: float, scale: OutputScale | None) -> None:
+def test_the_output_type_is_identified_from_its_range(
+    lowest: float, highest: float, scale: OutputScale | None
+) -> None:
     assert identify_scale(lowest, highest) is scale
 
 
-def test_a_motor_that_stands_still_on_the_ground_tells_no_type() -> None:
+def test_a_stopped_motor_on_the_ground_identifies_no_output_type() -> None:
     decoder = MotorOutputDecoder(4)
     assert decoder.decode([0.0] * 4, airborne=False) == (0.0,) * 4
     assert decoder.scale is None

@@ -1,4 +1,4 @@
-"""The closed form against the reference solutions, an independent integrator, and its own laws."""
+"""The closed-form contact map, compared with reference solutions, an integrator and physical laws."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ TABLE = [VEHICLE.materials[m].coefficients(mode) for m in ("concrete", "acrylic"
 pytestmark = pytest.mark.filterwarnings("error")
 
 
-def close(got: float, want: float) -> bool:
+def is_close(got: float, want: float) -> bool:
     return got == pytest.approx(want, rel=1e-9, abs=1e-12)
 
 
-def read(name: str) -> list[dict[str, str]]:
+def read_rows(name: str) -> list[dict[str, str]]:
     with (DATA / name).open() as file:
         return list(csv.DictReader(file))
 
@@ -56,8 +56,8 @@ onsets = st.sampled_from(list(Onset))
 
 
 @pytest.mark.parametrize("onset", list(Onset))
-def test_all_reference_wall_collisions(onset: Onset) -> None:
-    rows = read("wall_collisions.csv")
+def test_contact_map_matches_all_reference_wall_collisions(onset: Onset) -> None:
+    rows = read_rows("wall_collisions.csv")
     assert len(rows) == 100
     table = CoefficientArrays.from_table([VEHICLE.materials["acrylic"].coefficients(mode) for mode in Mode])
     which = np.array([list(Mode).index(Mode(row["mode"])) for row in rows])
@@ -75,13 +75,13 @@ def test_all_reference_wall_collisions(onset: Onset) -> None:
 
 
 @pytest.mark.parametrize(
-    "row", read("drop_tests.csv"), ids=lambda r: f"{r['onset']}-{r['mode']}-{r['height_m']}"
+    "row", read_rows("drop_tests.csv"), ids=lambda r: f"{r['onset']}-{r['mode']}-{r['height_m']}"
 )
-def test_reference_drops(row: dict[str, str]) -> None:
+def test_drop_matches_the_reference_drops(row: dict[str, str]) -> None:
     c = VEHICLE.materials["concrete"].coefficients(Mode(row["mode"]))
     result = drop(c, MASS, float(row["height_m"]), Onset(row["onset"]))
     for name in ("contact_time_s", "max_rebound_speed_m_s", "peak_force_n", "impulse_n_s"):
-        assert close(getattr(result, name), float(row[name])), name
+        assert is_close(getattr(result, name), float(row[name])), name
 
 
 # --- an independent integrator --------------------------------------------------------------------------
@@ -90,7 +90,7 @@ def test_reference_drops(row: dict[str, str]) -> None:
 def integrate(
     c: Coefficients, contact: ContactMotion, tangential: float, onset: Onset, end: float
 ) -> list[float]:
-    """Way and velocity along all axes and normal impulse at a time, by DOP853 on the force law."""
+    """Return position and velocity on all axes and the normal impulse at `end`, by DOP853."""
     integrate_ = pytest.importorskip("scipy.integrate")
 
     def rate(_t: float, s: list[float]) -> list[float]:
@@ -98,7 +98,7 @@ def integrate(
         a = contact.acceleration_m_s2
         return [s[1], fx / MASS + a, s[3], fy / MASS, s[5], fz / MASS, fx]
 
-    # A hair into the contact: exactly at the onset the law has not begun to push.
+    # Start just after the onset: exactly there, the force of the law is still zero.
     begin = 1e-9
     x, v, _ = contact.normal(begin)
     start = [float(x), float(v), tangential * begin, tangential, 0.0, 0.0, 0.0]
@@ -118,11 +118,13 @@ def integrate(
         (Coefficients(k=900.0, f=45.0, mu=2.0, nu=1.0), -0.6),
     ],
 )
-def test_agrees_with_integration(onset: Onset, acceleration: float, c: Coefficients, normal: float) -> None:
+def test_closed_form_agrees_with_numerical_integration(
+    onset: Onset, acceleration: float, c: Coefficients, normal: float
+) -> None:
     contact = ContactMotion(c, MASS, normal, onset, acceleration_m_s2=acceleration)
     r = collide(c, MASS, normal, 0.7, onset, acceleration_m_s2=acceleration)
     assert r.contact_time_s == pytest.approx(contact.end_s, rel=1e-14)
-    last = min(contact.end_s, 0.4)  # the most damped of these stays at the wall under the hardest push
+    last = min(contact.end_s, 0.4)  # the most damped case never leaves the wall under the hardest push
     x, v, y, vy, _z, vz, impulse = integrate(c, contact, 0.7, onset, last)
     if math.isfinite(contact.end_s):
         assert r.normal_out_m_s == pytest.approx(v, abs=1e-7)
@@ -137,19 +139,19 @@ def test_agrees_with_integration(onset: Onset, acceleration: float, c: Coefficie
 @given(coefficient_sets, approaches, slips, onsets, st.sampled_from([0.0, -9.81, -1.0, 6.0]))
 @example(SOFT, -2.0, 1.0, Onset.LCP, -9.81)
 @example(NEARLY_CRITICAL, -1.0, 0.0, Onset.LCP, 0.0)
-def test_extremes_are_those_of_the_trajectory(
+def test_peaks_match_the_sampled_trajectory(
     c: Coefficients, normal: float, tangential: float, onset: Onset, push: float
 ) -> None:
     contact = ContactMotion(c, MASS, normal, onset, acceleration_m_s2=push)
     r = collide(c, MASS, normal, tangential, onset, acceleration_m_s2=push)
-    # 40 of the slower decay's time constants, which are sqrt(m/k)/0.17 at the largest damping. Close to
-    # critical damping a contact ends only long after that.
+    # 40 time constants of the slower decay, which are sqrt(m/k)/0.17 at the largest damping. Near critical
+    # damping, a contact ends only long after that.
     span = 240.0 * math.sqrt(MASS / c.k)
     ends = contact.end_s < span
     # A contact that does not end has its peaks early in the span, so it is sampled more densely there.
     t = contact.end_s * np.linspace(0.0, 1.0, 4001) if ends else span * np.linspace(0.0, 1.0, 4001) ** 2
     path = trajectory(contact, t, tangential)
-    # Of the largest value, for the distance between two samples; what never ends nears its deepest point.
+    # Relative tolerance for the sampling. An endless contact only approaches its deepest point.
     coarse = 1e-4 if ends else 1e-2
     for peak, samples in (
         (r.peak_normal_force_n, path.normal_force_n),
@@ -162,7 +164,7 @@ def test_extremes_are_those_of_the_trajectory(
         assert peak <= largest * (1.0 + coarse) + 1e-7
 
 
-def test_friction_peak_is_stationary_to_rounding() -> None:
+def test_friction_peak_is_exact_to_rounding() -> None:
     # Fine sampling about the peak: the maximum of a parabola through three samples is exact to 1e-12.
     c = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE)
     for normal in (-0.2, -0.7, -1.5):
@@ -181,7 +183,9 @@ def test_friction_peak_is_stationary_to_rounding() -> None:
 
 
 @given(coefficient_sets, approaches, slips, onsets)
-def test_laws_of_a_wall_hit(c: Coefficients, normal: float, tangential: float, onset: Onset) -> None:
+def test_a_wall_hit_obeys_momentum_and_energy_limits(
+    c: Coefficients, normal: float, tangential: float, onset: Onset
+) -> None:
     r = collide(c, MASS, normal, tangential, onset)
     assert not any(math.isnan(v) for v in r)
     assert 0.0 <= r.normal_out_m_s <= -normal * (1.0 + 1e-12), "energy created along the normal"
@@ -190,13 +194,15 @@ def test_laws_of_a_wall_hit(c: Coefficients, normal: float, tangential: float, o
     assert r.tangential_out_m_s == pytest.approx(
         tangential * math.exp(-c.mu * r.impulse_n_s / MASS), rel=1e-9, abs=1e-300
     )
-    # Peak potential energy never exceeds what the approach brings.
+    # Peak potential energy never exceeds the kinetic energy of the approach.
     assert 0.5 * c.k * r.penetration_m**2 <= 0.5 * MASS * normal * normal * (1.0 + 1e-12)
     assert r.peak_friction_force_n <= c.mu * r.peak_normal_force_n * abs(tangential) * (1.0 + 1e-12)
 
 
 @given(coefficient_sets, approaches, onsets, st.floats(0.1, 10.0))
-def test_scaling_with_speed(c: Coefficients, normal: float, onset: Onset, factor: float) -> None:
+def test_results_scale_linearly_with_speed(
+    c: Coefficients, normal: float, onset: Onset, factor: float
+) -> None:
     one = collide(c, MASS, normal, 0.0, onset)
     more = collide(c, MASS, factor * normal, 0.0, onset)
     assert more.contact_time_s == one.contact_time_s
@@ -205,7 +211,7 @@ def test_scaling_with_speed(c: Coefficients, normal: float, onset: Onset, factor
 
 
 @given(coefficient_sets, approaches, slips, onsets)
-def test_push_of_zero_is_no_push(c: Coefficients, normal: float, tangential: float, onset: Onset) -> None:
+def test_zero_push_equals_no_push(c: Coefficients, normal: float, tangential: float, onset: Onset) -> None:
     table = CoefficientArrays.from_table(c)
     plain = contact_map(table, MASS, normal, tangential, onset)
     pushed = contact_map(table, MASS, normal, tangential, onset, acceleration_m_s2=0.0)
@@ -213,7 +219,7 @@ def test_push_of_zero_is_no_push(c: Coefficients, normal: float, tangential: flo
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
-def test_continuous_through_critical_damping() -> None:
+def test_results_are_continuous_through_critical_damping() -> None:
     # Touch releases at any damping: no jump where the formulas change.
     for zeta in np.concatenate((1.0 + np.linspace(-1e-6, 1e-6, 41), [1.0 - 1e-12, 1.0, 1.0 + 1e-12])):
         c = Coefficients(k=1000.0, f=float(2.0 * zeta * math.sqrt(1300.0)), mu=1.0, nu=1.0)
@@ -224,7 +230,7 @@ def test_continuous_through_critical_damping() -> None:
         assert r.normal_out_m_s == pytest.approx(math.exp(-2.0 * zeta * quarter), rel=1e-10)
 
 
-def test_overdamped_lcp_never_lets_go() -> None:
+def test_an_overdamped_lcp_contact_never_ends() -> None:
     c = Coefficients(k=500.0, f=80.0, mu=1.0, nu=1.0)
     r = collide(c, MASS, -1.0, 0.5, Onset.LCP)
     assert r.contact_time_s == math.inf
@@ -236,7 +242,7 @@ def test_overdamped_lcp_never_lets_go() -> None:
 
 @pytest.mark.parametrize("onset", list(Onset))
 @pytest.mark.parametrize("push", [None, 0.0, -9.81, 3.0])
-def test_what_does_not_approach_is_not_touched(onset: Onset, push: float | None) -> None:
+def test_a_receding_vehicle_has_no_contact(onset: Onset, push: float | None) -> None:
     table = CoefficientArrays.from_table(TABLE[0])
     r = contact_map(table, MASS, np.array([0.7, 1e-12]), np.array([-0.2, 0.0]), onset, acceleration_m_s2=push)
     np.testing.assert_array_equal(r.normal_out_m_s, [0.7, 1e-12])
@@ -246,7 +252,7 @@ def test_what_does_not_approach_is_not_touched(onset: Onset, push: float | None)
 
 
 @pytest.mark.parametrize("onset", list(Onset))
-def test_zero_and_grazing_speeds_stay_finite(onset: Onset) -> None:
+def test_zero_and_grazing_speeds_give_no_nan(onset: Onset) -> None:
     table = CoefficientArrays.from_table(TABLE)
     speeds = np.array([0.0, -0.0, -1e-300, -1e-15, -1e-9])[:, None]
     for push in (None, 0.0, -2.0, 5.0):
@@ -258,8 +264,8 @@ def test_zero_and_grazing_speeds_stay_finite(onset: Onset) -> None:
             np.testing.assert_allclose(r.tangential_out_m_s, 0.5, rtol=1e-6)
 
 
-def test_pushed_vehicle_can_stay() -> None:
-    # A slow flexible approach under a strong push: the damping wins and the wall is never left.
+def test_a_pushed_vehicle_can_stay_in_contact() -> None:
+    # In a slow flexible approach under a strong push, damping keeps the vehicle at the wall.
     c = Coefficients(k=750.0, f=20.0, mu=1.0, nu=1.0)
     r = collide(c, MASS, -0.05, 0.2, Onset.LCP, acceleration_m_s2=-9.81)
     assert r.contact_time_s == math.inf
@@ -273,7 +279,7 @@ def test_pushed_vehicle_can_stay() -> None:
 
 @pytest.mark.parametrize("onset", list(Onset))
 @pytest.mark.parametrize("push", [None, -1.5])
-def test_rows_take_and_scalars_agree(onset: Onset, push: float | None) -> None:
+def test_row_indices_selected_sets_and_scalars_agree(onset: Onset, push: float | None) -> None:
     random = np.random.default_rng(7)
     n = 9000  # more than one chunk
     rows = random.integers(0, len(TABLE), n)
@@ -288,12 +294,12 @@ def test_rows_take_and_scalars_agree(onset: Onset, push: float | None) -> None:
         np.testing.assert_allclose([v[i] for v in by_row], single, rtol=1e-11)
 
 
-def test_broadcasting() -> None:
+def test_coefficients_and_velocities_broadcast() -> None:
     table = CoefficientArrays(*(v[:, None] for v in CoefficientArrays.from_table(TABLE)))
     r = contact_map(table, MASS, np.linspace(-2.0, -0.1, 5), 0.3, Onset.LCP)
     assert r.peak_normal_force_n.shape == (4, 5)
     want = collide(TABLE[2], MASS, -2.0, 0.3, Onset.LCP)
-    assert close(float(r.peak_normal_force_n[2, 0]), want.peak_normal_force_n)
+    assert is_close(float(r.peak_normal_force_n[2, 0]), want.peak_normal_force_n)
     assert (
         contact_map(CoefficientArrays.from_table(TABLE[0]), MASS, -1.0, 0.0, Onset.LCP).impulse_n_s.shape
         == ()
@@ -301,7 +307,7 @@ def test_broadcasting() -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_refuses_what_is_not_finite(bad: float) -> None:
+def test_non_finite_and_non_positive_inputs_are_rejected(bad: float) -> None:
     with pytest.raises(ValueError, match="finite"):
         collide(TABLE[0], MASS, bad, 0.0, Onset.LCP)
     with pytest.raises(ValueError, match="positive"):
@@ -310,14 +316,14 @@ def test_refuses_what_is_not_finite(bad: float) -> None:
         drop(TABLE[0], MASS, 0.0, Onset.LCP)
 
 
-def test_drops_in_bulk() -> None:
+def test_drop_map_matches_single_drops() -> None:
     heights = np.array([0.01, 0.05, 0.2, 1.0])
     table = CoefficientArrays.from_table(TABLE)
     r = drop_map(CoefficientArrays(*(v[:, None] for v in table)), MASS, heights, Onset.LCP)
     assert r.contact_time_s.shape == (4, 4)
     one = drop(TABLE[1], MASS, 0.2, Onset.LCP)
     for name, values in zip(r._fields, r, strict=True):
-        assert close(float(values[1, 2]), getattr(one, name)), name
-    # What falls from higher rebounds faster, and never as fast as it came.
+        assert is_close(float(values[1, 2]), getattr(one, name)), name
+    # A higher drop rebounds faster, but always slower than it arrived.
     assert (np.diff(r.max_rebound_speed_m_s, axis=1) > 0.0).all()
     assert (r.max_rebound_speed_m_s < np.sqrt(2.0 * 9.81 * heights)).all()

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.filterwarnings("error")
 
 @pytest.mark.parametrize("onset", list(Onset))
 @pytest.mark.parametrize("push", [0.0, -3.0])
-def test_converges_to_the_closed_form_with_first_order(onset: Onset, push: float) -> None:
+def test_stepping_converges_to_the_closed_form_at_first_order(onset: Onset, push: float) -> None:
     table = CoefficientArrays.from_table(TABLE)
     normal, tangential = np.array([-0.3, -0.8, -1.5, -2.5]), np.array([0.5, -1.0, 0.2, 1.5])
     exact = contact_map(table, MASS, normal, tangential, onset, acceleration_m_s2=push)
@@ -39,10 +39,10 @@ def test_converges_to_the_closed_form_with_first_order(onset: Onset, push: float
         others = np.abs(np.stack(stepped[2:]) / np.stack(exact[2:]) - 1.0)
         errors.append(max(float(speeds.max()), float(others.max())))
     assert errors[1] < 2e-3
-    assert errors[1] < 0.4 * errors[0], "a quarter of the step must be about a quarter of the error"
+    assert errors[1] < 0.4 * errors[0], "a quarter of the step must give about a quarter of the error"
 
 
-def test_stepped_map_leaves_alone_what_does_not_approach() -> None:
+def test_stepped_map_leaves_a_receding_vehicle_unchanged() -> None:
     r = stepped_map(CoefficientArrays.from_table(TABLE[0]), MASS, [0.3, 0.0], 0.2, Onset.LCP, step_s=1e-3)
     np.testing.assert_array_equal(r.normal_out_m_s, [0.3, 0.0])
     np.testing.assert_array_equal(r.contact_time_s, 0.0)
@@ -50,7 +50,7 @@ def test_stepped_map_leaves_alone_what_does_not_approach() -> None:
         stepped_map(CoefficientArrays.from_table(TABLE[0]), MASS, -1.0, 0.2, Onset.LCP, step_s=0.0)
 
 
-def test_simulated_drop_is_the_drop_of_the_closed_form() -> None:
+def test_a_simulated_drop_matches_the_closed_form() -> None:
     c = TABLE[1]
     path = simulate(
         c, MASS, (0.05, 0.0, 0.0), (0.0, 0.0, 0.0), Onset.LCP,
@@ -76,7 +76,7 @@ states = st.tuples(st.floats(-0.05, 0.05), st.floats(-3.0, 3.0))
 
 
 @given(positive, st.floats(0.0, 60.0), states, st.sampled_from([1e-2, 1e-3, 1e-4]), st.floats(-10.0, 10.0))
-def test_complementarity_at_the_end_of_a_step(
+def test_complementarity_holds_at_the_end_of_a_step(
     k: float, f: float, state: tuple[float, float], h: float, a: float
 ) -> None:
     c = CoefficientArrays.from_table(Coefficients(k=k, f=f, mu=0.0, nu=0.0))
@@ -91,7 +91,7 @@ def test_complementarity_at_the_end_of_a_step(
 
 
 def random_corners(n: int, seed: int) -> tuple[Corner, Array, Array]:
-    """A right-angled corner with random coefficients, and vehicles in and about it."""
+    """Return a right-angled corner with random coefficients, and vehicles inside and near it."""
     random = np.random.default_rng(seed)
     k = np.exp(random.uniform(np.log(100.0), np.log(20_000.0), (2, n)))
     f = np.exp(random.uniform(np.log(0.1), np.log(60.0), (2, n)))
@@ -101,7 +101,7 @@ def random_corners(n: int, seed: int) -> tuple[Corner, Array, Array]:
     return corner, position, random.uniform(-3.0, 3.0, (n, 2))
 
 
-def test_complementarity_in_a_corner() -> None:
+def test_complementarity_holds_in_a_right_angled_corner() -> None:
     h = 1e-3
     corner, p, v = random_corners(CORNER_CASES, seed=20260721)
     end = step_corner(corner, MASS, (p, v), h, np.array([0.5, -0.7]))
@@ -111,20 +111,20 @@ def test_complementarity_in_a_corner() -> None:
     assert (z >= 0.0).all()
     assert (w >= -1e-10 * scale).all()
     assert (z * w <= 1e-10 * scale * scale).all()
-    # The step itself: momentum balance with friction by the velocity at its end.
+    # Momentum balance of the step, with friction from the velocity at its end.
     force = z @ corner.normals - (mu * z * end.sliding_m_s) @ corner.tangents
     np.testing.assert_allclose(
         end.velocity_m_s, v + h * (np.array([0.5, -0.7]) + force / MASS), rtol=0.0, atol=1e-10
     )
     both, one, none = (int(np.sum(np.sum(z > 0.0, axis=1) == i)) for i in (2, 1, 0))
-    assert min(both, one, none) > CORNER_CASES // 20, "all kinds of cases must occur"
+    assert min(both, one, none) > CORNER_CASES // 20, "each number of active planes must occur"
 
 
 planes = st.builds(Coefficients, k=positive, f=st.floats(0.0, 60.0), mu=st.floats(0.0, 5.0), nu=st.just(0.0))
 
 
 @given(st.tuples(planes, planes), states, states, st.floats(math.radians(40.0), math.radians(140.0)))
-def test_complementarity_in_any_corner(
+def test_complementarity_holds_in_corners_of_any_angle(
     pair: tuple[Coefficients, Coefficients],
     one: tuple[float, float],
     two: tuple[float, float],
@@ -142,7 +142,7 @@ def test_complementarity_in_any_corner(
     assert (end.normal_force_n * end.complement_n <= 1e-9 * scale * scale).all()
 
 
-def test_corner_with_one_plane_far_away_is_one_plane() -> None:
+def test_a_corner_with_one_distant_plane_behaves_as_one_plane() -> None:
     c = TABLE[3]
     table = CoefficientArrays(*(np.repeat(np.atleast_1d(v), 2) for v in CoefficientArrays.from_table(c)))
     corner = Corner(np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([0.0, -50.0]), table)
@@ -155,7 +155,7 @@ def test_corner_with_one_plane_far_away_is_one_plane() -> None:
     np.testing.assert_allclose(v[0] * [1.0, -1.0], path.velocity_m_s[-1, :2], atol=1e-12)
 
 
-def test_a_corner_takes_energy_out() -> None:
+def test_a_corner_dissipates_energy() -> None:
     corner, _, _ = random_corners(200, seed=3)
     random = np.random.default_rng(4)
     p = np.array([1.65, -1.1]) + np.array([-0.08, 0.08])

@@ -38,30 +38,29 @@ ROOT = Path(__file__).parents[2]
 HOVER = 0.5547  # command at which four motors of the configuration carry 1.3 kg
 
 
-# Tests put the vehicle where they need it: only the rule about just that must not see it.
-TELEPORTING = tuple(rule for rule in RULES if rule.name != "estimator_jump")
+# Tests teleport the vehicle, so the rule against position jumps is left out.
+RULES_WITHOUT_JUMP = tuple(rule for rule in RULES if rule.name != "estimator_jump")
 
 
-_APPROACHING: dict[str, HandFedCore | None] = {}
-NOTHING_SET: Mapping[str, Any] = {}
-IMPATIENT: Mapping[str, Any] = {"vehicle.flying.ready_timeout_s": 3.0}
+_CORES_IN_APPROACH: dict[str, HandFedCore | None] = {}
+NO_SETTINGS: Mapping[str, Any] = {}
+SHORT_TIMEOUTS: Mapping[str, Any] = {"vehicle.flying.ready_timeout_s": 3.0}
 
 
 class HandFedCore:
-    """Feeds hovering telemetry at 250 Hz; position, velocity and force are set by the test.
+    """A core that receives hovering telemetry at 250 Hz; tests set position, velocity and force.
 
     Args:
-        mission: file.
-        rules: of the guard.
-        settings: keys of the mission that differ from the file, `vehicle.KEY` of its vehicle, as in
-            `Mission.replace`.
+        mission: mission file.
+        rules: rules of the guard.
+        settings: mission keys to replace, as in `Mission.replace`.
     """
 
     def __init__(
         self,
         mission: str = "missions/paper_dual_collision.yaml",
-        rules: tuple[Rule, ...] = TELEPORTING,
-        settings: Mapping[str, Any] = NOTHING_SET,
+        rules: tuple[Rule, ...] = RULES_WITHOUT_JUMP,
+        settings: Mapping[str, Any] = NO_SETTINGS,
     ) -> None:
         loaded = load_mission(ROOT / mission)
         self.core = FlightCore(loaded.replace(settings) if settings else loaded, rules)
@@ -69,51 +68,51 @@ class HandFedCore:
         self.noise_m_s2 = 1e-4  # a real IMU never repeats itself
         self.odometry_every = 2
         self.t_us = 10_000_000
-        self.host_ahead_us = 0  # of the autopilot's clock
+        self.host_ahead_us = 0  # ahead of the autopilot's clock
         self.position_ned: Vec3 = (0.0, 0.0, 0.0)
         self.velocity_ned: Vec3 = (0.0, 0.0, 0.0)
         self.force_ned: Vec3 = (0.0, 0.0, 0.0)
         self.q = quaternion_from_euler(0.0, 0.0, 0.0)
         self.status = StatusSample(self.t_us, self.t_us, local_position_ok=True, landed=LandedState.ON_GROUND)
         self.outputs: list[Output] = []
-        self.seen: list[Input | Output] = []  # as a log has them
+        self.records: list[Input | Output] = []  # inputs and outputs in the order of a log
         self.silent: set[str] = set()
         self.motors = (HOVER,) * 4
         self.falling = False
-        self.give(ClockOffset(self.t_us, 0))
+        self.feed(ClockOffset(self.t_us, 0))
 
-    def give(self, item: Input) -> list[Output]:
+    def feed(self, item: Input) -> list[Output]:
         out = self.core.step(item)
         self.outputs += out
-        self.seen += [item, *out]
+        self.records += [item, *out]
         return out
 
     def run(self, seconds: float) -> list[Output]:
-        """Telemetry for a while; returns what came out."""
+        """Feed telemetry for `seconds`; return the outputs."""
         before = len(self.outputs)
         for _ in range(round(seconds / 0.004)):
             self.t_us += 4000
             t, host = self.t_us, self.t_us + self.host_ahead_us
             m = self.core.mission.vehicle.airframe.mass_kg
             if "attitude" not in self.silent:
-                self.give(AttitudeSample(t, host, self.q))
+                self.feed(AttitudeSample(t, host, self.q))
             if "odometry" not in self.silent and (t // 4000) % self.odometry_every == 0:
-                self.give(OdometrySample(t, host, self.position_ned, self.velocity_ned))
+                self.feed(OdometrySample(t, host, self.position_ned, self.velocity_ned))
             if "actuator" not in self.silent:
-                self.give(ActuatorSample(t, host, self.motors))
+                self.feed(ActuatorSample(t, host, self.motors))
             if "imu" not in self.silent:
                 f = self.force_ned
                 noise = self.noise_m_s2 * ((t // 4000) % 2)
                 lift = 0.0 if self.falling else 9.81
-                self.give(ImuSample(t, host, (f[0] / m, f[1] / m, f[2] / m - lift + noise), (0.0, 0.0, 0.0)))
+                self.feed(ImuSample(t, host, (f[0] / m, f[1] / m, f[2] / m - lift + noise), (0.0, 0.0, 0.0)))
             if (t // 4000) % 5 == 0:
-                self.give(Tick(host))
+                self.feed(Tick(host))
             if (t // 4000) % 50 == 0 and "status" not in self.silent:
                 self.set_status()
         return self.outputs[before:]
 
     def pulse(self, peak_ned: tuple[float, float], seconds: float = 0.06) -> list[Output]:
-        """A half-sine of force, as a contact gives."""
+        """Apply a half-sine force, as a contact does; return the outputs."""
         out = []
         steps = round(seconds / 0.004)
         for i in range(1, steps):
@@ -123,9 +122,9 @@ class HandFedCore:
         self.force_ned = (0.0, 0.0, 0.0)
         return out
 
-    def at_the_wood(self) -> None:
-        """Just before the wooden wall (mission (0.917, -1.1)) at the approach velocity; NED: y is west."""
-        self.to_flight()
+    def fly_to_wood(self) -> None:
+        """Fly to just before the wooden wall, at mission (0.917, -1.09), with the approach velocity."""
+        self.enter_approach()
         self.position_ned = (0.917, 1.09, -1.0)
         self.velocity_ned = (0.5, 0.6, 0.0)
         self.run(0.05)
@@ -135,13 +134,13 @@ class HandFedCore:
 
         received = self.t_us + self.host_ahead_us
         self.status = msgspec.structs.replace(self.status, t_us=self.t_us, received_us=received, **changes)
-        return self.give(self.status)
+        return self.feed(self.status)
 
     def set_lock(self, mode: Mode | None, phase: LockPhase = LockPhase.SETTLED) -> None:
-        self.give(LockState(self.t_us, phase, mode))
+        self.feed(LockState(self.t_us, phase, mode))
 
-    def to_climb(self) -> None:
-        """Through the phases up to the climb."""
+    def enter_climb(self) -> None:
+        """Pass through the phases up to the climb."""
         self.set_lock(Mode.RIGID)
         self.run(0.5)
         self.set_status(flight_mode=FlightMode.OFFBOARD)
@@ -150,51 +149,51 @@ class HandFedCore:
         self.run(0.1)
         self.set_status(landed=LandedState.IN_AIR)
 
-    def climbed(self) -> None:
-        """Through the climb, to what the mission begins with: run-up, waypoint, pause, goal."""
-        self.to_climb()
+    def finish_climb(self) -> None:
+        """Pass through the climb, to the first phase of the mission: run-up, waypoint, pause or goal."""
+        self.enter_climb()
         self.position_ned = (0.0, 0.0, -1.0)
         self.run(0.5)
 
-    def to_prepare(self) -> None:
-        """Through the phases up to the run-up point, where the lock is to move."""
-        self.climbed()
+    def enter_prepare(self) -> None:
+        """Pass through the phases up to the run-up point, where the lock moves."""
+        self.finish_climb()
         self.run(0.5)  # arrived at the run-up
 
-    def to_flight(self) -> None:
-        """Through the phases up to the approach of the first collision.
+    def enter_approach(self) -> None:
+        """Pass through the phases up to the approach of the first collision.
 
-        The first core of its kind flies there, under all rules of `TELEPORTING`. If none fires, those that
-        follow, under the same rules or fewer, begin with a copy of it.
+        Only the first core of each kind flies there, under `RULES_WITHOUT_JUMP`. If no rule fires, later
+        cores with the same rules or fewer start from a copy of it.
         """
         rules, first = self.rules, None
-        if set(rules) <= set(TELEPORTING):
-            first = self._first_of_its_kind()
+        if set(rules) <= set(RULES_WITHOUT_JUMP):
+            first = self._cached_core()
         if first is None:
             self._approach()
             return
-        shared = {id(one): one for one in (first.core.mission, *first.rules, *first.seen)}
+        shared = {id(one): one for one in (first.core.mission, *first.rules, *first.records)}
         vars(self).update(vars(copy.deepcopy(first, shared)))
-        self.judge_by(rules)
+        self.use_rules(rules)
 
-    def _first_of_its_kind(self) -> HandFedCore | None:
-        told = {name: value for name, value in vars(self).items() if name not in ("core", "rules")}
-        kind = f"{type(self)} {self.core.mission} {told}"
-        if kind not in _APPROACHING:
+    def _cached_core(self) -> HandFedCore | None:
+        attributes = {name: value for name, value in vars(self).items() if name not in ("core", "rules")}
+        kind = f"{type(self)} {self.core.mission} {attributes}"
+        if kind not in _CORES_IN_APPROACH:
             first = copy.deepcopy(self, {id(self.core.mission): self.core.mission})
-            first.judge_by(TELEPORTING)
+            first.use_rules(RULES_WITHOUT_JUMP)
             first._approach()
             quiet = not any(isinstance(output, GuardEvent) for output in first.outputs)
-            _APPROACHING[kind] = first if quiet else None
-        return _APPROACHING[kind]
+            _CORES_IN_APPROACH[kind] = first if quiet else None
+        return _CORES_IN_APPROACH[kind]
 
     def _approach(self) -> None:
-        self.to_prepare()
+        self.enter_prepare()
         self.set_lock(Mode.FLEXIBLE)
         self.run(0.02)
 
     def break_mission(self) -> None:
-        """From now on the mission code raises."""
+        """Make the mission code raise from now on."""
 
         def raises() -> None:
             raise ZeroDivisionError("mission")
@@ -205,11 +204,11 @@ class HandFedCore:
         self.core._executive.propose = broken  # type: ignore[method-assign, assignment]
 
     def hide_peaks(self) -> None:
-        """From now on the detector sees no peak, however long it waits."""
+        """Keep the detector from detecting a peak from now on."""
         self.core._senses.detector._peak_is_past = lambda now_us: False  # type: ignore[method-assign]
 
-    def judge_by(self, rules: tuple[Rule, ...]) -> None:
-        """From now on the guard has these rules; what it has seen stays."""
+    def use_rules(self, rules: tuple[Rule, ...]) -> None:
+        """Replace the rules of the guard and keep its state."""
         self.rules, guard, whole = rules, self.core._guard, Guard(self.core.mission, rules)
         guard._rules, guard._rules_by_phase = whole._rules, whole._rules_by_phase
 
@@ -220,6 +219,6 @@ def hand_fed() -> HandFedCore:
 
 
 @pytest.fixture
-def impatient() -> HandFedCore:
-    """A core that waits 3 s instead of 20 s for each phase."""
-    return HandFedCore(settings=IMPATIENT)
+def hasty_core() -> HandFedCore:
+    """A core whose phases time out after 3 s instead of 20 s."""
+    return HandFedCore(settings=SHORT_TIMEOUTS)

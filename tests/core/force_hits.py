@@ -1,7 +1,7 @@
-"""Single simulated hits for judging force estimate and detector: plant, IMU and core parts, no mission.
+"""Single simulated hits that test force estimate and detector: plant, IMU and core parts, no mission.
 
-The plant flies ballistically (constant equal motor commands, so it keeps its tilt) into one wall; what a
-perfect IMU would read is kept, so that the same hit can be estimated under different noise.
+The plant flies ballistically (constant equal motor commands, so it keeps its tilt) into one wall. The
+readings of a perfect IMU are stored, so that the same hit can be estimated under different noise.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _ATTITUDE_SIGMA_RAD, _VELOCITY_SIGMA_M_S = 0.005, 0.03
 class Hit(msgspec.Struct, frozen=True):
     """One case: velocity at the wall, mode and material, and tilt.
 
-    `lean` says where the thrust points: `in` to the wall, `along` it, or `away` from it.
+    `lean` is the direction of the horizontal thrust: `in` to the wall, `along` it, or `away` from it.
     """
 
     normal_m_s: float
@@ -71,7 +71,7 @@ class Hit(msgspec.Struct, frozen=True):
 
 
 class Tick(msgspec.Struct):
-    """What happened in one tick of 4 ms, without noise."""
+    """True motion and contact force of one 4 ms tick, without noise."""
 
     t_us: int
     specific_force: Vec3
@@ -82,7 +82,7 @@ class Tick(msgspec.Struct):
 
 
 class Flown(msgspec.Struct):
-    """A hit as it truly was; peaks in newton, `cross_us` the tick whose mean force crosses the threshold."""
+    """The truth of a hit: peaks in newton, `cross_us` the tick whose mean force crosses the threshold."""
 
     hit: Hit
     command: float
@@ -94,7 +94,7 @@ class Flown(msgspec.Struct):
     friction: list[tuple[int, float]]  # (t_us, newton along the tangent) every millisecond of contact
 
     def peak_tangential(self, until_us: int) -> float:
-        """Largest friction force up to a moment, signed: what can be known by then."""
+        """Return the largest friction force up to `until_us`, signed."""
         return max((f for t, f in self.friction if t <= until_us), key=abs, default=0.0)
 
 
@@ -107,8 +107,8 @@ def fly_hit(vehicle: VehicleConfig, hit: Hit) -> Flown:
     tilt = math.radians(hit.tilt_deg)
     push = GRAVITY_M_S2 * math.tan(tilt)
     accel = (push * towards[0], push * towards[1])
-    # Backwards in time from the wall; drag over that time is small and shows in the true speed. Leaning in,
-    # the vehicle has come from rest at most, else it would have come through the wall.
+    # Integrate backwards in time from the wall; drag is small and shows in the true speed. A vehicle that
+    # leans in starts from rest at the earliest, otherwise it would start behind the wall.
     lead = min(LEAD_S, -0.95 * hit.normal_m_s / push) if hit.lean == "in" and push > 0.0 else LEAD_S
     v0 = (hit.normal_m_s - accel[0] * lead, hit.tangential_m_s - accel[1] * lead)
     x0 = -(v0[0] * lead + 0.5 * accel[0] * lead**2)
@@ -126,7 +126,7 @@ def fly_hit(vehicle: VehicleConfig, hit: Hit) -> Flown:
 
 
 def _attitude(wall: Wall, tilt: float, towards: Vec2) -> Quaternion:
-    """Leading edge parallel to the wall, thrust tilted towards a direction of the wall's frame."""
+    """Return the attitude with the leading edge parallel to the wall and the thrust tilted `towards`."""
     yaw = FRAME.yaw_to_ned(wall.parallel_yaw(0.3))
     tn, tt = wall.normal, wall.tangent
     d = FRAME.vector_to_ned(
@@ -140,7 +140,7 @@ def _attitude(wall: Wall, tilt: float, towards: Vec2) -> Quaternion:
 def _record(plant: Plant, wall: Wall, hit: Hit, command: float, threshold_n: float) -> Flown:
     ticks: list[Tick] = []
     friction: list[tuple[int, float]] = []
-    peaks: list[float] = []  # of the horizontal force, one contact each
+    peaks: list[float] = []  # largest horizontal force of each contact
     peak_n, touching, cross_us, touched_s = 0.0, False, None, math.inf
     commands = (command,) * 4
     while plant.time_s < min(2.0 * LEAD_S + 1.0, touched_s + AFTER_S):
@@ -170,11 +170,11 @@ def _record(plant: Plant, wall: Wall, hit: Hit, command: float, threshold_n: flo
     return Flown(hit, command, ticks, wall.normal, peak_n, cross_us, reached, friction)
 
 
-class Judge:
-    """Estimator and detector on a stream of ticks, as the core would run them.
+class SenseChain:
+    """Force estimator and impact detector, run on samples as the core runs them.
 
     Args:
-        vehicle: what the core believes.
+        vehicle: configuration in the core.
         planned: outward normal and material that the plan announces, or None.
     """
 
@@ -184,8 +184,8 @@ class Judge:
         self.detector = ImpactDetector(vehicle)
         self.expected = ExpectedContact(True, *(planned or (None, None)))
 
-    def take(self, imu: ImuSample) -> list[object]:
-        """An IMU sample; the detector's events."""
+    def step(self, imu: ImuSample) -> list[object]:
+        """Process an IMU sample; return the detector's events."""
         if not self.state.update_imu(imu):
             return []
         estimate = self.estimator.estimate(imu, self.state, self.detector.in_contact)
@@ -194,21 +194,21 @@ class Judge:
         return list(self.detector.update(estimate, imu.received_us, self.state, self.expected))
 
 
-def judge_hit(
+def estimate_hit(
     vehicle: VehicleConfig,
     state: FlightState,
     flown: Flown,
     sigma: float,
     seed: int,
 ) -> tuple[list[ImpactOnset], ImpactPeak | None]:
-    """Estimate a flown hit under IMU noise of `sigma` m/s2 a sample.
+    """Estimate a flown hit under IMU noise of `sigma` m/s2 per sample.
 
     Args:
-        vehicle: the plant's: its IMU is measured with.
-        state: a fresh one.
+        vehicle: configuration of the plant and its IMU.
+        state: a new flight state.
         flown: the hit.
         sigma: noise.
-        seed: of it.
+        seed: seed of the noise.
     """
     noise = GaussianNoise(random.Random(seed))
     noisy = msgspec.structs.replace(vehicle.simulation, imu_noise_m_s2=sigma)
@@ -217,16 +217,16 @@ def judge_hit(
     state.lock = LockState(_START_US, LockPhase.SETTLED, flown.hit.mode)
     state.status = StatusSample(_START_US, _START_US, landed=LandedState.IN_AIR)
     hover = vehicle.thrust.command_for(vehicle.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
-    judge = Judge(state, vehicle, (flown.normal, flown.hit.material))
+    chain = SenseChain(state, vehicle, (flown.normal, flown.hit.material))
     onsets: list[ImpactOnset] = []
     peak: ImpactPeak | None = None
     for i, tick in enumerate([*_hover(flown), *flown.ticks]):
         t = tick.t_us
         if i % 2 == 0:
-            _odometry(judge, tick, flown.command if t > _START_US else hover, noise)
-        judge.expected = judge.expected._replace(watching=t > _START_US)
+            _odometry(chain, tick, flown.command if t > _START_US else hover, noise)
+        chain.expected = chain.expected._replace(watching=t > _START_US)
         measured, rate = imu.measure(tick.specific_force, (0.0, 0.0, 0.0))
-        for event in judge.take(ImuSample(t, t + 1000, measured, rate)):
+        for event in chain.step(ImuSample(t, t + 1000, measured, rate)):
             if isinstance(event, ImpactOnset):
                 onsets.append(event)
             elif isinstance(event, ImpactPeak) and peak is None:
@@ -235,7 +235,7 @@ def judge_hit(
 
 
 def _hover(flown: Flown) -> list[Tick]:
-    """Half a second at rest before the flight, in which noise and bias become known."""
+    """Return a second of hover before the flight, in which noise and bias are learned."""
     q = quaternion_from_euler(0.0, 0.0, 0.0)
     count = round(_HOVER_S * 1e6) // TICK_US
     first = flown.ticks[0]
@@ -252,15 +252,15 @@ def _hover(flown: Flown) -> list[Tick]:
     ]
 
 
-def _odometry(judge: Judge, tick: Tick, command: float, noise: GaussianNoise) -> None:
+def _odometry(chain: SenseChain, tick: Tick, command: float, noise: GaussianNoise) -> None:
     t, s = tick.t_us, _ATTITUDE_SIGMA_RAD
     twist = quaternion_from_rotation_vector(noise.three(s))
     attitude = AttitudeSample(t // 1000 * 1000, t + 1000, quaternion_multiply(tick.q, twist))
-    if judge.state.update_attitude(attitude):
-        judge.estimator.add_attitude(attitude)
+    if chain.state.update_attitude(attitude):
+        chain.estimator.add_attitude(attitude)
     velocity = add(tick.velocity, noise.three(_VELOCITY_SIGMA_M_S))
-    judge.state.update_odometry(OdometrySample(t, t + 1000, tick.position, velocity))
-    judge.estimator.thrust.add_commands(ActuatorSample(t, t + 1000, (command,) * 4))
+    chain.state.update_odometry(OdometrySample(t, t + 1000, tick.position, velocity))
+    chain.estimator.thrust.add_commands(ActuatorSample(t, t + 1000, (command,) * 4))
 
 
 def grid(
@@ -269,7 +269,7 @@ def grid(
     tilts: tuple[float, ...],
     materials: tuple[str, ...] = ("wood", "acrylic"),
 ) -> Iterator[Hit]:
-    """The cases: every speed, mode, material, wall orientation and tilt; leans and sliding go round."""
+    """Yield every combination of speed, mode, material, wall and tilt; lean and sliding are random."""
     rng = random.Random(11)
     for speed in speeds:
         for mode in Mode:
@@ -282,7 +282,7 @@ def grid(
 
 
 def direction_error_deg(flown: Flown, peak: ImpactPeak) -> float:
-    """Angle between the estimated and the true horizontal force, each made of its two peaks."""
+    """Return the angle between estimated and true horizontal force, each built from its two peaks."""
     true = (flown.peak_normal, flown.peak_tangential(peak.detected_us))
     found = (peak.normal_force_n, peak.tangential_force_n)
     size = math.hypot(*true) * math.hypot(*found)
@@ -291,12 +291,12 @@ def direction_error_deg(flown: Flown, peak: ImpactPeak) -> float:
 
 
 class HitFigures(msgspec.Struct):
-    """One hit in figures; errors are nan where nothing was detected.
+    """Figures of one hit; errors are NaN if nothing was detected.
 
     Attributes:
-        reached: the true force of a tick reached the threshold.
-        delay_samples: from that tick to the onset.
-        peak_error: relative.
+        reached: whether the true force of a tick reached the threshold.
+        delay_samples: samples from that tick to the onset.
+        peak_error: relative error of the normal peak.
     """
 
     hit: Hit
@@ -311,9 +311,9 @@ class HitFigures(msgspec.Struct):
 
 
 def figures_of(mission: Mission, hit: Hit, sigma: float, seed: int) -> HitFigures:
-    """Fly one hit and estimate it under a noise."""
+    """Fly one hit and return the figures of its estimate under IMU noise."""
     flown = fly_hit(mission.vehicle, hit)
-    onsets, peak = judge_hit(mission.vehicle, FlightState(), flown, sigma, seed)
+    onsets, peak = estimate_hit(mission.vehicle, FlightState(), flown, sigma, seed)
     delay = None
     if onsets and flown.cross_us is not None:
         delay = (onsets[0].t_us - flown.cross_us) // TICK_US

@@ -1,8 +1,8 @@
-"""Aggressive simulated flight without any contact: what the detector must not mistake for an impact.
+"""Aggressive simulated flight without any contact, in which the detector must not report an impact.
 
-The embedded autopilot flies hard: velocity reversals and braking at the tilt limit, yaw spins, climbs and
-drops, in gusts, turbulence and prop wash, with another thrust curve and drag than the
-estimator believes, with dropped and late samples, at the noise of a quiet and of a bad IMU.
+The embedded autopilot flies velocity reversals, hard braking, yaw spins, climbs and drops. The wind has
+gusts, turbulence and prop wash. Thrust curve and drag differ from the estimator's, and samples are lost or
+late.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.embedded_autopilot import Autopilot
 from dart_flight.sim.plant import Plant
-from tests.core.force_hits import Judge
+from tests.core.force_hits import SenseChain
 
 _NAN = math.nan
 
 
-class Quiet(msgspec.Struct):
-    """A stretch of flight: false detections, largest tilt, largest true horizontal force of the wind."""
+class QuietFlight(msgspec.Struct):
+    """Results of a flight: false detections, largest tilt, largest true horizontal force of the wind."""
 
     false_hits: list[str]
     max_tilt_deg: float
@@ -47,7 +47,7 @@ class Quiet(msgspec.Struct):
 
 
 def _plant_vehicle(vehicle: VehicleConfig, sigma: float, rng: random.Random) -> VehicleConfig:
-    """What really flies: up to 8 % other thrust, 30 % other drag, the given IMU noise."""
+    """Return the true vehicle: thrust differs by up to 8 %, drag by up to 30 %, IMU noise is `sigma`."""
     thrust = vehicle.thrust.scaled(rng.uniform(0.92, 1.08))
     b = vehicle.airframe.drag_per_s
     drag = (b[0] * rng.uniform(0.7, 1.3), b[1] * rng.uniform(0.7, 1.3), b[2])
@@ -118,7 +118,7 @@ class _Pilot:
 
 
 class _Flight:
-    """One stretch: vehicle, link with its faults, estimator and detector."""
+    """One flight: vehicle, link with its faults, estimator and detector."""
 
     def __init__(self, mission: Mission, sigma: float, seed: int) -> None:
         self.rng = random.Random(seed)
@@ -130,14 +130,14 @@ class _Flight:
         mode = self.rng.choice(list(Mode))
         plant.set_mode(mode)
         self.state.lock = LockState(0, LockPhase.SETTLED, mode)
-        self.judge = Judge(self.state, vehicle, None)
+        self.chain = SenseChain(self.state, vehicle, None)
         self.pilot, self.weather = _Pilot(self.rng), _Weather(self.rng)
         self.late: list[tuple[int, ImuSample]] = []
         self.freeze = 0
         self.max_tilt = 0.0
 
     def tick(self) -> list[object]:
-        """4 ms; the detector's events."""
+        """Advance by 4 ms; return the detector's events."""
         a = self.autopilot
         a.plant.wind_ned = self.weather.at(a.now_s)
         a.step()
@@ -146,18 +146,18 @@ class _Flight:
         if (t // 4000) % 2 == 0 and self.rng.random() > 0.02 and self.freeze <= 0:
             attitude = AttitudeSample(t // 1000 * 1000, t + 1000, e.q)
             if self.state.update_attitude(attitude):
-                self.judge.estimator.add_attitude(attitude)
+                self.chain.estimator.add_attitude(attitude)
             self.state.update_odometry(OdometrySample(t, t + 1000, e.position, e.velocity))
-            self.judge.estimator.thrust.add_commands(ActuatorSample(t + 1500, t + 1500, a.motors))
+            self.chain.estimator.thrust.add_commands(ActuatorSample(t + 1500, t + 1500, a.motors))
         self.freeze -= 1
         if self.freeze < -500 and self.rng.random() < 0.002:
-            self.freeze = self.rng.randrange(3, 12)  # attitude and the rest pause for up to 50 ms
+            self.freeze = self.rng.randrange(3, 12)  # all streams but the IMU pause for up to 50 ms
         if (t // 4000) % 25 == 0:
             self.state.status = StatusSample(t, t, a.armed, a.mode, a.landed, e.ok)
         return self._imu(t)
 
     def _imu(self, t: int) -> list[object]:
-        """Of the IMU samples 1 % are lost and 1 % arrive a tick late, after the next."""
+        """Process the IMU sample; 1 % are lost and 1 % arrive a tick late, after the next one."""
         a = self.autopilot
         sample = ImuSample(a.imu.t_us, t + 1000, a.imu.specific_force_frd, a.imu.rate_frd)
         fate = self.rng.random()
@@ -166,22 +166,22 @@ class _Flight:
         if fate < 0.02:
             self.late.append((t, sample))
             return []
-        events = self.judge.take(sample)
+        events = self.chain.step(sample)
         while self.late:
-            events += self.judge.take(self.late.pop(0)[1])
+            events += self.chain.step(self.late.pop(0)[1])
         return events
 
 
-def fly_quiet(mission: Mission, seconds: float, sigma: float, seed: int) -> Quiet:
-    """Fly hard without contact; `sigma` of the IMU's noise in m/s2 a sample."""
+def fly_quiet(mission: Mission, seconds: float, sigma: float, seed: int) -> QuietFlight:
+    """Fly hard without contact; `sigma` is the IMU noise in m/s2 per sample."""
     f = _Flight(mission, sigma, seed)
     a = f.autopilot
-    out = Quiet([], 0.0, 0.0)
+    out = QuietFlight([], 0.0, 0.0)
     for _ in range(round(seconds / 0.004)):
         _fly(f)
-        # As the executive: not on the ground, and not in the first half metre of the climb.
+        # Like the executive, expect no contact on the ground or in the first half metre of the climb.
         in_air = f.state.status.landed is LandedState.IN_AIR and a.mode is FlightMode.OFFBOARD
-        f.judge.expected = ExpectedContact(in_air and a.estimator.position[2] < -0.5)
+        f.chain.expected = ExpectedContact(in_air and a.estimator.position[2] < -0.5)
         for event in f.tick():
             if isinstance(event, ImpactOnset):
                 force = math.hypot(event.force_mission[0], event.force_mission[1])

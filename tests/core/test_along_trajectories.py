@@ -1,4 +1,4 @@
-"""Along the mission's own trajectories: when a wall is missed, when the goal counts, what follows a fault."""
+"""The mission's own trajectories: when a wall counts as missed and when the goal counts as reached."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.core.conftest import HandFedCore
 
 RETURNING = "missions/touch_and_return.yaml"
 WITHOUT_WALLS = "missions/hover.yaml"
-# Half a metre away and back, from rest to rest: constant jerk for so long in x.
+# Half a metre away and back, from rest to rest: pairs of seconds and constant jerk in x.
 AWAY_AND_BACK = [(0.3, 10.0), (0.6, -10.0), (0.3, 10.0), (0.3, -10.0), (0.6, 10.0), (0.3, -10.0)]
 
 
@@ -22,12 +22,14 @@ def fired(c: HandFedCore) -> list[str]:
 
 
 @pytest.mark.parametrize(("before_s", "missed"), [(0.4, False), (0.2, True)])
-def test_behind_its_wall_counts_only_shortly_before_the_impact(before_s: float, missed: bool) -> None:
-    """A trajectory may begin beside its wall, behind the plane."""
+def test_a_position_behind_the_wall_is_a_miss_only_shortly_before_the_impact(
+    before_s: float, missed: bool
+) -> None:
+    """A trajectory may start beside its wall, on the far side of the plane."""
     hits = load_mission(packaged("missions", "touch_and_return.yaml")).to_dict()["collisions"]
     untouched = {"collisions": [hit for hit in hits if hit.get("trajectory")], "waypoints": []}
     c = HandFedCore(RETURNING, settings=untouched)
-    c.to_flight()
+    c.enter_approach()
     assert c.core.phase is Phase.APPROACH
     trajectory = c.core.mission.collisions[0].trajectory
     assert trajectory is not None
@@ -37,11 +39,11 @@ def test_behind_its_wall_counts_only_shortly_before_the_impact(before_s: float, 
     assert fired(c) == (["wall_not_met"] if missed else [])
 
 
-def test_a_goal_that_is_passed_on_the_way_is_not_held_before_the_end() -> None:
+def test_a_goal_passed_on_the_trajectory_is_held_only_at_its_end() -> None:
     away: dict[str, Any] = {"position_m": [0.0, 0.0], "pieces": [[s, j, 0.0] for s, j in AWAY_AND_BACK]}
     goal = {"position_m": [0.0, 0.0], "capture_radius_m": 0.15, "hold_s": 0.2}
     c = HandFedCore(WITHOUT_WALLS, settings={"goal": goal, "goal_trajectory": away})
-    c.climbed()
+    c.finish_climb()
     phases = []
     for seconds in (0.5, 1.8, 1.0):
         c.run(seconds)

@@ -1,4 +1,4 @@
-"""How well the mission frame is known between contacts, and what contacts make of the walls."""
+"""Uncertainty of the mission frame between contacts, and updates of the walls by contacts."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def unit(angle: float) -> Vec2:
 contacts = st.lists(st.tuples(angles, st.integers(0, 60), st.floats(0.005, 0.2)), max_size=6)
 
 
-def anchors_of(found: list[tuple[float, int, float]]) -> FrameAnchors:
+def anchors_of(contacts_found: list[tuple[float, int, float]]) -> FrameAnchors:
     one = FrameAnchors(DRIFT_M_S)
-    for angle, at_s, sd in sorted(found, key=lambda c: c[1]):
+    for angle, at_s, sd in sorted(contacts_found, key=lambda c: c[1]):
         one.add(Anchor(unit(angle), at_s * S, sd))
     return one
 
@@ -44,7 +44,7 @@ def anchors_of(found: list[tuple[float, int, float]]) -> FrameAnchors:
 # --- age --------------------------------------------------------------------------------------------------
 
 
-def test_the_start_is_known_alike_in_every_direction_and_drifts() -> None:
+def test_the_start_uncertainty_is_isotropic_and_grows_by_drift() -> None:
     one = FrameAnchors(DRIFT_M_S)
     one.begin(5 * S)
     for angle in (0.0, 1.0, 2.5):
@@ -53,7 +53,7 @@ def test_the_start_is_known_alike_in_every_direction_and_drifts() -> None:
         assert one.age_s(unit(angle), 15 * S) is None
 
 
-def test_a_contact_tells_along_its_normal_and_nowhere_else_and_ages() -> None:
+def test_a_contact_reduces_uncertainty_only_along_its_normal_and_ages() -> None:
     one = FrameAnchors(DRIFT_M_S)
     one.add(Anchor((1.0, 0.0), 10 * S, 0.02))
     assert one.sd_m((1.0, 0.0), 10 * S) == pytest.approx(0.02, rel=0.01)
@@ -63,54 +63,53 @@ def test_a_contact_tells_along_its_normal_and_nowhere_else_and_ages() -> None:
     assert one.age_s((0.0, 1.0), 18 * S) is None
 
 
-@given(found=contacts, angle=angles, now_s=st.integers(60, 120), later_s=st.integers(0, 60))
+@given(contacts_found=contacts, angle=angles, now_s=st.integers(60, 120), later_s=st.integers(0, 60))
 @settings(deadline=None)
-def test_what_is_known_never_grows_with_age(
-    found: list[tuple[float, int, float]], angle: float, now_s: int, later_s: int
+def test_uncertainty_never_decreases_with_age(
+    contacts_found: list[tuple[float, int, float]], angle: float, now_s: int, later_s: int
 ) -> None:
-    one = anchors_of(found)
+    one = anchors_of(contacts_found)
     assert one.sd_m(unit(angle), (now_s + later_s) * S) >= one.sd_m(unit(angle), now_s * S) - 1e-12
 
 
-@given(found=contacts, angle=angles, now_s=st.integers(60, 120))
+@given(contacts_found=contacts, angle=angles, now_s=st.integers(60, 120))
 @settings(deadline=None)
-def test_the_sign_of_a_normal_means_nothing(
-    found: list[tuple[float, int, float]], angle: float, now_s: int
+def test_the_sign_of_a_normal_has_no_effect(
+    contacts_found: list[tuple[float, int, float]], angle: float, now_s: int
 ) -> None:
     nx, ny = unit(angle)
-    turned = anchors_of([(a + math.pi, at_s, sd) for a, at_s, sd in found])
-    expected = pytest.approx(anchors_of(found).sd_m((nx, ny), now_s * S), rel=1e-9)
-    assert anchors_of(found).sd_m((-nx, -ny), now_s * S) == expected
+    turned = anchors_of([(a + math.pi, at_s, sd) for a, at_s, sd in contacts_found])
+    expected = pytest.approx(anchors_of(contacts_found).sd_m((nx, ny), now_s * S), rel=1e-9)
+    assert anchors_of(contacts_found).sd_m((-nx, -ny), now_s * S) == expected
     assert turned.sd_m((nx, ny), now_s * S) == expected
 
 
-@given(found=contacts, angle=angles, now_s=st.integers(60, 120), told_m=st.floats(0.005, 2.0))
+@given(contacts_found=contacts, angle=angles, now_s=st.integers(60, 120), measured_m=st.floats(0.005, 2.0))
 @settings(deadline=None)
-def test_a_contact_never_makes_its_normal_less_known(
-    found: list[tuple[float, int, float]], angle: float, now_s: int, told_m: float
+def test_a_contact_never_increases_the_uncertainty_along_its_normal(
+    contacts_found: list[tuple[float, int, float]], angle: float, now_s: int, measured_m: float
 ) -> None:
-    """Taken in as the executive does: what was expected and what the contact told, each by its variance."""
-    one, normal = anchors_of(found), unit(angle)
+    """Prior and measurement are combined by their variances, as the executive combines them."""
+    one, normal = anchors_of(contacts_found), unit(angle)
     before = one.sd_m(normal, now_s * S)
-    after = before * told_m / math.hypot(before, told_m)
+    after = before * measured_m / math.hypot(before, measured_m)
     one.add(Anchor(normal, now_s * S, after))
     assert one.sd_m(normal, now_s * S) <= before + 1e-12
     assert one.age_s(normal, now_s * S) == 0.0
 
 
-@given(found=contacts, angle=angles, start_s=st.integers(0, 5))
+@given(contacts_found=contacts, angle=angles, start_s=st.integers(0, 5))
 @settings(deadline=None)
-def test_who_follows_the_contacts_of_another_knows_as_much(
-    found: list[tuple[float, int, float]], angle: float, start_s: int
+def test_the_planner_reproduces_the_cores_uncertainty_from_its_records(
+    contacts_found: list[tuple[float, int, float]], angle: float, start_s: int
 ) -> None:
-    """The planner's process hears of them by records."""
     core, planner = FrameAnchors(DRIFT_M_S), FrameAnchors(DRIFT_M_S)
     core.begin(start_s * S)
-    for at, (one, at_s, told_m) in enumerate(sorted(found, key=lambda c: c[1])):
+    for at, (one, at_s, measured_m) in enumerate(sorted(contacts_found, key=lambda c: c[1])):
         wall = msgspec.structs.replace(WOOD, normal=unit(one))
-        estimate = felt(None, None, 0.1, t_us=(10 + at_s) * S, plane_offset_sigma_m=told_m)
+        estimate = wall_estimate(None, None, 0.1, t_us=(10 + at_s) * S, plane_offset_sigma_m=measured_m)
         planner.add_recorded(core.correct_frame(wall, estimate, (10 + at_s) * S + at))
-    if found:
+    if contacts_found:
         assert planner.sd_m(unit(angle), 90 * S) == pytest.approx(core.sd_m(unit(angle), 90 * S), rel=1e-12)
         assert planner.age_s(unit(angle), 90 * S) == core.age_s(unit(angle), 90 * S)
 
@@ -120,8 +119,10 @@ def test_who_follows_the_contacts_of_another_knows_as_much(
 WOOD = Wall("wood", (2.0, 0.0), (-1.0, 0.0), 4.0, "wood")
 
 
-def felt(place: Vec2 | None, normal: Vec2 | None, offset_m: float = 0.0, **changes: object) -> WallEstimate:
-    """What a contact said of the wood."""
+def wall_estimate(
+    place: Vec2 | None, normal: Vec2 | None, offset_m: float = 0.0, **changes: object
+) -> WallEstimate:
+    """Return the estimate of the wooden wall from one contact."""
     one = WallEstimate(
         t_us=S,
         first_us=S,
@@ -149,26 +150,32 @@ def felt(place: Vec2 | None, normal: Vec2 | None, offset_m: float = 0.0, **chang
 
 
 @pytest.mark.parametrize(("place_sd", "yaw_sd"), [(None, None), (0.1, None), (0.1, 0.05), (None, 0.05)])
-def test_a_wall_is_where_it_was_met_last_however_often(place_sd: float | None, yaw_sd: float | None) -> None:
+def test_a_walls_position_is_that_of_its_latest_contact(place_sd: float | None, yaw_sd: float | None) -> None:
     wall = msgspec.structs.replace(WOOD, position_sd_m=place_sd, yaw_sd_rad=yaw_sd)
     walls = EstimatedWalls()
     assert not walls.is_measured("wood")
     for x in (2.3, 2.31, 2.29):
         expected = walls.known_wall(wall)
-        walls.add_estimate(felt((x, 0.0), (-1.0, 0.0), expected.signed_distance((x, 0.0))), wall)
+        walls.add_estimate(wall_estimate((x, 0.0), (-1.0, 0.0), expected.signed_distance((x, 0.0))), wall)
         assert walls.known_wall(wall).point == pytest.approx((x, 0.0))
-    for nothing_new in (felt(None, None), felt((2.1, 0.0), None), felt(None, (-1.0, 0.0))):
-        walls.add_estimate(nothing_new, wall)
-    assert walls.known_wall(wall).point == pytest.approx((2.29, 0.0)), "too few readings: nothing new"
+    for incomplete in (
+        wall_estimate(None, None),
+        wall_estimate((2.1, 0.0), None),
+        wall_estimate(None, (-1.0, 0.0)),
+    ):
+        walls.add_estimate(incomplete, wall)
+    assert walls.known_wall(wall).point == pytest.approx((2.29, 0.0)), (
+        "an incomplete estimate must not move the wall"
+    )
     assert walls.is_measured("wood")
 
 
-def test_only_a_direction_that_may_be_wrong_is_taken_from_a_contact() -> None:
+def test_a_contact_corrects_only_an_uncertain_wall_direction() -> None:
     normal = WOOD.rotated(0.1).normal
     for yaw_sd, expected in ((None, WOOD.normal), (0.1, normal)):
         wall = msgspec.structs.replace(WOOD, position_sd_m=0.1, yaw_sd_rad=yaw_sd)
         walls = EstimatedWalls()
-        walls.add_estimate(felt((2.1, 1.0), normal), wall)
+        walls.add_estimate(wall_estimate((2.1, 1.0), normal), wall)
         now = walls.known_wall(wall)
         assert now.normal == pytest.approx(expected)
         assert now.signed_distance((2.1, 1.0)) == pytest.approx(0.0, abs=1e-12)
@@ -176,11 +183,11 @@ def test_only_a_direction_that_may_be_wrong_is_taken_from_a_contact() -> None:
         assert walls.rotation(wall) == pytest.approx(0.1)
 
 
-def test_a_wall_that_was_sought_has_its_middle_where_it_was_met_and_its_material_by_the_contact() -> None:
+def test_a_probed_wall_gets_its_position_and_material_from_the_contact() -> None:
     wall = msgspec.structs.replace(WOOD, sought=True, material_known=False, yaw_sd_rad=0.26)
     walls = EstimatedWalls()
     assert walls.known_walls((), 0) == ()
-    walls.add_estimate(felt((1.2, 0.4), WOOD.rotated(-0.2).normal, material="acrylic"), wall)
+    walls.add_estimate(wall_estimate((1.2, 0.4), WOOD.rotated(-0.2).normal, material="acrylic"), wall)
     (now,) = walls.known_walls((), 0)
     assert now.point == pytest.approx((1.2, 0.4))
     assert now.normal == pytest.approx(WOOD.rotated(-0.2).normal)
@@ -188,18 +195,18 @@ def test_a_wall_that_was_sought_has_its_middle_where_it_was_met_and_its_material
     assert (now.position_sd_m, now.yaw_sd_rad) == (0.012, 0.02)
 
 
-@given(by=places, met=places, angle=angles, heading=angles)
+@given(shift=places, contact_point=places, angle=angles, heading=angles)
 @settings(deadline=None)
-def test_a_frame_that_moves_leaves_the_walls_that_were_met_where_they_are(
-    by: Vec2, met: Vec2, angle: float, heading: float
+def test_a_frame_displacement_keeps_measured_walls_in_place(
+    shift: Vec2, contact_point: Vec2, angle: float, heading: float
 ) -> None:
     wall = msgspec.structs.replace(WOOD, sought=True, yaw_sd_rad=0.26)
     walls, frame = EstimatedWalls(), MissionFrame(0.3, -0.2, 0.0, heading)
-    walls.add_estimate(felt(met, unit(angle)), wall)
+    walls.add_estimate(wall_estimate(contact_point, unit(angle)), wall)
     before = walls.known_wall(wall)
-    walls.move_frame(by)
-    after, moved = walls.known_wall(wall), frame.displaced(*by)
-    # A point of its plane in local NED is one of its plane by the new frame as well.
+    walls.move_frame(shift)
+    after, moved = walls.known_wall(wall), frame.displaced(*shift)
+    # A point of the plane in NED also lies on the plane in the new frame.
     for away in (-1.0, 0.0, 1.0):
         (px, py), (tx, ty) = before.point, before.tangent
         there = frame.point_to_ned((px + away * tx, py + away * ty, 1.0))
@@ -209,16 +216,18 @@ def test_a_frame_that_moves_leaves_the_walls_that_were_met_where_they_are(
     assert after.normal == before.normal
 
 
-@given(by=places, heading=angles)
+@given(shift=places, heading=angles)
 @settings(deadline=None)
-def test_a_moved_frame_s_origin_is_so_far_away_in_its_axes(by: Vec2, heading: float) -> None:
+def test_a_displaced_frame_moves_its_origin_along_its_own_axes(shift: Vec2, heading: float) -> None:
     frame = MissionFrame(0.3, -0.2, 0.1, heading)
-    moved = frame.displaced(*by)
-    assert frame.point_from_ned((moved.north_m, moved.east_m, 0.0))[:2] == pytest.approx(by, abs=1e-9)
-    assert distance2((moved.north_m, moved.east_m), (0.3, -0.2)) == pytest.approx(math.hypot(*by), abs=1e-9)
+    moved = frame.displaced(*shift)
+    assert frame.point_from_ned((moved.north_m, moved.east_m, 0.0))[:2] == pytest.approx(shift, abs=1e-9)
+    assert distance2((moved.north_m, moved.east_m), (0.3, -0.2)) == pytest.approx(
+        math.hypot(*shift), abs=1e-9
+    )
 
 
-def test_a_wall_is_the_less_known_the_older_the_anchor_of_its_normal() -> None:
+def test_wall_uncertainty_grows_with_the_age_of_its_anchor() -> None:
     anchors = FrameAnchors(DRIFT_M_S)
     walls = EstimatedWalls(anchors)
     assert walls.known_wall(WOOD).position_sd_m is None
@@ -235,18 +244,16 @@ def test_a_wall_is_the_less_known_the_older_the_anchor_of_its_normal() -> None:
 
 
 @pytest.mark.parametrize(("along_m", "sd_m"), [(0.0, 0.012), (1.5, math.hypot(0.012, 1.5 * math.tan(0.02)))])
-def test_the_middle_of_a_wall_is_the_less_known_the_farther_from_it_the_contact_was(
-    along_m: float, sd_m: float
-) -> None:
+def test_wall_centre_uncertainty_grows_with_the_distance_of_the_contact(along_m: float, sd_m: float) -> None:
     wall = msgspec.structs.replace(WOOD, position_sd_m=0.1, yaw_sd_rad=0.05)
     walls, (tx, ty) = EstimatedWalls(), WOOD.tangent
-    met = (WOOD.point[0] + along_m * tx, WOOD.point[1] + along_m * ty)
-    walls.add_estimate(felt(met, WOOD.normal), wall)
+    contact_point = (WOOD.point[0] + along_m * tx, WOOD.point[1] + along_m * ty)
+    walls.add_estimate(wall_estimate(contact_point, WOOD.normal), wall)
     assert walls.known_wall(wall).position_sd_m == pytest.approx(sd_m)
 
 
 @pytest.mark.parametrize("sought", [True, False])
-def test_a_contact_with_a_wall_that_nobody_knew_puts_no_frame_right(sought: bool) -> None:
+def test_a_contact_with_a_probed_wall_does_not_correct_the_frame(sought: bool) -> None:
     loaded = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     known = {wall.name: msgspec.structs.replace(wall, sought=sought) for wall in loaded.walls}
     hits = tuple(msgspec.structs.replace(one, wall=known[one.wall.name]) for one in loaded.collisions)
@@ -254,6 +261,6 @@ def test_a_contact_with_a_wall_that_nobody_knew_puts_no_frame_right(sought: bool
     flown, p, state = Executive(mission), Proposal(), FlightState()
     state.anchor(MissionFrame(0.0, 0.0, 0.0, 0.0))
     (x, y), (nx, ny) = mission.walls[0].point, mission.walls[0].normal
-    estimate = felt((x + 0.05 * nx, y + 0.05 * ny), (nx, ny), 0.05, wall=mission.walls[0].name)
+    estimate = wall_estimate((x + 0.05 * nx, y + 0.05 * ny), (nx, ny), 0.05, wall=mission.walls[0].name)
     flown._handle_contacts(Sensed(None, (), False, wall=estimate), state, p)
     assert (p.frame is None) is sought

@@ -1,4 +1,4 @@
-"""What stands in the way of a straight run, and references whose parts belong together."""
+"""Obstacles on a straight path, and references that are consistent with their derivatives."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ away = st.floats(CLEARANCE_M + 0.01, 2.0)
     ends=st.tuples(away, beside, away, beside),
     half_m=st.sampled_from((0.0, 0.3)),
 )
-def test_a_way_is_blocked_where_it_crosses_the_wall_within_its_length(
+def test_a_path_is_blocked_if_it_crosses_the_wall_within_its_length(
     angle: float, place: tuple[float, float], ends: tuple[float, float, float, float], half_m: float
 ) -> None:
-    """Both ends as distance from the plane and place along it: by similar triangles where it is crossed."""
+    """The ends are distances from and along the plane; similar triangles give the crossing point."""
     wall = Wall("wall", place, (math.cos(angle), math.sin(angle)), 1.0, "wood", half_vehicle_m=half_m)
-    before, from_there, behind, to_there = ends
+    before, start_along, behind, end_along = ends
 
     def at(distance: float, along: float) -> tuple[float, float]:
         (x, y), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
         return x + distance * nx + along * tx, y + distance * ny + along * ty
 
     share = (before - CLEARANCE_M) / (before + behind)
-    crossed = from_there + share * (to_there - from_there)
-    a, b = at(before, from_there), at(-behind, to_there)
-    beyond = abs(crossed) - 0.5 - half_m  # it passes the wall's end with half a vehicle
+    crossed = start_along + share * (end_along - start_along)
+    a, b = at(before, start_along), at(-behind, end_along)
+    beyond = abs(crossed) - 0.5 - half_m  # distance past the wall's end, for half a vehicle
     if abs(beyond) > 1e-6:
         assert is_blocked(wall, a, b) == (beyond < 0.0)
-    assert not is_blocked(wall, a, at(behind, to_there))  # it stays on its side
+    assert not is_blocked(wall, a, at(behind, end_along))  # stays on one side
     for depth_m in (-0.9 * CLEARANCE_M, 0.9 * CLEARANCE_M):
-        assert is_blocked(wall, at(depth_m, 0.0), at(-behind, 0.0))  # it begins too near, on either side
+        assert is_blocked(wall, at(depth_m, 0.0), at(-behind, 0.0))  # starts too close, on either side
     assert not is_blocked(wall, at(-1.1 * CLEARANCE_M, 0.0), at(-behind, 0.0))
 
 
@@ -72,10 +72,10 @@ place = st.tuples(beside, beside)
 
 
 @given(place, st.floats(-math.pi, math.pi), st.floats(0.2, 3.0), st.floats(0.3, 2.0), st.floats(0.02, 0.98))
-def test_an_approach_is_what_its_derivatives_say(
+def test_an_approach_is_consistent_with_its_derivatives(
     begin: tuple[float, float], angle: float, speed_m_s: float, ramp_s: float, share: float
 ) -> None:
-    """On the ramp; then at constant speed through the wall, which it meets at the time that it says."""
+    """After the ramp the speed is constant, and the wall is reached at the end of the duration."""
     direction = (math.cos(angle), math.sin(angle))
     impact = (begin[0] + 4.0 * direction[0], begin[1] + 4.0 * direction[1])
     velocity = (speed_m_s * direction[0], speed_m_s * direction[1])
@@ -87,16 +87,16 @@ def test_an_approach_is_what_its_derivatives_say(
         ends = zip(getattr(before, part), getattr(after, part), strict=True)
         assert [(b - a) / (2.0 * h) for a, b in ends] == pytest.approx(slope, rel=1e-3, abs=1e-3)
     assert approach.at(0.0).position == pytest.approx((*begin, 1.5))
-    met = approach.at(approach.duration_s)
+    at_impact = approach.at(approach.duration_s)
     if steady_s > 0.0:
-        assert met.position == pytest.approx((*impact, 1.5))
-        assert met.velocity == pytest.approx((speed_m_s * direction[0], speed_m_s * direction[1], 0.0))
-        assert met.acceleration == met.jerk == (0.0, 0.0, 0.0)
+        assert at_impact.position == pytest.approx((*impact, 1.5))
+        assert at_impact.velocity == pytest.approx((speed_m_s * direction[0], speed_m_s * direction[1], 0.0))
+        assert at_impact.acceleration == at_impact.jerk == (0.0, 0.0, 0.0)
     assert approach.at(-1.0).position == approach.at(0.0).position
     beyond = approach.at(approach.duration_s + 0.1)
-    assert beyond.velocity == pytest.approx(met.velocity)
-    moved = [b - a for a, b in zip(met.position, beyond.position, strict=True)]
-    assert moved == pytest.approx([0.1 * v for v in met.velocity])
+    assert beyond.velocity == pytest.approx(at_impact.velocity)
+    moved = [b - a for a, b in zip(at_impact.position, beyond.position, strict=True)]
+    assert moved == pytest.approx([0.1 * v for v in at_impact.velocity])
 
 
 @given(st.tuples(beside, beside, away), st.tuples(beside, beside, away), st.floats(0.0, 1.0))
@@ -120,8 +120,8 @@ def test_a_transit_goes_from_rest_to_rest_within_its_limits(
         assert there.velocity == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
 
 
-def test_a_transit_takes_no_longer_than_its_limits_ask() -> None:
-    """One of them is reached: the speed on a long way, the acceleration on a short one, the climb."""
+def test_a_transit_reaches_one_of_its_limits() -> None:
+    """Speed limits a long transit, acceleration a short one, and climb speed a steep one."""
     for end, speed_m_s, acceleration_m_s2, climb_m_s in (
         ((5.0, 0.0, 0.0), 0.8, 100.0, 9.0),
         ((0.3, 0.0, 0.0), 80.0, 0.6, 9.0),
@@ -140,8 +140,10 @@ def test_a_transit_takes_no_longer_than_its_limits_ask() -> None:
 
 
 @given(st.floats(-0.8, 0.8), st.floats(0.3, 2.0), st.floats(0.0, 0.05))
-def test_a_run_up_is_as_long_as_it_needs_and_no_longer(slant: float, speed_m_s: float, sd: float) -> None:
-    """Speeding up at the acceleration allowed, then steady before the nearest place of the wall."""
+def test_a_run_up_has_the_shortest_length_that_its_limits_allow(
+    slant: float, speed_m_s: float, sd: float
+) -> None:
+    """The vehicle accelerates at the limit, then is steady before the nearest possible wall."""
     wall, impact = Wall("wall", (3.0, 0.0), (-1.0, 0.0), 4.0, "wood", sd or None), (3.0, 0.5)
     velocity = (speed_m_s * math.cos(slant), speed_m_s * math.sin(slant))
     far = (-90.0, 40.0)  # not on the ray
@@ -154,14 +156,16 @@ def test_a_run_up_is_as_long_as_it_needs_and_no_longer(slant: float, speed_m_s: 
     assert approach.at(approach.duration_s).position == pytest.approx((*impact, 1.0))
     assert steady_s - 3.0 * sd / velocity[0] == pytest.approx(FLYING.steady_run_s, abs=1e-9)
     on_ray = (impact[0] - 9.0 * math.cos(slant), impact[1] - 9.0 * math.sin(slant))
-    from_there, *_ = run_up(on_ray, impact, velocity, FLYING, wall)
-    assert from_there == pytest.approx(on_ray)  # far enough back: it begins where the vehicle is
+    start_along, *_ = run_up(on_ray, impact, velocity, FLYING, wall)
+    assert start_along == pytest.approx(on_ray)  # far enough back: the run-up starts at the vehicle
     near = (impact[0] - 0.1 * math.cos(slant), impact[1] - 0.1 * math.sin(slant))
     assert run_up(near, impact, velocity, FLYING, wall).begin == pytest.approx(begin)
 
 
 @pytest.mark.parametrize(("sd", "stops_at_m"), [(None, 0.4), (0.1, 0.7)])
-def test_a_rehearsal_stops_before_the_nearest_place_of_the_wall(sd: float | None, stops_at_m: float) -> None:
+def test_a_rehearsal_stops_at_the_standoff_from_the_nearest_possible_wall(
+    sd: float | None, stops_at_m: float
+) -> None:
     mission = msgspec.structs.replace(MISSION, standoff_m=0.4)
     wall = Wall("wall", (3.0, 0.0), (-1.0, 0.0), 4.0, "wood", sd)
     collision = msgspec.structs.replace(mission.collisions[0], wall=wall)
@@ -173,8 +177,8 @@ def test_a_rehearsal_stops_before_the_nearest_place_of_the_wall(sd: float | None
     assert standoff_point(mission, collision, (1.0, 0.0), (1.0, 0.5)) == (1.0, 0.0)  # along the wall
 
 
-def through(waypoints: list[dict[str, object]], post: tuple[float, float]) -> Mission:
-    """The single wall's mission with waypoints, and a post somewhere."""
+def mission_with(waypoints: list[dict[str, object]], post: tuple[float, float]) -> Mission:
+    """Return the single-wall mission with waypoints and a post."""
     one = load_mission(packaged("missions", "paper_single_wall.yaml")).replace({"waypoints": waypoints})
     return msgspec.structs.replace(one, posts=(Post("pole", post, 0.05, "acrylic"),))
 
@@ -184,13 +188,13 @@ def through(waypoints: list[dict[str, object]], post: tuple[float, float]) -> Mi
     [
         ({"position_m": [-1.0, 1.0]}, (-0.5, 0.5), True),
         ({"position_m": [-1.0, 1.0]}, (-0.5, -0.8), False),
-        ({"position_m": [-1.0, 1.0], "after": 1}, (-0.5, 0.5), False),  # where it comes from is not known
+        ({"position_m": [-1.0, 1.0], "after": 1}, (-0.5, 0.5), False),  # its start is not known
     ],
 )
-def test_a_way_between_known_ends_is_refused_where_something_stands_in_it(
+def test_a_blocked_path_between_known_ends_is_refused(
     waypoint: dict[str, object], post: tuple[float, float], blocked: bool
 ) -> None:
-    mission = through([waypoint], post)
+    mission = mission_with([waypoint], post)
     if blocked:
         with pytest.raises(NoApproachError, match="blocks the path to"):
             check_segments_clear(mission)
@@ -199,15 +203,15 @@ def test_a_way_between_known_ends_is_refused_where_something_stands_in_it(
 
 
 @pytest.mark.parametrize(
-    ("post", "says"),
+    ("post", "blocked_part"),
     [((0.8, 0.4), "the run-up"), ((-0.3, -0.9), "the path to the run-up"), ((0.8, -1.0), None)],
 )
-def test_a_post_is_in_the_way_of_an_approach_where_it_stands_in_its_run_up_or_before_it(
-    post: tuple[float, float], says: str | None
+def test_a_post_blocks_an_approach_in_its_run_up_and_before_it(
+    post: tuple[float, float], blocked_part: str | None
 ) -> None:
-    mission = msgspec.structs.replace(through([], post), start=(0.0, -1.4))
-    if says is None:
+    mission = msgspec.structs.replace(mission_with([], post), start=(0.0, -1.4))
+    if blocked_part is None:
         assert plan_approach(mission, mission.collisions[0]).after is AfterEnd.CONTINUE
     else:
-        with pytest.raises(NoApproachError, match=f"post pole blocks {says}"):
+        with pytest.raises(NoApproachError, match=f"post pole blocks {blocked_part}"):
             plan_approach(mission, mission.collisions[0])

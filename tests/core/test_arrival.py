@@ -1,4 +1,4 @@
-"""Arrival judged by a velocity that shakes as PX4's estimate does with the accelerometer."""
+"""Arrival with a velocity estimate that shakes as PX4's does."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from tests.core.conftest import ROOT
 SHAKE_M_S, SHAKE_TIME_S, STEP_US = 0.07, 0.1, 8000
 
 
-def hovering(mission: Mission, seconds: float, drift_m_s: float = 0.0) -> float | None:
-    """When the vehicle counts as arrived, seconds; its velocity estimate shakes by 0.07 m/s an axis."""
+def arrival_time_s(mission: Mission, seconds: float, drift_m_s: float = 0.0) -> float | None:
+    """Return when the vehicle has arrived, seconds; its velocity estimate shakes by 0.07 m/s per axis."""
     flown, state, rng = Executive(mission), FlightState(), random.Random(7)
     state.anchor(MissionFrame())
     flown.progress.phase, flown.progress.course = Phase.GOAL, flown.progress.course.hold((0.0, 0.0))
@@ -38,26 +38,26 @@ def hovering(mission: Mission, seconds: float, drift_m_s: float = 0.0) -> float 
     return None
 
 
-def shipped() -> Mission:
+def dual_collision_mission() -> Mission:
     return load_mission(ROOT / "missions/paper_dual_collision.yaml")
 
 
-def test_a_hovering_vehicle_arrives_though_its_velocity_estimate_shakes(
+def test_a_hovering_vehicle_arrives_despite_a_shaking_velocity_estimate(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert hovering(shipped(), 4.0) is not None
+    assert arrival_time_s(dual_collision_mission(), 4.0) is not None
     monkeypatch.setattr(course, "MEAN_SPEED_S", 0.01)
-    assert hovering(shipped(), 4.0) is None
+    assert arrival_time_s(dual_collision_mission(), 4.0) is None
 
 
 @pytest.mark.parametrize("drift_m_s", [0.15, 0.3])
-def test_a_vehicle_that_passes_does_not_arrive(drift_m_s: float) -> None:
-    # As long near the target as its speed allows: 0.24 m of way.
-    assert hovering(shipped(), 1.6) is not None
-    assert hovering(shipped(), 1.6, drift_m_s) is None
+def test_a_vehicle_that_flies_past_does_not_arrive(drift_m_s: float) -> None:
+    # The vehicle is near the target for 1.6 s: it travels 0.24 m at 0.15 m/s.
+    assert arrival_time_s(dual_collision_mission(), 1.6) is not None
+    assert arrival_time_s(dual_collision_mission(), 1.6, drift_m_s) is None
 
 
-def test_the_mean_is_over_what_the_time_holds() -> None:
+def test_the_mean_velocity_covers_the_requested_time_span() -> None:
     state = FlightState()
     assert state.mean_velocity(0.3) == (0.0, 0.0, 0.0)
     state.anchor(MissionFrame())

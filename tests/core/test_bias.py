@@ -1,4 +1,4 @@
-"""What is learnt of the estimate's own errors, sample by sample; in a flight: test_force_estimate."""
+"""Learning of hover bias, thrust scale, noise and force baseline, sample by sample."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WEIGHT_N, DT_S = MASS * GRAVITY_M_S2, 0.004
 STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
-def learnt(
+def learned_bias(
     f: Vec3,
     seconds: float = 1.0,
     rate: Vec3 = STILL,
@@ -38,12 +38,12 @@ def learnt(
     return bias
 
 
-def test_a_bias_is_approached_with_its_time_constant() -> None:
-    bias = learnt((0.1, -0.05, -GRAVITY_M_S2), LEARNING_S)
+def test_the_bias_converges_with_its_time_constant() -> None:
+    bias = learned_bias((0.1, -0.05, -GRAVITY_M_S2), LEARNING_S)
     share = 1.0 - math.exp(-1.0)
     assert (bias.bias_x, bias.bias_y) == pytest.approx((0.1 * share, -0.05 * share), rel=0.01)
     assert bias.scale == pytest.approx(1.0)
-    settled = learnt((0.1, -0.05, -0.95 * GRAVITY_M_S2), 10.0 * LEARNING_S)
+    settled = learned_bias((0.1, -0.05, -0.95 * GRAVITY_M_S2), 10.0 * LEARNING_S)
     assert (settled.bias_x, settled.bias_y, settled.scale) == pytest.approx((0.1, -0.05, 0.95), rel=1e-3)
 
 
@@ -61,26 +61,26 @@ RATE, SPEED = HOVER_RATE_RAD_S, HOVER_SPEED_M_S
         (STILL, 1.05 * SPEED, False),
     ],
 )
-def test_only_a_hover_tells_the_bias_and_any_flight_the_thrust(
+def test_bias_is_learned_only_in_hover_and_thrust_scale_in_any_flight(
     rate: Vec3, speed_m_s: float, learns: bool
 ) -> None:
-    bias = learnt((0.1, -0.05, -0.95 * GRAVITY_M_S2), 1.0, rate, speed_m_s)
+    bias = learned_bias((0.1, -0.05, -0.95 * GRAVITY_M_S2), 1.0, rate, speed_m_s)
     assert (bias.bias_x > 0.0, bias.bias_y < 0.0) == (learns, learns)
     assert bias.scale < 0.999
 
 
-def test_with_the_motors_nearly_off_only_the_noise_is_learnt() -> None:
+def test_only_noise_is_learned_while_the_motors_are_nearly_off() -> None:
     f = (0.1, -0.05, -0.95 * GRAVITY_M_S2)
-    bias = learnt(f, 3.0, thrust_n=0.49 * WEIGHT_N)
+    bias = learned_bias(f, 3.0, thrust_n=0.49 * WEIGHT_N)
     assert (bias.bias_x, bias.bias_y, bias.scale) == (0.0, 0.0, 1.0)
     assert bias.noise_m_s2 < 0.1 * ESTIMATION.imu_noise_m_s2
-    assert learnt(f, 3.0, thrust_n=0.51 * WEIGHT_N).bias_x > 0.0
+    assert learned_bias(f, 3.0, thrust_n=0.51 * WEIGHT_N).bias_x > 0.0
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_what_is_learnt_is_limited(sign: float) -> None:
+def test_learned_bias_and_thrust_scale_are_limited(sign: float) -> None:
     far = 3.0 * BIAS_LIMIT_M_S2
-    bias = learnt((sign * far, -sign * far, -GRAVITY_M_S2 * (1.0 + sign * 0.9)), 20 * LEARNING_S)
+    bias = learned_bias((sign * far, -sign * far, -GRAVITY_M_S2 * (1.0 + sign * 0.9)), 20 * LEARNING_S)
     most = BIAS_LIMIT_M_S2
     assert (bias.bias_x, bias.bias_y) == (sign * most, -sign * most)
     assert bias.scale == pytest.approx(1.0 + sign * THRUST_SCALE_LIMIT)
@@ -88,35 +88,35 @@ def test_what_is_learnt_is_limited(sign: float) -> None:
 
 @pytest.mark.parametrize("share", [0.46, 0.8, 1.0, 1.25, 2.2])
 def test_the_thrust_ratio_has_no_limit(share: float) -> None:
-    """0.46: 1.85 kg fly, 0.85 kg are configured; the motors carry what flies."""
-    bias = learnt((0.0, 0.0, -GRAVITY_M_S2), 1.2, thrust_n=WEIGHT_N / share)
+    """0.46: the vehicle weighs 1.85 kg and is configured with 0.85 kg."""
+    bias = learned_bias((0.0, 0.0, -GRAVITY_M_S2), 1.2, thrust_n=WEIGHT_N / share)
     assert bias.thrust_ratio == pytest.approx(share)
-    assert learnt((0.0, 0.0, -GRAVITY_M_S2), 0.5, thrust_n=WEIGHT_N / share).thrust_ratio is None
+    assert learned_bias((0.0, 0.0, -GRAVITY_M_S2), 0.5, thrust_n=WEIGHT_N / share).thrust_ratio is None
 
 
 def test_a_climb_does_not_change_the_thrust_ratio() -> None:
-    """Accelerating takes thrust, and the accelerometer feels it."""
-    assert learnt((0.0, 0.0, -1.4 * GRAVITY_M_S2), thrust_n=1.4 * WEIGHT_N, seconds=1.2).thrust_ratio == (
-        pytest.approx(1.0)
-    )
+    """The accelerometer measures the additional thrust as well."""
+    assert learned_bias(
+        (0.0, 0.0, -1.4 * GRAVITY_M_S2), thrust_n=1.4 * WEIGHT_N, seconds=1.2
+    ).thrust_ratio == (pytest.approx(1.0))
 
 
-def test_a_bump_counts_for_a_quarter_of_the_thrust_at_most() -> None:
-    hard, soft = (learnt((0.0, 0.0, -factor * GRAVITY_M_S2), DT_S) for factor in (5.0, 1.25))
+def test_a_bump_counts_as_at_most_a_quarter_of_the_thrust() -> None:
+    hard, soft = (learned_bias((0.0, 0.0, -factor * GRAVITY_M_S2), DT_S) for factor in (5.0, 1.25))
     assert hard.scale == pytest.approx(soft.scale)
     assert soft.scale > 1.0
 
 
-def test_the_noise_is_that_of_one_sample_and_axis() -> None:
-    """Half the mean square of differences: of 0.2 on either axis."""
+def test_noise_is_stated_per_sample_and_axis() -> None:
+    """It is half the mean square of the differences, which are 0.2 m/s2 on each axis."""
     bias = HoverBias(ESTIMATION, MASS)
     for i in range(2000):
         bias.learn((0.2 * (i % 2), 0.2 * (i % 2), -GRAVITY_M_S2), STILL, 0.0, WEIGHT_N, DT_S)
     assert bias.noise_m_s2 == pytest.approx(0.2 / math.sqrt(2.0), rel=0.02)
 
 
-def test_no_sensor_is_without_noise() -> None:
-    """0.01 m/s2 at least: a simulated one repeats itself."""
+def test_noise_has_a_lower_limit() -> None:
+    """The limit is 0.01 m/s2, because a simulated sensor repeats itself."""
     bias = HoverBias(ESTIMATION, MASS)
     for _ in range(3000):
         bias.learn((0.0, 0.0, -GRAVITY_M_S2), STILL, 0.0, WEIGHT_N, DT_S)
@@ -126,7 +126,7 @@ def test_no_sensor_is_without_noise() -> None:
 # --- the baseline ------------------------------------------------------------------------------------------
 
 
-def test_a_slow_force_is_followed_forty_milliseconds_late() -> None:
+def test_the_baseline_follows_a_slow_force_forty_milliseconds_late() -> None:
     baseline, values = ForceBaseline(ESTIMATION), []
     for _ in range(round(BASELINE_S / DT_S)):
         baseline.update(0.5, -0.3, DT_S)
@@ -138,7 +138,7 @@ def test_a_slow_force_is_followed_forty_milliseconds_late() -> None:
     assert (x, y) == pytest.approx((0.5 * (1.0 - late), -0.3 * (1.0 - late)), rel=0.02)
 
 
-def test_the_baseline_is_limited_in_size_and_pace() -> None:
+def test_the_baseline_is_limited_in_size_and_rate() -> None:
     baseline, fast = ForceBaseline(ESTIMATION), ForceBaseline(ESTIMATION)
     for _ in range(round(20 * BASELINE_S / DT_S)):
         baseline.update(40.0, -40.0, DT_S)
@@ -151,7 +151,7 @@ def test_the_baseline_is_limited_in_size_and_pace() -> None:
     assert fast.value[0] == pytest.approx(first.value[0], rel=0.05)
 
 
-def test_a_contact_takes_the_baseline_back_to_before_its_foot() -> None:
+def test_a_contact_restores_the_baseline_from_before_its_onset() -> None:
     baseline = ForceBaseline(ESTIMATION)
     for _ in range(500):
         baseline.update(0.5, 0.0, DT_S)
@@ -162,7 +162,7 @@ def test_a_contact_takes_the_baseline_back_to_before_its_foot() -> None:
     again = baseline.value
     for _ in range(5):
         baseline.update(9.0, 0.0, DT_S)
-        assert baseline.value == again  # as late as before
+        assert baseline.value == again  # the delay applies again
     baseline.settle()
     for _ in range(12):
         baseline.update(*baseline.value, DT_S)

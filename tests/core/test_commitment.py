@@ -1,4 +1,4 @@
-"""The lock's last moment: one rule for the core and for the planner."""
+"""The last moment to commit to a wall: one rule for the core and the planner."""
 
 import math
 
@@ -18,14 +18,14 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.run.fast import fly_fast
 
-# The point of the paper: with guards the first hit leaves a slower vehicle, and the lock is early enough.
+# The paper's point model: with guards, the first hit leaves a slower vehicle and the lock is in time.
 STIFF = load_mission(
     packaged("missions", "dual_collision_stiff.yaml"), settings=["simulation.contact.body=point"]
 )
 ACRYLIC = STIFF.collisions[1]
 
 
-def limited(**limits: float) -> Mission:
+def mission_with_limits(**limits: float) -> Mission:
     return msgspec.structs.replace(STIFF, limits=msgspec.structs.replace(STIFF.limits, **limits))
 
 
@@ -41,23 +41,23 @@ def before_the_wall() -> FlightState:
         (STIFF, 0.2, True),
         (STIFF, 0.3 - SETTLED_BEFORE_S + 0.001, False),
         (STIFF, math.inf, False),  # the lock is at fault
-        (limited(peak_force_n=90.0), 0.2, False),  # in time, but too hard in the rigid mode
+        (mission_with_limits(peak_force_n=90.0), 0.2, False),  # in time, but too hard in the rigid mode
     ],
 )
-def test_a_wall_is_committed_to_where_the_lock_is_in_time_and_either_mode_bearable(
+def test_commitment_needs_a_lock_in_time_and_an_acceptable_hit_in_both_modes(
     mission: Mission, ready_s: float, commits: bool
 ) -> None:
     assert may_commit(mission, ACRYLIC, PlaneImpact(0.3, -1.6), ready_s, before_the_wall()) is commits
 
 
-def test_a_mode_that_is_not_planned_counts_as_well() -> None:
-    """A flexible hit that a rigid one would make too hard is not committed to: the servo may be stuck."""
+def test_commitment_also_checks_the_mode_that_is_not_planned() -> None:
+    """The servo may be stuck, so a flexible hit is refused if a rigid one would be too hard."""
     flexible = msgspec.structs.replace(ACRYLIC, mode=ACRYLIC.mode.other)
-    mission = limited(peak_force_n=90.0)  # flexible 55 N, rigid 102 N
+    mission = mission_with_limits(peak_force_n=90.0)  # flexible 55 N, rigid 102 N
     assert not may_commit(mission, flexible, PlaneImpact(0.3, -1.6), 0.1, before_the_wall())
 
 
-def test_numbers_and_arrays_are_judged_alike() -> None:
+def test_scalars_and_arrays_give_the_same_acceptance() -> None:
     rng = np.random.default_rng(3)
     place = rng.uniform((1.6, -1.5), (1.7, 1.5), (200, 2))
     velocity = rng.uniform((-4.0, -1.5), (-0.1, 1.5), (200, 2))
@@ -74,14 +74,14 @@ def test_numbers_and_arrays_are_judged_alike() -> None:
 
 
 @pytest.mark.parametrize("beside_m", [-1.45, 1.45])
-def test_a_hit_along_the_wall_is_bearable_only_where_its_recovery_leads_inwards(beside_m: float) -> None:
-    """The setpoint lies onward, far out where the friction's gain is large: within the bounds, or beyond."""
+def test_a_sliding_hit_is_acceptable_only_if_its_recovery_leads_inwards(beside_m: float) -> None:
+    """A large friction gain puts the setpoint far along the wall, inside or outside the bounds."""
     bounds = msgspec.structs.replace(STIFF.bounds, y=(-1.5, 1.5))
     wall = ACRYLIC.wall
     onward = wall.tangent[1]  # along y
     place = (wall.foot((1.0, beside_m))[0], beside_m)
 
-    def bearable(along_y_m_s: float, alpha_t: float) -> bool:
+    def is_acceptable(along_y_m_s: float, alpha_t: float) -> bool:
         velocity = (-0.5, onward * along_y_m_s)
         return bool(
             is_acceptable_in_either_mode(
@@ -90,37 +90,37 @@ def test_a_hit_along_the_wall_is_bearable_only_where_its_recovery_leads_inwards(
         )
 
     speeds = (0.5 * np.sign(beside_m), -0.5 * np.sign(beside_m))
-    assert [bearable(v, 0.0) for v in speeds] == [True, True]
-    assert [bearable(v, 0.15) for v in speeds] == [False, True]
+    assert [is_acceptable(v, 0.0) for v in speeds] == [True, True]
+    assert [is_acceptable(v, 0.15) for v in speeds] == [False, True]
 
 
-def test_the_plane_is_met_where_the_course_crosses_it() -> None:
+def test_the_predicted_impact_is_where_the_course_crosses_the_plane() -> None:
     px4 = STIFF.vehicle.px4
-    met = predict_impact(0.5, 1.0, 0.0, -0.5, px4)
-    assert met is not None
-    assert met.normal_m_s < 0.0
-    assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=met.after_s + 0.02) <= 0.0
-    assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=met.after_s - 0.02) > 0.0
+    impact = predict_impact(0.5, 1.0, 0.0, -0.5, px4)
+    assert impact is not None
+    assert impact.normal_m_s < 0.0
+    assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=impact.after_s + 0.02) <= 0.0
+    assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=impact.after_s - 0.02) > 0.0
     assert predict_impact(0.5, 0.0, 0.0, 0.5, px4) is None
     behind = predict_impact(-0.1, 1.0, 0.0, -0.5, px4)
     assert behind is not None
     assert behind.after_s <= 0.01
 
 
-def test_a_plane_that_is_met_only_later_is_not_within_the_horizon() -> None:
-    """Setpoints at which the loop just about overshoots to the plane: two seconds are looked ahead."""
+def test_an_impact_beyond_the_horizon_is_not_predicted() -> None:
+    """With these setpoints the loop barely overshoots to the plane; the horizon is two seconds."""
     px4, late = STIFF.vehicle.px4, 0
     for target_mm in np.arange(30.0, 36.0, 0.1):
         found = (0.5, 0.01, 0.0, float(1e-3 * target_mm), px4)
-        met = predict_impact(*found, horizon_s=10.0)
-        soon = met is not None and met.after_s <= 2.0
-        late += met is not None and not soon
-        assert predict_impact(*found) == (met if soon else None)
+        impact = predict_impact(*found, horizon_s=10.0)
+        soon = impact is not None and impact.after_s <= 2.0
+        late += impact is not None and not soon
+        assert predict_impact(*found) == (impact if soon else None)
     assert late > 0
 
 
-def test_the_paper_s_second_impact_is_planned_and_flown() -> None:
-    """-1.6 m/s with the stiffer gains; by the last moment for holding still the lock is not settled yet."""
+def test_the_papers_second_impact_is_planned_and_flown() -> None:
+    """-1.6 m/s with the stiffer gains; the lock settles only after the last moment to stop."""
     hit = predict_mission(STIFF).hits[2]
     assert (hit.normal_m_s, hit.tangential_m_s) == pytest.approx((-1.6, 0.25), abs=0.03)
     verdict = fly_fast(STIFF, 21, None)
@@ -129,14 +129,14 @@ def test_the_paper_s_second_impact_is_planned_and_flown() -> None:
     assert verdict.collisions[1].truth.normal_m_s == pytest.approx(-1.6, abs=0.1)
 
 
-def test_where_either_mode_is_too_hard_the_approach_is_broken_off() -> None:
-    verdict = fly_fast(limited(peak_force_n=90.0), 21, None)
+def test_the_approach_is_broken_off_if_a_mode_exceeds_the_force_limit() -> None:
+    verdict = fly_fast(mission_with_limits(peak_force_n=90.0), 21, None)
     assert verdict.outcome == "aborted"
     assert verdict.guard[0].rule == "lock_late"
 
 
 @pytest.mark.parametrize(("nearest_m", "rules"), [(0.021, []), (0.019, ["lock_late"])])
-def test_a_lock_at_fault_is_late_once_holding_still_stops_within_two_centimetres_of_the_wall(
+def test_a_faulty_lock_is_late_once_a_stop_ends_within_2_cm_of_the_wall(
     nearest_m: float, rules: list[str]
 ) -> None:
     px4, (near_m, far_m) = STIFF.vehicle.px4, (0.0, 3.0)
@@ -155,17 +155,17 @@ def test_a_lock_at_fault_is_late_once_holding_still_stops_within_two_centimetres
 
 
 @pytest.mark.parametrize(("closing_m_s", "after_s"), [(0.0, 1.3), (-4.0, 1.9)])
-def test_a_wall_is_looked_for_as_far_ahead_as_the_loop_may_need_to_it(
+def test_impact_prediction_looks_as_far_ahead_as_the_loop_may_need(
     closing_m_s: float, after_s: float
 ) -> None:
-    """On the way to a setpoint a decimetre behind it; who flies away from it at first is there later."""
-    met = predict_impact(0.5, closing_m_s, 0.0, -0.1, STIFF.vehicle.px4)
-    assert met is not None
-    assert met.after_s == pytest.approx(after_s, abs=0.03)
+    """The setpoint is 0.1 m behind the wall; a vehicle that first moves away hits the wall later."""
+    impact = predict_impact(0.5, closing_m_s, 0.0, -0.1, STIFF.vehicle.px4)
+    assert impact is not None
+    assert impact.after_s == pytest.approx(after_s, abs=0.03)
     assert least_distance_m(0.5, 0.0, 0.0, -0.1, STIFF.vehicle.px4) < 0.0
 
 
-def test_on_the_way_out_from_behind_the_plane_it_is_met_in_the_next_step() -> None:
-    met = predict_impact(-0.1, -0.5, 0.0, 0.3, STIFF.vehicle.px4)
-    assert met is not None
-    assert met.after_s == pytest.approx(0.01)
+def test_a_vehicle_that_returns_from_behind_the_plane_hits_it_in_the_next_step() -> None:
+    impact = predict_impact(-0.1, -0.5, 0.0, 0.3, STIFF.vehicle.px4)
+    assert impact is not None
+    assert impact.after_s == pytest.approx(0.01)

@@ -1,4 +1,4 @@
-"""How far above the centre of mass a wall pushes, from torque and force of its contacts."""
+"""Height of a wall's push above the centre of mass, estimated from torque and force of contacts."""
 
 import math
 
@@ -25,7 +25,7 @@ from dart_flight.core.sense.contact_height import ContactHeight
 OUT_M = 0.2
 WALL = Wall("north-east", (0.6, 0.8), (-0.6, -0.8), 4.0, "acrylic")
 NX, NY = WALL.normal
-SLOW = (1.5, -2.0)  # of the force beside the contact's, N
+SLOW = (1.5, -2.0)  # slow force in addition to the contact's, N
 ONSET = ImpactOnset(4_000, 4_000, 4_000, (0.0, 0.0, 1.0), (-10.0, 0.0, 0.0), (1.0, 0.0, 0.0), True)
 
 
@@ -33,7 +33,7 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-def felt(
+def height_after_contact(
     height_m: float,
     side: int,
     tilt: Vec3,
@@ -42,10 +42,9 @@ def felt(
     weak_n: float = 0.0,
     clipped: int | None = None,
 ) -> ContactHeight:
-    """One contact of a side (0 front, 1 right, 2 back, 3 left), pushed on at a height.
+    """Return the estimator after one contact at `height_m` on a side (0 front, 1 right, 2 back, 3 left).
 
-    Samples of a force under `weak_n`, one that is `clipped` and one before the onset come with a torque that
-    is not its.
+    Samples below `weak_n`, the `clipped` one and one before the onset get an unrelated torque.
     """
     frame = MissionFrame(heading_rad=0.4)
     height = ContactHeight(OUT_M)
@@ -94,29 +93,29 @@ def felt(
 def test_the_height_follows_from_torque_and_force(
     height_m: float, side: int, roll: float, pitch: float, peak_n: float
 ) -> None:
-    found = felt(height_m, side, (roll, pitch, 0.0), peak_n).height_m
+    found = height_after_contact(height_m, side, (roll, pitch, 0.0), peak_n).height_m
     assert found == pytest.approx(height_m, abs=1e-9)
 
 
-def test_a_contact_that_says_too_little_leaves_it_open() -> None:
-    assert felt(0.02, 0, (0.0, 0.0, 0.0), 6.0).height_m is None
-    assert felt(0.02, 0, (0.0, 0.0, 0.0), 50.0, wall=None).height_m is None
+def test_a_weak_or_unplanned_contact_gives_no_height() -> None:
+    assert height_after_contact(0.02, 0, (0.0, 0.0, 0.0), 6.0).height_m is None
+    assert height_after_contact(0.02, 0, (0.0, 0.0, 0.0), 50.0, wall=None).height_m is None
     assert ContactHeight(OUT_M).height_m is None
 
 
-def test_samples_that_are_clipped_or_weak_and_contacts_of_no_plan_say_nothing_of_it() -> None:
-    """Weak is what is under 3 N: the first sample of 37 N at the peak, and not that of 39 N."""
+def test_clipped_and_weak_samples_and_unplanned_contacts_are_ignored() -> None:
+    """Weak means below 3 N: the first sample of a 37 N peak, but not of a 39 N peak."""
     level = (0.02, 0, (0.0, 0.0, 0.0))
-    assert felt(*level, 50.0, clipped=9).height_m == pytest.approx(0.02)
-    assert felt(*level, 37.0, weak_n=4.0).height_m == pytest.approx(0.02)
-    assert felt(*level, 39.0, weak_n=4.0).height_m != pytest.approx(0.02, abs=1e-4)
-    assert felt(*level, 50.0, wall=None).height_m is None
+    assert height_after_contact(*level, 50.0, clipped=9).height_m == pytest.approx(0.02)
+    assert height_after_contact(*level, 37.0, weak_n=4.0).height_m == pytest.approx(0.02)
+    assert height_after_contact(*level, 39.0, weak_n=4.0).height_m != pytest.approx(0.02, abs=1e-4)
+    assert height_after_contact(*level, 50.0, wall=None).height_m is None
 
 
 @pytest.mark.parametrize(("peak_n", "known"), [(9.9, False), (10.2, True)])
-def test_it_is_known_from_a_sum_of_squared_forces_on(peak_n: float, known: bool) -> None:
-    """1000 N2: of a half-sine over twenty samples ten times the peak's square."""
-    assert (felt(0.02, 0, (0.0, 0.0, 0.0), peak_n).height_m is not None) is known
+def test_the_height_needs_a_minimum_sum_of_squared_forces(peak_n: float, known: bool) -> None:
+    """The minimum is 1000 N2; a half-sine over twenty samples has ten times its squared peak."""
+    assert (height_after_contact(0.02, 0, (0.0, 0.0, 0.0), peak_n).height_m is not None) is known
 
 
 @pytest.mark.parametrize(
@@ -124,18 +123,18 @@ def test_it_is_known_from_a_sum_of_squared_forces_on(peak_n: float, known: bool)
     [
         (None, 0.02, 0.9),
         (Mode.FLEXIBLE, 0.02, 0.9),
-        (Mode.RIGID, 0.02, 1.17),  # against the lean off the wall that its plan ends with
-        (Mode.RIGID, -0.02, 0.9),  # both lean off
+        (Mode.RIGID, 0.02, 1.17),  # against the lean off the wall at the end of the plan
+        (Mode.RIGID, -0.02, 0.9),  # both lean off the wall
     ],
 )
-def test_a_lean_brings_the_guards_level_with_the_centre_of_mass(
+def test_the_balancing_lean_compensates_the_contact_height(
     planned: Mode | None, height_m: float, share: float
 ) -> None:
-    wanted = -share * height_m / OUT_M * GRAVITY_M_S2
-    assert balancing_acceleration_m_s2(height_m, OUT_M, planned) == pytest.approx(wanted)
+    expected = -share * height_m / OUT_M * GRAVITY_M_S2
+    assert balancing_acceleration_m_s2(height_m, OUT_M, planned) == pytest.approx(expected)
 
 
-def test_a_height_that_is_not_known_or_beyond_reason_leans_to_no_more_than_0_3() -> None:
+def test_the_balancing_lean_is_limited_and_zero_for_an_unknown_height() -> None:
     assert balancing_acceleration_m_s2(None, OUT_M, Mode.RIGID) == 0.0
     for height_m in (0.5, -0.5):
         assert abs(balancing_acceleration_m_s2(height_m, OUT_M, Mode.RIGID)) == pytest.approx(

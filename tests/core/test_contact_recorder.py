@@ -1,4 +1,4 @@
-"""A contact's request, its answer, and what the core makes of an answer that is missing, late or wrong."""
+"""Contact requests and their answers, including missing, late and wrong answers."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ R = TypeVar("R", bound=Record)
 WITHIN_S = 0.3
 
 
-def of(kind: type[R], outputs: list[Output]) -> list[R]:
+def of_kind(kind: type[R], outputs: list[Output]) -> list[R]:
     return [o for o in outputs if isinstance(o, kind)]
 
 
-def hit(fed: HandFedCore) -> tuple[ContactRequest, list[Output]]:
-    """Hit the wooden wall; returns the request, and all outputs up to it."""
-    fed.at_the_wood()
+def hit_wood(fed: HandFedCore) -> tuple[ContactRequest, list[Output]]:
+    """Hit the wooden wall; return the request and all outputs up to it."""
+    fed.fly_to_wood()
     out = fed.pulse((-10.0, -16.0))
     fed.position_ned, fed.velocity_ned = (1.0, 1.0, -1.0), (0.0, 0.0, 0.0)
-    while not of(ContactRequest, out):
+    while not of_kind(ContactRequest, out):
         out += fed.run(0.004)
-    (request,) = of(ContactRequest, out)
+    (request,) = of_kind(ContactRequest, out)
     return request, out
 
 
-def test_a_request_has_the_contact_from_four_samples_before_it(hand_fed: HandFedCore) -> None:
-    request, out = hit(hand_fed)
-    (onset,), (peak,), (end,) = of(ImpactOnset, out), of(ImpactPeak, out), of(ContactEnd, out)
+def test_a_request_starts_four_samples_before_the_onset(hand_fed: HandFedCore) -> None:
+    request, out = hit_wood(hand_fed)
+    (onset,), (peak,), (end,) = of_kind(ImpactOnset, out), of_kind(ImpactPeak, out), of_kind(ContactEnd, out)
     assert (request.number, request.onset, request.normal) == (1, onset, peak.normal)
     assert request.wall is not None
     assert (request.wall.name, request.mode_reported) == ("wood", Mode.FLEXIBLE)
@@ -59,56 +59,58 @@ def test_a_request_has_the_contact_from_four_samples_before_it(hand_fed: HandFed
 
 
 def test_the_normal_of_an_unplanned_contact_is_that_of_its_force(hand_fed: HandFedCore) -> None:
-    hand_fed.at_the_wood()
+    hand_fed.fly_to_wood()
     out = hand_fed.pulse((10.0, 16.0)) + hand_fed.run(0.1)
-    (peak,), (request,) = of(ImpactPeak, out), of(ContactRequest, out)
+    (peak,), (request,) = of_kind(ImpactPeak, out), of_kind(ContactRequest, out)
     assert request.wall is None
     assert request.normal == peak.normal
     assert math.hypot(*request.normal) == pytest.approx(1.0)
 
 
-def test_an_answer_becomes_the_records_that_it_carries_once(hand_fed: HandFedCore) -> None:
-    request, _ = hit(hand_fed)
+def test_an_answer_is_recorded_once(hand_fed: HandFedCore) -> None:
+    request, _ = hit_wood(hand_fed)
     answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
-    out = hand_fed.give(answer)
-    assert of(ImpactBody, out) == [answer.body]
-    assert of(WallEstimate, out) == [answer.wall]
-    again = hand_fed.give(answer) + hand_fed.run(2.0 * WITHIN_S)
-    assert not of(ImpactBody, again)
-    assert not of(WallEstimate, again)
+    out = hand_fed.feed(answer)
+    assert of_kind(ImpactBody, out) == [answer.body]
+    assert of_kind(WallEstimate, out) == [answer.wall]
+    again = hand_fed.feed(answer) + hand_fed.run(2.0 * WITHIN_S)
+    assert not of_kind(ImpactBody, again)
+    assert not of_kind(WallEstimate, again)
 
 
-def test_without_an_answer_mode_and_wall_are_undecided_after_its_time(hand_fed: HandFedCore) -> None:
-    request, _ = hit(hand_fed)
-    assert not of(WallEstimate, hand_fed.run(WITHIN_S))
-    (felt,) = of(WallEstimate, hand_fed.run(0.008))
-    assert felt.problem == "no answer within 300 ms"
-    assert (felt.wall, felt.mode_felt, felt.mode_reported) == ("wood", None, Mode.FLEXIBLE)
-    assert (felt.log_odds, felt.plane_offset_m, felt.plane_point_mission) == (0.0, 0.0, None)
+def test_a_missing_answer_leaves_mode_and_wall_undecided_after_the_timeout(hand_fed: HandFedCore) -> None:
+    request, _ = hit_wood(hand_fed)
+    assert not of_kind(WallEstimate, hand_fed.run(WITHIN_S))
+    (estimate,) = of_kind(WallEstimate, hand_fed.run(0.008))
+    assert estimate.problem == "no answer within 300 ms"
+    assert (estimate.wall, estimate.mode_felt, estimate.mode_reported) == ("wood", None, Mode.FLEXIBLE)
+    assert (estimate.log_odds, estimate.plane_offset_m, estimate.plane_point_mission) == (0.0, 0.0, None)
     wood = hand_fed.core.mission.vehicle.materials["wood"].coefficients(Mode.FLEXIBLE)
-    assert (felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m) == (wood.k, wood.f, wood.mu)
-    assert not of(WallEstimate, hand_fed.run(2.0 * WITHIN_S))
+    assert (estimate.k_n_per_m, estimate.f_ns_per_m, estimate.mu_s_per_m) == (wood.k, wood.f, wood.mu)
+    assert not of_kind(WallEstimate, hand_fed.run(2.0 * WITHIN_S))
     late = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
-    out = hand_fed.give(late)
-    assert not of(WallEstimate, out)
-    assert not of(ImpactBody, out)
+    out = hand_fed.feed(late)
+    assert not of_kind(WallEstimate, out)
+    assert not of_kind(ImpactBody, out)
 
 
 @pytest.mark.parametrize("problem", ["the planner process ended", ""])
-def test_an_answer_that_says_nothing_is_undecided_at_once(hand_fed: HandFedCore, problem: str) -> None:
-    request, _ = hit(hand_fed)
-    (felt,) = of(WallEstimate, hand_fed.give(ContactAnswer(hand_fed.t_us, request.number, problem=problem)))
-    assert (felt.mode_felt, felt.problem) == (None, problem or "no estimate")
-    assert not of(WallEstimate, hand_fed.run(2.0 * WITHIN_S))
+def test_an_empty_answer_leaves_mode_and_wall_undecided_at_once(hand_fed: HandFedCore, problem: str) -> None:
+    request, _ = hit_wood(hand_fed)
+    (estimate,) = of_kind(
+        WallEstimate, hand_fed.feed(ContactAnswer(hand_fed.t_us, request.number, problem=problem))
+    )
+    assert (estimate.mode_felt, estimate.problem) == (None, problem or "no estimate")
+    assert not of_kind(WallEstimate, hand_fed.run(2.0 * WITHIN_S))
 
 
-def test_an_answer_of_another_wall_or_contact_is_not_believed(hand_fed: HandFedCore) -> None:
-    request, _ = hit(hand_fed)
+def test_an_answer_for_another_wall_or_contact_is_rejected(hand_fed: HandFedCore) -> None:
+    request, _ = hit_wood(hand_fed)
     answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
     other = msgspec.structs.replace(answer, number=request.number + 1)
-    assert not of(WallEstimate, hand_fed.give(other))
+    assert not of_kind(WallEstimate, hand_fed.feed(other))
     assert answer.wall is not None
     elsewhere = msgspec.structs.replace(answer.wall, wall="acrylic")
-    out = hand_fed.give(msgspec.structs.replace(answer, wall=elsewhere))
-    (felt,) = of(WallEstimate, out)
-    assert (felt.wall, felt.mode_felt) == ("wood", None)
+    out = hand_fed.feed(msgspec.structs.replace(answer, wall=elsewhere))
+    (estimate,) = of_kind(WallEstimate, out)
+    assert (estimate.wall, estimate.mode_felt) == ("wood", None)

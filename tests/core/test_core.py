@@ -48,7 +48,7 @@ from dart_flight.recording.anchor import MissionFrameReader
 from tests.core.conftest import HOVER, ROOT, HandFedCore
 
 
-def of(kind: type[Any], outputs: list[Output]) -> list[Any]:
+def of_kind(kind: type[Any], outputs: list[Output]) -> list[Any]:
     return [o for o in outputs if isinstance(o, kind)]
 
 
@@ -56,35 +56,35 @@ def pulse(core: HandFedCore, peak_ned: tuple[float, float]) -> list[Output]:
     return core.pulse(peak_ned)
 
 
-def at_the_wood(core: HandFedCore) -> None:
-    core.at_the_wood()
+def fly_to_wood(core: HandFedCore) -> None:
+    core.fly_to_wood()
     assert core.core.phase is Phase.APPROACH
 
 
-def test_it_asks_for_offboard_only_with_set_points_streaming(hand_fed: HandFedCore) -> None:
+def test_offboard_is_requested_only_while_setpoints_are_streaming(hand_fed: HandFedCore) -> None:
     hand_fed.set_lock(Mode.RIGID)
     out = hand_fed.run(0.5)
-    first_ask = next(i for i, o in enumerate(out) if isinstance(o, VehicleCommand))
-    assert out[first_ask].action is VehicleAction.OFFBOARD  # type: ignore[union-attr]
-    assert len(of(Setpoint, out[:first_ask])) >= 10
-    assert not of(VehicleCommand, [o for o in out if getattr(o, "action", None) is VehicleAction.ARM])
+    first_request = next(i for i, o in enumerate(out) if isinstance(o, VehicleCommand))
+    assert out[first_request].action is VehicleAction.OFFBOARD  # type: ignore[union-attr]
+    assert len(of_kind(Setpoint, out[:first_request])) >= 10
+    assert not of_kind(VehicleCommand, [o for o in out if getattr(o, "action", None) is VehicleAction.ARM])
 
 
-def test_acknowledgements_prove_nothing(impatient: HandFedCore) -> None:
-    """Only telemetry moves it on: without it the command is repeated, then the mission given up."""
-    impatient.set_lock(Mode.RIGID)
-    out = impatient.run(5.0)
-    asked = [o for o in of(VehicleCommand, out) if o.action is VehicleAction.OFFBOARD]
-    assert len(asked) >= 3
-    ends = of(MissionEnd, out)
+def test_a_command_is_repeated_until_telemetry_confirms_it(hasty_core: HandFedCore) -> None:
+    """An acknowledgement is not enough: without telemetry the mission is given up in the end."""
+    hasty_core.set_lock(Mode.RIGID)
+    out = hasty_core.run(5.0)
+    requests = [o for o in of_kind(VehicleCommand, out) if o.action is VehicleAction.OFFBOARD]
+    assert len(requests) >= 3
+    ends = of_kind(MissionEnd, out)
     assert [(e.outcome, e.reason) for e in ends] == [
         ("aborted", "offboard_refused: PX4 refused offboard mode")
     ]
-    assert of(PhaseChange, out)[-1].reason == "PX4 refused offboard mode"
+    assert of_kind(PhaseChange, out)[-1].reason == "PX4 refused offboard mode"
 
 
-def test_an_estimate_that_settles_on_the_ground_carries_the_mission_with_it(hand_fed: HandFedCore) -> None:
-    """PX4's height was reset by 1.15 m between offboard and arming: it would fly that much too high."""
+def test_the_frame_follows_an_estimate_that_moves_on_the_ground(hand_fed: HandFedCore) -> None:
+    """PX4 reset its height by 1.15 m between offboard and arming, and would fly that much too high."""
     hand_fed.set_lock(Mode.RIGID)
     hand_fed.run(0.5)
     hand_fed.set_status(flight_mode=FlightMode.OFFBOARD)
@@ -93,19 +93,19 @@ def test_an_estimate_that_settles_on_the_ground_carries_the_mission_with_it(hand
     hand_fed.run(0.3)
     hand_fed.set_status(armed=True)
     hand_fed.run(4.0)
-    climb = next(c for c in of(PhaseChange, hand_fed.outputs) if c.after is Phase.CLIMB)
+    climb = next(c for c in of_kind(PhaseChange, hand_fed.outputs) if c.after is Phase.CLIMB)
     assert climb.reason == "confirmed by telemetry; the position estimate moved by 1.17 m on the ground"
-    last = of(Setpoint, hand_fed.outputs)[-1]
-    # Height counts from where the vehicle stands; a surveyed room stays where it is.
+    last = of_kind(Setpoint, hand_fed.outputs)[-1]
+    # Height is relative to the vehicle on the ground; a surveyed room stays in place.
     assert last.position_ned == pytest.approx((0.2, 0.1, 1.15 - hand_fed.core.mission.altitude_m), abs=1e-6)
     reader = MissionFrameReader(hand_fed.core.mission)
-    for record in hand_fed.seen:
+    for record in hand_fed.records:
         reader.add(record)
     assert reader.frame is not None
     assert reader.frame.point_from_ned((0.2, 0.1, 1.15)) == pytest.approx((0.2, -0.1, 0.0), abs=1e-9)
 
 
-def test_an_estimate_that_only_trembles_keeps_its_frame(hand_fed: HandFedCore) -> None:
+def test_small_motion_of_the_estimate_does_not_move_the_frame(hand_fed: HandFedCore) -> None:
     hand_fed.set_lock(Mode.RIGID)
     hand_fed.run(0.5)
     hand_fed.set_status(flight_mode=FlightMode.OFFBOARD)
@@ -114,73 +114,73 @@ def test_an_estimate_that_only_trembles_keeps_its_frame(hand_fed: HandFedCore) -
     hand_fed.set_status(armed=True)
     hand_fed.run(4.0)
     altitude_m = hand_fed.core.mission.altitude_m
-    assert of(Setpoint, hand_fed.outputs)[-1].position_ned[2] == pytest.approx(-altitude_m, abs=1e-6)
+    assert of_kind(Setpoint, hand_fed.outputs)[-1].position_ned[2] == pytest.approx(-altitude_m, abs=1e-6)
 
 
-def test_it_waits_for_the_lock_before_anything(hand_fed: HandFedCore) -> None:
+def test_the_core_waits_for_the_lock_before_it_sends_setpoints(hand_fed: HandFedCore) -> None:
     out = hand_fed.run(1.0)
-    assert of(LockCommand, out)[0].mode is Mode.RIGID
-    assert not of(Setpoint, out)
+    assert of_kind(LockCommand, out)[0].mode is Mode.RIGID
+    assert not of_kind(Setpoint, out)
     assert hand_fed.core.phase is Phase.READYING
 
 
-def test_one_impact_is_one_onset_one_peak_one_set_point(hand_fed: HandFedCore) -> None:
-    at_the_wood(hand_fed)
+def test_one_impact_gives_one_onset_one_peak_and_one_setpoint(hand_fed: HandFedCore) -> None:
+    fly_to_wood(hand_fed)
     out = pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.1)
-    assert len(of(ImpactOnset, out)) == 1
-    peaks = of(ImpactPeak, out)
+    assert len(of_kind(ImpactOnset, out)) == 1
+    peaks = of_kind(ImpactPeak, out)
     assert len(peaks) == 1
     assert peaks[0].normal_force_n == pytest.approx(16.0, rel=0.03)
     assert peaks[0].tangential_force_n == pytest.approx(-10.0, rel=0.03)
-    recovery = [o for o in of(Setpoint, out) if o.recovery]
+    recovery = [o for o in of_kind(Setpoint, out) if o.recovery]
     assert len(recovery) == 1
     # In NED: y of the mission is west. Away from the wall by 0.025 * 16, onward by 0.12 * 10.
     north, east, down = recovery[0].position_ned
     assert north == pytest.approx(0.93 + 1.2, abs=0.06)
     assert east == pytest.approx(1.1 - 0.4, abs=0.06)
     assert down == pytest.approx(-1.0, abs=1e-6)
-    # It leaves in the very step that knows the peak.
+    # The setpoint is sent in the step that detects the peak.
     assert out.index(recovery[0]) - out.index(peaks[0]) <= 2
 
 
 @pytest.mark.parametrize("along_n", [-10.0, 10.0])
-def test_where_no_pulse_can_be_fitted_the_samples_say_how_hard_it_was(
+def test_the_peak_force_comes_from_the_samples_if_no_pulse_fits(
     hand_fed: HandFedCore, monkeypatch: pytest.MonkeyPatch, along_n: float
 ) -> None:
     monkeypatch.setattr("dart_flight.core.sense.detector.fit_normal", lambda *_: None)
-    at_the_wood(hand_fed)
-    (peak,) = of(ImpactPeak, pulse(hand_fed, (along_n, -16.0)) + hand_fed.run(0.1))
+    fly_to_wood(hand_fed)
+    (peak,) = of_kind(ImpactPeak, pulse(hand_fed, (along_n, -16.0)) + hand_fed.run(0.1))
     assert peak.normal_force_n == pytest.approx(16.0, rel=0.05)
     assert peak.tangential_force_n == pytest.approx(along_n, rel=0.05)
 
 
-@pytest.mark.parametrize(("closing_m_s", "judged"), [(0.1, True), (0.01, False), (-0.1, False)])
-def test_a_contact_that_nothing_closes_in_on_says_nothing_of_the_wall(
-    hand_fed: HandFedCore, closing_m_s: float, judged: bool
+@pytest.mark.parametrize(("closing_m_s", "estimated"), [(0.1, True), (0.01, False), (-0.1, False)])
+def test_a_contact_without_closing_speed_gives_no_wall_estimate(
+    hand_fed: HandFedCore, closing_m_s: float, estimated: bool
 ) -> None:
-    at_the_wood(hand_fed)
+    fly_to_wood(hand_fed)
     hand_fed.velocity_ned = (0.5, closing_m_s, 0.0)
     hand_fed.run(0.05)
     pulse(hand_fed, (-10.0, -16.0))
     hand_fed.position_ned, hand_fed.velocity_ned = (1.0, 1.0, -1.0), (0.0, 0.0, 0.0)
-    (request,) = of(ContactRequest, hand_fed.run(0.2))
+    (request,) = of_kind(ContactRequest, hand_fed.run(0.2))
     answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
-    assert bool(answer.problem) is not judged
-    (felt,) = of(WallEstimate, hand_fed.give(answer))
-    assert (felt.log_odds != 0.0) is judged
-    assert felt.problem == answer.problem
+    assert bool(answer.problem) is not estimated
+    (estimate,) = of_kind(WallEstimate, hand_fed.feed(answer))
+    assert (estimate.log_odds != 0.0) is estimated
+    assert estimate.problem == answer.problem
 
 
-def test_the_lock_never_moves_in_contact_or_before_the_arms_relaxed(hand_fed: HandFedCore) -> None:
-    at_the_wood(hand_fed)
+def test_the_lock_never_moves_in_contact_or_before_the_arms_have_relaxed(hand_fed: HandFedCore) -> None:
+    fly_to_wood(hand_fed)
     out = pulse(hand_fed, (-10.0, -16.0))
-    assert [p.permitted for p in of(LockPermission, out)] == [False]
-    assert not of(LockCommand, out)
+    assert [p.permitted for p in of_kind(LockPermission, out)] == [False]
+    assert not of_kind(LockCommand, out)
     hand_fed.position_ned = (1.0, 1.0, -1.0)
     end_us = hand_fed.t_us
     out = hand_fed.run(0.15)
-    permission = of(LockPermission, out)[0]
-    command = of(LockCommand, out)[0]
+    permission = of_kind(LockPermission, out)[0]
+    command = of_kind(LockCommand, out)[0]
     assert permission.permitted
     assert command.mode is Mode.RIGID
     lock = hand_fed.core.mission.vehicle.lock
@@ -189,109 +189,110 @@ def test_the_lock_never_moves_in_contact_or_before_the_arms_relaxed(hand_fed: Ha
     assert command.t_us - end_us >= relaxation_us - 8000  # the contact ends a sample or two before the pulse
 
 
-def test_a_lock_that_is_late_breaks_off_the_next_collision(hand_fed: HandFedCore) -> None:
-    at_the_wood(hand_fed)
+def test_a_late_lock_breaks_off_the_next_collision(hand_fed: HandFedCore) -> None:
+    fly_to_wood(hand_fed)
     pulse(hand_fed, (-10.0, -16.0))
     hand_fed.run(0.1)
     hand_fed.set_lock(Mode.RIGID, LockPhase.TRAVELLING)
     hand_fed.position_ned = (1.2, 0.9, -1.0)
     hand_fed.velocity_ned = (1.0, 0.0, 0.0)
     out = hand_fed.run(0.3)
-    assert [(g.rule, g.action) for g in of(GuardEvent, out)] == [("lock_late", "break_off")]
-    last = of(Setpoint, out)[-1]
+    assert [(g.rule, g.action) for g in of_kind(GuardEvent, out)] == [("lock_late", "break_off")]
+    last = of_kind(Setpoint, out)[-1]
     assert last.position_ned[0] < 1.65 - 0.45  # back from the acrylic wall
 
 
-def test_the_same_lock_in_time_does_not(hand_fed: HandFedCore) -> None:
-    at_the_wood(hand_fed)
+def test_a_lock_in_time_does_not_break_off_the_next_collision(hand_fed: HandFedCore) -> None:
+    fly_to_wood(hand_fed)
     pulse(hand_fed, (-10.0, -16.0))
     hand_fed.run(0.1)
     hand_fed.set_lock(Mode.RIGID)
     hand_fed.position_ned = (1.2, 0.9, -1.0)
     hand_fed.velocity_ned = (1.0, 0.0, 0.0)
-    assert not of(GuardEvent, hand_fed.run(0.3))
+    assert not of_kind(GuardEvent, hand_fed.run(0.3))
 
 
 # --- the guard (its rules one by one: test_guard_rules.py) ------------------------------------------------
 
 
-def test_silence_of_the_imu_is_judged_within_its_timeout(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
+def test_a_silent_imu_is_reported_within_its_timeout(hand_fed: HandFedCore) -> None:
+    hand_fed.enter_approach()
     hand_fed.silent.add("imu")
     start = hand_fed.t_us
-    event = of(GuardEvent, hand_fed.run(0.3))[0]
+    event = of_kind(GuardEvent, hand_fed.run(0.3))[0]
     assert event.t_us - start <= 100_000
 
 
-def test_a_failsafe_of_px4_is_aborted_and_a_pilot_is_released(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
-    hand_fed.give(StatusText(hand_fed.t_us, hand_fed.t_us, "critical", "Failsafe activated"))
+def test_a_px4_failsafe_aborts_the_flight_and_a_pilot_releases_it(hand_fed: HandFedCore) -> None:
+    hand_fed.enter_approach()
+    hand_fed.feed(StatusText(hand_fed.t_us, hand_fed.t_us, "critical", "Failsafe activated"))
     out = hand_fed.set_status(flight_mode=FlightMode.LAND)
-    end = of(MissionEnd, out)[0]
+    end = of_kind(MissionEnd, out)[0]
     assert end.outcome == "aborted"
     other = HandFedCore()
-    other.to_flight()
+    other.enter_approach()
     other.set_status(flight_mode=FlightMode.HOLD)
-    end = of(MissionEnd, other.run(0.11))[0]  # until it cannot be another vehicle's mode
+    end = of_kind(MissionEnd, other.run(0.11))[0]  # long enough to exclude another vehicle's mode
     assert end.outcome == "released"
 
 
-def test_after_the_guard_has_fired_the_mission_is_not_heard(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
-    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))
+def test_mission_commands_are_ignored_after_the_guard_has_fired(hand_fed: HandFedCore) -> None:
+    hand_fed.enter_approach()
+    hand_fed.feed(OperatorRequest(hand_fed.t_us, Request.LAND))
     out = hand_fed.run(4.0)
-    assert {o.position_ned for o in of(Setpoint, out)} == {of(Setpoint, out)[0].position_ned}
-    assert next(o.action for o in of(VehicleCommand, out)) is VehicleAction.LAND
+    assert {o.position_ned for o in of_kind(Setpoint, out)} == {of_kind(Setpoint, out)[0].position_ned}
+    assert next(o.action for o in of_kind(VehicleCommand, out)) is VehicleAction.LAND
     hand_fed.set_status(flight_mode=FlightMode.LAND, landed=LandedState.ON_GROUND)
     hand_fed.run(0.1)
-    assert not of(MissionEnd, hand_fed.set_status(armed=False))  # one report may be another vehicle's
-    end = of(MissionEnd, hand_fed.run(0.21))[0]
+    # One report may come from another vehicle.
+    assert not of_kind(MissionEnd, hand_fed.set_status(armed=False))
+    end = of_kind(MissionEnd, hand_fed.run(0.21))[0]
     assert (end.outcome, end.reason) == ("aborted", "operator: landing requested")
 
 
-def test_the_ground_under_the_guards_landing_is_no_impact(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
-    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))  # breaks off first, then lands
+def test_the_touchdown_of_a_guards_landing_is_no_impact(hand_fed: HandFedCore) -> None:
+    hand_fed.enter_approach()
+    hand_fed.feed(OperatorRequest(hand_fed.t_us, Request.LAND))  # breaks off first, then lands
     hand_fed.run(0.5)
-    assert of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)))  # still in the air: a wall behind it counts
+    assert of_kind(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)))  # still in the air: a wall behind it counts
     hand_fed.run(4.0)
-    assert VehicleAction.LAND in {o.action for o in of(VehicleCommand, hand_fed.outputs)}
+    assert VehicleAction.LAND in {o.action for o in of_kind(VehicleCommand, hand_fed.outputs)}
     hand_fed.set_status(flight_mode=FlightMode.LAND)
-    assert not of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.5))
+    assert not of_kind(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.5))
 
 
-def test_nothing_is_an_impact_once_a_rule_lands_at_once(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
+def test_no_impact_is_reported_once_a_rule_lands(hand_fed: HandFedCore) -> None:
+    hand_fed.enter_approach()
     hand_fed.silent.add("imu")
-    assert [g.action for g in of(GuardEvent, hand_fed.run(0.3))] == ["land"]
+    assert [g.action for g in of_kind(GuardEvent, hand_fed.run(0.3))] == ["land"]
     hand_fed.silent.clear()
-    assert not of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.5))
+    assert not of_kind(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.5))
 
 
-def test_a_stronger_action_replaces_a_weaker_one_and_never_the_other_way(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
-    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))
+def test_only_a_stronger_action_replaces_the_active_one(hand_fed: HandFedCore) -> None:
+    hand_fed.enter_approach()
+    hand_fed.feed(OperatorRequest(hand_fed.t_us, Request.LAND))
     hand_fed.silent.add("imu")
     hand_fed.run(0.3)
-    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))
-    actions = [g.action for g in of(GuardEvent, hand_fed.outputs)]
+    hand_fed.feed(OperatorRequest(hand_fed.t_us, Request.LAND))
+    actions = [g.action for g in of_kind(GuardEvent, hand_fed.outputs)]
     assert actions == ["break_off", "land"]
 
 
-def test_a_fault_in_the_mission_code_becomes_a_landing(hand_fed: HandFedCore) -> None:
-    hand_fed.to_flight()
+def test_an_exception_in_the_mission_code_leads_to_a_landing(hand_fed: HandFedCore) -> None:
+    hand_fed.enter_approach()
     hand_fed.break_mission()
     out = hand_fed.run(0.1)
-    events = of(GuardEvent, out)
+    events = of_kind(GuardEvent, out)
     assert [(e.rule, e.action) for e in events] == [("mission_fault", "land")]
     assert "ZeroDivisionError" in events[0].detail
     assert "in raises" in events[0].detail  # where it was raised
-    assert of(VehicleCommand, out)[0].action is VehicleAction.LAND
+    assert of_kind(VehicleCommand, out)[0].action is VehicleAction.LAND
 
 
-def test_a_fault_in_the_guard_holds_back_the_steps_commands_alone(hand_fed: HandFedCore) -> None:
-    """What was found out is kept, what nobody has judged does not go out, and the next step lands."""
-    hand_fed.to_prepare()
+def test_an_exception_in_the_guard_withholds_only_the_commands_of_that_step(hand_fed: HandFedCore) -> None:
+    """Records are kept, commands that were not reviewed are withheld, and the next step lands."""
+    hand_fed.enter_prepare()
     review = hand_fed.core._guard.review
 
     def broken(*_: object) -> None:
@@ -300,29 +301,29 @@ def test_a_fault_in_the_guard_holds_back_the_steps_commands_alone(hand_fed: Hand
     hand_fed.core._guard.review = broken  # type: ignore[method-assign, assignment]
     hand_fed.set_lock(Mode.FLEXIBLE)
     out = hand_fed.run(0.02)
-    assert [o.after for o in of(PhaseChange, hand_fed.outputs)][-1] is Phase.APPROACH
-    assert not of(Setpoint, out) + of(LockCommand, out) + of(VehicleCommand, out)
+    assert [o.after for o in of_kind(PhaseChange, hand_fed.outputs)][-1] is Phase.APPROACH
+    assert not of_kind(Setpoint, out) + of_kind(LockCommand, out) + of_kind(VehicleCommand, out)
     hand_fed.core._guard.review = review  # type: ignore[method-assign]
     out = hand_fed.run(0.02)
-    assert [e.rule for e in of(GuardEvent, out)] == ["mission_fault"]
-    assert of(VehicleCommand, out)[0].action is VehicleAction.LAND
+    assert [e.rule for e in of_kind(GuardEvent, out)] == ["mission_fault"]
+    assert of_kind(VehicleCommand, out)[0].action is VehicleAction.LAND
 
 
 @pytest.mark.parametrize("shift_us", [0, -1_000_000])
-def test_stamps_that_do_not_advance_are_passed_over(hand_fed: HandFedCore, shift_us: int) -> None:
-    hand_fed.to_flight()
-    estimates = of(ForceEstimate, hand_fed.outputs)
+def test_samples_whose_stamps_do_not_advance_are_ignored(hand_fed: HandFedCore, shift_us: int) -> None:
+    hand_fed.enter_approach()
+    estimates = of_kind(ForceEstimate, hand_fed.outputs)
     t_us = hand_fed.t_us
     hand_fed.t_us += shift_us - 4000
     hand_fed.run(0.004)
-    assert of(ForceEstimate, hand_fed.outputs) == estimates
+    assert of_kind(ForceEstimate, hand_fed.outputs) == estimates
     hand_fed.t_us = t_us
 
 
 # --- the table and the law --------------------------------------------------------------------------------
 
 
-def test_every_phase_can_be_reached_and_has_a_way_out() -> None:
+def test_every_phase_is_reachable_and_can_be_left() -> None:
     reached = set(TRANSITIONS.values()) | {Phase.READYING}
     assert reached == set(Phase)
     for phase in Phase:
@@ -338,7 +339,7 @@ unit = st.floats(0.0, 2.0 * math.pi).map(lambda a: (math.cos(a), math.sin(a)))
 
 
 @given(unit, st.floats(0.1, 300.0), st.floats(-100.0, 100.0), st.floats(0.001, 0.2), st.floats(0.0, 0.2))
-def test_the_set_point_is_always_away_from_the_wall(
+def test_the_recovery_setpoint_is_always_away_from_the_wall(
     normal: tuple[float, float], fn: float, ft: float, an: float, at: float
 ) -> None:
     x, y, z = recovery_point((1.0, 2.0, 3.0), normal, (fn, ft), (an, at), 1.5)
@@ -353,21 +354,21 @@ def test_the_set_point_is_always_away_from_the_wall(
 # --- why PX4 refuses ---------------------------------------------------------------------------------------
 
 
-def reason(outputs: list[Output]) -> str:
-    (end,) = of(MissionEnd, outputs)
+def end_reason(outputs: list[Output]) -> str:
+    (end,) = of_kind(MissionEnd, outputs)
     return str(end.reason)
 
 
-def test_a_refusal_carries_what_px4_says(impatient: HandFedCore) -> None:
-    impatient.set_lock(Mode.RIGID)
-    impatient.run(2.0)
-    t_us = impatient.t_us
-    impatient.give(
+def test_a_refusal_includes_the_reports_of_px4(hasty_core: HandFedCore) -> None:
+    hasty_core.set_lock(Mode.RIGID)
+    hasty_core.run(2.0)
+    t_us = hasty_core.t_us
+    hasty_core.feed(
         HealthReport(t_us, t_us, False, ("Heading estimate invalid",), ("No manual control input",))
     )
-    impatient.give(StatusText(t_us, t_us, "critical", "Arming denied: Resolve system health failures first"))
-    impatient.give(StatusText(t_us, t_us, "info", "logging: opened log file"))
-    assert reason(impatient.run(10.0)) == (
+    hasty_core.feed(StatusText(t_us, t_us, "critical", "Arming denied: Resolve system health failures first"))
+    hasty_core.feed(StatusText(t_us, t_us, "info", "logging: opened log file"))
+    assert end_reason(hasty_core.run(10.0)) == (
         "offboard_refused: PX4 refused offboard mode; PX4 reports: Heading estimate invalid, "
         "Arming denied: Resolve system health failures first; also No manual control input"
     )
@@ -383,44 +384,44 @@ def test_a_refusal_carries_what_px4_says(impatient: HandFedCore) -> None:
     ],
     ids=lambda i: type(i).__name__,
 )
-def test_whatever_px4_sends_tells_the_hosts_time(item: Input) -> None:
+def test_every_px4_sample_updates_the_host_time(item: Input) -> None:
     senses = Senses(load_mission(ROOT / "missions" / "paper_dual_collision.yaml"))
     senses.update(item, ExpectedContact())
     assert senses.state.host_us == 5
 
 
-def test_words_of_long_ago_explain_nothing(hand_fed: HandFedCore) -> None:
+def test_an_old_status_text_does_not_explain_a_refusal(hand_fed: HandFedCore) -> None:
     hand_fed.set_lock(Mode.RIGID)
     hand_fed.run(0.2)
-    hand_fed.give(StatusText(hand_fed.t_us, hand_fed.t_us, "warning", "compass swung"))
-    assert reason(hand_fed.run(25.0)) == "offboard_refused: PX4 refused offboard mode"
+    hand_fed.feed(StatusText(hand_fed.t_us, hand_fed.t_us, "warning", "compass swung"))
+    assert end_reason(hand_fed.run(25.0)) == "offboard_refused: PX4 refused offboard mode"
 
 
-def test_without_words_the_answer_is_told(impatient: HandFedCore) -> None:
-    impatient.set_lock(Mode.RIGID)
-    impatient.run(1.0)
-    impatient.give(CommandResult(impatient.t_us, "offboard", False, "COMMAND_DENIED"))
+def test_px4s_answer_is_reported_if_there_is_no_status_text(hasty_core: HandFedCore) -> None:
+    hasty_core.set_lock(Mode.RIGID)
+    hasty_core.run(1.0)
+    hasty_core.feed(CommandResult(hasty_core.t_us, "offboard", False, "COMMAND_DENIED"))
     assert (
-        reason(impatient.run(5.0))
+        end_reason(hasty_core.run(5.0))
         == "offboard_refused: PX4 refused offboard mode; PX4 answers: COMMAND_DENIED"
     )
 
 
-def test_what_is_wrong_for_other_modes_is_told_where_nothing_else_is(impatient: HandFedCore) -> None:
-    impatient.set_lock(Mode.RIGID)
-    impatient.give(HealthReport(impatient.t_us, impatient.t_us, True, (), ("No offboard signal",)))
-    assert reason(impatient.run(5.0)).endswith("; PX4 gives no reason, but reports: No offboard signal")
+def test_findings_for_other_modes_are_reported_if_there_is_no_other_reason(hasty_core: HandFedCore) -> None:
+    hasty_core.set_lock(Mode.RIGID)
+    hasty_core.feed(HealthReport(hasty_core.t_us, hasty_core.t_us, True, (), ("No offboard signal",)))
+    assert end_reason(hasty_core.run(5.0)).endswith("; PX4 gives no reason, but reports: No offboard signal")
 
 
-def test_no_flight_at_a_wall_begins_where_px4_is_not_sure_of_its_position(impatient: HandFedCore) -> None:
-    impatient.set_status(landed=LandedState.ON_GROUND)
-    impatient.set_lock(Mode.RIGID)
-    impatient.give(EstimatorSample(impatient.t_us, impatient.t_us, healthy=True, position_sd_m=0.23))
+def test_an_uncertain_px4_position_prevents_a_flight_to_a_wall(hasty_core: HandFedCore) -> None:
+    hasty_core.set_status(landed=LandedState.ON_GROUND)
+    hasty_core.set_lock(Mode.RIGID)
+    hasty_core.feed(EstimatorSample(hasty_core.t_us, hasty_core.t_us, healthy=True, position_sd_m=0.23))
     why = "not_ready: standard deviation of the position 0.23 m, limit 0.10 m"
-    assert reason(impatient.run(5.0)) == why
+    assert end_reason(hasty_core.run(5.0)) == why
 
 
-def test_a_lock_that_is_not_ready_is_not_px4s_affair(impatient: HandFedCore) -> None:
-    impatient.run(1.0)
-    impatient.give(HealthReport(impatient.t_us, impatient.t_us, False, ("Battery low",), ()))
-    assert reason(impatient.run(5.0)) == "not_ready: the lock is not rigid"
+def test_an_unready_lock_is_not_attributed_to_px4(hasty_core: HandFedCore) -> None:
+    hasty_core.run(1.0)
+    hasty_core.feed(HealthReport(hasty_core.t_us, hasty_core.t_us, False, ("Battery low",), ()))
+    assert end_reason(hasty_core.run(5.0)) == "not_ready: the lock is not rigid"

@@ -1,4 +1,4 @@
-"""The detector in noise: what it learns, what it then needs, what it keeps."""
+"""The impact detector in noise: learned noise, thresholds and detection floor."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from dart_flight.core.sense.window import WindowMean, half_sine_share
 from tests.core.test_force_estimate import VEHICLE, half_sine
 
 Forces = list[tuple[float, float]]
-LEARNT = 750  # samples, 3 s: as long as a climb, in which nothing is watched for
+LEARNING_SAMPLES = 750  # 3 s, as in a climb, during which no contact is expected
 
 
 class FixedThreshold(ImpactDetector):
-    """A detector whose threshold noise does not lift."""
+    """A detector whose thresholds ignore the learned noise."""
 
     def thresholds_n(self) -> tuple[float, float, float, float]:
         return (self._threshold_n,) * 4
@@ -37,7 +37,7 @@ class FixedThreshold(ImpactDetector):
 
 
 def noisy(seconds: float, sigma_n: float, seed: int = 1, tone_hz: float | None = None) -> Forces:
-    """White noise, or a tone with the same root mean square and a phase that wanders."""
+    """Return white noise, or a tone with the same root mean square and a wandering phase."""
     rng = random.Random(seed)
     phase, out = rng.uniform(0.0, math.tau), []
     for _ in range(round(seconds / 0.004)):
@@ -61,7 +61,7 @@ def run(
     for i, (fx, fy) in enumerate(forces):
         t = 1_000_000 + 4000 * i
         estimate = ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n)
-        events += detector.update(estimate, t, state, ExpectedContact(watching and i > LEARNT))
+        events += detector.update(estimate, t, state, ExpectedContact(watching and i > LEARNING_SAMPLES))
     return detector, events
 
 
@@ -80,8 +80,8 @@ def with_pulse(forces: Forces, at_s: float, peak: float, duration_s: float) -> F
 
 
 @pytest.mark.parametrize("tone_hz", [None, 50.0, 83.3, 120.0, 200.0])
-def test_noise_alone_is_no_impact_and_the_papers_first_hit_is_found(tone_hz: float | None) -> None:
-    # 15.4 N peak, flexible, where one sample is off by 3.9 N.
+def test_noise_gives_no_impact_and_the_papers_first_hit_is_detected(tone_hz: float | None) -> None:
+    # A flexible hit with a 15.4 N peak, in noise of 3.9 N per sample.
     forces = noisy(60.0, 3.9, tone_hz=tone_hz)
     assert onsets(run(forces)[1]) == []
     found = onsets(run(with_pulse(forces, 30.0, 15.4, 0.15))[1])
@@ -90,13 +90,13 @@ def test_noise_alone_is_no_impact_and_the_papers_first_hit_is_found(tone_hz: flo
     assert 30.94 <= found[0].first_us * 1e-6 <= 31.1
 
 
-def test_without_it_noise_makes_impacts() -> None:
+def test_noise_gives_false_impacts_with_fixed_thresholds() -> None:
     assert len(onsets(run(noisy(20.0, 3.9), noise_n=0.26, kind=FixedThreshold)[1])) > 3
 
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("duration_s", [0.032, 0.06, 0.1, 0.18])
-def test_a_pulse_at_the_stated_floor_is_found(duration_s: float, seed: int) -> None:
+def test_a_pulse_just_above_the_detection_floor_is_detected(duration_s: float, seed: int) -> None:
     forces = noisy(12.0, 3.9, seed)
     detector, _ = run(forces[: round(8.0 / 0.004)])
     floor = detector.detection_floor_n(duration_s)
@@ -110,21 +110,21 @@ def test_a_pulse_at_the_stated_floor_is_found(duration_s: float, seed: int) -> N
     assert [9.99 <= e.t_us * 1e-6 <= 10.0 + duration_s + 0.04 for e in found] == [True]
 
 
-def test_where_it_is_quiet_the_longer_means_are_not_asked_and_promise_nothing() -> None:
-    """The threshold is the configured one for all; one sample and two are held against it."""
+def test_the_long_windows_do_not_lower_the_detection_floor_in_low_noise() -> None:
+    """All windows have the configured threshold; only those of one and two samples are relevant."""
     detector, _ = run(noisy(8.0, 0.26), noise_n=0.26)
     least, tick_s = VEHICLE.detection.force_threshold_n, VEHICLE.imu.tick_s
     assert detector.thresholds_n() == (least,) * 4
     for duration_s in (0.02, 0.06, 0.3):
-        asked = [
+        needed_n = [
             (least + _MARGIN_SIGMA * window.noise_n) / half_sine_share(i + 1, duration_s, tick_s)
             for i, window in enumerate(detector._windows[:2])
         ]
-        assert detector.detection_floor_n(duration_s) == pytest.approx(min(asked))
+        assert detector.detection_floor_n(duration_s) == pytest.approx(min(needed_n))
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_no_threshold_is_under_the_configured_one_whatever_is_learnt(seed: int) -> None:
+def test_no_learned_threshold_falls_below_the_configured_one(seed: int) -> None:
     rng = random.Random(seed)
     detector, state = ImpactDetector(VEHICLE), FlightState()
     size = 1.0
@@ -141,12 +141,12 @@ def test_no_threshold_is_under_the_configured_one_whatever_is_learnt(seed: int) 
 
 
 @pytest.mark.parametrize("sigma_n", [0.0, 0.3, 3.9])
-def test_without_force_there_is_no_event(sigma_n: float) -> None:
+def test_noise_without_a_contact_gives_no_event(sigma_n: float) -> None:
     assert run(noisy(20.0, sigma_n), noise_n=max(sigma_n, 0.01))[1] == []
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_events_come_in_order_and_once(seed: int) -> None:
+def test_events_come_once_and_in_order(seed: int) -> None:
     forces = noisy(40.0, 3.9, seed)
     for at in (8.0, 16.0, 24.0, 32.0):
         forces = with_pulse(forces, at, 40.0, 0.06 if at < 20.0 else 0.15)
@@ -159,8 +159,8 @@ def test_events_come_in_order_and_once(seed: int) -> None:
 
 
 @pytest.mark.parametrize("samples", [3, 4, 6])
-def test_the_end_of_a_contact_is_its_own_however_short_it_is(samples: int) -> None:
-    """Its force is gone by the time that its peak is known."""
+def test_even_a_short_contact_has_its_own_end(samples: int) -> None:
+    """The force has ended before the peak is detected."""
     pulse: Forces = [(f, 0.0) for f in half_sine(40.0, samples)]
     _, events = run(([(0.0, 0.0)] * 1000 + pulse) * 3 + [(0.0, 0.0)] * 100, noise_n=0.26)
     impacts, ends = onsets(events), [e for e in events if isinstance(e, ContactEnd)]
@@ -170,15 +170,15 @@ def test_the_end_of_a_contact_is_its_own_however_short_it_is(samples: int) -> No
         assert 0 <= end.t_us - onset.t_us < 60_000
 
 
-def turning(seconds: float, top_n: float, hz: float) -> Forces:
-    """A tone whose axes differ by a quarter of a turn: of the same size in every sample."""
+def rotating_tone(seconds: float, top_n: float, hz: float) -> Forces:
+    """Return a tone with its axes in quadrature, so that every sample has the same magnitude."""
     angles = [math.tau * hz * 0.004 * i for i in range(round(seconds / 0.004))]
     return [(top_n * math.cos(a), top_n * math.sin(a)) for a in angles]
 
 
 @pytest.mark.parametrize("hz", [50.0, 83.3, 123.0])
-def test_a_tone_that_turns_about_does_not_blind_it_after_the_first_impact(hz: float) -> None:
-    forces = turning(14.0, 5.4, hz)
+def test_a_rotating_vibration_does_not_hide_later_impacts(hz: float) -> None:
+    forces = rotating_tone(14.0, 5.4, hz)
     ats = (8.0, 9.0, 10.0, 11.0)
     for at in ats:
         forces = with_pulse(forces, at, 40.0, 0.06)
@@ -189,22 +189,22 @@ def test_a_tone_that_turns_about_does_not_blind_it_after_the_first_impact(hz: fl
 
 
 @pytest.mark.parametrize("top_n", [4.0, 5.4, 7.0])
-def test_noise_does_not_drive_the_baseline_away(top_n: float) -> None:
-    # Many samples are over the threshold, on one side more than on the other as soon as the baseline is off.
+def test_noise_does_not_shift_the_baseline(top_n: float) -> None:
+    # Many samples exceed the threshold, and more of them on one side as soon as the baseline drifts.
     rng = random.Random(3)
-    forces = [(x + rng.gauss(0.0, 1.5), y + rng.gauss(0.0, 1.5)) for x, y in turning(20.0, top_n, 61.0)]
+    forces = [(x + rng.gauss(0.0, 1.5), y + rng.gauss(0.0, 1.5)) for x, y in rotating_tone(20.0, top_n, 61.0)]
     detector, _ = run(forces, noise_n=3.9)
     assert math.hypot(*detector.slow_force.value) < 0.5
 
 
-def test_a_quiet_vehicle_is_not_slower_for_it() -> None:
+def test_learned_noise_does_not_delay_detection_on_a_quiet_vehicle() -> None:
     forces = with_pulse(noisy(20.0, 0.26), 10.0, 15.4, 0.15)
     with_it, without = run(forces, noise_n=0.26)[1], run(forces, noise_n=0.26, kind=FixedThreshold)[1]
     assert with_it == without
     assert len(onsets(with_it)) == 1
 
 
-def test_the_window_forgets_no_rounding_and_learns_no_constant_force() -> None:
+def test_a_window_mean_stays_exact_and_its_noise_ignores_a_constant_force() -> None:
     window = WindowMean(0.032, 1.0, 8)
     rng = random.Random(2)
     kept: list[float] = []
@@ -218,8 +218,8 @@ def test_the_window_forgets_no_rounding_and_learns_no_constant_force() -> None:
     assert window.noise_n == pytest.approx(1.0 / math.sqrt(16.0), rel=0.4)
 
 
-def test_the_newest_ten_means_teach_nothing_yet_and_what_was_assumed_counts_for_five() -> None:
-    """A contact's foot may be in them."""
+def test_the_newest_ten_means_are_not_learned_and_the_prior_counts_as_five() -> None:
+    """They may contain the start of a contact."""
     window = WindowMean(0.0, 1.0, 1)
     for i in range(11):
         window.add(4000 * i, 0.0, 0.0)
@@ -232,7 +232,7 @@ def test_the_newest_ten_means_teach_nothing_yet_and_what_was_assumed_counts_for_
 @pytest.mark.parametrize("period_s", [0.004, 0.01])
 @pytest.mark.parametrize("length_s", [0.0, 0.032, 0.1])
 @pytest.mark.parametrize("duration_s", [0.03, 0.06, 0.15, 0.3])
-def test_the_share_of_a_half_sine_is_its_largest_mean_wherever_samples_fall(
+def test_half_sine_share_is_the_largest_mean_at_the_worst_sampling_phase(
     duration_s: float, length_s: float, period_s: float
 ) -> None:
     def largest(beside: float) -> float:
@@ -251,8 +251,8 @@ def test_the_share_of_a_half_sine_is_its_largest_mean_wherever_samples_fall(
 
 
 @pytest.mark.parametrize("begins", [0, 1, 2, 9, 20])
-def test_where_only_a_mean_shows_a_pulse_it_begins_with_its_first_sample(begins: int) -> None:
-    """Along the force: 2 N from then on, a little noise around nothing before."""
+def test_the_onset_found_by_a_mean_is_the_pulses_first_sample(begins: int) -> None:
+    """Along the force there are 2 N from the onset on, and small noise around zero before."""
     forces = [2.0 if i >= begins else 0.3 * (-1) ** i for i in range(32)]
     samples = [
         _Sample(1000 + 4000 * i, 4000, -0.6 * f, 0.8 * f, (0.0, 0.0), False) for i, f in enumerate(forces)
@@ -260,15 +260,15 @@ def test_where_only_a_mean_shows_a_pulse_it_begins_with_its_first_sample(begins:
     assert _onset_of_mean(samples, (-0.6, 0.8)) == samples[begins].t_us
 
 
-def test_a_half_sine_between_two_samples_may_not_be_seen() -> None:
+def test_a_half_sine_between_two_samples_has_no_guaranteed_share() -> None:
     assert half_sine_share(1, 0.01, 0.01) == 0.0
 
 
-def test_of_a_wall_that_is_in_no_plan_the_middle_of_the_materials_is_expected() -> None:
-    """By ratio: a stiffness is as likely half as double. Where there are no materials, something at all."""
+def test_an_unplanned_wall_gets_the_geometric_mean_of_the_materials() -> None:
+    """Half and double the stiffness are equally likely; without materials, the prior is positive."""
     stiff, soft = PulsePrior(80.0, 9.0, 2.0), PulsePrior(20.0, 1.0, 0.5)
     assert _mean_prior([soft]) == pytest.approx(soft)
     assert _mean_prior([stiff, soft]) == pytest.approx((40.0, 3.0, 1.0))
     assert min(_mean_prior([])) > 0.0
-    # Of one that does not hold on at all: a millionth, so that there is a ratio.
+    # A kappa of zero counts as one millionth, so that the mean is defined.
     assert _mean_prior([stiff, soft._replace(kappa=0.0)]).kappa == pytest.approx(math.sqrt(2.0 * 1e-6))

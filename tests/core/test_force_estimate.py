@@ -46,7 +46,7 @@ from tests.core.conftest import HOVER, ROOT
 from tests.core.force_hits import figures_of, grid
 from tests.core.force_quiet import fly_quiet
 
-# The paper's law, which the detector's pulse is made for; a body's hits are in test_torque.
+# The paper's point law, for which the detector's pulse is designed; test_torque has the hits of a body.
 MISSION = load_mission(
     ROOT / "missions" / "paper_dual_collision.yaml", settings=["simulation.contact.body=point"]
 )
@@ -64,7 +64,7 @@ def with_estimation(**changes: object) -> VehicleConfig:
 def true_pulse(
     k: float, f: float, v: float, push_n: float, vy: float, mu: float
 ) -> list[tuple[float, float]]:
-    """Normal and friction force every 10 us from the first force, by stepping the contact law."""
+    """Return normal and friction force every 10 us from the first force, by stepping the contact law."""
     h, x, vx = 1e-5, f * v / k, -v
     out: list[tuple[float, float]] = []
     while True:
@@ -82,15 +82,15 @@ def true_pulse(
 def readings_of(
     pulse: list[tuple[float, float]], phase_s: float, noise_n: float, full_n: float, lag_s: float
 ) -> list[TickReading]:
-    """Tick means of a filtered, saturated pulse up to some ticks after its top."""
+    """Return tick means of a filtered, saturated pulse until some ticks after its peak."""
     rng = random.Random(3)
     top = max(range(len(pulse)), key=lambda i: pulse[i][0])
     keep = math.exp(-1e-5 / lag_s)
     n = t = 0.0
     fine = []
     for i in range(-4000, min(len(pulse), top + 1500)):
-        wanted = pulse[i] if i >= 0 else (0.0, 0.0)
-        n, t = wanted[0] + (n - wanted[0]) * keep, wanted[1] + (t - wanted[1]) * keep
+        true_forces = pulse[i] if i >= 0 else (0.0, 0.0)
+        n, t = true_forces[0] + (n - true_forces[0]) * keep, true_forces[1] + (t - true_forces[1]) * keep
         fine.append((min(n, full_n), t))
     out = []
     first = round(phase_s * 1e5)
@@ -105,7 +105,7 @@ def readings_of(
 
 @pytest.mark.parametrize("phase_s", [0.0, 0.001, 0.0035])
 @pytest.mark.parametrize(("mode", "push_n"), [(Mode.RIGID, 0.0), (Mode.FLEXIBLE, 7.0), (Mode.FLEXIBLE, -2.0)])
-def test_the_fit_puts_back_what_tick_and_filter_take_away(mode: Mode, push_n: float, phase_s: float) -> None:
+def test_the_fit_compensates_tick_averaging_and_filter_lag(mode: Mode, push_n: float, phase_s: float) -> None:
     c = VEHICLE.materials["acrylic"].coefficients(mode)
     pulse = true_pulse(c.k, c.f, 1.0, push_n, 0.5, c.mu)
     readings = readings_of(pulse, phase_s, 1e-4, 1e9, 0.00073)
@@ -119,14 +119,14 @@ def test_the_fit_puts_back_what_tick_and_filter_take_away(mode: Mode, push_n: fl
     for guess in (0.1, 1.5, 20.0):  # times the true friction
         friction = fit_friction(readings, fit, 0.0, MASS, guess * c.mu / MASS, 0.05)
         assert friction == pytest.approx(min(t for _, t in pulse), rel=0.03)
-    # Before its top it is the largest so far: the newest.
+    # Before the peak, the newest friction is the largest.
     early = [r for r in readings if r.b < 0.6 * fit.peak_s]
     so_far = fit_friction(early, fit, 0.0, MASS, c.mu / MASS, 0.05)
     assert so_far == pytest.approx(min(t for _, t in pulse[: round(early[-1].b * 1e5)]), rel=0.1)
 
 
-def test_a_tick_takes_a_known_share_off_a_rigid_peak() -> None:
-    """The largest of the tick means against the true top of a 46 ms contact, every phase of the sampling."""
+def test_tick_averaging_lowers_a_rigid_peak_by_a_known_share() -> None:
+    """Compare the largest tick mean with the true peak of a 46 ms contact at every sampling phase."""
     c = VEHICLE.materials["concrete"].rigid
     pulse = true_pulse(c.k, c.f, 0.99, 0.0, 0.0, 0.0)
     top = max(n for n, _ in pulse)
@@ -137,11 +137,11 @@ def test_a_tick_takes_a_known_share_off_a_rigid_peak() -> None:
     omega = math.sqrt(c.k / MASS)
     averaging = (omega * 0.004) ** 2 / 24.0
     assert min(losses) == pytest.approx(averaging, rel=0.6)
-    # With the worst phase the top lies between two ticks: four times as much.
+    # At the worst phase, the peak lies between two ticks: four times the loss.
     assert max(losses) == pytest.approx(4.0 * averaging, rel=0.35)
 
 
-def test_where_there_is_no_pulse_none_is_fitted() -> None:
+def test_no_pulse_is_fitted_to_readings_without_one() -> None:
     c = VEHICLE.materials["wood"].rigid
     prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
     readings = readings_of(true_pulse(c.k, c.f, 1.0, 0.0, 0.0, 0.0), 0.002, 0.0, 1e9, 0.00073)
@@ -155,7 +155,7 @@ def test_where_there_is_no_pulse_none_is_fitted() -> None:
     assert not fits([])
     assert not fits([r._replace(normal=-abs(r.normal)) for r in readings])
     assert not fits([r._replace(normal=0.0) for r in readings])
-    # Nor where it is something else: on for a tick, off for a tick.
+    # A force that alternates from tick to tick is no pulse.
     assert not fits([r._replace(normal=40.0 * (i % 2)) for i, r in enumerate(begun)])
 
 
@@ -165,7 +165,7 @@ def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
     pulse = true_pulse(c.k, c.f, 3.0, 0.0, 0.0, 0.0)
     top = max(n for n, _ in pulse)
     readings = readings_of(pulse, 0.002, 0.2, share * top, 0.00073)
-    for i in range(1, len(readings) - 1):  # as the detector does: what touches a clipped tick is a bound, too
+    for i in range(1, len(readings) - 1):  # like the detector, neighbours of a clipped tick are bounds
         bound = any(r.normal >= 0.99 * share * top for r in readings[i - 1 : i + 2])
         readings[i] = readings[i]._replace(bound=readings[i].bound or bound)
     prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
@@ -176,7 +176,7 @@ def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-def test_a_noisy_pulse_misfits_by_its_noise_and_the_peak_is_as_sure_as_it_scatters(mode: Mode) -> None:
+def test_pulse_misfit_and_peak_uncertainty_match_the_noise(mode: Mode) -> None:
     c, noise_n, rng = VEHICLE.materials["acrylic"].coefficients(mode), 1.5, random.Random(4)
     clean = readings_of(true_pulse(c.k, c.f, 1.0, 1.0, 0.0, 0.0), 0.002, 0.0, 1e9, 0.00073)
     prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
@@ -192,8 +192,8 @@ def test_a_noisy_pulse_misfits_by_its_noise_and_the_peak_is_as_sure_as_it_scatte
 
 
 @pytest.mark.parametrize("count", [10, 200])
-def test_many_readings_of_a_pulse_are_averaged_into_few_that_say_the_same_together(count: int) -> None:
-    """But over no gap; and one at full scale stays what it is."""
+def test_binned_readings_keep_the_sums_of_a_pulse(count: int) -> None:
+    """No bin spans a gap, and a reading at full scale keeps its own bin."""
     rng, at, readings = random.Random(count), 0.0, list[TickReading]()
     for i in range(count):
         begin = at + (0.004 if i == 7 else 0.0)
@@ -221,7 +221,7 @@ def test_readings_less_than_a_microsecond_apart_are_neighbours(apart_s: float, a
 # --- thrust ------------------------------------------------------------------------------------------
 
 
-def test_commands_act_from_their_stamp_on_with_the_motors_lag() -> None:
+def test_commands_act_from_their_stamp_with_the_motor_lag() -> None:
     lagged = LaggedCommands(0.025)
     lagged.update(1_000_000, (0.5,) * 4)
     lagged.update(1_010_000, (0.7,) * 4)
@@ -232,7 +232,7 @@ def test_commands_act_from_their_stamp_on_with_the_motors_lag() -> None:
     assert lagged.value[0] == pytest.approx(0.7 - 0.2 * math.exp(-1.0))
 
 
-def test_the_best_fresh_thrust_source_is_taken() -> None:
+def test_the_best_fresh_thrust_source_is_used() -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
     assert model.mean_over_tick(1_000_000) == pytest.approx(MASS * 9.81)
     assert model.source is None
@@ -249,7 +249,7 @@ def test_the_best_fresh_thrust_source_is_taken() -> None:
     assert model.source is ThrustSource.ACTUATOR  # the ESC's telemetry is stale
 
 
-def test_without_a_fresh_source_hovering_is_assumed_and_no_motor_known() -> None:
+def test_hover_thrust_is_assumed_without_a_fresh_source() -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
     for t_us in (1_000_000, 1_004_000):
         model.update_esc(EscSample(t_us, 0, (17_000.0,) * 4))
@@ -262,7 +262,7 @@ def test_without_a_fresh_source_hovering_is_assumed_and_no_motor_known() -> None
 
 
 @pytest.mark.parametrize(("period_us", "constant"), [(100_000, 1.1e-8), (24_000, 1.1e-8), (8_000, None)])
-def test_slow_or_uncalibrated_motor_speeds_are_no_source(period_us: int, constant: float | None) -> None:
+def test_slow_or_uncalibrated_motor_speeds_are_not_used(period_us: int, constant: float | None) -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=constant))
     for t_us in range(1_000_000, 1_400_000, 4_000):
         model.add_commands(ActuatorSample(t_us, 0, (HOVER,) * 4))
@@ -272,7 +272,7 @@ def test_slow_or_uncalibrated_motor_speeds_are_no_source(period_us: int, constan
         assert model.source is ThrustSource.ACTUATOR
 
 
-def test_battery_voltage_scales_the_curve() -> None:
+def test_battery_voltage_scales_the_thrust_curve() -> None:
     battery = msgspec.structs.replace(VEHICLE.estimation.battery, exponent=1.5)
     model = ThrustModel(with_estimation(battery=battery))
     model.add_commands(ActuatorSample(1_000_000, 0, (HOVER,) * 4))
@@ -282,14 +282,14 @@ def test_battery_voltage_scales_the_curve() -> None:
     assert model.mean_over_tick(1_012_000) == pytest.approx(full * 0.9**1.5)
     model.update_voltage(None)
     assert model.mean_over_tick(1_016_000) == pytest.approx(full * 0.9**1.5)
-    model.update_voltage(0.0)  # as who measures none may say
+    model.update_voltage(0.0)  # reported by a vehicle that does not measure it
     assert model.mean_over_tick(1_020_000) == pytest.approx(full * 0.9**1.5)
     model.update_voltage(0.5)
     model.mean_over_tick(1_024_000)
     assert model.mean_over_tick(1_028_000) == pytest.approx(full * (0.5 / battery.reference_v) ** 1.5)
 
 
-def test_what_battery_and_motors_say_gets_to_the_thrust() -> None:
+def test_battery_voltage_and_motor_speeds_affect_the_thrust() -> None:
     battery = msgspec.structs.replace(VEHICLE.estimation.battery, exponent=1.5)
     vehicle = with_estimation(battery=battery, esc_thrust_n_per_rpm2=1.1e-8)
     senses = Senses(msgspec.structs.replace(MISSION, vehicle=vehicle))
@@ -315,7 +315,7 @@ def test_what_battery_and_motors_say_gets_to_the_thrust() -> None:
 
 
 class Hovering:
-    """A hovering vehicle's samples into an estimator; force in NED, bias in FRD."""
+    """A hovering vehicle that feeds samples to a force estimator; force in NED, bias in FRD."""
 
     def __init__(self, vehicle: VehicleConfig, sigma: float = 0.0) -> None:
         self.state = FlightState()
@@ -326,7 +326,7 @@ class Hovering:
         self.bias: Vec3 = (0.0, 0.0, 0.0)
         self.force: Vec3 = (0.0, 0.0, 0.0)
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
-        self.true_thrust = 1.0  # over the curve's
+        self.true_thrust = 1.0  # relative to the thrust curve
         self.q = IDENTITY
 
     def run(self, seconds: float) -> list[ForceEstimate]:
@@ -362,7 +362,7 @@ class Hovering:
         return out
 
 
-def test_hover_tells_bias_thrust_scale_and_noise() -> None:
+def test_hover_determines_bias_thrust_scale_and_noise() -> None:
     vehicle = Hovering(VEHICLE, sigma=0.3)
     vehicle.bias, vehicle.true_thrust = (0.2, -0.15, 0.0), 0.93
     vehicle.run(10.0)
@@ -376,8 +376,8 @@ def test_hover_tells_bias_thrust_scale_and_noise() -> None:
         assert sum(e.force_mission[axis] for e in last) / len(last) == pytest.approx(0.0, abs=0.1)
 
 
-def test_the_covariance_says_how_far_the_estimate_is_off() -> None:
-    """White noise as stated; the filtered force is quieter than the raw one."""
+def test_the_stated_covariance_matches_the_scatter_of_the_estimate() -> None:
+    """The noise is white; the filtered force is quieter than the raw one."""
     vehicle = Hovering(VEHICLE, sigma=0.5)
     vehicle.run(5.0)
     estimates = vehicle.run(4.0)
@@ -386,18 +386,18 @@ def test_the_covariance_says_how_far_the_estimate_is_off() -> None:
     stated = sum(e.variance_n2[0] for e in estimates) / n
     assert stated == pytest.approx(spread, rel=0.25)
     assert sum(e.filtered_mission[0] ** 2 for e in estimates) / n < 0.3 * spread
-    # Tilted, the thrust's error shows along the tilt.
+    # In a tilt, the thrust error adds variance along the tilt.
     vehicle.q = quaternion_from_euler(0.0, -0.5, 0.0)
     tilted = vehicle.run(0.1)[-1]
     assert tilted.variance_n2[0] > tilted.variance_n2[1]
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_force_is_what_thrust_gravity_and_drag_do_not_explain(seed: int) -> None:
-    """In any attitude, on any heading, at any velocity; the attitude carried on by the gyro for 50 ms."""
+def test_the_force_is_the_residual_of_thrust_gravity_and_drag(seed: int) -> None:
+    """Attitude, heading and velocity are random; the gyro propagates the attitude for 50 ms."""
     rng = random.Random(seed)
 
-    def drawn(most: float) -> Vec3:
+    def random_vector(most: float) -> Vec3:
         return (rng.uniform(-most, most), rng.uniform(-most, most), rng.uniform(-most, most))
 
     airframe = msgspec.structs.replace(VEHICLE.airframe, drag_per_s=(0.3, 0.2, 0.1))
@@ -405,9 +405,9 @@ def test_the_force_is_what_thrust_gravity_and_drag_do_not_explain(seed: int) -> 
     estimator, state = ForceEstimator(vehicle), FlightState()
     frame = MissionFrame(1.0, 2.0, -3.0, rng.uniform(-3.0, 3.0))
     state.anchor(frame)
-    velocity_ned, rate, f = drawn(2.0), drawn(3.0), drawn(20.0)
+    velocity_ned, rate, f = random_vector(2.0), random_vector(3.0), random_vector(20.0)
     state.update_odometry(OdometrySample(1_000_000, 0, (0.0, 0.0, 0.0), velocity_ned))
-    q = quaternion_from_euler(*drawn(1.5))
+    q = quaternion_from_euler(*random_vector(1.5))
     estimator.add_attitude(AttitudeSample(1_000_000, 0, q))
     estimator.thrust.add_commands(ActuatorSample(900_000, 0, (HOVER,) * 4))
     hover = estimator.hover
@@ -419,8 +419,8 @@ def test_the_force_is_what_thrust_gravity_and_drag_do_not_explain(seed: int) -> 
     assert thrust_n == pytest.approx(0.9 * MASS * 9.81, rel=0.01)
     lag_s = vehicle.imu.reading_lag_s
     then = advance_attitude(q, rate, 0.05 - round(lag_s * 1e6) * 1e-6)
-    seen = rotate(then, (MASS * (f[0] - 0.3), MASS * (f[1] + 0.2), MASS * f[2] + thrust_n))
-    (x, y, z), v = frame.vector_from_ned(seen), frame.vector_from_ned(velocity_ned)
+    force_ned = rotate(then, (MASS * (f[0] - 0.3), MASS * (f[1] + 0.2), MASS * f[2] + thrust_n))
+    (x, y, z), v = frame.vector_from_ned(force_ned), frame.vector_from_ned(velocity_ned)
     drag = (0.3 * MASS * v[0], 0.2 * MASS * v[1], 0.1 * MASS * v[2])
     force = (x + drag[0], y + drag[1], z + drag[2])
     assert estimate.force_mission == pytest.approx(force)
@@ -435,7 +435,7 @@ def test_the_force_is_what_thrust_gravity_and_drag_do_not_explain(seed: int) -> 
 
 
 @pytest.mark.parametrize(("away_us", "near"), [(-60_000, True), (-60_001, False), (60_000, True)])
-def test_an_attitude_is_carried_on_for_sixty_milliseconds(away_us: int, near: bool) -> None:
+def test_an_attitude_is_propagated_for_at_most_sixty_milliseconds(away_us: int, near: bool) -> None:
     estimator, state = ForceEstimator(VEHICLE), FlightState()
     state.anchor(MissionFrame())
     at_us = 1_000_000 - round(VEHICLE.imu.reading_lag_s * 1e6)
@@ -444,7 +444,7 @@ def test_an_attitude_is_carried_on_for_sixty_milliseconds(away_us: int, near: bo
     assert (estimator.estimate(imu, state) is not None) is near
 
 
-def test_a_reading_at_full_scale_is_a_lower_bound() -> None:
+def test_a_reading_at_full_scale_is_marked_as_clipped() -> None:
     vehicle = Hovering(VEHICLE)
     vehicle.run(0.1)
     vehicle.force = (-VEHICLE.imu.full_scale_m_s2 * MASS, 0.0, 0.0)
@@ -452,7 +452,7 @@ def test_a_reading_at_full_scale_is_a_lower_bound() -> None:
 
 
 @pytest.mark.parametrize("first_us", [4000, 8000])
-def test_the_top_of_a_parabola_is_found_between_its_samples(first_us: int) -> None:
+def test_the_peak_of_a_parabola_is_found_between_its_samples(first_us: int) -> None:
     """Four samples, the largest of them the second or the first."""
     pulse = [(t, 10.0 - 0.02 * ((t - 9300) * 1e-3) ** 2) for t in range(first_us, first_us + 16_000, 4000)]
     height, t_us = _top_of(pulse)
@@ -460,7 +460,7 @@ def test_the_top_of_a_parabola_is_found_between_its_samples(first_us: int) -> No
     assert abs(t_us - 9300) <= 1
 
 
-def test_the_arms_swinging_is_taken_out() -> None:
+def test_arm_vibration_is_removed_from_the_force() -> None:
     arms = VEHICLE.estimation.arm_vibration
     assert arms is not None
     w, h = 2.0 * math.pi * arms.frequency_hz, 1e-5
@@ -481,22 +481,22 @@ def test_the_arms_swinging_is_taken_out() -> None:
     assert max(without) < 0.05
 
 
-def test_what_the_arms_add_along_either_axis_is_what_is_taken_out() -> None:
+def test_arm_vibration_is_added_and_removed_alike_on_both_axes() -> None:
     arms = VEHICLE.estimation.arm_vibration
     assert arms is not None
     adds, removes, rng = ArmFilter(arms, 0.004), ArmFilter(arms, 0.004), random.Random(4)
     for _ in range(50):
         x, y = rng.gauss(0.0, 10.0), rng.gauss(0.0, 10.0)
-        felt = adds.add(x, y)
-        assert removes.remove(*felt, 0.004) == pytest.approx((x, y))
-    assert felt != pytest.approx((x, y), rel=0.01)
+        shaken = adds.add(x, y)
+        assert removes.remove(*shaken, 0.004) == pytest.approx((x, y))
+    assert shaken != pytest.approx((x, y), rel=0.01)
     along_x, along_y = ArmFilter(arms, 0.004), ArmFilter(arms, 0.004)
     for i in range(50):
         assert along_x.remove(float(i % 7), 0.0, 0.004)[0] == along_y.remove(0.0, float(i % 7), 0.004)[1]
 
 
 @pytest.mark.parametrize(("gap", "rests"), [(25, False), (26, True)])
-def test_over_a_gap_the_arms_swing_on_until_they_have_come_to_rest(gap: int, rests: bool) -> None:
+def test_arm_vibration_continues_over_a_gap_until_it_has_decayed(gap: int, rests: bool) -> None:
     arms = VEHICLE.estimation.arm_vibration
     assert arms is not None
     filters = [ArmFilter(arms, 0.004) for _ in range(3)]
@@ -512,14 +512,14 @@ def test_over_a_gap_the_arms_swing_on_until_they_have_come_to_rest(gap: int, res
 # --- detector ----------------------------------------------------------------------------------------
 
 
-def feed(
+def detector_events(
     forces: list[tuple[float, float]],
     noise_n: float = 0.26,
     normal: tuple[float, float] | None = None,
     push: tuple[float, float] = (0.0, 0.0),
 ) -> list[object]:
-    """A detector's events for forces every 4 ms."""
-    detector = ImpactDetector(with_estimation(imu_noise_m_s2=0.2))  # has flown long enough to know
+    """Return the events of a detector for forces every 4 ms."""
+    detector = ImpactDetector(with_estimation(imu_noise_m_s2=0.2))  # the noise is already learned
     expected = ExpectedContact(True, normal, "wood" if normal else None)
     state = FlightState()
     events: list[object] = []
@@ -535,14 +535,14 @@ def half_sine(peak: float, ticks: int) -> list[float]:
     return [peak * math.sin(math.pi * (i + 0.5) / ticks) for i in range(ticks)]
 
 
-def test_planned_and_unplanned_hits_are_told_apart() -> None:
+def test_planned_and_unplanned_hits_are_distinguished() -> None:
     pulse = [(0.0, 0.0)] * 20 + [(-f, 0.2 * f) for f in half_sine(30.0, 12)] + [(0.0, 0.0)] * 20
-    onset, peak = feed(pulse, normal=(-1.0, 0.0))[:2]
+    onset, peak = detector_events(pulse, normal=(-1.0, 0.0))[:2]
     assert isinstance(onset, ImpactOnset)
     assert isinstance(peak, ImpactPeak)
     assert onset.planned
     assert peak.normal == (-1.0, 0.0)
-    onset, peak = feed(pulse, normal=(1.0, 0.0))[:2]  # from behind
+    onset, peak = detector_events(pulse, normal=(1.0, 0.0))[:2]  # from behind
     assert isinstance(onset, ImpactOnset)
     assert isinstance(peak, ImpactPeak)
     assert not onset.planned
@@ -552,115 +552,124 @@ def test_planned_and_unplanned_hits_are_told_apart() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.5, 2.0, -0.9])
-@pytest.mark.parametrize("way", [-1.0, 1.0])
-def test_a_hit_is_felt_alike_on_a_wall_at_any_angle(angle: float, way: float) -> None:
-    """The fit's own friction, with thrust that leans on the wall and along it."""
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+def test_peak_forces_do_not_depend_on_the_wall_angle(angle: float, direction: float) -> None:
+    """The friction comes from the fit; the thrust pushes into the wall and along it."""
     co, so = math.cos(angle), math.sin(angle)
 
-    def turned(x: float, y: float) -> tuple[float, float]:
+    def rotated(x: float, y: float) -> tuple[float, float]:
         return x * co - y * so, x * so + y * co
 
-    pulse = true_pulse(750.0, 8.5, 1.0, 0.0, -way, 5.0)
+    pulse = true_pulse(750.0, 8.5, 1.0, 0.0, -direction, 5.0)
     ticks = [pulse[i : i + 400] for i in range(0, len(pulse) - 400, 400)]
-    hit = [(-sum(n for n, _ in one) / 400, way * 0.3 * sum(n for n, _ in one) / 400) for one in ticks]
-    forces, push = [(0.0, 0.0)] * 20 + hit + [(0.0, 0.0)] * 20, (1.5, 0.8 * way)
+    hit = [(-sum(n for n, _ in one) / 400, direction * 0.3 * sum(n for n, _ in one) / 400) for one in ticks]
+    forces, push = [(0.0, 0.0)] * 20 + hit + [(0.0, 0.0)] * 20, (1.5, 0.8 * direction)
     peaks = []
-    for seen, normal, lean in (
+    for samples, normal, lean in (
         (forces, (-1.0, 0.0), push),
-        ([turned(*force) for force in forces], turned(-1.0, 0.0), turned(*push)),
+        ([rotated(*force) for force in forces], rotated(-1.0, 0.0), rotated(*push)),
     ):
-        (peak,) = [e for e in feed(seen, normal=normal, push=lean) if isinstance(e, ImpactPeak)]
+        (peak,) = [e for e in detector_events(samples, normal=normal, push=lean) if isinstance(e, ImpactPeak)]
         assert peak.normal == pytest.approx(normal)
         peaks.append(peak)
     straight, oblique = peaks
     assert oblique.fitted is straight.fitted is True
     assert oblique.normal_force_n == pytest.approx(straight.normal_force_n)
     assert oblique.tangential_force_n == pytest.approx(straight.tangential_force_n)
-    assert straight.tangential_force_n * way > 1.0
+    assert straight.tangential_force_n * direction > 1.0
 
 
 @pytest.mark.parametrize(("bump_n", "peak_n"), [(2.5, 30.0), (3.0, 3.0)])
-def test_where_friction_comes_first_the_peak_is_waited_for_until_the_wall_pushes(
+def test_the_peak_is_awaited_until_the_wall_pushes_if_friction_comes_first(
     bump_n: float, peak_n: float
 ) -> None:
-    """Half as much as makes an impact: less may drop again before the contact has begun in earnest."""
+    """The wall must push with half the threshold; a smaller force can drop before the real contact."""
     foot = [(-0.5 * bump_n, 8.0), (-bump_n, 9.0), (-bump_n, 9.0), (-0.5 * bump_n, 9.0), (-0.1, 9.0)]
     pulse = [(-f, 6.0) for f in half_sine(30.0, 12)]
-    seen = feed([(0.0, 0.0)] * 20 + foot + pulse + [(0.0, 0.0)] * 60, 0.01, (-1.0, 0.0))
-    first = next(e for e in seen if isinstance(e, ImpactPeak))
+    events = detector_events([(0.0, 0.0)] * 20 + foot + pulse + [(0.0, 0.0)] * 60, 0.01, (-1.0, 0.0))
+    first = next(e for e in events if isinstance(e, ImpactPeak))
     assert first.normal_force_n == pytest.approx(peak_n, rel=0.1)
 
 
 @pytest.mark.parametrize(("dip_n", "noise_n", "past"), [(1.2, 0.01, False), (1.6, 0.01, True)])
-def test_a_dip_of_a_quarter_of_what_makes_an_impact_ends_a_weak_one(
+def test_a_dip_of_a_quarter_of_the_threshold_ends_a_weak_peak(
     dip_n: float, noise_n: float, past: bool
 ) -> None:
     flat = [(-8.0, 0.0)] * 6
-    seen = feed([(0.0, 0.0)] * 20 + flat + [(dip_n - 8.0, 0.0)] + flat, noise_n, (-1.0, 0.0))
-    assert any(isinstance(e, ImpactPeak) for e in seen) is past
+    events = detector_events([(0.0, 0.0)] * 20 + flat + [(dip_n - 8.0, 0.0)] + flat, noise_n, (-1.0, 0.0))
+    assert any(isinstance(e, ImpactPeak) for e in events) is past
 
 
-def test_a_contact_that_does_not_end_is_over_after_half_a_second() -> None:
-    end = next(e for e in feed([(0.0, 0.0)] * 20 + [(-20.0, 0.0)] * 200) if isinstance(e, ContactEnd))
+def test_an_endless_contact_is_ended_after_half_a_second() -> None:
+    end = next(
+        e for e in detector_events([(0.0, 0.0)] * 20 + [(-20.0, 0.0)] * 200) if isinstance(e, ContactEnd)
+    )
     assert end.t_us - end.first_us == 500_000
 
 
 @pytest.mark.parametrize(("into_n", "planned"), [(0.9, True), (1.2, False)])
-def test_a_force_that_points_into_the_wall_by_a_tenth_may_still_be_the_planned_hit(
-    into_n: float, planned: bool
-) -> None:
-    """Friction comes first, and noise is added to it."""
-    seen = feed([(0.0, 0.0)] * 20 + [(into_n, 10.0)] * 3, 0.001, (-1.0, 0.0))
-    assert [e.planned for e in seen if isinstance(e, ImpactOnset)] == [planned]
+def test_a_force_slightly_into_the_wall_can_be_the_planned_hit(into_n: float, planned: bool) -> None:
+    """The limit is a tenth of the force: friction comes first, with noise on top."""
+    events = detector_events([(0.0, 0.0)] * 20 + [(into_n, 10.0)] * 3, 0.001, (-1.0, 0.0))
+    assert [e.planned for e in events if isinstance(e, ImpactOnset)] == [planned]
 
 
 @pytest.mark.parametrize(("noise_n", "samples"), [(1.19, 2), (1.2, 3)])
-def test_three_samples_confirm_an_impact_where_two_are_too_noisy(noise_n: float, samples: int) -> None:
-    """The threshold of 5.5 N over 4.6."""
+def test_three_samples_confirm_an_impact_if_two_are_too_noisy(noise_n: float, samples: int) -> None:
+    """The limit is the threshold of 5.5 N divided by 4.6."""
     config = VEHICLE.detection
     mean = confirmed_force(6.0, 0.0, ((6.0, 3.0), (0.0, 3.0)), noise_n, config)
     assert mean == ((6.0, 1.5) if samples == 2 else (4.0, 2.0))
 
 
 @pytest.mark.parametrize(("noise_n", "samples"), [(0.2, 1), (0.4, 4), (0.5, 5), (5.0, 5)])
-def test_so_many_samples_are_averaged_that_their_noise_is_a_fiftieth_of_the_top(
+def test_samples_are_averaged_until_their_noise_is_a_fiftieth_of_the_peak(
     noise_n: float, samples: int
 ) -> None:
-    """But five at most."""
+    """At most five samples are averaged."""
     detector = ImpactDetector(VEHICLE)
     detector._noise = noise_n
     assert detector._smoothing(10.0) == samples
 
 
-def test_a_sample_needs_more_of_its_noise_than_a_mean_that_is_asked_less_often() -> None:
+def test_short_windows_need_a_higher_noise_multiple_than_long_ones() -> None:
     detector = ImpactDetector(VEHICLE)
     for window in detector._windows:
         window.noise_n = 2.0
     assert detector.thresholds_n() == (12.0, 12.0, 10.0, 10.0)
 
 
-def test_the_top_of_a_pulse_is_what_is_above_seven_tenths_of_it() -> None:
-    """Three samples make no parabola of least squares: then it is the largest."""
+def test_the_peak_fit_uses_only_samples_above_seven_tenths_of_the_largest() -> None:
+    """Fewer than four samples give no least-squares parabola, so the largest sample is used."""
     sharp = [(4000 * i, height) for i, height in enumerate((1.0, 6.9, 10.0, 8.0, 5.0))]
     assert _top_of(sharp) == (10.0, 8000)
 
 
-def test_wind_is_no_contact_but_leaning_on_a_wall_is() -> None:
+def test_wind_is_no_contact_but_a_lean_on_a_wall_is() -> None:
     rise = [(4.0 * 0.5 * (1.0 - math.cos(math.pi * min(1.0, i / 125))), 0.0) for i in range(1000)]
-    assert feed(rise) == []
+    assert detector_events(rise) == []
     lean = [(9.0 * 0.5 * (1.0 - math.cos(math.pi * min(1.0, i / 250))), 0.0) for i in range(1000)]
-    assert len([e for e in feed(lean) if isinstance(e, ImpactOnset)]) == 1
+    assert len([e for e in detector_events(lean) if isinstance(e, ImpactOnset)]) == 1
 
 
 def test_one_noisy_sample_is_no_impact() -> None:
     quiet = [(0.0, 0.0)] * 50
-    assert feed([*quiet, (5.9, 0.0), *quiet]) == []
-    assert len([e for e in feed([*quiet, (5.9, 0.0), (5.7, 0.0), *quiet]) if isinstance(e, ImpactOnset)]) == 1
+    assert detector_events([*quiet, (5.9, 0.0), *quiet]) == []
+    assert (
+        len(
+            [
+                e
+                for e in detector_events([*quiet, (5.9, 0.0), (5.7, 0.0), *quiet])
+                if isinstance(e, ImpactOnset)
+            ]
+        )
+        == 1
+    )
 
 
 def test_the_wait_for_a_peak_is_bounded() -> None:
     forever = [(0.0, 0.0)] * 20 + [(0.5 * i, 0.0) for i in range(200)]
-    events = feed(forever)
+    events = detector_events(forever)
     onset = next(e for e in events if isinstance(e, ImpactOnset))
     peak = next(e for e in events if isinstance(e, ImpactPeak))
     assert peak.detected_us - onset.first_us <= VEHICLE.detection.peak_wait_s * 1e6 + 4000
@@ -669,7 +678,7 @@ def test_the_wait_for_a_peak_is_bounded() -> None:
 # --- the campaign's sample -----------------------------------------------------------------------------
 
 
-def test_a_sample_of_the_grid_keeps_the_figures() -> None:
+def test_a_sample_of_the_hit_grid_stays_within_its_error_limits() -> None:
     hits = list(grid((0.3, 0.75, 2.0, 3.0), (45.0, 270.0), (0.0, 30.0)))
     rows = [figures_of(MISSION, hit, 0.2, i) for i, hit in enumerate(hits)]
     reached = [r for r in rows if r.reached]
@@ -681,18 +690,18 @@ def test_a_sample_of_the_grid_keeps_the_figures() -> None:
     assert np.quantile(errors, 0.5) <= 0.01
     assert np.quantile(errors, 0.95) <= 0.05
     assert max(r.direction_deg for r in reached) <= 5.0
-    # No lean away means that every hit from 0.3 m/s on reaches the threshold.
+    # Without a lean away, every hit from 0.3 m/s on reaches the threshold.
     assert all(r.reached for r in rows if r.hit.lean != "away")
 
 
-def test_a_clipped_hit_is_reconstructed_from_plant_to_peak() -> None:
+def test_a_clipped_hit_of_the_plant_is_reconstructed() -> None:
     hits = [h for h in grid((3.5,), (0.0,), (0.0, 15.0), ("wood",)) if h.mode is Mode.RIGID]
     rows = [figures_of(MISSION, hit, 0.2, i) for i, hit in enumerate(hits)]
     assert all(r.clipped and r.fitted for r in rows)
     assert max(abs(r.peak_error) for r in rows) <= 0.05
 
 
-def test_a_minute_and_a_half_of_hard_flying_without_contact_is_quiet() -> None:
+def test_hard_flying_without_contact_gives_no_false_impact() -> None:
     quiet = fly_quiet(MISSION, 90.0, 0.2, 4)
     assert quiet.false_hits == []
     assert quiet.max_tilt_deg > 30.0

@@ -1,4 +1,4 @@
-"""The table of the guard's rules: each fires on its cause, and not once it is taken out of the table."""
+"""The table of the guard's rules: each rule fires on its cause, and not if it is removed from the table."""
 
 import inspect
 import math
@@ -62,20 +62,20 @@ from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.contact_fit import ContactFitter
-from tests.core.conftest import IMPATIENT, TELEPORTING, HandFedCore
+from tests.core.conftest import RULES_WITHOUT_JUMP, SHORT_TIMEOUTS, HandFedCore
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
 SETTINGS: dict[str, Mapping[str, Any]] = {}
 
 
 def cause(fly: Callable[[HandFedCore], object]) -> Callable[[HandFedCore], object]:
-    """What a rule fires on, by the rule's name."""
+    """Register the flight on which the rule of the same name fires."""
     CAUSES[fly.__name__] = fly
     return fly
 
 
 def cause_with(settings: Mapping[str, Any]) -> Callable[[Callable[[HandFedCore], object]], object]:
-    """As `cause`, of a mission with these keys."""
+    """Register as `cause` does, for a mission with these settings."""
 
     def register(fly: Callable[[HandFedCore], object]) -> object:
         SETTINGS[fly.__name__] = settings
@@ -84,14 +84,14 @@ def cause_with(settings: Mapping[str, Any]) -> Callable[[Callable[[HandFedCore],
     return register
 
 
-def rig_for(name: str, rules: tuple[Rule, ...] = TELEPORTING) -> HandFedCore:
-    """A core on which the cause of a rule can be flown."""
+def core_for(name: str, rules: tuple[Rule, ...] = RULES_WITHOUT_JUMP) -> HandFedCore:
+    """Return a core on which the cause of a rule can be flown."""
     return HandFedCore(rules=rules, settings=SETTINGS.get(name, {}))
 
 
-def at_the_acrylic(c: HandFedCore) -> None:
-    """After the first collision, on the way to the second wall."""
-    c.at_the_wood()
+def fly_to_acrylic(c: HandFedCore) -> None:
+    """Fly through the first collision, towards the second wall."""
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
     c.run(0.1)
     c.position_ned = (1.2, 0.9, -1.0)
@@ -99,45 +99,45 @@ def at_the_acrylic(c: HandFedCore) -> None:
 
 @cause
 def pilot(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_status(flight_mode=FlightMode.MANUAL)
 
 
 @cause
 def px4_failsafe(c: HandFedCore) -> None:
-    c.to_flight()
-    c.give(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
+    c.enter_approach()
+    c.feed(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
     c.set_status(flight_mode=FlightMode.LAND)
 
 
 @cause
 def failsafe_announced(c: HandFedCore) -> None:
-    c.to_flight()
-    c.give(StatusText(c.t_us, c.t_us, "critical", "Critical battery level: switching to Land"))
+    c.enter_approach()
+    c.feed(StatusText(c.t_us, c.t_us, "critical", "Critical battery level: switching to Land"))
 
 
 @cause
 def terminated(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_status(system_status=SystemStatus.FLIGHT_TERMINATION)
 
 
 @cause
 def disarmed(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_status(armed=False)
 
 
 @cause
 def link_lost(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
     c.run(6.0)
 
 
 def silent(stream: str, seconds: float) -> Callable[[HandFedCore], object]:
     def fly(c: HandFedCore) -> None:
-        c.to_flight()
+        c.enter_approach()
         c.silent.add(stream)
         c.run(seconds)
 
@@ -156,86 +156,86 @@ for _stream, _seconds in (
 
 @cause
 def stream_rate(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.odometry_every = 14  # 18 Hz, needs 30
     c.run(2.2)
 
 
-def in_turn(c: HandFedCore, ahead_us: int, apart_m: float, seconds: float) -> None:
-    """Telemetry of two vehicles in turn."""
+def alternate_vehicles(c: HandFedCore, ahead_us: int, apart_m: float, seconds: float) -> None:
+    """Feed the telemetry of two vehicles alternately."""
     for _ in range(round(seconds / 0.004)):
         c.run(0.004)
         t, received = c.t_us + ahead_us + 1000, c.t_us
         x, y, z = c.position_ned
-        c.give(ImuSample(t, received, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
-        c.give(AttitudeSample(t, received, c.q))
-        c.give(OdometrySample(t, received, (x, y + apart_m, z), c.velocity_ned))
+        c.feed(ImuSample(t, received, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
+        c.feed(AttitudeSample(t, received, c.q))
+        c.feed(OdometrySample(t, received, (x, y + apart_m, z), c.velocity_ned))
 
 
-def late(c: HandFedCore) -> None:
-    """A round trip of a second, then samples as before."""
-    c.give(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
+def delay_telemetry(c: HandFedCore) -> None:
+    """Feed a round trip of a second, then samples as before."""
+    c.feed(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
     c.run(0.3)
 
 
 @cause
 def telemetry_late_ground(c: HandFedCore) -> None:
     c.run(0.1)
-    late(c)
+    delay_telemetry(c)
 
 
 @cause
 def telemetry_late(c: HandFedCore) -> None:
-    c.to_flight()
-    late(c)
+    c.enter_approach()
+    delay_telemetry(c)
 
 
 @cause
 def second_vehicle_ground(c: HandFedCore) -> None:
     c.run(0.1)
-    in_turn(c, 238_000_000, 3.0, 0.1)
+    alternate_vehicles(c, 238_000_000, 3.0, 0.1)
 
 
 @cause
 def second_vehicle(c: HandFedCore) -> None:
-    c.to_flight()
-    in_turn(c, -238_000_000, 0.0, 0.1)
+    c.enter_approach()
+    alternate_vehicles(c, -238_000_000, 0.0, 0.1)
 
 
 @cause
 def stamps_backwards(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     for i in range(5):
-        c.give(AttitudeSample(c.t_us - 1_000_000 + 8000 * i, c.t_us, c.q))
-    c.give(Tick(c.t_us + 20_000))
+        c.feed(AttitudeSample(c.t_us - 1_000_000 + 8000 * i, c.t_us, c.q))
+    c.feed(Tick(c.t_us + 20_000))
 
 
 @cause
 def imu_stuck(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.noise_m_s2 = 0.0
     c.run(0.15)
 
 
 @cause
 def imu_clipped(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.force_ned = (250.0, 0.0, 0.0)
     c.run(0.3)
 
 
 @cause
 def estimator_jump(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (0.0, -0.4, -1.0)
     c.run(0.1)
 
 
 @cause
 def estimator_reset(c: HandFedCore) -> None:
-    c.to_flight()
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    c.enter_approach()
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
     north, east, down = c.position_ned
     c.position_ned = (north + 0.08, east, down)
     c.run(0.05)
@@ -243,31 +243,31 @@ def estimator_reset(c: HandFedCore) -> None:
 
 @cause
 def heading_reset(c: HandFedCore) -> None:
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
-    c.to_flight()
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.enter_approach()
     c.q = quaternion_from_euler(0.0, 0.0, 0.5)
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
     c.run(0.05)
 
 
 @cause
 def estimator_flags(c: HandFedCore) -> None:
-    c.to_flight()
-    c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+    c.enter_approach()
+    c.feed(EstimatorSample(c.t_us, c.t_us, healthy=False))
     c.run(0.4)
 
 
 @cause
 def position_uncertain(c: HandFedCore) -> None:
-    c.to_flight()
-    c.give(EstimatorSample(c.t_us, c.t_us, healthy=True, position_sd_m=0.23))
+    c.enter_approach()
+    c.feed(EstimatorSample(c.t_us, c.t_us, healthy=True, position_sd_m=0.23))
     c.run(0.1)
 
 
 @cause
 def position_delayed(c: HandFedCore) -> None:
     """The vehicle goes up and down; its velocity is estimated as with EKF2_EV_DELAY 0.15 s too long."""
-    c.to_flight()
+    c.enter_approach()
     mass_kg = c.core.mission.vehicle.airframe.mass_kg
     for tick in range(750):
         t_s = 0.004 * tick
@@ -279,7 +279,7 @@ def position_delayed(c: HandFedCore) -> None:
 
 @cause_with({"vehicle.guard.kill_after_s": 10.0})
 def still_armed(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND, battery_v=15.0)
@@ -288,36 +288,36 @@ def still_armed(c: HandFedCore) -> None:
 
 @cause
 def battery(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
 
 
 @cause
 def tilt(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.q = quaternion_from_euler(1.2, 0.0, 0.0)
     c.run(0.02)
 
 
 @cause
 def altitude(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (0.0, 0.0, -2.2)
     c.run(0.1)
 
 
 @cause
 def bounds(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.velocity_ned = (-1.0, 0.0, 0.0)
-    c.position_ned = (-1.7, 0.0, -1.0)  # inside, but half a metre of braking is not
+    c.position_ned = (-1.7, 0.0, -1.0)  # inside, but not after a braking distance of half a metre
     c.run(0.1)
 
 
 @cause
 def speed(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     for step in range(1, 12):
         c.velocity_ned = (0.0, -0.33 * step, 0.0)
         c.run(0.008)
@@ -325,26 +325,26 @@ def speed(c: HandFedCore) -> None:
 
 @cause
 def force_over_limit(c: HandFedCore) -> None:
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((0.0, -190.0))
 
 
 @cause
 def peak_force(c: HandFedCore) -> None:
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((0.0, -160.0))
 
 
 @cause
 def wall_not_met(c: HandFedCore) -> None:
-    c.at_the_wood()
+    c.fly_to_wood()
     c.position_ned = (0.917, 1.3, -1.0)
     c.run(0.1)
 
 
 @cause
 def wall_met_early(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (0.5, 0.6, -1.0)
     c.run(0.1)
     c.pulse((0.0, -20.0))
@@ -352,13 +352,13 @@ def wall_met_early(c: HandFedCore) -> None:
 
 @cause_with({"collisions": []})
 def unplanned_hit(c: HandFedCore) -> None:
-    c.climbed()
+    c.finish_climb()
     c.pulse((20.0, 0.0))
 
 
 @cause
 def no_peak(c: HandFedCore) -> None:
-    c.at_the_wood()
+    c.fly_to_wood()
     c.hide_peaks()
     c.force_ned = (0.0, -20.0, 0.0)
     c.run(0.4)
@@ -366,14 +366,14 @@ def no_peak(c: HandFedCore) -> None:
 
 @cause
 def lock_not_settled(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.set_lock(None, LockPhase.FAULT)
     c.run(0.02)
 
 
 @cause
 def lock_late(c: HandFedCore) -> None:
-    at_the_acrylic(c)
+    fly_to_acrylic(c)
     c.set_lock(Mode.RIGID, LockPhase.TRAVELLING)
     c.velocity_ned = (1.0, 0.0, 0.0)
     c.run(0.3)
@@ -381,11 +381,11 @@ def lock_late(c: HandFedCore) -> None:
 
 @cause
 def lock_not_ready(c: HandFedCore) -> None:
-    c.to_prepare()
+    c.enter_prepare()
     c.run(3.6)
 
 
-@cause_with(IMPATIENT)
+@cause_with(SHORT_TIMEOUTS)
 def climb_timeout(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(0.5)
@@ -395,7 +395,7 @@ def climb_timeout(c: HandFedCore) -> None:
     c.run(3.5)
 
 
-@cause_with(IMPATIENT)
+@cause_with(SHORT_TIMEOUTS)
 def transit_timeout(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(0.5)
@@ -413,28 +413,28 @@ def transit_timeout(c: HandFedCore) -> None:
 
 @cause_with({"collisions": [], "limits.collision_timeout_s": 2.0})
 def goal_not_reached(c: HandFedCore) -> None:
-    c.climbed()
+    c.finish_climb()
     c.run(8.0)
 
 
 @cause_with({"waypoints": [{"pause": "operator", "timeout_s": 5.0}]})
 def pause_timeout(c: HandFedCore) -> None:
-    c.climbed()
+    c.finish_climb()
     c.run(6.0)
 
 
-@cause_with(IMPATIENT)
+@cause_with(SHORT_TIMEOUTS)
 def not_ready(c: HandFedCore) -> None:
-    c.run(3.5)  # the lock says nothing
+    c.run(3.5)  # the lock does not report
 
 
-@cause_with(IMPATIENT)
+@cause_with(SHORT_TIMEOUTS)
 def offboard_refused(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(4.0)
 
 
-@cause_with(IMPATIENT)
+@cause_with(SHORT_TIMEOUTS)
 def arming_refused(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(0.5)
@@ -442,17 +442,17 @@ def arming_refused(c: HandFedCore) -> None:
     c.run(3.5)
 
 
-def asked(request: Request) -> Callable[[HandFedCore], object]:
+def request_by_operator(request: Request) -> Callable[[HandFedCore], object]:
     def fly(c: HandFedCore) -> None:
-        c.to_flight()
-        c.give(OperatorRequest(c.t_us, request))
+        c.enter_approach()
+        c.feed(OperatorRequest(c.t_us, request))
 
     return fly
 
 
 @cause
 def hit_in_noise(c: HandFedCore) -> None:
-    """The climb shakes, the approach is to be told from that."""
+    """The climb is so noisy that the planned hit would not be detected."""
     c.set_lock(Mode.RIGID)
     c.run(0.5)
     c.set_status(flight_mode=FlightMode.OFFBOARD)
@@ -473,20 +473,20 @@ def hit_in_noise(c: HandFedCore) -> None:
 
 @cause_with({"vehicle.airframe.mass_kg": 0.85})
 def hover_thrust(c: HandFedCore) -> None:
-    """1.3 kg fly, 0.85 kg are configured."""
-    c.to_climb()
+    """The vehicle weighs 1.3 kg and is configured with 0.85 kg."""
+    c.enter_climb()
     c.run(2.0)
     c.position_ned = (0.0, 0.0, -1.0)
     c.run(0.5)
 
 
 def rigid_pulse(c: HandFedCore) -> None:
-    """The lock says flexible; a pulse as of locked arms at 0.6 m/s, without the friction of free ones."""
-    c.at_the_wood()
+    """Hit with the pulse of rigid arms at 0.6 m/s, without friction, while the lock reports flexible."""
+    c.fly_to_wood()
     c.pulse((0.0, -41.0), 0.056)
     c.run(0.08)
     request = next(o for o in c.outputs if isinstance(o, ContactRequest))
-    c.give(ContactFitter(c.core.mission.vehicle).answer(request, c.t_us))
+    c.feed(ContactFitter(c.core.mission.vehicle).answer(request, c.t_us))
 
 
 @cause_with({"mode_mismatch": "land"})
@@ -513,8 +513,8 @@ def mode_felt(c: HandFedCore) -> None:
     }
 )
 def no_approach(c: HandFedCore) -> None:
-    """The board stands 1.7 m nearer than the probe goes: behind the start there is not as much room."""
-    c.to_prepare()
+    """The board is 1.7 m nearer than the end of the probe, so the run-up has too little room."""
+    c.enter_prepare()
     c.run(0.1)
     c.position_ned, c.velocity_ned = (0.4, 0.0, -1.0), (0.5, 0.0, 0.0)
     c.run(0.05)
@@ -523,29 +523,29 @@ def no_approach(c: HandFedCore) -> None:
     c.run(2.0)
 
 
-def lost_body(c: HandFedCore, seconds: float) -> None:
-    """A pose, and then frames without the body."""
+def lose_body(c: HandFedCore, seconds: float) -> None:
+    """Feed a pose, and then frames without the body."""
     for tracked in (True, *(False,) * round(seconds / 0.02)):
-        c.give(PoseSample(c.t_us, c.t_us, "dart", tracked, c.position_ned, c.q))
+        c.feed(PoseSample(c.t_us, c.t_us, "dart", tracked, c.position_ned, c.q))
         c.run(0.02)
 
 
 @cause
 def pose_source_ground(c: HandFedCore) -> None:
     c.run(0.1)
-    lost_body(c, 2.1)
+    lose_body(c, 2.1)
 
 
 @cause
 def pose_source(c: HandFedCore) -> None:
-    c.to_flight()
-    lost_body(c, 0.4)
+    c.enter_approach()
+    lose_body(c, 0.4)
 
 
 @cause
 def pose_source_blind(c: HandFedCore) -> None:
-    c.to_flight()
-    lost_body(c, 1.7)
+    c.enter_approach()
+    lose_body(c, 1.7)
 
 
 for _name in ("pose_source_ground", "pose_source", "pose_source_blind"):
@@ -553,21 +553,21 @@ for _name in ("pose_source_ground", "pose_source", "pose_source_blind"):
 
 
 CAUSES |= {
-    "operator": asked(Request.LAND),
-    "operator_release": asked(Request.RELEASE),
-    "world_died": asked(Request.WORLD_DIED),
+    "operator": request_by_operator(Request.LAND),
+    "operator_release": request_by_operator(Request.RELEASE),
+    "world_died": request_by_operator(Request.WORLD_DIED),
 }
 
 
 @cause
 def operator_ground(c: HandFedCore) -> None:
     c.run(0.1)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
 
 
 @cause
 def mission_fault(c: HandFedCore) -> None:
-    c.to_flight()
+    c.enter_approach()
     c.break_mission()
     c.run(0.02)
 
@@ -581,8 +581,8 @@ def test_every_rule_has_a_cause_here() -> None:
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda r: r.name)
-def test_a_rule_fires_on_its_cause_and_says_so(rule: Rule) -> None:
-    c = rig_for(rule.name, RULES if rule.name == "estimator_jump" else TELEPORTING)
+def test_a_rule_fires_on_its_cause_and_is_reported(rule: Rule) -> None:
+    c = core_for(rule.name, RULES if rule.name == "estimator_jump" else RULES_WITHOUT_JUMP)
     CAUSES[rule.name](c)
     events = fired(c)
     mine = [e for e in events if e.rule == rule.name]
@@ -601,7 +601,7 @@ def test_a_rule_fires_on_its_cause_and_says_so(rule: Rule) -> None:
         assert c.core.phase in (Phase.OVERRULED, Phase.DONE)
 
 
-def test_a_delayed_position_is_said_with_its_number_and_what_to_do() -> None:
+def test_a_delayed_position_is_reported_with_its_value_and_a_remedy() -> None:
     c = HandFedCore()
     CAUSES["position_delayed"](c)
     (event,) = fired(c)
@@ -613,14 +613,14 @@ def test_a_delayed_position_is_said_with_its_number_and_what_to_do() -> None:
     assert 100 < int(found[1]) < 200
 
 
-def test_a_vehicle_without_the_limit_is_not_judged_by_the_delay() -> None:
-    """As its log was flown, from before there was the rule."""
+def test_the_position_delay_is_not_checked_without_a_limit() -> None:
+    """Vehicles in old logs have no such limit."""
     c = HandFedCore(settings={"vehicle.guard.position_delay_s": None})
     CAUSES["position_delayed"](c)
     assert not fired(c)
 
 
-def test_a_lock_that_lies_is_only_noted_where_the_mission_goes_on() -> None:
+def test_a_mode_mismatch_is_only_reported_if_the_mission_continues() -> None:
     c = HandFedCore()
     rigid_pulse(c)
     (event,) = fired(c)
@@ -631,14 +631,14 @@ def test_a_lock_that_lies_is_only_noted_where_the_mission_goes_on() -> None:
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda r: r.name)
-def test_without_the_rule_nobody_says_it(rule: Rule) -> None:
-    c = rig_for(rule.name, tuple(r for r in TELEPORTING if r is not rule))
+def test_a_removed_rule_is_not_reported(rule: Rule) -> None:
+    c = core_for(rule.name, tuple(r for r in RULES_WITHOUT_JUMP if r is not rule))
     CAUSES[rule.name](c)
     assert rule.name not in [e.rule for e in fired(c)]
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    ("name", "named"),
     [
         *((name, False) for name in ("pilot", "tilt", "bounds")),
         *((f"{stream}_silent", True) for stream in ("imu", "attitude", "odometry", "actuator", "status")),
@@ -646,12 +646,12 @@ def test_without_the_rule_nobody_says_it(rule: Rule) -> None:
         *((name, True) for name in ("telemetry_late", "telemetry_late_ground", "not_ready")),
     ],
 )
-def test_another_system_on_the_link_is_named_where_a_stream_fails(name: str, says: bool) -> None:
-    c = rig_for(name, tuple(rule for rule in TELEPORTING if rule.name != "second_vehicle_ground"))
-    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+def test_another_system_on_the_link_is_named_if_a_stream_fails(name: str, named: bool) -> None:
+    c = core_for(name, tuple(rule for rule in RULES_WITHOUT_JUMP if rule.name != "second_vehicle_ground"))
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))
     CAUSES[name](c)
     event = next(e for e in fired(c) if e.rule == name)
-    assert event.detail.endswith("system 7 sends on the same link") is says
+    assert event.detail.endswith("system 7 sends on the same link") is named
 
 
 @pytest.mark.parametrize(
@@ -663,24 +663,24 @@ def test_another_system_on_the_link_is_named_where_a_stream_fails(name: str, say
         ("disarmed", "aborted"),
     ],
 )
-def test_a_flight_is_released_by_persons_alone(name: str, outcome: str) -> None:
-    c = rig_for(name)
+def test_only_a_person_releases_a_flight(name: str, outcome: str) -> None:
+    c = core_for(name)
     CAUSES[name](c)
     c.run(0.3)
     assert c.core.end is not None
     assert c.core.end.outcome == outcome
 
 
-def test_nothing_fires_in_a_quiet_flight() -> None:
+def test_no_rule_fires_in_a_quiet_flight() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.run(1.0)
     assert not fired(c)
 
 
-def test_a_wall_that_no_recovery_reaches_is_given_up_when_its_time_is_over() -> None:
+def test_a_wall_that_the_recovery_does_not_reach_is_given_up_after_a_timeout() -> None:
     c = HandFedCore(settings={"limits.collision_timeout_s": 0.6})
-    at_the_acrylic(c)
+    fly_to_acrylic(c)
     c.set_lock(Mode.RIGID)
     c.velocity_ned = (0.0, 0.0, 0.0)
     c.run(0.4)
@@ -701,15 +701,12 @@ def test_a_wall_that_no_recovery_reaches_is_given_up_when_its_time_is_over() -> 
         (Phase.LANDING, (None, None)),
     ],
 )
-def test_the_contact_that_is_expected_is_that_with_the_next_wall(
+def test_the_expected_contact_is_with_the_next_wall(
     phase: Phase, walls: tuple[str | None, str | None]
 ) -> None:
     flown, state = executive.Executive(HandFedCore().core.mission), FlightState()
-    flown.progress.phase, flown.progress.entered_us, state.now_us = (
-        phase,
-        0,
-        2_000_000,
-    )  # a bounce would be over
+    # 2 s after the beginning of the phase, a bounce is over.
+    flown.progress.phase, flown.progress.entered_us, state.now_us = phase, 0, 2_000_000
     for flown.progress.index, name in enumerate(walls):
         expected = flown.progress.expected = flown._impacts.expected(flown.progress, state)
         assert (expected.wall.name if expected.wall else None) == name
@@ -718,7 +715,7 @@ def test_the_contact_that_is_expected_is_that_with_the_next_wall(
 
 
 @pytest.mark.parametrize(
-    ("phase", "wall", "of_the_plan"),
+    ("phase", "wall", "planned_now"),
     [
         (Phase.TRANSIT, 0, False),
         (Phase.APPROACH, 0, True),
@@ -728,14 +725,14 @@ def test_the_contact_that_is_expected_is_that_with_the_next_wall(
         (Phase.GOAL, 2, False),
     ],
 )
-def test_an_onset_is_the_plans_only_where_the_plan_has_one(
-    phase: Phase, wall: int, of_the_plan: bool
+def test_an_onset_is_planned_only_if_the_plan_has_a_contact_then(
+    phase: Phase, wall: int, planned_now: bool
 ) -> None:
     flown = executive.Executive(HandFedCore().core.mission)
     flown.progress.phase, flown.progress.index, flown.progress.entered_us = phase, wall, 0
     onset = ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), True)
     finding = flown._impacts.on_onset(onset, flown.progress, FlightState()).finding
-    assert (finding is None or finding.rule != "unplanned_hit") is of_the_plan
+    assert (finding is None or finding.rule != "unplanned_hit") is planned_now
 
 
 @pytest.mark.parametrize("hits", [1, 3], ids=["after a probe", "after a hit, the next wall ahead"])
@@ -748,7 +745,7 @@ def test_an_onset_is_the_plans_only_where_the_plan_has_one(
         (2.0, 0.5, False),  # nowhere near the wall
     ],
 )
-def test_the_wall_that_was_just_hit_may_be_touched_again_at_once(
+def test_a_bounce_on_the_wall_just_hit_is_only_reported(
     before_m: float, after_s: float, noted: bool, hits: int
 ) -> None:
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
@@ -756,9 +753,8 @@ def test_the_wall_that_was_just_hit_may_be_touched_again_at_once(
     flown.progress.phase, flown.progress.index, flown.progress.entered_us = Phase.RECOVERY, hits, 0
     state.now_us = round(1e6 * after_s)
     state.position = place = (0.4, -1.1 + before_m, 1.0)
-    assert (flown._impacts.expected(flown.progress, state).wall is None) is (
-        noted or hits == 1
-    )  # nothing learnt of the wall ahead
+    # During a bounce, no contact with the wall ahead is expected.
+    assert (flown._impacts.expected(flown.progress, state).wall is None) is (noted or hits == 1)
     onset = ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), place, True)
     finding = flown._impacts.on_onset(onset, flown.progress, state).finding
     assert finding is not None
@@ -766,7 +762,7 @@ def test_the_wall_that_was_just_hit_may_be_touched_again_at_once(
     assert finding.note_only is noted
 
 
-def test_after_a_bounce_the_vehicle_goes_clear_of_the_wall_and_asks_for_a_trajectory_anew() -> None:
+def test_the_vehicle_retreats_and_replans_after_a_bounce() -> None:
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     flown, p, state = executive.Executive(mission), Proposal(), FlightState()
     flown.progress.phase, flown.progress.index, flown.progress.entered_us, state.now_us = (
@@ -786,7 +782,7 @@ def test_after_a_bounce_the_vehicle_goes_clear_of_the_wall_and_asks_for_a_trajec
 
 
 @pytest.mark.parametrize(("phase", "wall"), [(Phase.TRANSIT, 0), (Phase.RECOVERY, 1), (Phase.GOAL, 2)])
-def test_a_peak_without_a_contact_of_the_plans_starts_no_recovery(phase: Phase, wall: int) -> None:
+def test_a_peak_of_an_unplanned_contact_starts_no_recovery(phase: Phase, wall: int) -> None:
     flown, p = executive.Executive(HandFedCore().core.mission), Proposal()
     flown.progress.phase, flown.progress.index = phase, wall
     peak = ImpactPeak(5, 5, 5, (0.0, 1.0), 20.0, 0.0, (0.0, 0.0, 1.0), False)
@@ -794,9 +790,9 @@ def test_a_peak_without_a_contact_of_the_plans_starts_no_recovery(phase: Phase, 
     assert (p.outputs, flown.progress.phase, flown.progress.index) == ([], phase, wall)
 
 
-def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_command() -> None:
+def test_the_mission_may_record_but_not_command_in_the_step_of_a_rule() -> None:
     c, proposal = HandFedCore(), Proposal()
-    c.to_flight()
+    c.enter_approach()
     state, t_us = c.core._senses.state, c.t_us
     record = PhaseChange(t_us, Phase.APPROACH, Phase.CONTACT, "impact", 1)
     commands: list[Output] = [
@@ -820,11 +816,11 @@ def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_comman
         (("wall_not_met", "no_peak"), ["wall_not_met"]),
     ],
 )
-def test_of_two_findings_in_one_step_the_stronger_action_is_taken_and_the_weaker_does_not_follow(
+def test_a_weaker_finding_does_not_follow_a_stronger_one_in_one_step(
     found: tuple[str, str], events: list[str]
 ) -> None:
     c, proposal = HandFedCore(), Proposal()
-    c.to_flight()
+    c.enter_approach()
     for name in found:
         proposal.add_finding(name, "by hand")
     guard, state = c.core._guard, c.core._senses.state
@@ -839,12 +835,12 @@ def test_of_two_findings_in_one_step_the_stronger_action_is_taken_and_the_weaker
         (Mode.FLEXIBLE, 20.0, 1.0, 500.0, True),
         (Mode.FLEXIBLE, 20.0, 500.0, 1.0, False),
         (Mode.FLEXIBLE, 20.0, 500.0, None, False),
-        (Mode.FLEXIBLE, 0.1, 500.0, 500.0, False),  # as configured: nothing has been learnt of noise
+        (Mode.FLEXIBLE, 0.1, 500.0, 500.0, False),  # configured threshold: no noise has been learned
         (Mode.RIGID, 20.0, 500.0, 1.0, True),
         (Mode.RIGID, 20.0, 1.0, 500.0, False),
     ],
 )
-def test_a_planned_hit_is_in_the_noise_where_its_modes_floor_is_above_it(
+def test_a_planned_hit_is_in_the_noise_if_the_floor_of_its_mode_is_higher(
     mode: Mode, threshold_n: float, rigid_n: float, flexible_n: float | None, fires: bool
 ) -> None:
     mission = HandFedCore().core.mission
@@ -856,33 +852,33 @@ def test_a_planned_hit_is_in_the_noise_where_its_modes_floor_is_above_it(
     assert (finding is not None and finding.rule == "hit_in_noise") is fires
 
 
-def test_a_landed_vehicle_is_told_to_disarm_only_where_it_has_long_not_done_so_itself() -> None:
+def test_a_landed_vehicle_is_disarmed_only_if_px4_has_not_done_so_in_15_s() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
     (event,) = [o for o in c.outputs if isinstance(o, GuardEvent)]
     guard, state = c.core._guard, c.core._senses.state
 
-    def asked(after_s: float, on_ground: bool) -> list[VehicleAction]:
+    def requested_actions(after_s: float, on_ground: bool) -> list[VehicleAction]:
         state.now_us, state.on_ground = event.t_us + round(after_s * 1e6), on_ground
         out = guard.review(Tick(state.host_us), state, Sensed(None, (), False), Phase.OVERRULED, Proposal())
         return [o.action for o in out if isinstance(o, VehicleCommand)]
 
-    assert asked(14.9, on_ground=True) == []
-    assert asked(40.0, on_ground=False) == []  # never in the air
-    assert asked(15.1, on_ground=True) == [VehicleAction.DISARM]
-    assert asked(16.0, on_ground=True) == []
-    assert asked(16.1, on_ground=True) == [VehicleAction.DISARM]
+    assert requested_actions(14.9, on_ground=True) == []
+    assert requested_actions(40.0, on_ground=False) == []  # never in the air
+    assert requested_actions(15.1, on_ground=True) == [VehicleAction.DISARM]
+    assert requested_actions(16.0, on_ground=True) == []
+    assert requested_actions(16.1, on_ground=True) == [VehicleAction.DISARM]
 
 
-def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:
+def test_motors_are_stopped_only_after_the_kill_timeout_of_a_landing() -> None:
     def killed(outputs: list[Output]) -> bool:
         return any(isinstance(o, VehicleCommand) and o.action is VehicleAction.KILL for o in outputs)
 
     c = HandFedCore(settings={"vehicle.guard.kill_after_s": 10.0})
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
@@ -894,10 +890,10 @@ def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:
     assert c.core.end.outcome == "aborted"
 
 
-def test_a_landing_is_waited_for_until_the_motors_would_be_stopped() -> None:
-    """A minute is too short where the configuration gives a landing more than that."""
+def test_a_landing_is_awaited_until_the_kill_timeout() -> None:
+    """The default of a minute is too short if the configured timeout is longer."""
     c = HandFedCore(settings={"vehicle.guard.kill_after_s": 61.0})
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
@@ -910,7 +906,7 @@ def test_a_landing_is_waited_for_until_the_motors_would_be_stopped() -> None:
 
 
 def ends_after(c: HandFedCore, seconds: float) -> bool:
-    """Whether the guard's landing is given up or done so long after it began."""
+    """Return whether the guard's landing has ended `seconds` after it began."""
     event = next(e for e in fired(c) if e.action is Override.LAND)
     guard, state = c.core._guard, c.core._senses.state
     state.now_us = event.t_us + round(seconds * 1e6)
@@ -918,65 +914,63 @@ def ends_after(c: HandFedCore, seconds: float) -> bool:
     return guard.end is not None
 
 
-def test_a_landing_without_a_time_to_stop_the_motors_is_waited_for_a_minute() -> None:
+def test_a_landing_without_a_kill_timeout_is_awaited_for_a_minute() -> None:
     c = HandFedCore(settings={"vehicle.guard.kill_after_s": None})
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     assert [ends_after(c, seconds) for seconds in (1.0, 59.9, 60.1)] == [False, False, True]
 
 
-def test_beside_a_second_vehicle_a_landing_takes_fifteen_seconds_at_least() -> None:
-    """Whose state says landed and disarmed is not known."""
+def test_a_landing_beside_a_second_vehicle_lasts_at_least_fifteen_seconds() -> None:
+    """The report of landed and disarmed may come from either vehicle."""
     c = HandFedCore()
-    c.to_flight()
-    in_turn(c, 238_000_000, 0.0, 0.1)
+    c.enter_approach()
+    alternate_vehicles(c, 238_000_000, 0.0, 0.1)
     c.set_status(armed=False, landed=LandedState.ON_GROUND)
     assert [ends_after(c, seconds) for seconds in (1.0, 14.9, 15.1)] == [False, False, True]
 
 
 @pytest.mark.parametrize(("every_us", "after_us"), [(4_000, 96_000), (20_000, 240_000)])
-def test_without_ticks_all_rules_are_judged_as_often(every_us: int, after_us: int) -> None:
-    """More than 20 ms after the last time: with a sample every 4 ms the 80 ms without IMU show after 96.
+def test_rules_are_checked_at_the_same_interval_without_ticks(every_us: int, after_us: int) -> None:
+    """Checks are more than 20 ms apart: with a sample every 4 ms, 80 ms without IMU are found after 96 ms.
 
-    With one every 20 ms a dozen of them have not come by then, and it is given the 0.2 s of any stream.
+    With a sample every 20 ms, a dozen have not arrived by then, so the timeout is the 0.2 s of any stream.
     """
     c = HandFedCore(rules=tuple(rule for rule in RULES if rule.name == "imu_silent"))
-    c.to_flight()
+    c.enter_approach()
     c.run(0.02)
-    c.give(Tick(c.t_us))
+    c.feed(Tick(c.t_us))
     last_us = c.t_us
     while not fired(c):
         c.t_us += every_us
-        c.give(AttitudeSample(c.t_us, c.t_us, c.q))
+        c.feed(AttitudeSample(c.t_us, c.t_us, c.q))
     assert c.t_us - last_us == after_us
 
 
 @pytest.mark.parametrize(("above_m", "rules"), [(0.04, []), (0.06, ["altitude"])])
-def test_an_altitude_outside_of_the_flight_space_by_a_hands_breadth_is_none(
-    above_m: float, rules: list[str]
-) -> None:
+def test_an_altitude_slightly_outside_the_flight_space_is_tolerated(above_m: float, rules: list[str]) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (*c.position_ned[:2], -(c.core.mission.bounds.z[1] + above_m))
     c.run(0.05)
     assert [e.rule for e in fired(c)] == rules
 
 
 @pytest.mark.parametrize("armed", [False, True])
-def test_a_vehicle_that_somebody_has_armed_is_not_left_so_when_the_flight_is_given_up(armed: bool) -> None:
-    c = HandFedCore(settings=IMPATIENT)
+def test_an_armed_vehicle_is_disarmed_when_the_flight_is_given_up(armed: bool) -> None:
+    c = HandFedCore(settings=SHORT_TIMEOUTS)
     c.set_status(armed=armed)
     CAUSES["not_ready"](c)
     assert c.core.end is not None
-    told = [o.action for o in c.outputs if isinstance(o, VehicleCommand)]
-    assert told == [VehicleAction.DISARM] * armed
+    actions = [o.action for o in c.outputs if isinstance(o, VehicleCommand)]
+    assert actions == [VehicleAction.DISARM] * armed
 
 
-def test_only_an_armed_vehicle_in_land_mode_has_been_landing() -> None:
-    """Else a long flight, or a long wait on the ground, would count as a landing that does not end."""
+def test_landing_time_counts_only_while_armed_in_land_mode() -> None:
+    """Otherwise a long flight or a long wait on the ground would count as an endless landing."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     watch = c.core._guard._watch
     c.run(2.0)
     assert watch.landing_s == 0.0
@@ -993,23 +987,23 @@ def test_only_an_armed_vehicle_in_land_mode_has_been_landing() -> None:
     assert watch.landing_s == 0.0
 
 
-def test_stamps_that_jump_in_a_landing_do_not_stop_the_motors() -> None:
+def test_a_jump_of_one_stamp_in_a_landing_does_not_stop_the_motors() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
     c.run(1.0)
-    c.give(ImuSample(c.t_us + 60_000_000, c.t_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0)))
+    c.feed(ImuSample(c.t_us + 60_000_000, c.t_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0)))
     c.run(0.5)
     assert "still_armed" not in [e.rule for e in fired(c)]
 
 
 @pytest.mark.parametrize("whose", ["autopilot", "host"])
-def test_one_clock_that_leaps_in_a_landing_does_not_stop_the_motors(whose: str) -> None:
-    """Both must say that a landing has long ended."""
+def test_a_jump_of_one_clock_in_a_landing_does_not_stop_the_motors(whose: str) -> None:
+    """Both clocks must exceed the timeout."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
@@ -1023,13 +1017,13 @@ def test_one_clock_that_leaps_in_a_landing_does_not_stop_the_motors(whose: str) 
     assert "still_armed" not in [e.rule for e in fired(c)]
 
 
-def test_a_count_without_a_step_is_no_reset() -> None:
+def test_a_reset_count_without_a_step_is_no_reset() -> None:
     c = HandFedCore()
-    c.to_flight()
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    c.enter_approach()
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
     c.run(0.12)
-    # Long after it, a step too small for `estimator_jump` has nothing to do with it.
+    # A later step that is too small for `estimator_jump` is unrelated.
     north, east, down = c.position_ned
     c.position_ned = (north + 0.08, east, down)
     c.run(0.1)
@@ -1039,10 +1033,10 @@ def test_a_count_without_a_step_is_no_reset() -> None:
 @pytest.mark.parametrize(
     ("faster_m_s", "says"), [(1.6, ["velocity jumped by 1.60 m/s, limit 1.5 m/s"]), (1.4, [])]
 )
-def test_a_velocity_that_jumps_is_a_jump_too(faster_m_s: float, says: list[str]) -> None:
+def test_a_velocity_jump_is_an_estimator_jump(faster_m_s: float, says: list[str]) -> None:
     c = HandFedCore()
-    c.to_flight()
-    c.judge_by(RULES)
+    c.enter_approach()
+    c.use_rules(RULES)
     c.velocity_ned = (faster_m_s, 0.0, 0.0)
     c.run(0.016)
     assert [e.detail for e in fired(c) if e.rule == "estimator_jump"] == says
@@ -1050,26 +1044,26 @@ def test_a_velocity_that_jumps_is_a_jump_too(faster_m_s: float, says: list[str])
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize(("along", "jumps"), [(1.0, False), (-1.0, True)])
-def test_a_position_is_compared_with_where_the_velocity_has_carried_it(
+def test_a_position_is_compared_with_its_extrapolation_by_velocity(
     axis: int, along: float, jumps: bool
 ) -> None:
-    """A quarter of a metre in the time of a seldom sample is no jump at nearly 3 m/s, nor is it one back."""
+    """0.26 m between two sparse samples at 2.9 m/s are no jump forwards, but are one backwards."""
     c = HandFedCore()
-    c.climbed()
+    c.finish_climb()
     fast, there = [0.0, 0.0, 0.0], list(c.position_ned)
     fast[axis] = 2.9
     for away_m, after_us in ((0.0, 8000), (along * 2.9 * 0.09, 90_000)):
         there[axis], c.t_us = there[axis] + away_m, c.t_us + after_us
         position, velocity = (there[0], there[1], there[2]), (fast[0], fast[1], fast[2])
-        c.give(OdometrySample(c.t_us, c.t_us, position, velocity))
-    says = f"position jumped by {2 * 2.9 * 0.09:.2f} m, limit 0.3 m"
-    assert (c.core._guard._watch.estimator.jump == says) is jumps
+        c.feed(OdometrySample(c.t_us, c.t_us, position, velocity))
+    message = f"position jumped by {2 * 2.9 * 0.09:.2f} m, limit 0.3 m"
+    assert (c.core._guard._watch.estimator.jump == message) is jumps
     assert bool(c.core._guard._watch.estimator.jump) is jumps
 
 
 @pytest.mark.parametrize("sd", [None, 0.05])
-def test_a_wall_that_may_be_further_away_is_late_as_much_later(sd: float | None) -> None:
-    """By three deviations at the planned speed of closing in."""
+def test_the_lateness_limit_of_a_wall_includes_its_position_uncertainty(sd: float | None) -> None:
+    """The limit grows by three standard deviations at the planned closing speed."""
     loaded = HandFedCore("missions/paper_single_wall.yaml").core.mission
     (planned,) = loaded.collisions
     wall = msgspec.structs.replace(planned.wall, position_sd_m=sd)
@@ -1092,30 +1086,30 @@ def test_a_wall_that_may_be_further_away_is_late_as_much_later(sd: float | None)
 
 
 @pytest.mark.parametrize("name", ["estimator_jump", "estimator_reset", "estimator_flags"])
-def test_the_estimator_is_not_judged_shortly_after_an_impact(name: str) -> None:
+def test_the_estimator_is_not_checked_shortly_after_an_impact(name: str) -> None:
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
     c.set_lock(Mode.RIGID)
     c.run(0.15)
-    c.judge_by(RULES)  # only now: placing the vehicle by hand is a jump, too
-    # One disturbance at a time: of two rules with the same action only the first is heard.
+    c.use_rules(RULES)  # only now, because a teleport is a jump as well
+    # One disturbance at a time: of two rules with the same action, only the first is reported.
     if name == "estimator_flags":
-        c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+        c.feed(EstimatorSample(c.t_us, c.t_us, healthy=False))
     else:
         north, east, down = c.position_ned
         c.position_ned = (north + (0.4 if name == "estimator_jump" else 0.1), east, down)
     if name == "estimator_reset":
-        c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
-        c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=2))
+        c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
+        c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=2))
     c.run(0.5)
     assert name not in [e.rule for e in fired(c)]
 
 
-def test_a_gap_and_then_hold_is_a_failsafe_and_sticks_are_a_pilot() -> None:
+def test_hold_mode_after_a_gap_is_a_failsafe_and_manual_mode_is_a_pilot() -> None:
     for mode, rule in ((FlightMode.HOLD, "px4_failsafe"), (FlightMode.MANUAL, "pilot")):
         c = HandFedCore()
-        c.to_flight()
+        c.enter_approach()
         c.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
         c.run(1.5)
         c.silent.clear()
@@ -1125,9 +1119,9 @@ def test_a_gap_and_then_hold_is_a_failsafe_and_sticks_are_a_pilot() -> None:
 
 
 @pytest.mark.parametrize(("silent_s", "rule"), [(0.3, "pilot"), (0.7, "px4_failsafe")])
-def test_a_gap_hides_what_px4_says_only_where_it_is_long_enough(silent_s: float, rule: str) -> None:
-    c = HandFedCore(rules=tuple(r for r in TELEPORTING if not r.name.endswith("_silent")))
-    c.to_flight()
+def test_a_gap_explains_a_mode_change_only_if_it_is_long_enough(silent_s: float, rule: str) -> None:
+    c = HandFedCore(rules=tuple(r for r in RULES_WITHOUT_JUMP if not r.name.endswith("_silent")))
+    c.enter_approach()
     c.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
     c.run(silent_s)
     c.silent.clear()
@@ -1139,13 +1133,13 @@ def test_a_gap_hides_what_px4_says_only_where_it_is_long_enough(silent_s: float,
 
 @pytest.mark.parametrize(("before_s", "rule"), [(2.9, "px4_failsafe"), (3.1, "pilot")])
 @pytest.mark.parametrize("cause", ["word", "gap"])
-def test_what_explains_a_change_of_mode_does_so_for_three_seconds(
+def test_a_text_or_a_gap_explains_a_mode_change_for_three_seconds(
     cause: str, before_s: float, rule: str
 ) -> None:
-    c = HandFedCore(rules=tuple(r for r in TELEPORTING if not r.name.endswith("_silent")))
-    c.to_flight()
+    c = HandFedCore(rules=tuple(r for r in RULES_WITHOUT_JUMP if not r.name.endswith("_silent")))
+    c.enter_approach()
     if cause == "word":
-        c.give(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
+        c.feed(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
     else:
         c.silent |= {"imu", "attitude", "odometry", "actuator"}
         c.run(0.7)
@@ -1163,7 +1157,7 @@ def test_a_pause_of_this_program_is_named_for_three_seconds(
     paused_s: float, later_s: float, named: bool
 ) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.t_us += round(paused_s * 1e6)  # no sample, and no tick either
     c.run(later_s)
     c.silent.add("imu")
@@ -1173,9 +1167,9 @@ def test_a_pause_of_this_program_is_named_for_three_seconds(
     assert ("did not run for 6" in event.detail) is named
 
 
-def test_of_the_pauses_of_the_last_seconds_the_longest_is_named() -> None:
+def test_the_longest_of_several_recent_pauses_is_named() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for paused_us in (60_000, 80_000, 50_000):
         c.t_us += paused_us
         c.run(0.5)
@@ -1186,7 +1180,7 @@ def test_of_the_pauses_of_the_last_seconds_the_longest_is_named() -> None:
 
 def test_a_position_after_a_pause_of_its_stream_is_no_jump() -> None:
     c = HandFedCore(rules=RULES)
-    c.climbed()
+    c.finish_climb()
     before = [e.rule for e in fired(c)]
     c.silent.add("odometry")
     c.run(0.15)
@@ -1197,10 +1191,10 @@ def test_a_position_after_a_pause_of_its_stream_is_no_jump() -> None:
     assert [e.rule for e in fired(c)] == before
 
 
-def test_a_pause_of_everything_is_given_longer_than_one_of_the_imu() -> None:
-    """A busy host holds up all streams for a tenth of a second; the guard lands when it lasts."""
+def test_a_pause_of_all_streams_is_tolerated_longer_than_one_of_the_imu() -> None:
+    """A busy host delays all streams by a tenth of a second; the guard lands if the pause lasts longer."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.silent |= {"imu", "attitude", "odometry", "actuator"}
     c.run(0.15)
     assert not fired(c)
@@ -1208,19 +1202,19 @@ def test_a_pause_of_everything_is_given_longer_than_one_of_the_imu() -> None:
     assert fired(c)
 
 
-def test_one_late_datagram_is_no_clock_that_runs_backwards() -> None:
+def test_single_late_datagrams_are_no_backwards_clock() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for _ in range(20):
-        c.give(AttitudeSample(c.t_us - 1_000_000, c.t_us, c.q))
+        c.feed(AttitudeSample(c.t_us - 1_000_000, c.t_us, c.q))
         c.run(0.02)
     assert not fired(c)
 
 
 @pytest.mark.parametrize("stream", ["imu", "attitude", "odometry"])
-def test_stamps_of_every_stream_may_run_backwards(stream: str) -> None:
+def test_backwards_stamps_are_detected_in_every_stream(stream: str) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for i in range(5):
         t_us = c.t_us - 1_000_000 + 8000 * i
         samples: dict[str, Input] = {
@@ -1228,26 +1222,26 @@ def test_stamps_of_every_stream_may_run_backwards(stream: str) -> None:
             "attitude": AttitudeSample(t_us, c.t_us, c.q),
             "odometry": OdometrySample(t_us, c.t_us, c.position_ned, c.velocity_ned),
         }
-        c.give(samples[stream])
-    c.give(Tick(c.t_us + 20_000))
+        c.feed(samples[stream])
+    c.feed(Tick(c.t_us + 20_000))
     assert [(e.rule, e.detail) for e in fired(c)] == [
         ("stamps_backwards", f"{stream}: 5 samples in a row more than 0.5 s in the past")
     ]
 
 
-def test_commands_to_the_motors_that_come_too_seldom_are_named() -> None:
+def test_a_low_rate_of_motor_commands_is_named() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.silent.add("actuator")
     for _ in range(25):
         c.run(0.1)
-        c.give(ActuatorSample(c.t_us, c.t_us, c.motors))
+        c.feed(ActuatorSample(c.t_us, c.t_us, c.motors))
     assert [(e.rule, e.detail) for e in fired(c)] == [
         ("stream_rate", f"actuator arrives at 10 Hz, minimum {BY_NAME['actuator'].expected_hz:.0f} Hz")
     ]
 
 
-def test_names_that_others_report_are_in_the_table() -> None:
+def test_findings_of_other_modules_are_in_the_rule_table() -> None:
     names = {rule.name: rule for rule in RULES}
     found = set[str]()
     for source in Path(executive.__file__).parent.glob("*.py"):
@@ -1285,34 +1279,34 @@ def test_thresholds_named_in_the_table_exist() -> None:
 
 @pytest.mark.parametrize("odometry_every", [1, 2])
 @pytest.mark.parametrize("ahead_s", [238.0, -238.0, 2.0, -0.7])
-def test_two_clocks_in_turn_are_two_vehicles_and_time_does_not_leap(
+def test_alternating_clocks_are_two_vehicles_and_time_does_not_jump(
     ahead_s: float, odometry_every: int
 ) -> None:
-    """Also where every sample of the one comes between two of the other, in all streams."""
+    """This holds even if the samples of the two vehicles alternate in all streams."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.odometry_every = odometry_every
     before_us = c.t_us
-    in_turn(c, round(ahead_s * 1e6), 0.0, 0.1)
+    alternate_vehicles(c, round(ahead_s * 1e6), 0.0, 0.1)
     assert [e.rule for e in fired(c)] == ["second_vehicle"]
     assert f"{abs(ahead_s):.1f} s apart" in fired(c)[0].detail
     assert 0 <= c.core.state.now_us - before_us < 1_000_000
 
 
-def test_two_positions_at_one_clock_are_two_vehicles() -> None:
+def test_alternating_positions_with_one_clock_are_two_vehicles() -> None:
     c = HandFedCore(rules=RULES)
-    c.to_flight()
-    in_turn(c, 0, 3.0, 0.1)
-    assert fired(c)[-1].rule == "second_vehicle"  # after the jump, which is seen first
+    c.enter_approach()
+    alternate_vehicles(c, 0, 3.0, 0.1)
+    assert fired(c)[-1].rule == "second_vehicle"  # after the jump, which is detected first
     assert "3.0 m apart" in fired(c)[-1].detail
     assert c.core.override is Override.LAND
 
 
-def test_a_position_after_a_gap_is_compared_with_none_from_before_it() -> None:
-    """It flew on meanwhile, perhaps to where it had jumped from: that is no second vehicle."""
+def test_a_position_after_a_gap_is_not_compared_with_earlier_ones() -> None:
+    """The vehicle may have flown back during the gap, which indicates no second vehicle."""
     places, t_us = SecondPositionDetector(0.3), 0
 
-    def take(north_m: float, after_s: float = 0.02) -> float | None:
+    def difference_m(north_m: float, after_s: float = 0.02) -> float | None:
         nonlocal t_us
         t_us += round(after_s * 1e6)
         places.update(OdometrySample(t_us, t_us, (north_m, 0.0, -1.0), (0.0, 0.0, 0.0)))
@@ -1320,16 +1314,16 @@ def test_a_position_after_a_gap_is_compared_with_none_from_before_it() -> None:
 
     for _ in range(5):
         for north_m in (0.0, 3.0):
-            assert take(north_m, 1.1) is None
-            assert take(3.0 - north_m) is None  # once there, and not back
-    assert [take(north_m) for north_m in (0.0, 3.0, 0.0, 3.0, 0.0)][-1] == pytest.approx(3.0)
+            assert difference_m(north_m, 1.1) is None
+            assert difference_m(3.0 - north_m) is None  # one jump, not two
+    assert [difference_m(north_m) for north_m in (0.0, 3.0, 0.0, 3.0, 0.0)][-1] == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize(
     ("north_m", "after_us", "odd"),
     [(0.2, 1_000_000, False), (3.0, 1_000_000, True), (3.0, 1_000_001, False)],
 )
-def test_positions_are_compared_across_a_second_at_most(north_m: float, after_us: int, odd: bool) -> None:
+def test_positions_are_compared_if_at_most_a_second_apart(north_m: float, after_us: int, odd: bool) -> None:
     places = SecondPositionDetector(0.3)
     for t_us, x in ((5, 0.0), (5 + after_us, north_m)):
         places.update(OdometrySample(t_us, t_us, (x, 0.0, -1.0), (0.0, 0.0, 0.0)))
@@ -1337,7 +1331,7 @@ def test_positions_are_compared_across_a_second_at_most(north_m: float, after_us
 
 
 @pytest.mark.parametrize(("back_us", "seconds_apart"), [(0, None), (50_000, None), (600_000, 0.6)])
-def test_stamps_in_turn_are_two_clocks_where_they_are_further_apart_than_late_datagrams(
+def test_alternating_stamps_are_two_clocks_if_farther_apart_than_late_datagrams(
     back_us: int, seconds_apart: float | None
 ) -> None:
     clocks = SecondClockDetector(100_000.0)
@@ -1349,32 +1343,36 @@ def test_stamps_in_turn_are_two_clocks_where_they_are_further_apart_than_late_da
     assert (clocks.odd_us is not None) is (seconds_apart is not None)
 
 
-@pytest.mark.parametrize(("turns", "after_us", "told"), [(2, 0, False), (3, 0, True), (3, 1_800_000, False)])
-def test_two_clocks_are_told_by_three_turns_within_two_seconds(turns: int, after_us: int, told: bool) -> None:
-    """Each there and back, 0.1 s after the one before."""
+@pytest.mark.parametrize(
+    ("turns", "after_us", "detected"), [(2, 0, False), (3, 0, True), (3, 1_800_000, False)]
+)
+def test_two_clocks_are_detected_by_three_alternations_within_two_seconds(
+    turns: int, after_us: int, detected: bool
+) -> None:
+    """The alternations are 0.1 s apart."""
     clocks = SecondClockDetector(100_000.0)
     for i in range(turns + 1):
         t_us = 10_000_000 + 100_000 * i
         clocks.update(t_us, t_us)
         clocks.update(t_us - 5_000_000, t_us)
     last_us = 10_000_000 + 100_000 * turns
-    assert (clocks.clock_difference_s(last_us + after_us + 1) is not None) is told
+    assert (clocks.clock_difference_s(last_us + after_us + 1) is not None) is detected
     assert (clocks.clock_difference_s(last_us + max(0, after_us - 1)) is not None) is (turns == 3)
 
 
 @pytest.mark.parametrize(("ahead_us", "odd"), [(5_900_000, False), (6_100_000, True)])
-def test_a_stamp_is_another_clocks_where_it_is_further_ahead_than_time_can_have_gone_by(
+def test_a_stamp_further_ahead_than_the_elapsed_time_belongs_to_another_clock(
     ahead_us: int, odd: bool
 ) -> None:
-    """A second, and twenty times what has gone by here."""
+    """The limit is a second plus twenty times the elapsed time of the host."""
     clocks = SecondClockDetector(100_000.0)
     clocks.update(10_000_000, 0)
     clocks.update(10_000_000 + ahead_us, 250_000)
     assert (clocks.odd_us is not None) is odd
 
 
-def test_a_clock_that_goes_back_again_and_again_is_one() -> None:
-    """As a stream does that is told again from its beginning: no second one goes on where it was."""
+def test_a_clock_that_is_set_back_repeatedly_is_one_clock() -> None:
+    """A replayed stream does this: no second clock continues from the earlier time."""
     clocks = SecondClockDetector(100_000.0)
     for i in range(8):
         t_us = 10_000_000 + 10_000 * i
@@ -1383,49 +1381,49 @@ def test_a_clock_that_goes_back_again_and_again_is_one() -> None:
     assert clocks.clock_difference_s(10_070_000) is None
 
 
-def test_a_second_vehicle_explains_what_had_fired_before_it_was_told_apart() -> None:
-    """Both rules land: the second one changes nothing but the reason."""
+def test_a_second_vehicle_becomes_the_reason_after_an_earlier_rule() -> None:
+    """Both rules land, so the second one changes only the reason."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.silent = {"odometry"}
     c.run(0.3)
     assert [e.rule for e in fired(c)] == ["odometry_silent"]
     c.silent = set()
-    in_turn(c, 238_000_000, 0.0, 0.1)
+    alternate_vehicles(c, 238_000_000, 0.0, 0.1)
     assert [e.rule for e in fired(c)] == ["odometry_silent", "second_vehicle"]
 
 
-def test_the_slow_state_of_the_other_vehicle_ends_nothing() -> None:
-    """It stands there disarmed, in another mode: neither a pilot, a landing, nor the end of the flight."""
+def test_the_status_of_the_other_vehicle_does_not_end_the_flight() -> None:
+    """The other vehicle is disarmed in another mode: no pilot, no landing and no end of the flight."""
     c = HandFedCore()
-    c.to_flight()
-    in_turn(c, 238_000_000, 3.0, 0.1)
+    c.enter_approach()
+    alternate_vehicles(c, 238_000_000, 3.0, 0.1)
     assert any(isinstance(o, VehicleCommand) and o.action is VehicleAction.LAND for o in c.outputs)
     c.set_status(armed=False, flight_mode=FlightMode.HOLD, landed=LandedState.ON_GROUND)
-    in_turn(c, 238_000_000, 3.0, 2.0)
+    alternate_vehicles(c, 238_000_000, 3.0, 2.0)
     assert [e.rule for e in fired(c)] == ["second_vehicle"]
     assert c.core.end is None
 
 
 @pytest.mark.parametrize("ahead_us", [238_000_000, 0])
-def test_a_mode_that_comes_before_the_other_vehicles_samples_is_no_pilots(ahead_us: int) -> None:
+def test_a_mode_received_before_the_other_vehicles_samples_is_not_a_pilot(ahead_us: int) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.outputs.clear()
     c.set_status(armed=False, flight_mode=FlightMode.HOLD, landed=LandedState.ON_GROUND)
     c.run(0.02)
     assert not [o for o in c.outputs if isinstance(o, GuardEvent | Setpoint | VehicleCommand)]
-    in_turn(c, ahead_us, 3.0, 0.1)
+    alternate_vehicles(c, ahead_us, 3.0, 0.1)
     assert fired(c)[-1].rule == "second_vehicle"
     assert not {"pilot", "px4_failsafe", "disarmed"} & {e.rule for e in fired(c)}
-    in_turn(c, ahead_us, 3.0, 2.0)
+    alternate_vehicles(c, ahead_us, 3.0, 2.0)
     assert any(isinstance(o, VehicleCommand) and o.action is VehicleAction.LAND for o in c.outputs)
     assert c.core.end is None
 
 
-def test_a_switch_to_hold_silences_the_mission_at_once_and_ends_it_a_tenth_of_a_second_later() -> None:
+def test_a_switch_to_hold_silences_the_mission_at_once_and_ends_it_after_0_1_s() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.outputs.clear()
     c.set_status(flight_mode=FlightMode.HOLD)
     c.run(0.09)
@@ -1436,9 +1434,9 @@ def test_a_switch_to_hold_silences_the_mission_at_once_and_ends_it_a_tenth_of_a_
     assert not [o for o in c.outputs if isinstance(o, Setpoint | VehicleCommand)]
 
 
-def test_a_mode_that_goes_back_to_offboard_at_once_costs_only_that_moment() -> None:
+def test_a_brief_change_of_mode_only_interrupts_the_setpoints() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(flight_mode=FlightMode.HOLD)
     c.run(0.05)
     c.set_status(flight_mode=FlightMode.OFFBOARD)
@@ -1457,20 +1455,18 @@ def test_a_mode_that_goes_back_to_offboard_at_once_costs_only_that_moment() -> N
         ({}, []),
     ],
 )
-def test_a_battery_is_low_by_its_charge_or_its_voltage_whichever_is_known(
-    left: dict[str, float], says: list[str]
-) -> None:
+def test_a_battery_is_low_by_its_charge_or_its_voltage(left: dict[str, float], says: list[str]) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(**left)
     c.run(1.2)
     assert [(e.rule, e.detail) for e in fired(c)] == [("battery", words) for words in says]
 
 
-def test_a_battery_that_recovers_has_its_time_again() -> None:
-    """A current for a moment is no low battery, however often it comes."""
+def test_a_battery_that_recovers_restarts_its_timer() -> None:
+    """Repeated short current peaks are no low battery."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for _ in range(4):
         c.set_status(battery_v=12.9)
         c.run(0.6)
@@ -1479,13 +1475,13 @@ def test_a_battery_that_recovers_has_its_time_again() -> None:
     assert not fired(c)
 
 
-def test_what_lasts_only_for_a_moment_at_a_time_does_not_add_up() -> None:
+def test_short_faults_do_not_add_up() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for _ in range(6):
-        c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+        c.feed(EstimatorSample(c.t_us, c.t_us, healthy=False))
         c.run(0.2)
-        c.give(EstimatorSample(c.t_us, c.t_us, healthy=True))
+        c.feed(EstimatorSample(c.t_us, c.t_us, healthy=True))
         c.run(0.05)
         c.noise_m_s2 = 0.0
         c.run(0.06)
@@ -1494,10 +1490,10 @@ def test_what_lasts_only_for_a_moment_at_a_time_does_not_add_up() -> None:
     assert not fired(c)
 
 
-def test_a_kill_switch_shows_by_the_fall_before_px4_disarms() -> None:
-    """Until the fall breaks another rule it has lasted 0.3 s; armed stays true for 5 s more."""
+def test_a_kill_switch_is_detected_by_the_fall_before_px4_disarms() -> None:
+    """The fall breaks another rule only after 0.3 s, and PX4 stays armed for 5 s more."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.motors, c.falling = (0.0,) * 4, True
     c.run(0.1)
     assert not fired(c)
@@ -1509,38 +1505,38 @@ def test_a_kill_switch_shows_by_the_fall_before_px4_disarms() -> None:
 
 
 @pytest.mark.parametrize("falling", [True, False])
-def test_motors_at_nothing_or_a_moment_without_weight_alone_are_no_kill_switch(falling: bool) -> None:
+def test_zero_throttle_or_free_fall_alone_is_no_kill_switch(falling: bool) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.motors, c.falling = c.motors if falling else (0.0,) * 4, falling
     c.run(0.3)
     assert "disarmed" not in {e.rule for e in fired(c)}
 
 
-def test_from_a_wall_that_is_not_in_the_mission_it_goes_away_the_way_it_was_pushed() -> None:
-    """On plain GPS a wall stands a metre from its place: what was felt says where."""
+def test_the_retreat_from_an_unknown_wall_follows_the_measured_push() -> None:
+    """With plain GPS a wall may be a metre off its place, so the force gives its direction."""
 
-    def goes_to() -> tuple[float, float]:
+    def retreat_target() -> tuple[float, float]:
         north, east, _ = next(o for o in reversed(c.outputs) if isinstance(o, Setpoint)).position_ned
         return north, east
 
     c = HandFedCore()
-    c.climbed()
+    c.finish_climb()
     assert c.core.phase is Phase.TRANSIT
     c.position_ned = (0.3, 0.2, -1.0)
     c.run(0.02)
     c.pulse((20.0, 0.0))
     assert [e.rule for e in fired(c)] == ["unplanned_hit"]
-    assert goes_to() == pytest.approx((0.8, 0.2), abs=0.01)
+    assert retreat_target() == pytest.approx((0.8, 0.2), abs=0.01)
     c.run(0.3)
     c.pulse((0.0, -40.0))
-    assert goes_to() == pytest.approx((0.3, -0.3), abs=0.01)
+    assert retreat_target() == pytest.approx((0.3, -0.3), abs=0.01)
 
 
-def test_one_report_of_landed_and_disarmed_does_not_end_a_landing_of_the_guard() -> None:
-    """It may be that of a vehicle which stands on the same link, before its first sample."""
+def test_one_report_of_landed_and_disarmed_does_not_end_a_guard_landing() -> None:
+    """It may come from a second vehicle on the same link, before the first sample of that vehicle."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
@@ -1548,13 +1544,13 @@ def test_one_report_of_landed_and_disarmed_does_not_end_a_landing_of_the_guard()
     c.set_status(armed=False, landed=LandedState.ON_GROUND)
     c.run(0.1)
     assert c.core.end is None
-    in_turn(c, 0, 3.0, 1.0)
+    alternate_vehicles(c, 0, 3.0, 1.0)
     assert c.core.end is None
 
 
-def test_a_vehicle_that_is_reported_disarmed_in_the_air_has_not_landed() -> None:
+def test_a_vehicle_reported_disarmed_in_the_air_has_not_landed() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND, armed=False)
@@ -1565,71 +1561,71 @@ def test_a_vehicle_that_is_reported_disarmed_in_the_air_has_not_landed() -> None
     assert c.core.end is not None
 
 
-def test_a_pilot_still_takes_over_beside_a_second_vehicle() -> None:
+def test_a_pilot_can_take_over_beside_a_second_vehicle() -> None:
     c = HandFedCore()
-    c.to_flight()
-    in_turn(c, 238_000_000, 3.0, 0.1)
+    c.enter_approach()
+    alternate_vehicles(c, 238_000_000, 3.0, 0.1)
     c.set_status(flight_mode=FlightMode.MANUAL)
     assert fired(c)[-1].rule == "pilot"
 
 
 @pytest.mark.parametrize("back_s", [5.0, 400.0])
-def test_a_clock_that_jumps_once_stays_one_that_runs_backwards(back_s: float) -> None:
+def test_a_single_backwards_jump_of_a_clock_is_reported_as_backwards_stamps(back_s: float) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     us = round(back_s * 1e6)
     for i in range(1, 60):
         t, received = c.t_us - us + 4000 * i, c.t_us + 4000 * i
-        c.give(AttitudeSample(t, received, c.q))
-        c.give(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
-        c.give(OdometrySample(t, received, c.position_ned, c.velocity_ned))
-        c.give(Tick(received))
+        c.feed(AttitudeSample(t, received, c.q))
+        c.feed(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
+        c.feed(OdometrySample(t, received, c.position_ned, c.velocity_ned))
+        c.feed(Tick(received))
     assert [e.rule for e in fired(c)] == ["stamps_backwards"]
 
 
-def test_a_clock_that_jumps_ahead_is_believed_in_the_end() -> None:
+def test_a_clock_that_jumps_ahead_is_accepted_eventually() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     for i in range(1, 60):
         t, received = c.t_us + 50_000_000 + 4000 * i, c.t_us + 4000 * i
-        c.give(AttitudeSample(t, received, c.q))
-        c.give(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
+        c.feed(AttitudeSample(t, received, c.q))
+        c.feed(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
     assert c.core.state.imu is not None
     assert c.core.state.imu.t_us > c.t_us + 50_000_000
     assert "second_vehicle" not in [e.rule for e in fired(c)]
 
 
-def test_what_is_known_of_link_and_computer_is_said_where_a_stream_fails() -> None:
+def test_a_failed_stream_is_reported_with_the_other_system_on_the_link() -> None:
     c = HandFedCore()
-    c.to_flight()
-    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    c.enter_approach()
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))
     c.silent.add("imu")
     c.run(0.1)
     assert [(e.rule, e.detail) for e in fired(c)] == [
         ("imu_silent", "no data for 100 ms; system 7 sends on the same link")
     ]
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.odometry_every = 14
     c.run(1.0)
-    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))
     c.run(1.2)
     assert [(e.rule, e.detail) for e in fired(c)] == [
         ("stream_rate", "odometry arrives at 18 Hz, minimum 30 Hz; system 7 sends on the same link")
     ]
 
 
-def test_a_program_that_did_not_run_is_named_as_the_cause_of_silence() -> None:
+def test_a_pause_of_this_program_is_named_as_the_cause_of_silence() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.run(0.1)
     c.t_us += 400_000  # no sample, and no tick either
     c.run(0.004)
     assert fired(c)[0].rule.endswith("_silent")
-    said = r"no data for 40\d ms; the computer is too busy: this program did not run for 40\d ms"
-    assert re.fullmatch(said, fired(c)[0].detail)
-    c = HandFedCore()  # a vehicle that falls silent is none of the computer's business
-    c.to_flight()
+    expected = r"no data for 40\d ms; the computer is too busy: this program did not run for 40\d ms"
+    assert re.fullmatch(expected, fired(c)[0].detail)
+    c = HandFedCore()  # a silent vehicle is not attributed to the computer
+    c.enter_approach()
     c.silent.add("attitude")
     c.run(0.3)
     assert [(e.rule, e.detail) for e in fired(c)] == [("attitude_silent", "no data for 220 ms")]
@@ -1642,12 +1638,10 @@ def test_a_program_that_did_not_run_is_named_as_the_cause_of_silence() -> None:
         ((0.0, 0.0, -1.0), (0.0, -1e9, 0.0), "implausible position: 1 m from the origin at 1e+09 m/s"),
     ],
 )
-def test_a_position_that_cannot_be_is_called_so_and_not_subtracted(
-    position: Vec3, velocity: Vec3, words: str
-) -> None:
+def test_an_implausible_position_is_reported_and_not_used(position: Vec3, velocity: Vec3, words: str) -> None:
     c = HandFedCore(rules=RULES)
     c.run(0.5)
-    c.give(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))  # on the ground: not taken
+    c.feed(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))  # on the ground: rejected
     assert c.core.state.odometry is not None
     assert c.core.state.odometry.position_ned == c.position_ned
     c = HandFedCore(rules=RULES)
@@ -1659,31 +1653,31 @@ def test_a_position_that_cannot_be_is_called_so_and_not_subtracted(
     c.run(0.1)
     assert c.core.phase is Phase.CLIMB
     before = c.core.state.position
-    c.give(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))
+    c.feed(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))
     assert [(e.rule, e.detail) for e in fired(c)] == [("estimator_jump", words)]
     assert c.core.state.position == before
 
 
-def test_another_system_on_the_link_is_refused_before_take_off_and_harmless_in_the_air() -> None:
+def test_another_system_on_the_link_is_refused_only_before_take_off() -> None:
     c = HandFedCore()
     c.run(0.1)
-    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))
     assert [(e.rule, e.detail) for e in fired(c)] == [
         ("second_vehicle_ground", "system 7 sends on the same link")
     ]
     assert c.core.end is not None
     c = HandFedCore()
-    c.to_flight()
-    c.give(OtherVehicle(c.t_us, c.t_us, 7))  # its samples are told apart
+    c.enter_approach()
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))  # its samples are distinguished
     c.run(0.2)
     assert not fired(c)
 
 
-def test_a_stream_without_usable_messages_is_silent_with_the_cause() -> None:
+def test_a_stream_without_usable_messages_is_silent_and_its_cause_is_named() -> None:
     c = HandFedCore(rules=tuple(r for r in RULES if r.name == "actuator_silent"))
-    c.to_flight()
-    c.give(StatusText(c.t_us, c.t_us, "error", "ODOMETRY arrives, none has a velocity"))
-    c.give(
+    c.enter_approach()
+    c.feed(StatusText(c.t_us, c.t_us, "error", "ODOMETRY arrives, none has a velocity"))
+    c.feed(
         StatusText(c.t_us, c.t_us, "error", "ACTUATOR_OUTPUT_STATUS arrives, none has the motors' outputs")
     )
     c.silent.add("actuator")

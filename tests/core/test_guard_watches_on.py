@@ -1,4 +1,4 @@
-"""What the guard still judges once a rule has overruled the mission, and that a landing is left alone."""
+"""Rules that still apply after the guard has overruled the mission; a landing is not interrupted."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ def fired(c: HandFedCore) -> list[tuple[str, str]]:
     return [(o.rule, o.action.value) for o in c.outputs if isinstance(o, GuardEvent)]
 
 
-def broken_off() -> HandFedCore:
+def broken_off_core() -> HandFedCore:
     c = HandFedCore()
-    c.to_flight()
-    return ask_to_land(c)
+    c.enter_approach()
+    return request_landing(c)
 
 
-def ask_to_land(c: HandFedCore) -> HandFedCore:
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+def request_landing(c: HandFedCore) -> HandFedCore:
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     c.run(0.1)
     assert fired(c) == [("operator", "break_off")]
-    c.velocity_ned = (0.3, 0.0, 0.0)  # under way: it lands only after 3 s
+    c.velocity_ned = (0.3, 0.0, 0.0)  # moving: it lands only after 3 s
     return c
 
 
@@ -44,8 +44,8 @@ def ask_to_land(c: HandFedCore) -> HandFedCore:
     [(2.3, []), (2.6, [("bounds", "hold")]), (-2.6, [("bounds", "hold")])],
 )
 def test_a_break_off_that_leaves_the_bounds_holds(north_m: float, rules: list[tuple[str, str]]) -> None:
-    """By more than the little that a wall at their edge may take; the bounds end at 2.2 and -2."""
-    c = broken_off()
+    """The excess must exceed the tolerance for a wall at their edge; the bounds end at 2.2 and -2 m."""
+    c = broken_off_core()
     c.position_ned = (north_m, 0.0, -1.0)
     out = c.run(0.1)
     assert fired(c)[1:] == rules
@@ -55,15 +55,15 @@ def test_a_break_off_that_leaves_the_bounds_holds(north_m: float, rules: list[tu
 
 
 @pytest.mark.parametrize(("height_m", "lands"), [(2.2, True), (2.04, False), (0.2, True), (0.27, False)])
-def test_a_break_off_that_leaves_the_altitudes_lands(height_m: float, lands: bool) -> None:
-    c = broken_off()
+def test_a_break_off_that_leaves_the_altitude_limits_lands(height_m: float, lands: bool) -> None:
+    c = broken_off_core()
     c.position_ned = (0.0, 0.0, -height_m)
     c.run(0.1)
     assert fired(c)[1:] == ([("altitude", "land")] if lands else [])
 
 
-def test_a_landing_may_go_through_the_floor() -> None:
-    c = broken_off()
+def test_a_landing_may_descend_below_the_lowest_altitude() -> None:
+    c = broken_off_core()
     c.velocity_ned = (0.0, 0.0, 0.0)
     c.run(2.0)
     assert any(isinstance(o, VehicleCommand) and o.action is VehicleAction.LAND for o in c.outputs)
@@ -74,18 +74,18 @@ def test_a_landing_may_go_through_the_floor() -> None:
     assert fired(c) == [("operator", "break_off")]
 
 
-def test_a_climb_that_is_broken_off_is_not_below_the_floor() -> None:
+def test_a_broken_off_climb_may_be_below_the_lowest_altitude() -> None:
     c = HandFedCore()
-    c.to_climb()
+    c.enter_climb()
     assert c.core.phase is Phase.CLIMB
     c.position_ned = (0.0, 0.0, -0.1)
-    ask_to_land(c)
+    request_landing(c)
     c.run(0.3)
     assert fired(c) == [("operator", "break_off")]
 
 
-def test_a_tilt_that_changes_nothing_any_more_is_noted_once() -> None:
-    c = broken_off()
+def test_a_tilt_without_effect_is_reported_once() -> None:
+    c = broken_off_core()
     for _ in range(2):
         c.q = quaternion_from_euler(1.3, 0.0, 0.0)
         c.run(0.1)
@@ -96,9 +96,9 @@ def test_a_tilt_that_changes_nothing_any_more_is_noted_once() -> None:
     assert c.core._guard.reason == "operator: landing requested"
 
 
-def test_an_estimate_that_jumps_moves_the_place_to_hold_with_it() -> None:
-    c = broken_off()
-    c.judge_by(RULES)
+def test_an_estimator_jump_moves_the_hold_position() -> None:
+    c = broken_off_core()
+    c.use_rules(RULES)
     for east_m in (0.5, 1.0):  # the second jump finds the guard holding already
         c.position_ned = (0.0, east_m, -1.0)
         last = [o for o in c.run(0.1) if isinstance(o, Setpoint)][-1]
@@ -106,11 +106,11 @@ def test_an_estimate_that_jumps_moves_the_place_to_hold_with_it() -> None:
     assert fired(c)[1:] == [("estimator_jump", "hold")]
 
 
-def test_an_impact_explains_no_doubt_of_px4_about_its_position() -> None:
-    """Its deviation does not rise in a hit; that of a position adrift passed the limit within the window."""
+def test_an_impact_does_not_excuse_an_uncertain_position() -> None:
+    """A hit does not raise PX4's standard deviation; a drifting position exceeds the limit in that time."""
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
-    c.give(EstimatorSample(c.t_us, c.t_us, position_sd_m=0.11))
+    c.feed(EstimatorSample(c.t_us, c.t_us, position_sd_m=0.11))
     c.run(0.05)
     assert ("position_uncertain", "land") in fired(c)

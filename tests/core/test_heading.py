@@ -1,4 +1,4 @@
-"""The heading after a contact: brought back by PX4's yaw control, and how long that takes."""
+"""Recovery of the heading after a contact by PX4's yaw control, and its duration."""
 
 import math
 
@@ -20,62 +20,69 @@ SQUARE_RAD = 0.09
 STEP_S, WITHIN_S = 0.02, 5.0
 
 
-def heading_over_time(off: float, rate: float, guided: bool) -> list[float]:
-    """Heading less the wanted one, rad, every 20 ms, of a hovering vehicle under the simulated cascade.
+def heading_over_time(error_rad: float, rate_rad_s: float, guided: bool) -> list[float]:
+    """Return the heading error, rad, every 20 ms, of a hovering vehicle under the simulated cascade.
 
     Args:
-        off, rate: at the beginning, rad and rad/s, NED.
-        guided: by `HeadingControl`; else the wanted heading is asked for at once.
+        error_rad, rate_rad_s: initial heading error and yaw rate, NED.
+        guided: whether `HeadingControl` leads the heading; otherwise the target is commanded at once.
     """
     parameters = {name: float(value) for name, value in default_parameters(VEHICLE).items()}
     cascade = Cascade(parameters, VEHICLE.hover_thrust_fraction(), VEHICLE.thrust, VEHICLE.airframe.motors)
     control, heading = HeadingControl(VEHICLE), Heading()
     plant = Plant(VEHICLE, (), MissionFrame())
     plant.position, plant.ground_down = (0.0, 0.0, -5.0), 100.0
-    plant.q, plant.rate = quaternion_from_euler(0.0, 0.0, off), (0.0, 0.0, rate)
+    plant.q, plant.rate = quaternion_from_euler(0.0, 0.0, error_rad), (0.0, 0.0, rate_rad_s)
     plant.motor = [HOVER] * 4
     found = []
     for step in range(round(WITHIN_S / STEP_S)):
         yaw = yaw_ned_of(plant.q)
         found.append(yaw)
         heading = control.lead(heading, yaw, plant.rate[2], round(step * STEP_S * 1e6))
-        asked = heading.commanded if guided else 0.0
+        commanded = heading.commanded if guided else 0.0
         for _ in range(5):
-            hold = TrajectorySetpoint((0.0, 0.0, -5.0), yaw=asked)
+            hold = TrajectorySetpoint((0.0, 0.0, -5.0), yaw=commanded)
             cascade.update_position(hold, plant.position, plant.velocity, yaw_ned_of(plant.q), 0.004)
             plant.advance(cascade.update_attitude(plant.q, plant.rate, 0.004), 4)
     return found
 
 
-def square_from_s(headings: list[float]) -> float:
+def settling_time_s(headings: list[float]) -> float:
     return STEP_S * (1 + max(k for k, heading in enumerate(headings) if abs(heading) > SQUARE_RAD))
 
 
 @pytest.mark.parametrize(
-    ("off", "rate"), [(0.1, 0.8), (0.2, 1.5), (0.3, 2.0), (-0.2, -2.0), (0.6, 0.0), (0.6, -1.0), (-1.0, 1.0)]
+    ("error_rad", "rate_rad_s"),
+    [(0.1, 0.8), (0.2, 1.5), (0.3, 2.0), (-0.2, -2.0), (0.6, 0.0), (0.6, -1.0), (-1.0, 1.0)],
 )
-def test_a_heading_comes_back_without_overshoot_and_when_it_is_said_to(off: float, rate: float) -> None:
-    guided, plain = heading_over_time(off, rate, True), heading_over_time(off, rate, False)
-    said_s = HeadingControl(VEHICLE).time_to_s(off, rate, SQUARE_RAD)
-    assert square_from_s(guided) - 0.05 <= said_s <= square_from_s(guided) + 0.2
-    assert square_from_s(guided) <= square_from_s(plain) + 0.1
-    if abs(rate) >= 1.5:  # PX4's own way overshoots from there
-        assert square_from_s(guided) < 0.6 * square_from_s(plain)
-    there = math.copysign(1.0, off + 0.5 * rate * abs(rate) / 3.0)  # from where it comes back
-    assert max(-there * heading for heading in guided[-150:]) < SQUARE_RAD
+def test_the_heading_returns_without_overshoot_in_the_predicted_time(
+    error_rad: float, rate_rad_s: float
+) -> None:
+    guided, plain = (
+        heading_over_time(error_rad, rate_rad_s, True),
+        heading_over_time(error_rad, rate_rad_s, False),
+    )
+    predicted_s = HeadingControl(VEHICLE).time_to_s(error_rad, rate_rad_s, SQUARE_RAD)
+    assert settling_time_s(guided) - 0.05 <= predicted_s <= settling_time_s(guided) + 0.2
+    assert settling_time_s(guided) <= settling_time_s(plain) + 0.1
+    if abs(rate_rad_s) >= 1.5:  # from this rate on, PX4 alone overshoots
+        assert settling_time_s(guided) < 0.6 * settling_time_s(plain)
+    # The side from which the heading returns.
+    side = math.copysign(1.0, error_rad + 0.5 * rate_rad_s * abs(rate_rad_s) / 3.0)
+    assert max(-side * heading for heading in guided[-150:]) < SQUARE_RAD
 
 
-def test_a_square_heading_needs_no_time_and_is_asked_for() -> None:
+def test_a_square_heading_needs_no_time_and_is_commanded() -> None:
     control = HeadingControl(VEHICLE)
     assert control.time_to_s(0.05, 0.0, SQUARE_RAD) == 0.0
     assert control.time_to_s(2.0 * math.pi, 0.0, SQUARE_RAD) == 0.0
     assert control.lead(Heading(yaw=1.0), 1.0, 0.0, 20_000).commanded == pytest.approx(1.0)
 
 
-def test_a_wall_is_turned_as_it_was_felt() -> None:
-    """And nothing is learnt of it by a contact that itself is not sure."""
+def test_a_walls_rotation_comes_from_a_certain_contact() -> None:
+    """An uncertain contact does not change it."""
     wall = Wall("east", (2.0, 0.0), (-1.0, 0.0), 4.0, "acrylic")
-    felt = WallEstimate(
+    estimate = WallEstimate(
         t_us=0,
         first_us=0,
         wall="east",
@@ -100,32 +107,34 @@ def test_a_wall_is_turned_as_it_was_felt() -> None:
     )
     walls = EstimatedWalls()
     assert walls.rotation(wall) == 0.0
-    walls.add_estimate(felt, wall)
+    walls.add_estimate(estimate, wall)
     assert walls.rotation(wall) == pytest.approx(-0.07)
-    unsure = msgspec.structs.replace(felt, plane_normal_mission=(-1.0, 0.0), plane_normal_sigma_rad=0.1)
-    walls.add_estimate(unsure, wall)
+    uncertain = msgspec.structs.replace(
+        estimate, plane_normal_mission=(-1.0, 0.0), plane_normal_sigma_rad=0.1
+    )
+    walls.add_estimate(uncertain, wall)
     assert walls.rotation(wall) == pytest.approx(-0.07)
 
 
-def test_walls_that_were_met_stay_where_they_are_when_the_frame_moves() -> None:
-    """The others are where the mission has them; who does not move is as far from a wall as before."""
-    met, other = (Wall(name, (2.0, 1.0), (-0.6, -0.8), 2.0, "acrylic") for name in ("met", "other"))
+def test_measured_walls_stay_in_place_when_the_frame_moves() -> None:
+    """Other walls keep their mission position; a resting vehicle keeps its distance to measured ones."""
+    measured, other = (Wall(name, (2.0, 1.0), (-0.6, -0.8), 2.0, "acrylic") for name in ("met", "other"))
     coefficients, plane = (1.0,) * 8, (0.0, 0.1, 0.05, 0.02)
     walls, here = EstimatedWalls(), (0.5, 0.2)
-    walls.add_estimate(WallEstimate(0, 0, "met", None, None, 0.0, *coefficients, *plane), met)
-    before_m = walls.known_wall(met).signed_distance(here)
-    assert before_m == pytest.approx(met.signed_distance(here) - 0.05)
-    by = (0.3, -0.1)
-    walls.move_frame(by)
-    moved = (here[0] - by[0], here[1] - by[1])
-    assert walls.known_wall(met).signed_distance(moved) == pytest.approx(before_m)
+    walls.add_estimate(WallEstimate(0, 0, "met", None, None, 0.0, *coefficients, *plane), measured)
+    before_m = walls.known_wall(measured).signed_distance(here)
+    assert before_m == pytest.approx(measured.signed_distance(here) - 0.05)
+    shift = (0.3, -0.1)
+    walls.move_frame(shift)
+    moved = (here[0] - shift[0], here[1] - shift[1])
+    assert walls.known_wall(measured).signed_distance(moved) == pytest.approx(before_m)
     assert walls.known_wall(other) == other
 
 
 @pytest.mark.parametrize("sd_m", [0.3, None])
-def test_a_walls_place_is_as_unsure_as_it_and_the_frame_are_together(sd_m: float | None) -> None:
+def test_wall_position_uncertainty_includes_the_frame(sd_m: float | None) -> None:
     wall = Wall("wood", (2.0, 1.0), (-0.6, -0.8), 2.0, "acrylic", position_sd_m=sd_m)
     anchors = FrameAnchors(0.1)
-    seen = EstimatedWalls(anchors).known_wall(wall, 5_000_000)
-    assert seen.position_sd_m == pytest.approx(math.hypot(sd_m or 0.0, anchors.sd_m(wall.normal, 5_000_000)))
+    known = EstimatedWalls(anchors).known_wall(wall, 5_000_000)
+    assert known.position_sd_m == pytest.approx(math.hypot(sd_m or 0.0, anchors.sd_m(wall.normal, 5_000_000)))
     assert EstimatedWalls(anchors).known_wall(wall) == EstimatedWalls().known_wall(wall, 5_000_000) == wall

@@ -1,4 +1,4 @@
-"""The heading after a hit: square to the wall that comes next, as its contacts have found it."""
+"""The heading after a hit: square to the next wall, with the rotation measured by its contacts."""
 
 from __future__ import annotations
 
@@ -21,57 +21,55 @@ EAST, WEST = (next(c for c in SHUTTLE.collisions if c.wall.name == name) for nam
 turns = st.floats(-0.17, 0.17)
 
 
-CHOICE = SetpointSelection(SHUTTLE)
+SELECTION = SetpointSelection(SHUTTLE)
 
 
-def progress_at(yaw: float, turned: dict[str, float], phase: Phase, collision: Any) -> Any:
-    """A mission in a phase, on a heading, with walls that were felt to be turned."""
-    walls: Any = SimpleNamespace(rotation=lambda wall: turned[wall.name])
+def progress_at(yaw: float, rotations: dict[str, float], phase: Phase, collision: Any) -> Any:
+    """Return a mission state in a phase, with a heading and measured wall rotations."""
+    walls: Any = SimpleNamespace(rotation=lambda wall: rotations[wall.name])
     return SimpleNamespace(phase=phase, collision=collision, heading=Heading(yaw), walls=walls)
 
 
-def off_square(yaw: float, collision: Any, turned: dict[str, float]) -> float:
-    """Rad, of the nearest quarter turn."""
-    square = collision.wall.parallel_yaw(yaw) + turned[collision.wall.name]
+def off_square(yaw: float, collision: Any, rotations: dict[str, float]) -> float:
+    """Return the angle to the nearest quarter turn, rad."""
+    square = collision.wall.parallel_yaw(yaw) + rotations[collision.wall.name]
     return abs(wrap_angle(4.0 * (yaw - square))) / 4.0
 
 
 @given(east=turns, west=turns, spun=st.floats(-0.7, 0.7))
-def test_after_a_hit_the_heading_is_square_to_the_next_wall_whatever_the_last_one_asked_for(
-    east: float, west: float, spun: float
-) -> None:
-    turned = {"east": east, "west": west}
+def test_the_heading_after_a_hit_is_square_to_the_next_wall(east: float, west: float, spun: float) -> None:
+    rotations = {"east": east, "west": west}
     state: Any = SimpleNamespace(yaw=0.0, now_us=0)
-    now = progress_at(0.0, turned, Phase.APPROACH, EAST)
-    approach = CHOICE.wanted_yaw(now, state)
-    assert off_square(approach, EAST, turned) == pytest.approx(0.0, abs=1e-9)
+    now = progress_at(0.0, rotations, Phase.APPROACH, EAST)
+    approach = SELECTION.wanted_yaw(now, state)
+    assert off_square(approach, EAST, rotations) == pytest.approx(0.0, abs=1e-9)
     now.heading = now.heading._replace(yaw=approach)
-    now.heading = CHOICE.heading(now, state)
+    now.heading = SELECTION.heading(now, state)
     assert now.heading.asked is None
-    # The hit has turned the vehicle; the next wall stands otherwise than the one that was hit.
+    # The hit has turned the vehicle; the next wall has another rotation.
     now.phase, now.collision = Phase.RECOVERY, WEST
     state.yaw = approach + spun
-    wanted = CHOICE.wanted_yaw(now, state)
-    assert off_square(wanted, WEST, turned) == pytest.approx(0.0, abs=1e-9)
-    assert abs(wrap_angle(wanted - approach)) == pytest.approx(abs(west - east), abs=1e-9)
+    target = SELECTION.wanted_yaw(now, state)
+    assert off_square(target, WEST, rotations) == pytest.approx(0.0, abs=1e-9)
+    assert abs(wrap_angle(target - approach)) == pytest.approx(abs(west - east), abs=1e-9)
 
 
-def test_to_the_goal_the_heading_before_the_hits_is_kept() -> None:
+def test_the_heading_from_before_the_hits_is_kept_to_the_goal() -> None:
     state: Any = SimpleNamespace(yaw=0.3, now_us=0)
     now = progress_at(0.1, {}, Phase.TRANSIT, None)
-    now.heading = CHOICE.heading(now, state)
+    now.heading = SELECTION.heading(now, state)
     assert now.heading.asked is None
     now.phase, now.heading = Phase.RECOVERY, now.heading._replace(yaw=0.25)
-    assert CHOICE.wanted_yaw(now, state) == 0.1
+    assert SELECTION.wanted_yaw(now, state) == 0.1
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0.1, 2.0), st.floats(0.0, 3.0))
-def test_a_heading_turns_the_short_way_at_its_rate(
-    yaw: float, wanted: float, rate_rad_s: float, for_s: float
+def test_a_heading_turns_in_the_shorter_direction_at_its_rate(
+    yaw: float, target: float, rate_rad_s: float, for_s: float
 ) -> None:
     before = Heading(yaw, 1_000_000)
-    after = before.turn(wanted, 1_000_000 + round(for_s * 1e6), rate_rad_s)
-    way = abs(wrap_angle(wanted - yaw))
-    assert abs(wrap_angle(after.yaw - yaw)) == pytest.approx(min(way, rate_rad_s * for_s), abs=1e-5)
-    left = abs(wrap_angle(wanted - after.yaw))
-    assert left == pytest.approx(max(0.0, way - rate_rad_s * for_s), abs=1e-5)
+    after = before.turn(target, 1_000_000 + round(for_s * 1e6), rate_rad_s)
+    angle = abs(wrap_angle(target - yaw))
+    assert abs(wrap_angle(after.yaw - yaw)) == pytest.approx(min(angle, rate_rad_s * for_s), abs=1e-5)
+    left = abs(wrap_angle(target - after.yaw))
+    assert left == pytest.approx(max(0.0, angle - rate_rad_s * for_s), abs=1e-5)

@@ -1,4 +1,4 @@
-"""Resets of the estimated heading: told from turning by the gyro, named, and listed in the verdict."""
+"""Resets of the estimated heading: distinguished from rotation by the gyro, reported, and listed."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ from tests.core.conftest import HandFedCore
 NED = (0.0, 0.0, 0.0)
 
 
-def reset_heading(
+def measured_step_deg(
     step_deg: float, seed: int, lost: float = 0.0, counter: tuple[int, int] = (3, 4), lag: int = 0
 ) -> float:
-    """The step measured for a vehicle that tumbles at up to 20 rad/s, degrees.
+    """Return the step measured for a vehicle that tumbles at up to 20 rad/s, degrees.
 
     Args:
-        step_deg: of the heading, after half a second.
-        seed: of the motion.
-        lost: share of the attitudes that does not arrive.
-        counter: before and after.
+        step_deg: heading step after half a second.
+        seed: seed of the motion.
+        lost: share of lost attitude samples.
+        counter: reset counter before and after.
         lag: ticks by which the counter follows the attitude.
     """
-    chance, resets = random.Random(seed), EstimatorResets()
-    q = quaternion_from_euler(*(chance.uniform(-1.0, 1.0) for _ in range(3)))
-    swing = [(chance.uniform(-11.0, 11.0), chance.uniform(1.0, 8.0), chance.uniform(0.0, 6.0)) for _ in NED]
+    rng, resets = random.Random(seed), EstimatorResets()
+    q = quaternion_from_euler(*(rng.uniform(-1.0, 1.0) for _ in range(3)))
+    swing = [(rng.uniform(-11.0, 11.0), rng.uniform(1.0, 8.0), rng.uniform(0.0, 6.0)) for _ in NED]
     resets.update_counter(counter[0], 0)
     for tick in range(1, 250):
         t_us = 1_000_000 + 4000 * tick
@@ -57,8 +57,8 @@ def reset_heading(
         q = quaternion_normalise(advance_attitude(q, rate_frd, 0.004))
         if tick == 125:
             q = quaternion_multiply(quaternion_from_euler(0.0, 0.0, math.radians(step_deg)), q)
-        attitude_first = chance.random() < 0.5
-        arrives = tick % 2 == 0 and chance.random() >= lost
+        attitude_first = rng.random() < 0.5
+        arrives = tick % 2 == 0 and rng.random() >= lost
         if arrives and attitude_first:
             resets.add_attitude(AttitudeSample(t_us, t_us, q))
         resets.add_imu(ImuSample(t_us, t_us, NED, rate_frd))
@@ -77,25 +77,25 @@ def reset_heading(
     st.sampled_from([(3, 4), (255, 0), (7, 12)]),
     st.integers(0, 12),
 )
-def test_a_step_is_measured_however_the_vehicle_turns(
+def test_a_heading_step_is_measured_during_any_rotation(
     step_deg: float, seed: int, lost: float, counter: tuple[int, int], lag: int
 ) -> None:
-    assert reset_heading(step_deg, seed, lost, counter, lag) == pytest.approx(step_deg, abs=0.5)
+    assert measured_step_deg(step_deg, seed, lost, counter, lag) == pytest.approx(step_deg, abs=0.5)
 
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=30, deadline=None)
-def test_turning_alone_is_no_step(seed: int) -> None:
-    """Also where the counter rises for another reason."""
-    assert abs(reset_heading(0.0, seed)) < 0.5
+def test_rotation_alone_is_no_heading_step(seed: int) -> None:
+    """This holds even if the counter rises for another reason."""
+    assert abs(measured_step_deg(0.0, seed)) < 0.5
 
 
-def test_a_heading_far_from_the_counter_is_not_its() -> None:
-    assert reset_heading(30.0, 1, lag=60) == pytest.approx(0.0, abs=0.5)
-    assert reset_heading(30.0, 1, counter=(4, 4)) == 0.0
+def test_a_heading_step_far_from_a_counter_change_is_no_reset() -> None:
+    assert measured_step_deg(30.0, 1, lag=60) == pytest.approx(0.0, abs=0.5)
+    assert measured_step_deg(30.0, 1, counter=(4, 4)) == 0.0
 
 
-def test_a_step_of_the_tilt_is_none_of_the_heading() -> None:
+def test_a_tilt_step_is_no_heading_step() -> None:
     resets, q = EstimatorResets(), quaternion_from_euler(0.0, 0.0, 1.0)
     resets.update_counter(0, 0)
     for tick in range(1, 40):
@@ -108,7 +108,7 @@ def test_a_step_of_the_tilt_is_none_of_the_heading() -> None:
     assert abs(math.degrees(resets.newest.heading_rad)) < 0.1
 
 
-def test_without_rates_in_between_nothing_can_be_compared() -> None:
+def test_no_heading_step_is_measured_across_a_gap_in_the_gyro_rates() -> None:
     resets = EstimatorResets()
     resets.update_counter(0, 0)
     for t_us, yaw in ((0, 0.0), (4000, 0.0), (400_000, 1.0), (404_000, 1.0)):
@@ -119,7 +119,7 @@ def test_without_rates_in_between_nothing_can_be_compared() -> None:
     assert resets.newest.heading_rad == 0.0
 
 
-def test_steps_of_position_and_velocity_are_measured_beside_the_motion() -> None:
+def test_position_and_velocity_steps_are_separated_from_the_motion() -> None:
     resets = EstimatorResets()
     resets.update_counter(250, 0)
     for n in range(40):
@@ -133,13 +133,13 @@ def test_steps_of_position_and_velocity_are_measured_beside_the_motion() -> None
     assert resets.newest.velocity_m_s == pytest.approx(0.1, abs=1e-6)
 
 
-# --- what the guard makes of it --------------------------------------------------------------------------
+# --- reaction of the guard ------------------------------------------------------------------------------
 
 
-def turn(c: HandFedCore, step_deg: float, counter: int = 2) -> None:
-    """Reset the heading."""
+def step_heading(c: HandFedCore, step_deg: float, counter: int = 2) -> None:
+    """Step the heading and set the reset counter."""
     c.q = quaternion_multiply(quaternion_from_euler(0.0, 0.0, math.radians(step_deg)), c.q)
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=counter))
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=counter))
     c.run(0.05)
 
 
@@ -147,52 +147,52 @@ def fired(c: HandFedCore) -> list[tuple[str, str]]:
     return [(o.rule, o.detail) for o in c.outputs if isinstance(o, GuardEvent)]
 
 
-def counted(c: HandFedCore) -> HandFedCore:
-    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
+def with_reset_counter(c: HandFedCore) -> HandFedCore:
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
     return c
 
 
 @pytest.mark.parametrize("step_deg", [5.5, -30.0, 90.0, 175.0, -175.0])
-def test_a_step_of_the_heading_breaks_off_before_the_wall(step_deg: float) -> None:
-    c = counted(HandFedCore())
-    c.to_flight()
+def test_a_heading_step_breaks_off_the_approach(step_deg: float) -> None:
+    c = with_reset_counter(HandFedCore())
+    c.enter_approach()
     assert c.core.phase is Phase.APPROACH
-    turn(c, step_deg)
+    step_heading(c, step_deg)
     assert fired(c) == [("heading_reset", f"heading stepped by {step_deg:.1f} deg, limit 5 deg")]
     assert c.core.override is Override.BREAK_OFF
 
 
-def test_small_steps_and_counts_alone_end_nothing() -> None:
-    c = counted(HandFedCore())
-    c.to_flight()
-    turn(c, 4.5)
+def test_small_steps_and_counter_changes_alone_end_no_flight() -> None:
+    c = with_reset_counter(HandFedCore())
+    c.enter_approach()
+    step_heading(c, 4.5)
     c.run(0.3)
-    turn(c, 0.0, counter=3)
+    step_heading(c, 0.0, counter=3)
     c.run(0.3)
     assert fired(c) == []
 
 
-def test_a_heading_may_align_in_the_climb() -> None:
-    c = counted(HandFedCore())
-    c.to_climb()
+def test_the_heading_may_align_in_the_climb() -> None:
+    c = with_reset_counter(HandFedCore())
+    c.enter_climb()
     assert c.core.phase is Phase.CLIMB
-    turn(c, 60.0)
+    step_heading(c, 60.0)
     c.run(0.1)
-    c.q = quaternion_from_euler(0.0, 0.0, 0.0)  # it turns to where the mission wants it
+    c.q = quaternion_from_euler(0.0, 0.0, 0.0)  # turned to the heading of the mission
     c.position_ned = (0.0, 0.0, -1.0)
     c.run(0.5)
     assert c.core.phase is not Phase.CLIMB
     assert fired(c) == []
 
 
-def test_an_impact_explains_no_step_of_the_heading() -> None:
-    c = counted(HandFedCore())
-    c.at_the_wood()
+def test_an_impact_does_not_excuse_a_heading_step() -> None:
+    c = with_reset_counter(HandFedCore())
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
     c.set_lock("rigid")  # type: ignore[arg-type]
     c.run(0.1)
     assert c.core.phase is Phase.RECOVERY
-    turn(c, 30.0)
+    step_heading(c, 30.0)
     assert "heading_reset" in [rule for rule, _ in fired(c)]
 
 
@@ -207,7 +207,7 @@ def test_an_impact_explains_no_step_of_the_heading() -> None:
         ("heading-reset=60@take-off", "completed", 60.0),
     ],
 )
-def test_the_verdict_lists_resets_of_the_estimator(fault: str, outcome: str, heading_deg: float) -> None:
+def test_the_verdict_lists_estimator_resets(fault: str, outcome: str, heading_deg: float) -> None:
     mission = load_flyable(packaged("missions", "paper_dual_collision.yaml"))
     verdict = fly_fast(mission, 1, None, fault=parse_fault(fault))
     assert verdict.outcome == outcome

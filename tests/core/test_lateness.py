@@ -1,4 +1,4 @@
-"""How old samples are when they come, by stamps, receipts and round trips."""
+"""Age of samples at their receipt, from stamps, times of receipt and round trips."""
 
 from __future__ import annotations
 
@@ -12,177 +12,175 @@ from dart_flight.core.guard.stream_watch import TelemetryDelay
 from dart_flight.core.pace import Pace
 from tests.core.conftest import HandFedCore
 
-AHEAD_US = 300_000_000  # the autopilot's clock
+AHEAD_US = 300_000_000  # offset of the autopilot's clock
 
 
 def feed(
-    lateness: TelemetryDelay,
+    delay: TelemetryDelay,
     seconds: float,
     delay_s: Callable[[float], float],
     *,
     from_s: float = 0.0,
-    trips: bool = True,
+    round_trips: bool = True,
     drift: float = 0.0,
 ) -> bool:
-    """IMU samples that come so late, each way of a round trip likewise; whether they ever counted as late."""
+    """Feed IMU samples and round trips with this delay each way; return whether they ever were late."""
     was_late = False
     for i in range(round(seconds / 0.004)):
         now_s = from_s + 0.004 * i
         autopilot_us = AHEAD_US + round(1e6 * now_s * (1.0 + drift))
         way_s = delay_s(now_s)
-        if trips and i % 25 == 0:
+        if round_trips and i % 25 == 0:
             here_us = round(1e6 * now_s)
-            lateness.add_round_trip(
+            delay.add_round_trip(
                 RoundTrip(here_us + round(1e6 * way_s), here_us - round(1e6 * way_s), autopilot_us)
             )
-        lateness.add_sample(autopilot_us, round(1e6 * (now_s + way_s)))
-        was_late = was_late or lateness.late
+        delay.add_sample(autopilot_us, round(1e6 * (now_s + way_s)))
+        was_late = was_late or delay.late
     return was_late
 
 
-def test_without_a_round_trip_nothing_is_known() -> None:
-    lateness = TelemetryDelay(0.075)
-    assert not feed(lateness, 2.0, lambda t: 1.0, trips=False)
-    assert lateness.age_us == 0.0
+def test_no_delay_is_known_without_a_round_trip() -> None:
+    delay = TelemetryDelay(0.075)
+    assert not feed(delay, 2.0, lambda t: 1.0, round_trips=False)
+    assert delay.age_us == 0.0
 
 
-def test_a_delay_that_is_always_the_same_is_found_by_the_round_trip() -> None:
-    lateness = TelemetryDelay(0.075)
-    assert not feed(lateness, 2.0, lambda t: 0.05)
-    assert abs(lateness.age_us - 50e3) < 1.0
-    lateness = TelemetryDelay(0.075)
-    assert feed(lateness, 0.3, lambda t: 1.0)
-    assert lateness.describe() == "telemetry arrives 1000 ms after sampling, limit 75 ms, round trip 2000 ms"
+def test_a_constant_delay_is_measured_by_round_trips() -> None:
+    delay = TelemetryDelay(0.075)
+    assert not feed(delay, 2.0, lambda t: 0.05)
+    assert abs(delay.age_us - 50e3) < 1.0
+    delay = TelemetryDelay(0.075)
+    assert feed(delay, 0.3, lambda t: 1.0)
+    assert delay.describe() == "telemetry arrives 1000 ms after sampling, limit 75 ms, round trip 2000 ms"
 
 
-def test_a_delay_that_comes_later_shows_although_no_request_is_answered_any_more() -> None:
-    lateness = TelemetryDelay(0.075)
-    assert not feed(lateness, 60.0, lambda t: 0.003)
-    assert feed(lateness, 0.3, lambda t: 0.1, from_s=60.0, trips=False)
-    assert lateness.describe() == "telemetry arrives 100 ms after sampling, limit 75 ms"
+def test_a_later_delay_is_detected_without_further_round_trips() -> None:
+    delay = TelemetryDelay(0.075)
+    assert not feed(delay, 60.0, lambda t: 0.003)
+    assert feed(delay, 0.3, lambda t: 0.1, from_s=60.0, round_trips=False)
+    assert delay.describe() == "telemetry arrives 100 ms after sampling, limit 75 ms"
 
 
-def test_it_stays_late_however_long_that_lasts() -> None:
-    """The offset between the clocks adapts within seconds; the best round trip is not forgotten so soon."""
-    lateness = TelemetryDelay(0.075)
-    feed(lateness, 1.0, lambda t: 0.003)
-    feed(lateness, 120.0, lambda t: 2.4, from_s=1.0)
-    assert lateness.late
-    feed(lateness, 3.0, lambda t: 0.003, from_s=121.0)
-    assert not lateness.late
+def test_a_lasting_delay_keeps_counting_as_late() -> None:
+    """The clock offset adapts within seconds, but the best round trip is kept for longer."""
+    delay = TelemetryDelay(0.075)
+    feed(delay, 1.0, lambda t: 0.003)
+    feed(delay, 120.0, lambda t: 2.4, from_s=1.0)
+    assert delay.late
+    feed(delay, 3.0, lambda t: 0.003, from_s=121.0)
+    assert not delay.late
 
 
-def test_clocks_that_drift_apart_are_no_lateness() -> None:
+def test_clock_drift_is_no_delay() -> None:
     for drift in (1e-4, -1e-4):
-        lateness = TelemetryDelay(0.075)
-        chance = random.Random(1)
-        assert not feed(lateness, 1800.0, lambda t, c=chance: 0.002 + 0.02 * c.random(), drift=drift)  # type: ignore[misc]
+        delay = TelemetryDelay(0.075)
+        rng = random.Random(1)
+        assert not feed(delay, 1800.0, lambda t, c=rng: 0.002 + 0.02 * c.random(), drift=drift)  # type: ignore[misc]
 
 
-def test_what_comes_at_one_go_after_a_pause_is_no_lateness() -> None:
-    lateness = TelemetryDelay(0.075)
-    feed(lateness, 1.0, lambda t: 0.003)
-    assert not feed(lateness, 0.4, lambda t: 0.003 + 1.4 - t, from_s=1.0, trips=False)
-    assert not feed(lateness, 1.0, lambda t: 0.003, from_s=1.4)
+def test_a_burst_after_a_pause_is_no_delay() -> None:
+    delay = TelemetryDelay(0.075)
+    feed(delay, 1.0, lambda t: 0.003)
+    assert not feed(delay, 0.4, lambda t: 0.003 + 1.4 - t, from_s=1.0, round_trips=False)
+    assert not feed(delay, 1.0, lambda t: 0.003, from_s=1.4)
 
 
-def test_jitter_is_lateness_where_too_much_of_it_comes_late() -> None:
-    chance = random.Random(1)
-    assert not feed(TelemetryDelay(0.075), 60.0, lambda t: 0.075 * chance.random())
-    assert feed(TelemetryDelay(0.075), 5.0, lambda t: 0.15 * chance.random())
+def test_jitter_counts_as_a_delay_if_too_many_samples_are_late() -> None:
+    rng = random.Random(1)
+    assert not feed(TelemetryDelay(0.075), 60.0, lambda t: 0.075 * rng.random())
+    assert feed(TelemetryDelay(0.075), 5.0, lambda t: 0.15 * rng.random())
 
 
 @pytest.mark.parametrize(("every_ms", "samples"), [(4, 41), (20, 9), (100, 9)])
-def test_samples_are_late_once_they_are_for_a_sixth_of_a_second(every_ms: int, samples: int) -> None:
-    """A share of 15 % of the last second; a sample counts for 20 ms at most, however long none came."""
-    lateness = TelemetryDelay(0.075)
-    feed(lateness, 1.0, lambda t: 0.0)
+def test_samples_count_as_late_after_a_sixth_of_a_second(every_ms: int, samples: int) -> None:
+    """15 % of the last second must be late; one sample counts for at most 20 ms."""
+    delay = TelemetryDelay(0.075)
+    feed(delay, 1.0, lambda t: 0.0)
     count = 0
-    while not lateness.late:
+    while not delay.late:
         count += 1
         now_us = 996_000 + 1000 * every_ms * count
-        lateness.add_sample(AHEAD_US + now_us - 80_000, now_us)
+        delay.add_sample(AHEAD_US + now_us - 80_000, now_us)
     assert count == samples
 
 
-@pytest.mark.parametrize(("way_ms", "taken"), [(20, True), (22, False)])
-def test_a_round_trip_counts_again_when_the_clocks_may_have_drifted_as_far_as_it_may_err(
-    way_ms: int, taken: bool
-) -> None:
-    """After 100 s by 20 ms, on top of the millisecond by which the one before may err."""
-    lateness = TelemetryDelay(0.075)
-    lateness.add_round_trip(RoundTrip(1_000, -1_000, AHEAD_US))
+@pytest.mark.parametrize(("way_ms", "used"), [(20, True), (22, False)])
+def test_a_slow_round_trip_is_used_once_clock_drift_may_exceed_its_error(way_ms: int, used: bool) -> None:
+    """After 100 s the drift may be 20 ms, in addition to 1 ms error of the previous round trip."""
+    delay = TelemetryDelay(0.075)
+    delay.add_round_trip(RoundTrip(1_000, -1_000, AHEAD_US))
     later_us, way_us = 100_001_000, 1000 * way_ms
     autopilot_us = AHEAD_US + later_us - way_us + 5_000
-    lateness.add_round_trip(RoundTrip(later_us, later_us - 2 * way_us, autopilot_us))
-    lateness.add_sample(AHEAD_US, 10_000)
-    assert lateness.age_us == (15_000.0 if taken else 10_000.0)
+    delay.add_round_trip(RoundTrip(later_us, later_us - 2 * way_us, autopilot_us))
+    delay.add_sample(AHEAD_US, 10_000)
+    assert delay.age_us == (15_000.0 if used else 10_000.0)
 
 
-def test_where_clocks_cannot_be_compared_the_shortest_of_three_round_trips_counts() -> None:
-    lateness, ages_us = TelemetryDelay(0.075), []
+def test_the_shortest_of_three_round_trips_counts_without_comparable_clocks() -> None:
+    delay, ages_us = TelemetryDelay(0.075), []
     for took_us in (10_000, 400_000, 400_000, 400_000):
-        lateness.add_round_trip(RoundTrip(took_us, 0, None))
-        lateness.add_sample(0, 0)
-        ages_us.append(lateness.age_us)
+        delay.add_round_trip(RoundTrip(took_us, 0, None))
+        delay.add_sample(0, 0)
+        ages_us.append(delay.age_us)
     assert ages_us == [5_000.0, 5_000.0, 5_000.0, 200_000.0]
 
 
-def test_a_clock_that_jumps_is_compared_anew() -> None:
-    lateness = TelemetryDelay(0.075)
-    feed(lateness, 1.0, lambda t: 0.003)
+def test_a_clock_jump_restarts_the_comparison() -> None:
+    delay = TelemetryDelay(0.075)
+    feed(delay, 1.0, lambda t: 0.003)
     for i in range(250):
         now_us = 1_000_000 + 4000 * i
-        lateness.add_sample(now_us, now_us)  # 300 s back
+        delay.add_sample(now_us, now_us)  # 300 s back
         if i % 25 == 20:
-            lateness.add_round_trip(RoundTrip(now_us + 3000, now_us - 3000, now_us))
-    assert lateness.age_us == 0.0
-    assert not lateness.late
+            delay.add_round_trip(RoundTrip(now_us + 3000, now_us - 3000, now_us))
+    assert delay.age_us == 0.0
+    assert not delay.late
 
 
 @pytest.mark.parametrize("back_ms", [4, 40])
-def test_a_clock_that_jumps_is_compared_anew_by_whatever_round_trip_comes(back_ms: int) -> None:
-    """Also by one that is slower than those before it."""
-    lateness = TelemetryDelay(0.075)
-    feed(lateness, 1.0, lambda t: 0.003)
+def test_any_round_trip_restarts_the_comparison_after_a_clock_jump(back_ms: int) -> None:
+    """Even a round trip that is slower than those before it restarts the comparison."""
+    delay = TelemetryDelay(0.075)
+    feed(delay, 1.0, lambda t: 0.003)
     way_us = 1000 * back_ms
-    lateness.add_round_trip(RoundTrip(1_000_000 + way_us, 1_000_000 - way_us, 1_000_000))  # 300 s back
-    lateness.add_sample(1_000_000, 1_000_000)
-    assert lateness.age_us == 0.0
+    delay.add_round_trip(RoundTrip(1_000_000 + way_us, 1_000_000 - way_us, 1_000_000))  # 300 s back
+    delay.add_sample(1_000_000, 1_000_000)
+    assert delay.age_us == 0.0
 
 
-def test_a_slower_round_trip_does_not_spoil_what_a_faster_one_has_told() -> None:
-    """Forty milliseconds there and none back: of that, half would be taken for a delay."""
-    lateness = TelemetryDelay(0.075)
-    feed(lateness, 1.0, lambda t: 0.003)
-    lateness.add_round_trip(RoundTrip(1_000_000, 960_000, AHEAD_US + 1_000_000))
-    lateness.add_sample(AHEAD_US + 1_000_000, 1_003_000)
-    assert lateness.age_us == pytest.approx(3000.0, abs=1.0)
+def test_a_slower_round_trip_does_not_replace_a_faster_one() -> None:
+    """With 40 ms out and 0 ms back, half of the round trip would count as a delay."""
+    delay = TelemetryDelay(0.075)
+    feed(delay, 1.0, lambda t: 0.003)
+    delay.add_round_trip(RoundTrip(1_000_000, 960_000, AHEAD_US + 1_000_000))
+    delay.add_sample(AHEAD_US + 1_000_000, 1_003_000)
+    assert delay.age_us == pytest.approx(3000.0, abs=1.0)
 
 
-def test_where_the_autopilots_time_goes_at_any_pace_round_trips_alone_count() -> None:
-    lateness = TelemetryDelay(0.075)
+def test_only_round_trips_count_if_the_autopilots_clock_rate_differs() -> None:
+    delay = TelemetryDelay(0.075)
     for i in range(1000):
         now_us = 4000 * i
         if i % 25 == 0:
             slow_us = 400_000 if i == 500 else 10_000  # one hiccup
-            lateness.add_round_trip(RoundTrip(now_us, now_us - slow_us, None))
-        lateness.add_sample(now_us // 2, now_us)
-        assert not lateness.late
+            delay.add_round_trip(RoundTrip(now_us, now_us - slow_us, None))
+        delay.add_sample(now_us // 2, now_us)
+        assert not delay.late
     for i in range(1000, 1200):
         now_us = 4000 * i
         if i % 25 == 0:
-            lateness.add_round_trip(RoundTrip(now_us, now_us - 400_000, None))
-        lateness.add_sample(now_us // 2, now_us)
-    assert lateness.late
+            delay.add_round_trip(RoundTrip(now_us, now_us - 400_000, None))
+        delay.add_sample(now_us // 2, now_us)
+    assert delay.late
 
 
-def test_a_late_backlog_is_not_stepped_one_by_one_near_a_wall() -> None:
-    """MAVSDK's thread hands over and goes on emptying it; what has become old is left out by the queue."""
+def test_a_late_backlog_near_a_wall_is_stepped_in_batches() -> None:
+    """MAVSDK's thread hands the samples over and keeps reading; the queue discards old samples."""
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     paces = [c.core.pace]
-    c.give(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
+    c.feed(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
     for i in range(80):
-        c.give(ImuSample(c.t_us + 4000 * i, c.t_us + 4000 * i, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
+        c.feed(ImuSample(c.t_us + 4000 * i, c.t_us + 4000 * i, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
     assert [*paces, c.core.pace] == [Pace.IMMEDIATE, Pace.BATCHED]

@@ -1,4 +1,4 @@
-"""Legs that depend on walls which contacts find, and the way that a probe flies."""
+"""Legs that depend on measured walls, and the path of a probe."""
 
 from __future__ import annotations
 
@@ -25,49 +25,49 @@ from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from tests.core.test_anchors import felt
+from tests.core.test_anchors import wall_estimate
 
 FIND = load_mission(packaged("missions", "find_a_wall.yaml"))
 AWAY = FIND.waypoints[0]
 HERE = (0.3, -0.4)
 
 
-def met(name: str, place: Vec2 = (1.9, 0.1), normal: Vec2 = (-0.8, 0.6)) -> EstimatedWalls:
+def walls_after_contact(name: str, place: Vec2 = (1.9, 0.1), normal: Vec2 = (-0.8, 0.6)) -> EstimatedWalls:
     walls = EstimatedWalls()
     wall = next(c.wall for c in FIND.collisions if c.wall.name == name)
-    walls.add_estimate(felt(place, normal, wall=name), wall)
+    walls.add_estimate(wall_estimate(place, normal, wall=name), wall)
     return walls
 
 
-def test_legs_are_left_out_that_depend_on_a_wall_which_was_not_met_or_was() -> None:
+def test_legs_with_a_contact_condition_are_skipped_if_it_fails() -> None:
     probe, again, other = FIND.collisions
     for leg, walls, reason in (
         (probe, EstimatedWalls(), None),
         (again, EstimatedWalls(), "no contact with wall east"),
-        (again, met("east"), None),
+        (again, walls_after_contact("east"), None),
         (other, EstimatedWalls(), None),
-        (other, met("east"), "contact with wall east"),
+        (other, walls_after_contact("east"), "contact with wall east"),
         (AWAY, EstimatedWalls(), "no contact with wall east"),
-        (AWAY, met("east"), None),
-        (AWAY, met("west"), "no contact with wall east"),
+        (AWAY, walls_after_contact("east"), None),
+        (AWAY, walls_after_contact("west"), "no contact with wall east"),
     ):
         assert skip_reason(leg, walls) == reason
-    asked = msgspec.structs.replace(probe, if_met="west")
-    assert skip_reason(asked, met("east")) == "no contact with wall west"
-    assert skip_reason(asked, met("west")) is None
+    conditional = msgspec.structs.replace(probe, if_met="west")
+    assert skip_reason(conditional, walls_after_contact("east")) == "no contact with wall west"
+    assert skip_reason(conditional, walls_after_contact("west")) is None
 
 
-def test_a_hit_and_a_waypoint_are_as_far_along_the_wall_as_it_was_met() -> None:
-    walls = met("east")
+def test_a_hit_and_a_waypoint_follow_the_measured_wall() -> None:
+    walls = walls_after_contact("east")
     hit = update_collision(FIND.collisions[1], walls, 0, HERE)
     assert (hit.wall.point, hit.wall.sought) == ((1.9, 0.1), False)
     assert hit.impact_point is not None
     assert hit.wall.signed_distance(hit.impact_point) == pytest.approx(0.0, abs=1e-12)
     assert hit.wall.along(hit.impact_point) == pytest.approx(0.3)
-    waits = update_waypoint(AWAY, walls)
-    assert waits.position is not None
-    assert waits.position[:2] == pytest.approx((1.9 - 0.8, 0.1 + 0.6))
-    assert waits.position[2] == 1.0
+    waypoint = update_waypoint(AWAY, walls)
+    assert waypoint.position is not None
+    assert waypoint.position[:2] == pytest.approx((1.9 - 0.8, 0.1 + 0.6))
+    assert waypoint.position[2] == 1.0
     unknown = EstimatedWalls()
     assert update_collision(FIND.collisions[1], unknown, 0, HERE) == FIND.collisions[1]
     assert update_waypoint(AWAY, unknown) == AWAY
@@ -83,12 +83,12 @@ def test_a_probe_may_begin_where_the_vehicle_rests(from_here: bool) -> None:
     now = update_collision(one, EstimatedWalls(), 0, HERE).probe
     assert now is not None
     assert now.begin == (HERE if from_here else probe.begin)
-    way, before = (tuple(e - b for b, e in zip(p.begin, p.end, strict=True)) for p in (now, probe))
-    assert way == pytest.approx(before, abs=1e-12)
+    approach, before = (tuple(e - b for b, e in zip(p.begin, p.end, strict=True)) for p in (now, probe))
+    assert approach == pytest.approx(before, abs=1e-12)
 
 
-def test_a_mission_as_it_is_known_now_has_the_walls_that_were_found() -> None:
-    now = update_mission(FIND, met("east"), 0, HERE)
+def test_an_updated_mission_contains_the_measured_walls() -> None:
+    now = update_mission(FIND, walls_after_contact("east"), 0, HERE)
     assert [wall.name for wall in now.walls] == ["east"]
     assert [w.index for w in now.waypoints] == [1]
     assert now.start == HERE
@@ -98,7 +98,7 @@ def test_a_mission_as_it_is_known_now_has_the_walls_that_were_found() -> None:
 
 @given(away_m=st.floats(0.1, 3.0), along_m=st.floats(-2.0, 2.0))
 @settings(deadline=None)
-def test_a_place_at_a_wall_is_so_far_from_it_and_along_it(away_m: float, along_m: float) -> None:
+def test_a_place_at_a_wall_has_its_distance_from_the_wall_and_along_it(away_m: float, along_m: float) -> None:
     wall = FIND.simulated_walls[0]
     assert AWAY.at_wall is not None
     place = resolve_place(wall, msgspec.structs.replace(AWAY.at_wall, away_m=away_m, along_m=along_m))
@@ -106,10 +106,10 @@ def test_a_place_at_a_wall_is_so_far_from_it_and_along_it(away_m: float, along_m
     assert wall.along(place) == pytest.approx(along_m, abs=1e-9)
 
 
-# --- the way of a probe -----------------------------------------------------------------------------------
+# --- path of a probe ------------------------------------------------------------------------------------
 
 
-def probing(angle: float, length_m: float, speed_m_s: float) -> Mission:
+def mission_with_probe(angle: float, length_m: float, speed_m_s: float) -> Mission:
     first: dict[str, Any] = {
         "wall": "east",
         "mode": "rigid",
@@ -125,14 +125,14 @@ def probing(angle: float, length_m: float, speed_m_s: float) -> Mission:
 
 @given(angle=st.floats(-3.14, 3.14), length_m=st.floats(0.05, 2.2), speed_m_s=st.floats(0.1, 3.0))
 @settings(max_examples=60, deadline=None)
-def test_a_probe_goes_straight_from_rest_to_rest_and_never_faster_than_asked(
+def test_a_probe_flies_straight_from_rest_to_rest_within_its_speed(
     angle: float, length_m: float, speed_m_s: float
 ) -> None:
-    mission = probing(angle, length_m, speed_m_s)
+    mission = mission_with_probe(angle, length_m, speed_m_s)
     (collision,) = mission.collisions
     assert collision.probe is not None
-    way = plan_approach(mission, collision)
-    path = [way.at(way.duration_s * k / 200) for k in range(201)]
+    approach = plan_approach(mission, collision)
+    path = [approach.at(approach.duration_s * k / 200) for k in range(201)]
     assert path[0].position == pytest.approx((0.1, -0.2, 1.0), abs=1e-9)
     assert path[-1].position[:2] == pytest.approx(collision.probe.end, abs=2e-3)
     for end in (path[0], path[-1]):
@@ -141,19 +141,19 @@ def test_a_probe_goes_straight_from_rest_to_rest_and_never_faster_than_asked(
     assert speeds.max() <= speed_m_s * (1.0 + 1e-9)
     most = mission.vehicle.flying.acceleration_m_s2
     assert max(math.hypot(*one.acceleration) for one in path) <= most * (1.0 + 1e-6)
-    ways = [distance2(one.position[:2], (0.1, -0.2)) for one in path]
-    assert all(b >= a - 1e-9 for a, b in itertools.pairwise(ways))
+    distances_m = [distance2(one.position[:2], (0.1, -0.2)) for one in path]
+    assert all(b >= a - 1e-9 for a, b in itertools.pairwise(distances_m))
     ux, uy = math.cos(angle), math.sin(angle)
     assert all(abs((p[0] - 0.1) * uy - (p[1] + 0.2) * ux) < 1e-9 for p in (one.position for one in path))
 
 
-def test_a_probe_that_is_long_enough_comes_to_its_speed() -> None:
-    mission = probing(0.0, 2.0, 0.5)
-    way = plan_approach(mission, mission.collisions[0])
-    assert way.at(0.5 * way.duration_s).velocity == pytest.approx((0.5, 0.0, 0.0))
+def test_a_long_probe_reaches_its_speed() -> None:
+    mission = mission_with_probe(0.0, 2.0, 0.5)
+    approach = plan_approach(mission, mission.collisions[0])
+    assert approach.at(0.5 * approach.duration_s).velocity == pytest.approx((0.5, 0.0, 0.0))
 
 
-def test_a_probe_that_meets_nothing_ends_where_the_vehicle_is() -> None:
+def test_a_probe_without_a_contact_ends_at_the_vehicle() -> None:
     mission = load_mission(packaged("missions", "find_a_wall.yaml"))
     flown, p, state = Executive(mission), Proposal(), FlightState()
     state.now_us, state.position = 9_000_000, (2.7, 0.1, 1.0)
@@ -167,5 +167,5 @@ def test_a_probe_that_meets_nothing_ends_where_the_vehicle_is() -> None:
     flown._approach(state, Sensed(None, (), False), p)
     assert (flown.progress.phase, flown.progress.index) == (Phase.RECOVERY, 1)
     assert flown.progress.course.target[:2] == state.position[:2]
-    assert flown.progress.lock.contact_end_us == state.now_us, "nothing keeps the lock from moving"
+    assert flown.progress.lock.contact_end_us == state.now_us, "the lock must be free to move"
     assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == ["no contact on the probe for wall east"]

@@ -1,4 +1,4 @@
-"""Limits in time and space of what the core does: each test fails when its limit is ignored or moved."""
+"""Time and distance limits of the core; each test fails if its limit is ignored or moved."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from dart_flight.base.records import (
 )
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_BAD_S
-from tests.core.conftest import TELEPORTING, HandFedCore
+from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore
 
 SINGLE = "missions/paper_single_wall.yaml"
 
 
-def after_the_contact(c: HandFedCore) -> None:
-    """The single wall has been hit at 1.65 m north, and the lock has followed; the vehicle is clear of it."""
-    c.to_flight()
+def leave_single_wall(c: HandFedCore) -> None:
+    """Hit the single wall at 1.65 m north, switch the lock, and leave the vehicle clear of the wall."""
+    c.enter_approach()
     c.position_ned = (1.6, -0.5, -1.0)
     c.velocity_ned = (1.0, -0.5, 0.0)
     c.run(0.05)
@@ -51,16 +51,16 @@ def after_the_contact(c: HandFedCore) -> None:
 # --- the detector ------------------------------------------------------------------------------------------
 
 
-def test_arms_that_swing_after_a_contact_are_no_second_impact() -> None:
-    """For the refractory time after a contact's end nothing is an impact, and after it everything is."""
+def test_arm_vibration_after_a_contact_is_no_second_impact() -> None:
+    """No impact is detected during the refractory time after a contact, but impacts are after it."""
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
     refractory_s = c.core.mission.vehicle.detection.refractory_s
     c.velocity_ned = (0.0, 0.0, 0.0)
     c.run(0.05)
     assert [o for o in c.outputs if isinstance(o, ContactEnd)]
-    # Well over the threshold, from rest, but over before the refractory time is.
+    # Well above the threshold, but shorter than the refractory time.
     swing = c.pulse((-14.0, 0.0), refractory_s - 0.08)
     assert not [o for o in swing if isinstance(o, ImpactOnset)]
     c.run(0.1)
@@ -68,31 +68,31 @@ def test_arms_that_swing_after_a_contact_are_no_second_impact() -> None:
     assert len([o for o in again if isinstance(o, ImpactOnset)]) == 1
 
 
-def test_friction_alone_is_the_beginning_of_the_planned_hit() -> None:
-    """It comes first: only a force clearly into the wall is not the planned one."""
+def test_friction_alone_can_start_the_planned_hit() -> None:
+    """Friction comes first; only a force clearly into the wall is unplanned."""
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     out = c.pulse((-14.0, 0.0))
     assert [o.planned for o in out if isinstance(o, ImpactOnset)] == [True]
     assert not [o for o in out if isinstance(o, GuardEvent)]
 
 
-def test_the_peak_of_a_hit_from_behind_is_felt_as_soon_as_any() -> None:
-    """Its force points into the wall: the wall's normal says nothing of it."""
+def test_the_peak_of_a_hit_from_behind_is_detected_without_delay() -> None:
+    """Its force points into the wall, so the wall's normal does not apply."""
     c = HandFedCore()
-    c.at_the_wood()
-    began = c.t_us
+    c.fly_to_wood()
+    began_us = c.t_us
     out = c.pulse((0.0, 16.0)) + c.run(0.1)
     assert [o.planned for o in out if isinstance(o, ImpactOnset)] == [False]
     (peak,) = [o for o in out if isinstance(o, ImpactPeak)]
-    assert peak.detected_us - began < 60_000
+    assert peak.detected_us - began_us < 60_000
     assert peak.normal == pytest.approx((0.0, -1.0), abs=0.05)
 
 
-def test_a_push_over_the_threshold_is_taken_for_wind_only_where_it_has_outlasted_a_contact() -> None:
+def test_a_push_above_the_threshold_counts_as_wind_only_after_it_outlasts_a_contact() -> None:
     climbing, pushed = HandFedCore(), HandFedCore()
-    climbing.to_climb()  # nothing is watched for yet
-    pushed.at_the_wood()
+    climbing.enter_climb()  # no contact is expected yet
+    pushed.fly_to_wood()
     pushed.pulse((-10.0, -16.0))
     pushed.position_ned, pushed.velocity_ned = (1.0, 1.0, -1.0), (0.0, 0.0, 0.0)
     for c in (climbing, pushed):
@@ -105,60 +105,60 @@ def test_a_push_over_the_threshold_is_taken_for_wind_only_where_it_has_outlasted
 # --- commands ----------------------------------------------------------------------------------------------
 
 
-def lands(c: HandFedCore, seconds: float) -> list[float]:
-    """When landing is asked for, seconds from now on."""
-    began = c.t_us
+def landing_requests_s(c: HandFedCore, seconds: float) -> list[float]:
+    """Run for `seconds`; return when landing is requested, seconds from now."""
+    began_us = c.t_us
     out = c.run(seconds)
-    asked = [o for o in out if isinstance(o, VehicleCommand)]
-    assert {o.action for o in asked} <= {VehicleAction.LAND}
-    return [(o.t_us - began) * 1e-6 for o in asked]
+    requested = [o for o in out if isinstance(o, VehicleCommand)]
+    assert {o.action for o in requested} <= {VehicleAction.LAND}
+    return [(o.t_us - began_us) * 1e-6 for o in requested]
 
 
-def test_the_guard_asks_for_its_landing_every_second_until_telemetry_shows_it() -> None:
+def test_the_guard_requests_landing_every_second_until_telemetry_confirms_it() -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (0.0, 0.0, -2.2)  # lands at once
-    times = lands(c, 3.5)
+    times = landing_requests_s(c, 3.5)
     assert [round(t) for t in times] == [0, 1, 2, 3]
     assert all(0.99 < b - a < 1.02 for a, b in itertools.pairwise(times))
     c.set_status(flight_mode=FlightMode.LAND)
-    assert lands(c, 2.5) == []
+    assert landing_requests_s(c, 2.5) == []
 
 
-def test_the_mission_asks_for_its_landing_every_second_until_telemetry_shows_it() -> None:
+def test_the_mission_requests_landing_every_second_until_telemetry_confirms_it() -> None:
     c = HandFedCore(SINGLE)
-    after_the_contact(c)
+    leave_single_wall(c)
     c.position_ned = (0.4, -1.0, -1.0)  # at the goal
-    c.run(8.5)  # until the recovery's time is over
+    c.run(8.5)  # until the recovery times out
     c.run(2.0)
     assert c.core.phase is Phase.LANDING
-    times = lands(c, 3.5)
+    times = landing_requests_s(c, 3.5)
     assert 3 <= len(times) <= 4
     assert all(0.99 < b - a < 1.02 for a, b in itertools.pairwise(times))
     c.set_status(flight_mode=FlightMode.LAND)
-    assert lands(c, 2.5) == []
+    assert landing_requests_s(c, 2.5) == []
     c.set_status(landed=LandedState.ON_GROUND)
     c.set_status(armed=False)
     c.run(0.1)
-    assert c.core.end is None  # one report may be another vehicle's
+    assert c.core.end is None  # one report may come from another vehicle
     c.run(0.2)
     assert c.core.end is not None
     assert c.core.end.outcome == "completed"
 
 
-def test_a_stronger_action_asks_at_once_and_does_not_wait_for_the_retry_of_a_weaker_one() -> None:
+def test_a_stronger_action_does_not_wait_for_the_retry_of_a_weaker_one() -> None:
     c = HandFedCore()
-    c.to_flight()
-    c.give(OperatorRequest(c.t_us, Request.LAND))
-    assert lands(c, 1.6) == [pytest.approx(1.5, abs=0.02)]
-    c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
-    assert lands(c, 0.9) == [pytest.approx(ESTIMATOR_BAD_S, abs=0.03)]
+    c.enter_approach()
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
+    assert landing_requests_s(c, 1.6) == [pytest.approx(1.5, abs=0.02)]
+    c.feed(EstimatorSample(c.t_us, c.t_us, healthy=False))
+    assert landing_requests_s(c, 0.9) == [pytest.approx(ESTIMATOR_BAD_S, abs=0.03)]
 
 
-def test_a_vehicle_that_is_turned_over_is_stopped_by_setpoints_before_it_lands() -> None:
-    """PX4's land mode takes a tilt back at MPC_JERK_AUTO: it flew 17 m, to 7 m/s, after 64 degrees."""
+def test_a_tilted_vehicle_is_stopped_by_setpoints_before_it_lands() -> None:
+    """PX4's land mode levels only at MPC_JERK_AUTO: after 64 degrees it flew 17 m at up to 7 m/s."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.q, c.velocity_ned = quaternion_from_euler(1.2, 0.0, 0.0), (1.5, 0.0, 0.0)
     out = c.run(0.5)
     assert [e.rule for e in out if isinstance(e, GuardEvent)] == ["tilt"]
@@ -167,7 +167,7 @@ def test_a_vehicle_that_is_turned_over_is_stopped_by_setpoints_before_it_lands()
     assert len(setpoints) >= 14
     assert len({o.position_ned for o in setpoints[1:]}) == 1
     c.q, c.velocity_ned = quaternion_from_euler(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    assert lands(c, 1.6) == [pytest.approx(1.0, abs=0.05)]
+    assert landing_requests_s(c, 1.6) == [pytest.approx(1.0, abs=0.05)]
 
 
 # --- where the guard holds ---------------------------------------------------------------------------------
@@ -176,18 +176,18 @@ def test_a_vehicle_that_is_turned_over_is_stopped_by_setpoints_before_it_lands()
 @pytest.mark.parametrize(
     ("up_m", "held_m"),
     [
-        (0.6, 1.0),  # too low: at the mission's altitude
+        (0.6, 1.0),  # too low: climb to the mission's altitude
         (1.0, 1.0),
-        (1.6, 1.6),  # higher than the mission: it does not come down on what may be below
+        (1.6, 1.6),  # higher: do not descend onto a possible obstacle
     ],
 )
-def test_the_guard_holds_at_the_missions_altitude_or_where_it_is_above_it(up_m: float, held_m: float) -> None:
+def test_the_guard_holds_at_the_mission_altitude_or_higher(up_m: float, held_m: float) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.position_ned = (0.0, 0.0, -up_m)
     c.run(0.02)
     assert not [o for o in c.outputs if isinstance(o, GuardEvent)]
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert held
     assert {round(o.position_ned[2], 6) for o in held} == {-held_m}
@@ -200,24 +200,24 @@ DUAL = "missions/paper_dual_collision.yaml"
     ("mission", "distance_m", "along_m", "closing_m_s", "held_m"),
     [
         (SINGLE, 0.3, 0.0, 0.0, 0.5),  # the retreat distance
-        (SINGLE, 0.8, 0.0, 0.0, 0.8),  # further away than that it stays
-        (SINGLE, 0.8, 0.0, 0.8, 1.2),  # it brakes harder than by holding still
+        (SINGLE, 0.8, 0.0, 0.0, 0.8),  # farther away: no retreat
+        (SINGLE, 0.8, 0.0, 0.8, 1.2),  # brake harder than by holding still
         (SINGLE, 0.8, 0.0, -0.8, 0.8),
-        (SINGLE, 1.1, 0.0, 0.8, 1.1),  # and not for a wall that far away
-        (SINGLE, 0.3, 1.7, 0.0, 0.3),  # beside the wall's end there is nothing to keep away from
+        (SINGLE, 1.1, 0.0, 0.8, 1.1),  # no hard braking for a distant wall
+        (SINGLE, 0.3, 1.7, 0.0, 0.3),  # beside the wall's end there is no wall ahead
         (SINGLE, 0.3, -1.7, 0.0, 0.3),
-        (SINGLE, -0.3, 0.0, 0.0, 0.5),  # where the wall is further away than the plan has it
+        (SINGLE, -0.3, 0.0, 0.0, 0.5),  # the wall may be farther away than planned
         (SINGLE, -0.52, 0.0, 0.0, -0.52),  # on its other side
         (DUAL, 0.3, 0.2, 0.0, 0.5),  # a wall along the other axis
         (DUAL, 0.6, 0.2, 0.4, 0.8),
         (DUAL, 0.6, 0.2, -0.4, 0.6),
     ],
 )
-def test_breaking_off_keeps_its_distance_from_a_wall_that_is_before_it(
+def test_a_break_off_keeps_its_distance_from_a_wall_ahead(
     mission: str, distance_m: float, along_m: float, closing_m_s: float, held_m: float
 ) -> None:
     c = HandFedCore(mission)
-    c.to_prepare()
+    c.enter_prepare()
     wall = c.core.mission.walls[0]
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
     away_m = distance_m - wall.signed_distance(wall.point)
@@ -225,16 +225,16 @@ def test_breaking_off_keeps_its_distance_from_a_wall_that_is_before_it(
     c.position_ned, c.velocity_ned = (x, -y, -1.0), (-closing_m_s * nx, closing_m_s * ny, 0.0)
     c.run(0.02)
     assert wall.signed_distance(c.core.state.position) == pytest.approx(distance_m, abs=0.01)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     north, east, _ = next(o for o in c.run(0.1) if isinstance(o, Setpoint)).position_ned
     assert wall.signed_distance((north, -east)) == pytest.approx(held_m, abs=0.02)
     assert (north - x) * tx + (-east - y) * ty == pytest.approx(0.0, abs=0.01)
 
 
-def test_where_it_has_stopped_beyond_its_retreat_it_stays() -> None:
-    """A way back would be one to the wall: after 64 degrees PX4 led past the retreat and touched it."""
+def test_a_vehicle_that_stops_beyond_its_retreat_stays_there() -> None:
+    """A return could touch the wall: after a tilt of 64 degrees PX4 overshot the retreat and did so."""
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
 
     def held(position: tuple[float, float], speed: float, seconds: float = 0.1) -> set[tuple[float, float]]:
         c.position_ned, c.velocity_ned = (*position, -1.0), (-speed, 0.0, 0.0)
@@ -242,31 +242,31 @@ def test_where_it_has_stopped_beyond_its_retreat_it_stays() -> None:
         return {o.position_ned[:2] for o in c.run(seconds) if isinstance(o, Setpoint)}
 
     held((0.2, 0.0), 1.2)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     (away,) = held((0.1, 0.0), 1.2)
-    assert held((-0.6, 0.0), 1.0) == {away}  # while it still goes
+    assert held((-0.6, 0.0), 1.0) == {away}  # still moving
     assert held((-0.8, 0.0), 0.1) == {(-0.8, 0.0)}
-    assert held((-0.7, 0.0), 0.1) == {(-0.8, 0.0)}  # not from where it is held
+    assert held((-0.7, 0.0), 0.1) == {(-0.8, 0.0)}  # the hold position does not move again
 
 
-def test_from_a_wall_of_the_mission_it_goes_away_along_the_normal_however_it_was_pushed() -> None:
+def test_the_retreat_from_a_mission_wall_follows_its_normal() -> None:
     c = HandFedCore()
-    c.at_the_wood()
+    c.fly_to_wood()
     c.pulse((-10.0, -16.0))
     c.velocity_ned = (0.0, 0.0, 0.0)
     c.run(0.02)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     north, east, _ = next(o for o in c.run(0.1) if isinstance(o, Setpoint)).position_ned
     assert north == pytest.approx(c.position_ned[0], abs=0.01)
     assert east < c.position_ned[1] - 0.4
 
 
-def test_after_a_change_of_altitude_the_guard_holds_at_the_new_one() -> None:
+def test_the_guard_holds_at_the_altitude_of_the_current_waypoint() -> None:
     higher = {"position_m": [0.0, 0.0], "altitude_m": 1.4, "speed_m_s": 0.5, "hold_s": 1.0}
     c = HandFedCore(settings={"waypoints": [higher]})
-    c.to_prepare()
+    c.enter_prepare()
     assert c.core.phase is Phase.WAYPOINT
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert {round(o.position_ned[2], 6) for o in held} == {-1.4}
 
@@ -276,41 +276,41 @@ def test_the_guard_does_not_climb_out_of_the_flight_space() -> None:
     c = HandFedCore()
     mission = c.core.mission
     low = msgspec.structs.replace(mission.bounds, z=(0.3, 0.96))
-    c.core = FlightCore(msgspec.structs.replace(mission, bounds=low), TELEPORTING)
-    c.give(ClockOffset(c.t_us, 0))
-    c.to_flight()
+    c.core = FlightCore(msgspec.structs.replace(mission, bounds=low), RULES_WITHOUT_JUMP)
+    c.feed(ClockOffset(c.t_us, 0))
+    c.enter_approach()
     c.position_ned = (0.0, 0.0, -0.9)
     c.run(0.02)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
     held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert {round(o.position_ned[2], 6) for o in held} == {-0.96}
 
 
 @pytest.mark.parametrize(("speed_m_s", "after_s"), [(0.0, 1.5), (0.05, 1.5), (0.3, 3.0)])
-def test_the_guard_holds_half_as_long_where_it_stands_still(speed_m_s: float, after_s: float) -> None:
+def test_the_guard_holds_half_as_long_if_the_vehicle_stands_still(speed_m_s: float, after_s: float) -> None:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.velocity_ned = (speed_m_s, 0.0, 0.0)
     c.run(0.02)
-    c.give(OperatorRequest(c.t_us, Request.LAND))
-    assert lands(c, after_s + 0.5)[0] == pytest.approx(after_s, abs=0.02)
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
+    assert landing_requests_s(c, after_s + 0.5)[0] == pytest.approx(after_s, abs=0.02)
 
 
 @pytest.mark.parametrize("detail", ["", "PX4 has ended by SIGKILL"])
-def test_what_has_died_is_said_where_it_is_known(detail: str) -> None:
+def test_the_ended_process_is_named_if_it_is_known(detail: str) -> None:
     c = HandFedCore()
-    c.to_flight()
-    c.give(OperatorRequest(c.t_us, Request.WORLD_DIED, detail))
-    said = [o.detail for o in c.outputs if isinstance(o, GuardEvent)]
-    assert said == [detail or "the simulated vehicle ended"]
+    c.enter_approach()
+    c.feed(OperatorRequest(c.t_us, Request.WORLD_DIED, detail))
+    details = [o.detail for o in c.outputs if isinstance(o, GuardEvent)]
+    assert details == [detail or "the simulated vehicle ended"]
 
 
 # --- heading -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("yaw", [0.6, -0.6])
-def test_the_heading_turns_no_faster_than_allowed_and_gets_there(yaw: float) -> None:
-    """It stands obliquely; the walls want a multiple of a quarter turn."""
+def test_the_heading_turns_at_its_rate_limit_and_reaches_the_target(yaw: float) -> None:
+    """The vehicle starts obliquely; the walls need a multiple of a quarter turn."""
     c = HandFedCore()
     c.q = quaternion_from_euler(0.0, 0.0, yaw)
     c.set_lock(Mode.RIGID)
@@ -322,13 +322,13 @@ def test_the_heading_turns_no_faster_than_allowed_and_gets_there(yaw: float) -> 
     c.set_status(landed=LandedState.IN_AIR)
     c.position_ned = (0.0, 0.0, -1.0)
     out = [o for o in c.run(2.0) if isinstance(o, Setpoint)]
-    assert c.core.phase is Phase.TRANSIT  # its own heading has not followed: it has not arrived
+    assert c.core.phase is Phase.TRANSIT  # the vehicle's heading has not followed, so it has not arrived
     assert out[0].yaw_ned_rad == pytest.approx(yaw)
     rate = math.radians(c.core.mission.vehicle.flying.yaw_rate_deg_s)
     rates = [(b.yaw_ned_rad - a.yaw_ned_rad) / (1e-6 * (b.t_us - a.t_us)) for a, b in itertools.pairwise(out)]
     turning = [r for r in rates if abs(r) > 1e-6]
     assert max(abs(r) for r in turning) <= rate * 1.001
-    # At the full rate all the way but for the last step, and the short way round.
+    # At the full rate until the last step, in the shorter direction.
     assert sum(abs(abs(r) - rate) < 1e-3 * rate for r in turning) >= len(turning) - 1
     assert {math.copysign(1.0, r) for r in turning} == {math.copysign(1.0, -yaw)}
     assert len(turning) * 0.008 == pytest.approx(abs(yaw) / rate, abs=0.02)
@@ -338,10 +338,10 @@ def test_the_heading_turns_no_faster_than_allowed_and_gets_there(yaw: float) -> 
 # --- the goal ----------------------------------------------------------------------------------------------
 
 
-def test_the_goal_is_passed_once_the_way_to_it_grows_by_more_than_its_noise() -> None:
-    """Goal at (0.4, 1.0): it comes as near as 0.30 m, and further away again."""
+def test_the_goal_is_passed_once_its_distance_grows_by_more_than_noise() -> None:
+    """The goal is at (0.4, 1.0); the vehicle comes within 0.30 m and moves away again."""
     c = HandFedCore(SINGLE)
-    after_the_contact(c)
+    leave_single_wall(c)
 
     def at(miss_m: float, seconds: float) -> list[GoalPassed]:
         c.position_ned = (0.4 + miss_m, -1.0, -1.0)
@@ -355,10 +355,10 @@ def test_the_goal_is_passed_once_the_way_to_it_grows_by_more_than_its_noise() ->
     assert c.core.phase is Phase.GOAL
 
 
-def test_while_a_contact_lasts_the_goal_is_not_passed() -> None:
-    """It slides along the wall, away from the goal."""
+def test_the_goal_is_not_passed_during_a_contact() -> None:
+    """The vehicle slides along the wall, away from the goal."""
     c = HandFedCore(SINGLE)
-    c.to_flight()
+    c.enter_approach()
     c.position_ned, c.velocity_ned = (1.6, -0.5, -1.0), (1.0, -0.5, 0.0)
     c.run(0.05)
     c.pulse((-40.0, 0.0), 0.04)
@@ -375,9 +375,9 @@ def test_while_a_contact_lasts_the_goal_is_not_passed() -> None:
     assert [type(o) for o in c.outputs if isinstance(o, ContactEnd | GoalPassed)] == [ContactEnd, GoalPassed]
 
 
-def test_right_after_a_contact_the_goal_is_not_passed_yet() -> None:
+def test_the_goal_is_not_passed_right_after_a_contact() -> None:
     c = HandFedCore(SINGLE)
-    after_the_contact(c)
+    leave_single_wall(c)
     c.position_ned = (0.9, -1.0, -1.0)
     c.run(0.04)
     c.position_ned = (1.1, -1.0, -1.0)

@@ -1,4 +1,4 @@
-"""When the lock may move, when it will be there, and how often it is told."""
+"""Permission to move the lock, its predicted ready time, and the repetition of commands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RELAX_US, SWITCH_US = 300_000, round(1e6 * PACKAGED.switch_time_s)
 
 
 class Lock:
-    """The orders of the packaged lock with their memory, written as the executive writes it."""
+    """The commands of the packaged lock with their state, updated as the executive updates it."""
 
     def __init__(self) -> None:
         assert PACKAGED is not None
@@ -32,11 +32,11 @@ class Lock:
     def ready_us(self, mode: Mode, state: FlightState) -> int | None:
         return self.rules.ready_us(self.memory, mode, state)
 
-    def order(self, mode: Mode, state: FlightState) -> LockCommand | None:
-        order = self.rules.command(self.memory, mode, state)
-        if order is not None:
+    def command(self, mode: Mode, state: FlightState) -> LockCommand | None:
+        command = self.rules.command(self.memory, mode, state)
+        if command is not None:
             self.memory = self.memory._replace(commanded=mode, commanded_us=state.now_us)
-        return order
+        return command
 
     def contact_begins(self, t_us: int) -> None:
         self.memory = self.memory.contact_begins(t_us)
@@ -54,11 +54,11 @@ def state_with(
     return state
 
 
-def test_it_may_move_but_in_a_contact_and_until_the_arms_have_sprung_back() -> None:
+def test_the_lock_may_move_except_in_contact_and_before_the_arms_relax() -> None:
     lock = Lock()
     assert lock.permission(NOW_US, True) == LockPermission(NOW_US, False)
     assert lock.permission(NOW_US + 1, False) == LockPermission(NOW_US + 1, True)
-    assert lock.permission(NOW_US + 2, False) is None  # said once
+    assert lock.permission(NOW_US + 2, False) is None  # reported once
     lock.contact_begins(NOW_US + 3)
     assert lock.permission(NOW_US + 3, False) == LockPermission(NOW_US + 3, False)
     lock.contact_ends(NOW_US + 10)
@@ -69,11 +69,11 @@ def test_it_may_move_but_in_a_contact_and_until_the_arms_have_sprung_back() -> N
     assert LockCommands(None).permission(LockCommandState(), NOW_US, False) is None
 
 
-def test_when_it_will_be_there() -> None:
+def test_the_ready_time_covers_relaxation_and_switching() -> None:
     lock = Lock()
     assert lock.ready_us(Mode.RIGID, state_with(LockPhase.SETTLED, Mode.RIGID)) == NOW_US
     assert lock.ready_us(Mode.RIGID, state_with(LockPhase.FAULT, Mode.RIGID)) is None
-    # Before any contact, and while there is one, the arms spring back from now on at the soonest.
+    # Before and during a contact, the arms relax from now on at the earliest.
     still_flexible = state_with(LockPhase.SETTLED, Mode.FLEXIBLE)
     assert lock.ready_us(Mode.RIGID, still_flexible) == NOW_US + RELAX_US + SWITCH_US
     lock.contact_ends(NOW_US - 100_000)
@@ -82,38 +82,38 @@ def test_when_it_will_be_there() -> None:
     assert lock.ready_us(Mode.RIGID, still_flexible) == NOW_US + SWITCH_US
 
 
-def test_a_travel_is_over_a_switching_time_after_its_command_or_has_failed() -> None:
-    lock, told_us = Lock(), NOW_US - 100_000
+def test_lock_travel_ends_one_switching_time_after_its_command_or_fails() -> None:
+    lock, sent_us = Lock(), NOW_US - 100_000
     for now_us, ready_us in (
-        (NOW_US, told_us + SWITCH_US),
-        (told_us + SWITCH_US + 50_000, told_us + SWITCH_US),
-        (told_us + SWITCH_US + 50_001, None),
+        (NOW_US, sent_us + SWITCH_US),
+        (sent_us + SWITCH_US + 50_000, sent_us + SWITCH_US),
+        (sent_us + SWITCH_US + 50_001, None),
     ):
-        travelling = state_with(LockPhase.TRAVELLING, Mode.RIGID, now_us, told_us)
+        travelling = state_with(LockPhase.TRAVELLING, Mode.RIGID, now_us, sent_us)
         assert lock.ready_us(Mode.RIGID, travelling) == ready_us
-    since_now = state_with(LockPhase.TRAVELLING, Mode.RIGID)  # nobody knows since when
+    since_now = state_with(LockPhase.TRAVELLING, Mode.RIGID)  # the start is unknown
     assert lock.ready_us(Mode.RIGID, since_now) == NOW_US + SWITCH_US
-    other_way = state_with(LockPhase.TRAVELLING, Mode.FLEXIBLE, NOW_US, told_us)
+    other_way = state_with(LockPhase.TRAVELLING, Mode.FLEXIBLE, NOW_US, sent_us)
     assert lock.ready_us(Mode.RIGID, other_way) == NOW_US + RELAX_US + SWITCH_US
 
 
-def test_it_is_told_once_a_second_until_it_moves() -> None:
+def test_the_lock_command_is_repeated_every_second_until_it_moves() -> None:
     lock = Lock()
 
-    def told(now_us: int, phase: LockPhase = LockPhase.SETTLED, mode: Mode = Mode.FLEXIBLE) -> bool:
-        command = lock.order(Mode.RIGID, state_with(phase, mode, now_us))
+    def commands_rigid(now_us: int, phase: LockPhase = LockPhase.SETTLED, mode: Mode = Mode.FLEXIBLE) -> bool:
+        command = lock.command(Mode.RIGID, state_with(phase, mode, now_us))
         assert command in (None, LockCommand(now_us, Mode.RIGID))
         return command is not None
 
-    assert not told(NOW_US)  # not permitted yet
+    assert not commands_rigid(NOW_US)  # not permitted yet
     lock.permission(NOW_US, False)
-    assert told(NOW_US)
-    assert not told(NOW_US + 999_999)
-    assert told(NOW_US + 1_000_000)
+    assert commands_rigid(NOW_US)
+    assert not commands_rigid(NOW_US + 999_999)
+    assert commands_rigid(NOW_US + 1_000_000)
     lock.memory = lock.memory.phase_begins()
-    assert not told(NOW_US + 1_000_001, LockPhase.TRAVELLING, Mode.RIGID)
-    assert not told(NOW_US + 1_000_001, LockPhase.SETTLED, Mode.RIGID)
-    assert told(NOW_US + 1_000_001)
-    assert told(NOW_US + 2_000_001, LockPhase.TRAVELLING)  # the other way
-    flexible = lock.order(Mode.FLEXIBLE, state_with(LockPhase.UNKNOWN, None, NOW_US + 2_000_002))
-    assert flexible == LockCommand(NOW_US + 2_000_002, Mode.FLEXIBLE)  # another order waits for nothing
+    assert not commands_rigid(NOW_US + 1_000_001, LockPhase.TRAVELLING, Mode.RIGID)
+    assert not commands_rigid(NOW_US + 1_000_001, LockPhase.SETTLED, Mode.RIGID)
+    assert commands_rigid(NOW_US + 1_000_001)
+    assert commands_rigid(NOW_US + 2_000_001, LockPhase.TRAVELLING)  # in the other direction
+    flexible = lock.command(Mode.FLEXIBLE, state_with(LockPhase.UNKNOWN, None, NOW_US + 2_000_002))
+    assert flexible == LockCommand(NOW_US + 2_000_002, Mode.FLEXIBLE)  # a different command is sent at once

@@ -1,4 +1,4 @@
-"""How soon inputs have to be stepped: at once wherever a contact may come, together elsewhere."""
+"""Pace of the core: inputs are stepped at once if a contact is possible, and in batches otherwise."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def state_at(mission: Mission, place: tuple[float, float], velocity: tuple[float
     closing_m_s=st.floats(0.05, 5.0),
     phase=st.sampled_from(WHILE_FLYING),
 )
-def test_whatever_meets_a_wall_soon_is_stepped_at_once(
+def test_inputs_are_stepped_at_once_shortly_before_a_wall(
     distance_m: float, along_m: float, closing_m_s: float, phase: Phase
 ) -> None:
     wall = SINGLE_WALL.walls[0]
@@ -71,34 +71,34 @@ def test_whatever_meets_a_wall_soon_is_stepped_at_once(
     pace = pace_near_walls(SINGLE_WALL, state, phase)
     if distance_m < LEAD_S * closing_m_s:
         assert pace is Pace.IMMEDIATE
-    elif distance_m > LEAD_S * closing_m_s + 0.3:  # the earliest contact that is still the wall's, and more
+    elif distance_m > LEAD_S * closing_m_s + 0.3:  # too far for a contact with the wall
         assert pace is Pace.BATCHED
 
 
 @pytest.mark.parametrize("mission", ["paper_single_wall", "paper_dual_collision"])
-def test_no_contact_of_a_flight_comes_while_the_core_has_patience(flown: SharedFlights, mission: str) -> None:
+def test_no_contact_of_a_flight_is_stepped_in_a_batch(flown: SharedFlights, mission: str) -> None:
     log = read_log(flown(mission, 3).log)
     core = FlightCore(flown_mission(log.about, "a flight"))
-    seen: Counter[Pace] = Counter()
-    met = 0
+    paces: Counter[Pace] = Counter()
+    contacts = 0
     for entry in log.entries:
         if not isinstance(entry.record, INPUTS):
             continue
         pace = core.pace
-        seen[pace] += 1
+        paces[pace] += 1
         for output in core.step(cast(Input, entry.record)):
             if isinstance(output, ImpactOnset | ImpactPeak | ContactEnd):
-                met += 1
-                assert pace is Pace.IMMEDIATE  # the answer goes out on the thread that brings the sample
-    assert met
-    # It is what patience is for: most of a flight no contact can come.
-    assert seen[Pace.BATCHED] > 0.6 * seen.total()
+                contacts += 1
+                assert pace is Pace.IMMEDIATE  # the reply is sent on the thread that receives the sample
+    assert contacts
+    # During most of a flight, no contact is possible.
+    assert paces[Pace.BATCHED] > 0.6 * paces.total()
 
 
-def test_a_batch_takes_as_long_as_a_tick_and_four_fit_into_the_silence_that_ends_a_flight() -> None:
+def test_a_batch_lasts_one_tick_and_a_quarter_of_the_imu_timeout() -> None:
     assert BATCH_S == _TICK_S
     assert SINGLE_WALL.vehicle.guard.imu_timeout_s == pytest.approx(4.0 * BATCH_S)
 
 
-def test_on_the_ground_it_has_patience() -> None:
+def test_inputs_are_batched_on_the_ground() -> None:
     assert FlightCore(SINGLE_WALL).pace is Pace.BATCHED

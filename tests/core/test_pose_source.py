@@ -1,4 +1,4 @@
-"""The guard's judgement of motion-capture poses: what it names, and what it lets pass."""
+"""The guard's checks of motion-capture poses: faults that it names, and cases that it accepts."""
 
 import math
 from typing import Any
@@ -21,7 +21,7 @@ from dart_flight.base.records import (
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.core.guard.pose_watch import PoseWatch
 from dart_flight.core.sense.state import FlightState
-from tests.core.conftest import TELEPORTING, HandFedCore
+from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore
 
 MOCAP = MotionCapture(url="udp://127.0.0.1:9763/dart", up="y", heading_deg=30.0, body_yaw_deg=90.0)
 WITH_MOCAP = {"vehicle.mocap": MOCAP}
@@ -31,7 +31,7 @@ STEP_US = 10_000
 
 
 class Feed:
-    """Poses of a vehicle whose PX4 is right, at 100 Hz."""
+    """Poses at 100 Hz of a vehicle whose PX4 estimate is correct."""
 
     def __init__(self) -> None:
         self.watch, self.state = PoseWatch(MOCAP), FlightState()
@@ -91,7 +91,7 @@ def feed() -> Feed:
 
 
 @pytest.mark.parametrize(
-    ("changes", "within_s", "says"),
+    ("changes", "within_s", "message"),
     [
         ({"away": (0.5, 0.0, 0.0)}, 0.1, "body jumped by 0.50 m: another body or swapped markers"),
         ({"turn": math.radians(90.0)}, 0.15, "the pose is rotated by 90 deg from PX4's attitude"),
@@ -101,22 +101,22 @@ def feed() -> Feed:
         ({"tracked": False}, 0.6, "not tracking body dart for 0.5"),
     ],
 )
-def test_what_goes_wrong_is_named_in_time(
-    feed: Feed, changes: dict[str, Any], within_s: float, says: str
+def test_a_pose_fault_is_named_in_time(
+    feed: Feed, changes: dict[str, Any], within_s: float, message: str
 ) -> None:
     fault = feed.hover(within_s, **changes)
     assert fault is not None
-    assert fault.startswith(says)
+    assert fault.startswith(message)
 
 
-def test_poses_are_late_once_the_last_timely_one_is_older_than_a_quarter_of_a_second(feed: Feed) -> None:
+def test_poses_are_late_once_the_last_timely_one_is_a_quarter_second_old(feed: Feed) -> None:
     feed.pose(later_us=50_000, step_us=250_000)
     assert feed.watch.fault(Phase.TRANSIT) is None
     feed.pose(later_us=50_000, step_us=1)
     assert (feed.watch.fault(Phase.TRANSIT) or "").startswith("poses arrive 50 ms later")
 
 
-def test_silence_of_the_source_is_judged_by_phase(feed: Feed) -> None:
+def test_the_timeout_of_the_pose_source_depends_on_the_phase(feed: Feed) -> None:
     feed.silence(0.3)
     assert feed.watch.fault(Phase.TRANSIT) is None
     assert feed.watch.fault(Phase.APPROACH) == "no pose of body dart for 0.30 s, limit 0.25 s"
@@ -139,7 +139,7 @@ def test_wrong_poses_are_withheld_once_and_in_the_air_only(feed: Feed) -> None:
     assert feed.watch.fault(Phase.TRANSIT) == feed.watch.blind(False, Phase.TRANSIT) == reason
 
 
-def test_of_turned_poses_only_the_attitudes_are_withheld(feed: Feed) -> None:
+def test_only_the_attitudes_of_rotated_poses_are_withheld(feed: Feed) -> None:
     feed.hover(0.15, turn=math.pi)
     reason = "the pose is rotated by 180 deg from PX4's attitude: markers swapped?"
     assert feed.watch.withhold(Phase.CONTACT, 7) == PosesWithheld(7, reason, attitude_only=True)
@@ -147,7 +147,7 @@ def test_of_turned_poses_only_the_attitudes_are_withheld(feed: Feed) -> None:
     for _ in range(200):
         feed.pose()
     assert feed.watch.fault(Phase.TRANSIT) == reason  # markers that were swapped once are not trusted again
-    assert feed.watch.blind(False, Phase.TRANSIT) is None  # PX4 has the positions
+    assert feed.watch.blind(False, Phase.TRANSIT) is None  # PX4 still receives the positions
     for _ in range(10):
         feed.pose(away=(1.0, 0.0, 0.0))
     later = feed.watch.withhold(Phase.TRANSIT, 9)
@@ -156,13 +156,13 @@ def test_of_turned_poses_only_the_attitudes_are_withheld(feed: Feed) -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"tracked": False}, {"later_us": 90_000}, {"step_us": 100_000}])
-def test_poses_that_are_the_vehicles_own_are_not_withheld(feed: Feed, wrong: dict[str, Any]) -> None:
+def test_late_slow_and_untracked_poses_are_not_withheld(feed: Feed, wrong: dict[str, Any]) -> None:
     feed.hover(1.2, **wrong)
     assert feed.watch.fault(Phase.TRANSIT) is not None
     assert feed.watch.withhold(Phase.TRANSIT, 7) is None
 
 
-def test_an_estimate_that_jumps_with_the_poses_leaves_no_position_to_fly_by(feed: Feed) -> None:
+def test_an_estimate_that_jumps_with_the_poses_leaves_the_vehicle_blind(feed: Feed) -> None:
     assert feed.watch.blind(True, Phase.TRANSIT) is None
     feed.hover(0.1, away=(0.0, 1.0, 0.0))
     blind = feed.watch.blind(True, Phase.TRANSIT)
@@ -170,19 +170,19 @@ def test_an_estimate_that_jumps_with_the_poses_leaves_no_position_to_fly_by(feed
     assert blind.endswith("swapped markers; then PX4's estimate stepped")
 
 
-def test_two_senders_are_named_and_one_that_takes_over_is_not(feed: Feed) -> None:
+def test_two_simultaneous_senders_are_named_but_a_change_of_sender_is_not(feed: Feed) -> None:
     assert feed.hover(2.0, sender="10.0.0.2:1511") is None
     for sender in ("10.0.0.1:1511", "10.0.0.2:1511"):
         feed.pose(sender=sender)
     fault = feed.watch.fault(Phase.TRANSIT)
     assert fault == "two senders send poses: 10.0.0.1:1511 and 10.0.0.2:1511"
-    assert feed.hover(1.5, sender="10.0.0.2:1511") == fault  # at once, and it ends after a second
+    assert feed.hover(1.5, sender="10.0.0.2:1511") == fault  # reported at once, and cleared after a second
     for _ in range(110):
         feed.pose(sender="10.0.0.2:1511")
     assert feed.watch.fault(Phase.TRANSIT) is None
 
 
-def test_before_the_first_pose_there_is_time_to_connect() -> None:
+def test_the_source_has_time_to_connect_before_its_first_pose() -> None:
     feed = Feed()
     feed.silence(0.1)
     feed.silence(4.0)
@@ -203,7 +203,7 @@ def test_a_wrong_frame_after_a_gap_is_no_reference_for_the_next(gap_s: float) ->
     assert feed.hover(0.5) is None
 
 
-def test_a_body_that_alternates_after_a_gap_is_a_jump() -> None:
+def test_a_pose_that_alternates_after_a_gap_is_a_jump() -> None:
     feed = Feed()
     feed.hover(0.3)
     feed.silence(0.15)
@@ -237,10 +237,10 @@ def test_a_flight_with_latency_noise_and_occlusion_has_no_fault(data: st.DataObj
             assert feed.watch.fault(Phase.APPROACH) is None
 
 
-def flown(phase: str) -> HandFedCore:
-    """A core with motion capture, in an approach or in a contact."""
-    c = PosedCore(rules=TELEPORTING, settings=WITH_MOCAP)
-    c.at_the_wood()
+def posed_core_in(phase: str) -> HandFedCore:
+    """Return a core with motion capture, in an approach or just after a contact."""
+    c = PosedCore(rules=RULES_WITHOUT_JUMP, settings=WITH_MOCAP)
+    c.fly_to_wood()
     c.begin()
     c.run(0.2)
     if phase == "contact":
@@ -252,7 +252,7 @@ def flown(phase: str) -> HandFedCore:
 
 
 class PosedCore(HandFedCore):
-    """A core that also gets the vehicle's pose, at 250 Hz, once it has begun."""
+    """A hand-fed core that also receives poses at 250 Hz after `begin`."""
 
     begun = lost = False
     away: Vec3 = (0.0, 0.0, 0.0)
@@ -267,7 +267,7 @@ class PosedCore(HandFedCore):
             out += super().run(0.004)
             if self.begun:
                 pose = ROOM.pose_from_ned(add(self.position_ned, self.away), self.q)
-                self.give(PoseSample(self.t_us, self.t_us, "dart", not self.lost, *pose))
+                self.feed(PoseSample(self.t_us, self.t_us, "dart", not self.lost, *pose))
         return out
 
 
@@ -276,8 +276,8 @@ def events(c: HandFedCore) -> list[tuple[str, Override]]:
     return [(o.rule, o.action) for o in fired]
 
 
-def test_a_body_lost_in_an_approach_breaks_it_off_and_then_lands() -> None:
-    c = flown("approach")
+def test_a_body_lost_in_an_approach_causes_a_break_off_and_then_a_landing() -> None:
+    c = posed_core_in("approach")
     c.lost = True  # type: ignore[attr-defined]
     c.run(0.24)
     assert not events(c)
@@ -288,7 +288,7 @@ def test_a_body_lost_in_an_approach_breaks_it_off_and_then_lands() -> None:
 
 
 def test_a_body_lost_in_a_contact_does_not_disturb_the_recovery() -> None:
-    c = flown("contact")
+    c = posed_core_in("contact")
     c.lost = True  # type: ignore[attr-defined]
     c.run(0.7)
     assert c.core.phase is Phase.RECOVERY
@@ -296,7 +296,7 @@ def test_a_body_lost_in_a_contact_does_not_disturb_the_recovery() -> None:
 
 
 def test_another_body_in_a_contact_ends_the_recovery_before_the_next_wall() -> None:
-    c = flown("contact")
+    c = posed_core_in("contact")
     c.away = (1.0, 0.0, 0.0)  # type: ignore[attr-defined]
     c.run(0.44)
     assert c.core.phase is Phase.RECOVERY
@@ -307,13 +307,13 @@ def test_another_body_in_a_contact_ends_the_recovery_before_the_next_wall() -> N
     assert events(c)[1:] == [("pose_source_blind", Override.LAND)]
 
 
-def test_without_a_url_poses_change_nothing() -> None:
+def test_poses_without_a_configured_url_have_no_effect() -> None:
     bare, posed = HandFedCore(), HandFedCore()
     for c, with_poses in ((bare, False), (posed, True)):
-        c.to_flight()
+        c.enter_approach()
         for _ in range(100):
             c.run(0.008)
             if with_poses:
-                c.give(PoseSample(c.t_us, c.t_us, "dart", False, (9.0, 9.0, 9.0), LEVEL))
+                c.feed(PoseSample(c.t_us, c.t_us, "dart", False, (9.0, 9.0, 9.0), LEVEL))
     assert bare.outputs == posed.outputs
     assert posed.core.state.pose is not None

@@ -1,4 +1,4 @@
-"""PX4's failsafes: recognised at the first evidence, named with their cause, never taken for a pilot."""
+"""PX4 failsafes: detected at the first evidence, named with their cause, not mistaken for a pilot."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def fired(c: HandFedCore) -> list[tuple[str, str]]:
     return [(o.rule, o.detail) for o in c.outputs if isinstance(o, GuardEvent)]
 
 
-def say(c: HandFedCore, text: str, event: str = "") -> None:
-    c.give(StatusText(c.t_us, c.t_us, "critical", text, event))
+def send_text(c: HandFedCore, text: str, event: str = "") -> None:
+    c.feed(StatusText(c.t_us, c.t_us, "critical", text, event))
 
 
 def flying() -> HandFedCore:
     c = HandFedCore()
-    c.to_flight()
+    c.enter_approach()
     c.set_status(system_status=SystemStatus.ACTIVE)
     assert c.core.phase is Phase.APPROACH
     return c
@@ -53,8 +53,8 @@ def flying() -> HandFedCore:
 )
 def test_a_failsafe_is_named_with_its_cause(text: str, event: str, mode: FlightMode) -> None:
     c = flying()
-    say(c, text, event)
-    say(c, "Failsafe activated")  # the generic words follow, and take nothing back
+    send_text(c, text, event)
+    send_text(c, "Failsafe activated")  # the generic text that follows does not replace the cause
     text = text.replace("\n", "; ")
     c.set_status(flight_mode=mode, system_status=SystemStatus.CRITICAL)
     assert fired(c)[-1] == ("px4_failsafe", f"{text}; PX4 is in {mode.value}")
@@ -73,29 +73,29 @@ def test_a_failsafe_is_named_with_its_cause(text: str, event: str, mode: FlightM
         ("in another language", ENTER),
     ],
 )
-def test_the_announcement_breaks_off_before_a_heartbeat_shows_the_mode(text: str, event: str) -> None:
+def test_a_failsafe_text_breaks_off_before_a_heartbeat_reports_the_mode(text: str, event: str) -> None:
     c = flying()
-    say(c, text, event)
+    send_text(c, text, event)
     assert fired(c) == [("failsafe_announced", text)]
     assert c.core.override is Override.BREAK_OFF
     c.outputs.clear()
     c.run(0.5)
-    assert all(o.velocity_ned is None for o in c.outputs if isinstance(o, Setpoint))  # nothing approaches
+    assert all(o.velocity_ned is None for o in c.outputs if isinstance(o, Setpoint))  # no approach velocity
 
 
 @pytest.mark.parametrize("status", [SystemStatus.CRITICAL, SystemStatus.EMERGENCY])
-def test_the_heartbeats_status_alone_is_evidence(status: SystemStatus) -> None:
+def test_the_heartbeat_status_alone_is_evidence_of_a_failsafe(status: SystemStatus) -> None:
     c = flying()
     c.set_status(system_status=status)
     assert fired(c) == [("failsafe_announced", "PX4 reports a failsafe and gives no cause")]
-    c.set_status(flight_mode=FlightMode.LAND)  # at once: there is no doubt to wait out
+    c.set_status(flight_mode=FlightMode.LAND)  # at once: no further evidence is needed
     assert fired(c)[-1] == (
         "px4_failsafe",
         "PX4 reports a failsafe and gives no cause; PX4 is in land",
     )
 
 
-def test_a_mode_that_comes_before_the_status_of_the_same_heartbeat_is_no_pilots() -> None:
+def test_a_mode_received_just_before_its_failsafe_status_is_not_a_pilot() -> None:
     c = flying()
     c.set_status(flight_mode=FlightMode.LAND)
     c.run(0.004)
@@ -113,30 +113,30 @@ def test_a_mode_that_comes_before_the_status_of_the_same_heartbeat_is_no_pilots(
         ("Takeoff detected", "commander_takeoff_detected"),
     ],
 )
-def test_a_warning_ends_nothing(text: str, event: str) -> None:
+def test_a_warning_does_not_end_the_flight(text: str, event: str) -> None:
     c = flying()
-    say(c, text, event)
+    send_text(c, text, event)
     c.run(0.5)
     assert fired(c) == []
     c.set_status(flight_mode=FlightMode.MANUAL)
     assert [rule for rule, _ in fired(c)] == ["pilot"]
 
 
-def test_before_take_off_and_in_a_landing_announcements_end_nothing() -> None:
+def test_a_failsafe_text_before_take_off_ends_nothing() -> None:
     c = HandFedCore()
-    say(c, "Failsafe activated")
+    send_text(c, "Failsafe activated")
     c.run(0.1)
     assert fired(c) == []
 
 
 @pytest.mark.parametrize("words", ["Kill engaged", "Failsafe activated: switching to terminate", None])
-def test_a_termination_is_called_one_before_streams_fall_silent(words: str | None) -> None:
+def test_a_termination_is_reported_before_streams_are_silent(words: str | None) -> None:
     c = flying()
     c.silent |= {"actuator"}
     if words is None:
         c.set_status(system_status=SystemStatus.FLIGHT_TERMINATION, flight_mode=FlightMode.UNKNOWN)
     else:
-        say(c, words)
+        send_text(c, words)
     c.run(1.0)
     rule, detail = fired(c)[-1]
     assert rule == "terminated"
@@ -164,9 +164,9 @@ def test_a_kill_after_touchdown_is_no_termination_of_the_flight() -> None:
         max_size=8,
     )
 )
-def test_nothing_that_was_said_counts_for_longer_than_three_seconds(said: list[tuple[str, int]]) -> None:
+def test_status_texts_are_evidence_for_at_most_three_seconds(texts: list[tuple[str, int]]) -> None:
     evidence, now_us = FailsafeEvidence(), 10_000_000
-    for text, after_us in said:
+    for text, after_us in texts:
         now_us += after_us
         evidence.add_text(StatusText(now_us, now_us, "critical", text), now_us)
         if "switching to" in text:

@@ -1,4 +1,4 @@
-"""The rehearsal fed by hand: how it goes on from one wall to the next."""
+"""A hand-fed rehearsal: the path from one wall to the next."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.core.conftest import HandFedCore
 
 
 def follow(c: HandFedCore, seconds: float) -> list[Setpoint]:
-    """Fly wherever it is sent, without delay; returns the set points."""
+    """Move the vehicle to every setpoint without delay; return the setpoints."""
     sent: list[Setpoint] = []
     for _ in range(round(seconds / 0.008)):
         here = [o for o in c.run(0.008) if isinstance(o, Setpoint)]
@@ -20,14 +20,14 @@ def follow(c: HandFedCore, seconds: float) -> list[Setpoint]:
     return sent
 
 
-def test_to_the_next_wall_it_flies_from_rest_however_long_the_lock_has_taken() -> None:
+def test_the_path_to_the_next_wall_starts_from_rest_after_a_slow_lock() -> None:
     c = HandFedCore(settings={"standoff_m": 0.3})
-    c.to_flight()
+    c.enter_approach()
     while c.core.phase is Phase.APPROACH:
         follow(c, 0.1)
     assert c.core.phase is Phase.RECOVERY
     c.set_lock(Mode.RIGID, LockPhase.TRAVELLING)
-    here = follow(c, 2.0)[-1].position_ned  # as long as the whole way takes
+    here = follow(c, 2.0)[-1].position_ned  # as long as the whole path takes
     c.set_lock(Mode.RIGID)
     sent = follow(c, 4.0)
     steps = [math.dist(b.position_ned, a.position_ned) for a, b in pairwise(sent)]

@@ -1,4 +1,4 @@
-"""Planning again as the core sees it: what is asked, which answers are flown, what happens without one."""
+"""Replanning in the core: requests, accepted and refused answers, and missing answers."""
 
 import itertools
 import math
@@ -38,7 +38,7 @@ def state_at(now_us: int, position: tuple[float, float, float] = (1.0, -1.0, 1.0
 
 
 class Planning:
-    """The rules of a mission with its state, written as the executive writes it."""
+    """The replanning rules of a mission with its state, updated as the executive updates it."""
 
     def __init__(self, mission: Mission) -> None:
         self.rules, self.progress = ReplanRequests(mission), MissionState(mission, {})
@@ -60,7 +60,7 @@ class Planning:
         sensed: Sensed,
         square_us: int = 0,
     ) -> PlanRequest | None:
-        """What is asked between a hit and the next one."""
+        """Return the request between a hit and the next one, if there is one."""
         hit, following = between
         self.progress.index = self.progress.mission.collisions.index(hit) + 1
         self.progress.collisions[self.progress.index :] = [following]
@@ -88,7 +88,7 @@ OVER = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
 BETWEEN = (MISSION.collisions[0], MISSION.collisions[1])
 
 
-def asked() -> tuple[Planning, PlanRequest]:
+def planning_with_request() -> tuple[Planning, PlanRequest]:
     planning = Planning(MISSION)
     request = planning.request(BETWEEN, state_at(NOW_US), OVER)
     assert request is not None
@@ -97,12 +97,12 @@ def asked() -> tuple[Planning, PlanRequest]:
     return planning, request
 
 
-def refusal_of(planning: Planning, answer: PlanAnswer, now_us: int) -> str | None:
-    """Why an answer is not to be flown; None where it is."""
-    return said(planning.accept(answer, now_us))
+def refusal_to(planning: Planning, answer: PlanAnswer, now_us: int) -> str | None:
+    """Return why an answer is refused, or None if it is accepted."""
+    return refusal_in(planning.accept(answer, now_us))
 
 
-def said(change: Change) -> str | None:
+def refusal_in(change: Change) -> str | None:
     if not change.outputs:
         return None
     (taken,) = change.outputs
@@ -112,7 +112,7 @@ def said(change: Change) -> str | None:
 
 
 def answer_to(request: PlanRequest) -> PlanAnswer:
-    """Straight on from where the vehicle will be."""
+    """Return an answer that continues straight from the predicted position of the vehicle."""
     ahead_s = (request.begin_us - request.t_us) * 1e-6
     x, y, _ = (
         p + v * ahead_s for p, v in zip(request.position_mission, request.velocity_mission, strict=True)
@@ -132,8 +132,8 @@ def moved_to(request: PlanRequest) -> FlightState:
     return state_at(request.begin_us, (x, y, z))
 
 
-def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
-    planning, request = asked()
+def test_an_answer_in_time_is_flown_from_its_start_time() -> None:
+    planning, request = planning_with_request()
     planning.accept(answer_to(request), NOW_US + 40_000)
     assert planning.trajectory(state_at(NOW_US + 90_000)) == NO_CHANGE
     assert planning.replan.since_us is None
@@ -142,13 +142,13 @@ def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
     assert change.outputs == (PlanTaken(request.begin_us, request.number, True),)
     assert planning.replan.since_us == request.begin_us
     assert planning.trajectory(moved_to(request)) == NO_CHANGE  # once
-    met = planning.replan.predict_impact(1.2, state_at(request.begin_us + 300_000))
-    assert met is not None
-    assert met.after_s == pytest.approx(1.0)
-    assert met.normal_m_s == -1.2
+    impact = planning.replan.predict_impact(1.2, state_at(request.begin_us + 300_000))
+    assert impact is not None
+    assert impact.after_s == pytest.approx(1.0)
+    assert impact.normal_m_s == -1.2
     beyond = planning.replan.predict_impact(1.2, state_at(request.begin_us + 1_400_000))
     assert beyond is not None
-    assert beyond.after_s == 0.0  # it is due, and not over
+    assert beyond.after_s == 0.0  # due, but not over
     end_us = request.begin_us + 1_000_000
     assert [planning.replan.is_over(t_us) for t_us in (end_us - 1, end_us)] == [False, True]
     late_us = request.begin_us + 1_300_000 + round(MISSION.vehicle.guard.wall_late_s * 1e6)
@@ -157,7 +157,7 @@ def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "reason"),
     [
         ({"number": 7}, "outdated state"),
         ({"problem": "no trajectory to wall acrylic"}, "no trajectory to wall acrylic"),
@@ -170,41 +170,39 @@ def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
         ({"x_mission": (math.inf,) * 6}, "the plan does not match the request"),
     ],
 )
-def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
-    change: dict[str, object], says: str
-) -> None:
-    planning, request = asked()
+def test_an_unusable_answer_is_refused_with_its_reason(change: dict[str, object], reason: str) -> None:
+    planning, request = planning_with_request()
     answer = msgspec.structs.replace(answer_to(request), **change)
-    assert says in (refusal_of(planning, answer, NOW_US + 40_000) or "")
+    assert reason in (refusal_to(planning, answer, NOW_US + 40_000) or "")
     assert not planning.flies(moved_to(request))
     assert planning.replan.since_us is None
 
 
-def test_what_was_felt_is_waited_for_where_the_same_wall_comes_again() -> None:
-    """150 ms of a contact's end at most, and for each contact anew; another wall is asked about at once."""
+def test_a_request_for_the_same_wall_waits_for_its_estimate() -> None:
+    """It waits at most 150 ms after each contact; a request for another wall is sent at once."""
     hit, following = MISSION.collisions
 
-    def asks(again: bool, after_us: int, felt: bool = False) -> bool:
+    def sends_request(again: bool, after_us: int, estimated: bool = False) -> bool:
         sensed = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
         planning.contact_begins()
-        planning.progress.replan = planning.replan._replace(has_wall_estimate=felt)
+        planning.progress.replan = planning.replan._replace(has_wall_estimate=estimated)
         planning.progress.lock = LockCommandState(contact_end_us=NOW_US)
         between = (hit, hit if again else following)
         return planning.request(between, state_at(NOW_US + after_us), sensed) is not None
 
     planning = Planning(MISSION)
-    assert asks(False, 0)
-    assert not asks(True, 149_999)
-    assert asks(True, 150_000)
-    assert asks(True, 10_000, felt=True)
-    assert not asks(True, 10_000)
+    assert sends_request(False, 0)
+    assert not sends_request(True, 149_999)
+    assert sends_request(True, 150_000)
+    assert sends_request(True, 10_000, estimated=True)
+    assert not sends_request(True, 10_000)
 
 
 @pytest.mark.parametrize(
     ("normal_m_s", "tangential_m_s", "flown"),
     [(-0.5, 0.1, True), (0.0, 0.1, False), (0.5, 0.1, False), (None, 0.1, False), (-0.5, math.nan, False)],
 )
-def test_an_approach_from_rest_goes_towards_its_wall(
+def test_an_approach_from_rest_must_move_towards_its_wall(
     normal_m_s: float | None, tangential_m_s: float, flown: bool
 ) -> None:
     planning, hit = Planning(MISSION), MISSION.collisions[0]
@@ -212,7 +210,7 @@ def test_an_approach_from_rest_goes_towards_its_wall(
     request = planning.request((hit, hit), state_at(NOW_US), OVER)
     assert request is not None
     answer = msgspec.structs.replace(answer_to(request), normal_m_s=normal_m_s, tangential_m_s=tangential_m_s)
-    refusal = refusal_of(planning, answer, NOW_US + 40_000)
+    refusal = refusal_to(planning, answer, NOW_US + 40_000)
     assert refusal == (None if flown else "the plan does not match the request")
     change = planning.apply(planning.rules.approach(planning.progress, NOW_US + 40_000))
     approach = change.approach
@@ -224,32 +222,32 @@ def test_an_approach_from_rest_goes_towards_its_wall(
         assert planning.rules.approach(planning.progress, NOW_US + 40_000) == NO_CHANGE  # once
 
 
-def test_an_answer_that_comes_late_is_not_flown() -> None:
-    planning, request = asked()
-    assert refusal_of(planning, answer_to(request), request.begin_us + 20_000) == "the plan is 20 ms late"
+def test_a_late_answer_is_refused() -> None:
+    planning, request = planning_with_request()
+    assert refusal_to(planning, answer_to(request), request.begin_us + 20_000) == "the plan is 20 ms late"
 
 
-def test_no_wall_is_to_be_met_before_a_vehicle_that_a_contact_has_turned_is_square_to_it() -> None:
-    """Not on the way that is asked for, and a way that leads there earlier is given up for a later one."""
+def test_a_wall_is_not_hit_before_the_vehicle_is_square_to_it() -> None:
+    """Requests contain this time, and a plan with an earlier hit is replaced by a later one."""
     mission = msgspec.structs.replace(
         MISSION, goal_trajectory=TrajectoryPieces((0.0, 0.0), [(1.0, 0.0, 0.0)])
     )
     planning = Planning(mission)
 
-    def asked_at(now_us: int, square_us: int) -> PlanRequest:
+    def request_at(now_us: int, square_us: int) -> PlanRequest:
         request = planning.request(BETWEEN, state_at(now_us), OVER, square_us)
         assert request is not None
         return request
 
-    first = asked_at(NOW_US, NOW_US + 1_500_000)
+    first = request_at(NOW_US, NOW_US + 1_500_000)
     assert first.lock_ready_us == NOW_US + 1_500_000
-    way = msgspec.structs.replace(answer_to(first), impact_s=1.8, duration_s=1.8)
-    planning.accept(way, NOW_US + 40_000)
+    plan = msgspec.structs.replace(answer_to(first), impact_s=1.8, duration_s=1.8)
+    planning.accept(plan, NOW_US + 40_000)
     assert planning.flies(moved_to(first))
     impact_us = first.begin_us + 1_800_000
-    assert asked_at(NOW_US + 350_000, impact_us - 1).under_way
-    # Turned further than was thought.
-    late = asked_at(NOW_US + 700_000, impact_us + 1)
+    assert request_at(NOW_US + 350_000, impact_us - 1).under_way
+    # The vehicle has turned further than predicted.
+    late = request_at(NOW_US + 700_000, impact_us + 1)
     assert not late.under_way
     assert late.coasts
     later = msgspec.structs.replace(answer_to(late), impact_s=3.0, duration_s=3.0)
@@ -257,11 +255,11 @@ def test_no_wall_is_to_be_met_before_a_vehicle_that_a_contact_has_turned_is_squa
     assert planning.flies(moved_to(late))
 
 
-def test_a_way_that_begins_elsewhere_is_not_flown() -> None:
-    planning, request = asked()
+def test_a_trajectory_that_starts_elsewhere_is_refused() -> None:
+    planning, request = planning_with_request()
     planning.accept(answer_to(request), NOW_US + 40_000)
     refused = planning.trajectory(state_at(request.begin_us, (1.3, -0.9, 1.0)))
-    assert "m/s off the start of the trajectory" in (said(refused) or "")
+    assert "m/s off the start of the trajectory" in (refusal_in(refused) or "")
     assert refused.course is None
 
 
@@ -269,10 +267,10 @@ def test_a_way_that_begins_elsewhere_is_not_flown() -> None:
     ("beside_m", "beside_m_s", "flown"),
     [(0.07, 0.0, True), (0.09, 0.0, False), (0.0, 0.2, True), (0.0, 0.3, False)],
 )
-def test_a_way_is_flown_from_where_the_position_loop_still_gets_onto_it(
+def test_a_trajectory_is_flown_if_the_position_loop_can_still_reach_it(
     beside_m: float, beside_m_s: float, flown: bool
 ) -> None:
-    planning, request = asked()
+    planning, request = planning_with_request()
     planning.accept(answer_to(request), NOW_US + 40_000)
     state = moved_to(request)
     (x, y, z), (vx, vy, vz) = state.position, state.velocity
@@ -281,16 +279,16 @@ def test_a_way_is_flown_from_where_the_position_loop_still_gets_onto_it(
     assert not planning.flies(moved_to(request))  # once
 
 
-def test_a_contact_ends_what_was_planned_before_it() -> None:
-    planning, request = asked()
+def test_a_contact_discards_earlier_plans() -> None:
+    planning, request = planning_with_request()
     planning.contact_begins()
-    assert refusal_of(planning, answer_to(request), NOW_US + 40_000) is not None
-    answered, request = asked()
-    assert refusal_of(answered, answer_to(request), NOW_US + 40_000) is None
+    assert refusal_to(planning, answer_to(request), NOW_US + 40_000) is not None
+    answered, request = planning_with_request()
+    assert refusal_to(answered, answer_to(request), NOW_US + 40_000) is None
     answered.contact_begins()
     assert not answered.flies(moved_to(request))
-    flown, request = asked()
-    assert refusal_of(flown, answer_to(request), NOW_US + 40_000) is None
+    flown, request = planning_with_request()
+    assert refusal_to(flown, answer_to(request), NOW_US + 40_000) is None
     assert flown.flies(moved_to(request))
     flown.contact_begins()
     much_later = state_at(request.begin_us + 60_000_000)
@@ -301,12 +299,12 @@ def test_a_contact_ends_what_was_planned_before_it() -> None:
 
 
 @pytest.mark.parametrize(("velocity", "more_s"), [((0.7, -0.1, 0.0), 0.6), ((-0.7, 0.1, 0.0), 3.0)])
-def test_a_wall_that_is_not_known_for_sure_is_late_as_much_later_as_it_may_be_further_away(
+def test_the_lateness_limit_of_a_wall_includes_its_position_uncertainty(
     velocity: tuple[float, float, float], more_s: float
 ) -> None:
-    """By the velocity at which it is closed in on; a vehicle that does not, by a slow one."""
-    planning, request = asked()
-    assert refusal_of(planning, answer_to(request), NOW_US + 40_000) is None
+    """The uncertainty is divided by the closing speed, or by a low speed if there is none."""
+    planning, request = planning_with_request()
+    assert refusal_to(planning, answer_to(request), NOW_US + 40_000) is None
     assert planning.flies(moved_to(request))
     wall = msgspec.structs.replace(MISSION.walls[1], position_sd_m=0.1, normal=(-0.8, -0.6))
     due_us = request.begin_us + 1_300_000 + round((MISSION.vehicle.guard.wall_late_s + more_s) * 1e6)
@@ -317,13 +315,13 @@ def test_a_wall_that_is_not_known_for_sure_is_late_as_much_later_as_it_may_be_fu
 
 
 @given(st.tuples(*[coefficient] * 6), st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.0, 4.0))
-def test_a_way_is_what_its_derivatives_say(
+def test_a_trajectory_is_consistent_with_its_derivatives(
     x: tuple[float, ...], y: tuple[float, ...], duration_s: float, t_s: float
 ) -> None:
-    way, h = Trajectory.level(x, y, 1.0, (duration_s,)), 1e-5
+    plan, h = Trajectory.level(x, y, 1.0, (duration_s,)), 1e-5
     if abs(t_s - duration_s) < 2 * h or t_s < h:
         return
-    at, before, after = way.at(t_s), way.at(t_s - h), way.at(t_s + h)
+    at, before, after = plan.at(t_s), plan.at(t_s - h), plan.at(t_s + h)
     for axis in (0, 1):
         slope = (after.position[axis] - before.position[axis]) / (2 * h)
         curve = (after.velocity[axis] - before.velocity[axis]) / (2 * h)
@@ -335,11 +333,11 @@ def test_a_way_is_what_its_derivatives_say(
 
 
 @given(st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.01, 2.0))
-def test_a_way_goes_straight_on_behind_its_end(
+def test_a_trajectory_continues_straight_after_its_end(
     x: tuple[float, ...], duration_s: float, more_s: float
 ) -> None:
-    way = Trajectory.level(x, x, 1.0, (duration_s,))
-    end, beyond = way.at(duration_s), way.at(duration_s + more_s)
+    plan = Trajectory.level(x, x, 1.0, (duration_s,))
+    end, beyond = plan.at(duration_s), plan.at(duration_s + more_s)
     assert beyond.velocity == end.velocity
     assert beyond.position[0] == pytest.approx(end.position[0] + more_s * end.velocity[0])
     assert beyond.acceleration == beyond.jerk == (0.0, 0.0, 0.0)
@@ -350,61 +348,61 @@ def test_a_way_goes_straight_on_behind_its_end(
 ALONG = load_mission(packaged("missions", "touch_and_return.yaml"))
 
 
-def straight_on(t_us: int, off_m: float = 0.0) -> FlightState:
-    """Along the line that `answer_to` goes on along, so far beside it."""
+def state_on_line(t_us: int, off_m: float = 0.0) -> FlightState:
+    """Return a state on the line of `answer_to`, or `off_m` beside it."""
     since_s = (t_us - NOW_US) * 1e-6
     return state_at(t_us, (1.0 + 0.4 * since_s, -1.0 + 0.5 * since_s + off_m, 1.0))
 
 
-def asks_along(planning: Planning, state: FlightState) -> PlanRequest | None:
-    """What is asked after the first contact, on the way to the second wall."""
+def request_along(planning: Planning, state: FlightState) -> PlanRequest | None:
+    """Return the request after the first contact, on the path to the second wall."""
     *_, hit, following, _ = ALONG.collisions
     over = Sensed(estimate=ForceEstimate(NOW_US, (1.3, 0.0, 0.0), False), height_m=0.02)
     return planning.request((hit, following), state, over)
 
 
-def flies(duration_s: float) -> tuple[Planning, PlanRequest]:
-    """An answer is flown."""
+def flown_planning(duration_s: float) -> tuple[Planning, PlanRequest]:
+    """Return a planning whose first answer is flown, and the request for it."""
     planning = Planning(ALONG)
-    request = asks_along(planning, straight_on(NOW_US))
+    request = request_along(planning, state_on_line(NOW_US))
     assert request is not None
-    assert asks_along(planning, straight_on(NOW_US + 100_000)) is None
+    assert request_along(planning, state_on_line(NOW_US + 100_000)) is None
     answer = msgspec.structs.replace(answer_to(request), duration_s=duration_s, impact_s=duration_s)
-    assert refusal_of(planning, answer, NOW_US + 40_000) is None
-    assert planning.replan.impact_in_s(straight_on(NOW_US)) == -math.inf
-    assert planning.flies(straight_on(request.begin_us))
+    assert refusal_to(planning, answer, NOW_US + 40_000) is None
+    assert planning.replan.impact_in_s(state_on_line(NOW_US)) == -math.inf
+    assert planning.flies(state_on_line(request.begin_us))
     return planning, request
 
 
-def test_where_no_way_was_found_it_asks_again_for_each_contact_so_many_times() -> None:
+def test_a_request_without_a_trajectory_is_sent_six_times_per_contact() -> None:
     planning, times = Planning(ALONG), []
     for contact_us in (NOW_US, NOW_US + 5_000_000):
         planning.contact_begins()
         for t_us in range(contact_us, contact_us + 4_000_000, 10_000):
-            request = asks_along(planning, straight_on(t_us))
+            request = request_along(planning, state_on_line(t_us))
             if request is not None:
                 times.append(t_us - contact_us)
                 assert (request.under_way, request.contact_height_m) == (False, 0.02)
                 refused = msgspec.structs.replace(answer_to(request), problem="none")
-                assert refusal_of(planning, refused, t_us) == "none"
+                assert refusal_to(planning, refused, t_us) == "none"
     assert times == [0, 300_000, 600_000, 900_000, 1_200_000, 1_500_000] * 2
 
 
-def test_while_an_answer_waits_for_its_time_nothing_is_asked() -> None:
+def test_no_request_is_sent_while_an_answer_waits_for_its_start() -> None:
     planning = Planning(ALONG)
-    request = asks_along(planning, straight_on(NOW_US))
+    request = request_along(planning, state_on_line(NOW_US))
     assert request is not None
-    assert refusal_of(planning, answer_to(request), NOW_US) is None
-    assert asks_along(planning, straight_on(NOW_US + 400_000)) is None
+    assert refusal_to(planning, answer_to(request), NOW_US) is None
+    assert request_along(planning, state_on_line(NOW_US + 400_000)) is None
 
 
-def test_a_trajectory_that_is_flown_is_planned_again_until_shortly_before_its_end() -> None:
-    planning, first = flies(1.3)
+def test_a_flown_trajectory_is_replanned_until_shortly_before_its_end() -> None:
+    planning, first = flown_planning(1.3)
     end_us = first.begin_us + 1_300_000
-    assert planning.replan.impact_in_s(straight_on(end_us - 300_000)) == pytest.approx(0.3)
+    assert planning.replan.impact_in_s(state_on_line(end_us - 300_000)) == pytest.approx(0.3)
     times = []
     for t_us in range(first.begin_us, end_us + 1_000_000, 10_000):
-        request = asks_along(planning, straight_on(t_us))
+        request = request_along(planning, state_on_line(t_us))
         if request is not None:
             assert request.under_way
             times.append(t_us)
@@ -413,25 +411,25 @@ def test_a_trajectory_that_is_flown_is_planned_again_until_shortly_before_its_en
     assert {b - a for a, b in itertools.pairwise(times)} == {300_000}
     assert 0 <= end_us - times[-1] - within_us - 400_000 <= 300_000
     planning.contact_begins()
-    assert planning.replan.impact_in_s(straight_on(end_us)) == -math.inf
+    assert planning.replan.impact_in_s(state_on_line(end_us)) == -math.inf
 
 
 @pytest.mark.parametrize(
     ("later_s", "off_m", "taken"),
     [(0.13, 0.0, True), (0.17, 0.0, False), (0.17, 0.15, False), (0.17, 0.25, True), (-0.3, 0.0, True)],
 )
-def test_a_trajectory_is_held_to_where_another_one_ends_well_after_it(
+def test_a_trajectory_is_kept_if_its_replacement_ends_much_later(
     later_s: float, off_m: float, taken: bool
 ) -> None:
     """Unless the vehicle is far from it."""
-    planning, first = flies(1.3)
-    request = asks_along(planning, straight_on(NOW_US + 400_000, off_m))
+    planning, first = flown_planning(1.3)
+    request = request_along(planning, state_on_line(NOW_US + 400_000, off_m))
     assert request is not None
     left_s = 1.3 - (request.begin_us - first.begin_us) * 1e-6
     there_s = left_s + later_s
     answer = msgspec.structs.replace(answer_to(request), duration_s=there_s, impact_s=there_s)
-    assert refusal_of(planning, answer, request.t_us) is None
-    change = planning.trajectory(straight_on(request.begin_us, off_m))
+    assert refusal_to(planning, answer, request.t_us) is None
+    change = planning.trajectory(state_on_line(request.begin_us, off_m))
     assert (change.course is not None) is taken
     why = "" if taken else "the trajectory flown is quicker"
     assert change.outputs == (PlanTaken(request.begin_us, request.number, taken, why),)

@@ -1,4 +1,4 @@
-"""Courses, arrival and setpoints, one sample at a time; in flight: test_arrival, test_limits."""
+"""Courses, arrival and setpoints, one sample at a time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ INTO_A_WALL = Trajectory.level(
 
 
 def parts(setpoint: Setpoint) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Position, velocity, acceleration in the mission frame."""
+    """Return position, velocity and acceleration in the mission frame."""
     v, a = setpoint.velocity_ned, setpoint.acceleration_ned
     return (
         FRAME.point_from_ned(setpoint.position_ned),
@@ -44,26 +44,26 @@ def parts(setpoint: Setpoint) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
     )
 
 
-def asked(
+def setpoint_parts(
     flown: Course, t_us: int, since_us: int | None = 0, mission: Mission = MISSION
 ) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Parts of the setpoint for a sample, without anything added."""
+    """Return the parts of the setpoint for a sample, without an added acceleration."""
     progress = MissionState(mission, {})
     progress.course = flown
     reference = SetpointSelection(mission)._reference(progress, t_us, since_us)
     return parts(make_setpoint(FRAME, TRIGGER, reference, 0.2))
 
 
-def says(setpoint: Setpoint, *wanted: Vec3 | None) -> bool:
-    """Whether the first of its parts are these."""
-    pairs = zip(parts(setpoint), wanted, strict=False)
+def has_parts(setpoint: Setpoint, *expected: Vec3 | None) -> bool:
+    """Return whether the first parts of a setpoint are these."""
+    pairs = zip(parts(setpoint), expected, strict=False)
     return all(found == (None if one is None else pytest.approx(one)) for found, one in pairs)
 
 
 STANDING = Course((1.0, 2.0, 0.0), ALTITUDE_M)
 
 
-def test_a_course_climbs_and_goes_from_rest_to_rest_at_its_altitude() -> None:
+def test_a_course_climbs_and_flies_from_rest_to_rest_at_its_altitude() -> None:
     assert (STANDING.on_transit, STANDING.duration_s) == (False, 0.0)
     climbing = STANDING.climb(FLYING)
     assert climbing.on_transit
@@ -80,26 +80,26 @@ def test_a_course_climbs_and_goes_from_rest_to_rest_at_its_altitude() -> None:
     assert (moved.target, moved.trajectory) == ((1.5, 2.25, ALTITUDE_M), flown.trajectory)
 
 
-def test_a_step_says_only_where_and_a_trajectory_also_how_fast() -> None:
+def test_a_step_has_only_a_position_and_a_trajectory_also_a_velocity() -> None:
     step = STANDING.hold((1.0, 2.0))
-    place, *motion = asked(step, 500, None)
+    place, *motion = setpoint_parts(step, 500, None)
     assert place == pytest.approx((1.0, 2.0, ALTITUDE_M))
     assert motion == [None, None]
     flown = step.fly_to((4.0, 2.0), FLYING)
-    assert asked(flown, 500, None)[1] is None  # not begun
+    assert setpoint_parts(flown, 500, None)[1] is None  # not started
     half_us = round(0.5e6 * flown.duration_s)
-    position, velocity, _ = asked(flown, 500 + half_us, 500)
+    position, velocity, _ = setpoint_parts(flown, 500 + half_us, 500)
     assert position == pytest.approx((2.5, 2.0, ALTITUDE_M), abs=1e-5)
     assert velocity == pytest.approx((1.875 * 3.0 / flown.duration_s, 0.0, 0.0), abs=1e-5)
 
 
-def test_drag_and_what_the_d_term_takes_are_fed_forward_ahead_of_the_attitudes_lag() -> None:
-    """Drag b v, in a lag's time b (v + lag a); the reference's own a (1 + kd), and its change."""
+def test_drag_and_the_d_term_are_fed_forward_ahead_of_the_attitude_lag() -> None:
+    """One lag ahead, the drag is b (v + lag a) and the reference needs a (1 + kd) + lag jerk."""
     x, y = (0.0, 1.0, 0.5, 0.1, 0.0, 0.0), (0.0, -0.4, 0.25, -0.2, 0.0, 0.0)
-    way = Trajectory.level(x, y, ALTITUDE_M, (5.0,))
-    flown = STANDING.follow(way)
-    assert flown.target == way.at(5.0).position
-    at, (_, velocity, fed) = way.at(1.0), asked(flown, 1_000_000)
+    trajectory = Trajectory.level(x, y, ALTITUDE_M, (5.0,))
+    flown = STANDING.follow(trajectory)
+    assert flown.target == trajectory.at(5.0).position
+    at, (_, velocity, fed) = trajectory.at(1.0), setpoint_parts(flown, 1_000_000)
     assert velocity == pytest.approx(at.velocity)
     assert fed is not None
     kd = MISSION.vehicle.px4.mpc_xy_vel_d_acc
@@ -109,29 +109,31 @@ def test_drag_and_what_the_d_term_takes_are_fed_forward_ahead_of_the_attitudes_l
         assert fed[axis] == pytest.approx(drag * later_m_s + later_m_s2 + kd * at.acceleration[axis])
 
 
-def late(delay_s: float, dead_s: float = 0.0) -> Mission:
-    """A mission with these delays of the autopilot."""
+def mission_with_delays(delay_s: float, dead_s: float = 0.0) -> Mission:
+    """Return the mission with these delays of the autopilot."""
     flying = structs.replace(FLYING, setpoint_delay_s=delay_s, attitude_delay_s=dead_s)
     return structs.replace(MISSION, vehicle=structs.replace(MISSION.vehicle, flying=flying))
 
 
 @given(st.floats(0.0, 0.1), st.floats(0.0, 1.9))
-def test_a_setpoint_is_of_the_moment_at_which_it_is_flown(delay_s: float, since_s: float) -> None:
-    """Along a trajectory: that of one without a delay, so much later."""
+def test_a_setpoint_is_computed_for_the_time_at_which_it_is_flown(delay_s: float, since_s: float) -> None:
+    """On a trajectory, it equals the setpoint without a delay at the later time."""
     at_us, later_us = round(since_s * 1e6), round((since_s + delay_s) * 1e6)
-    found = asked(STANDING.follow(INTO_A_WALL), at_us, mission=late(delay_s))
-    wanted = asked(STANDING.follow(INTO_A_WALL), later_us)
-    for one, other in zip(found, wanted, strict=True):
+    found = setpoint_parts(STANDING.follow(INTO_A_WALL), at_us, mission=mission_with_delays(delay_s))
+    expected = setpoint_parts(STANDING.follow(INTO_A_WALL), later_us)
+    for one, other in zip(found, expected, strict=True):
         assert one == pytest.approx(other, abs=1e-4)
 
 
 @given(st.floats(0.0, 0.1), st.floats(0.0, 0.1), st.floats(0.0, 2.2))
-def test_thrust_is_asked_for_ahead_of_the_attitudes_dead_time(
+def test_thrust_is_commanded_ahead_of_the_attitude_dead_time(
     delay_s: float, dead_s: float, since_s: float
 ) -> None:
-    """Position and velocity of one moment, acceleration and jerk of another, which is not beyond the wall."""
+    """Acceleration and jerk are taken later than position and velocity, but not beyond the wall."""
     at_us, end_s = round(since_s * 1e6), INTO_A_WALL.duration_s
-    place, velocity, fed = asked(STANDING.follow(INTO_A_WALL), at_us, mission=late(delay_s, dead_s))
+    place, velocity, fed = setpoint_parts(
+        STANDING.follow(INTO_A_WALL), at_us, mission=mission_with_delays(delay_s, dead_s)
+    )
     flown_s = at_us * 1e-6 + delay_s
     flown = INTO_A_WALL.at(flown_s)
     tilted = INTO_A_WALL.at(min(flown_s + dead_s, max(at_us * 1e-6, end_s)))
@@ -144,8 +146,8 @@ def test_thrust_is_asked_for_ahead_of_the_attitudes_dead_time(
         assert fed[axis] == pytest.approx(push + drag * flown.velocity[axis], abs=1e-9)
 
 
-def coasted(mission: Mission, sample: OdometrySample) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Parts of the setpoint shortly before a wall that the mission's own trajectory leads to."""
+def parts_before_wall(mission: Mission, sample: OdometrySample) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
+    """Return the parts of the setpoint shortly before a wall on the mission's own trajectory."""
     pieces = TrajectoryPieces((0.0, 0.0), [(1.0, 0.0, 0.0)])
     (collision,) = (msgspec.structs.replace(one, trajectory=pieces) for one in mission.collisions)
     progress, state = MissionState(mission, {}), FlightState()
@@ -156,16 +158,16 @@ def coasted(mission: Mission, sample: OdometrySample) -> tuple[Vec3, Vec3 | None
     return parts(setpoint)
 
 
-def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
-    """The last moments ask for the thrust at the wall, and of the velocity what the vehicle has."""
-    mission, end_us = late(0.03, 0.05), round(1e6 * INTO_A_WALL.duration_s)
+def test_a_delayed_setpoint_does_not_reach_beyond_the_wall() -> None:
+    """Shortly before the wall, it has the thrust at the wall and the vehicle's own velocity."""
+    mission, end_us = mission_with_delays(0.03, 0.05), round(1e6 * INTO_A_WALL.duration_s)
     wall, motion = MISSION.walls[0], (0.7, -0.1, 0.0)
     at_wall = INTO_A_WALL.at(INTO_A_WALL.duration_s)
     x, y, _ = at_wall.position
     sample = OdometrySample(
         end_us - 10_000, 0, FRAME.point_to_ned(at_wall.position), FRAME.vector_to_ned(motion)
     )
-    place, velocity, fed = coasted(mission, sample)
+    place, velocity, fed = parts_before_wall(mission, sample)
     assert fed is not None
     kd, lead_s = MISSION.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - 0.05
     for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
@@ -176,7 +178,7 @@ def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
     assert sum(v * n for v, n in zip(velocity, across, strict=False)) == pytest.approx(
         sum(v * n for v, n in zip(motion, across, strict=False))
     )
-    # Where the vehicle is when the setpoint is flown, across the wall: nothing to brake for.
+    # Across the wall, the setpoint is at the vehicle's predicted position, so nothing brakes.
     there = (x + 0.03 * motion[0], y + 0.03 * motion[1])
     assert sum(p * n for p, n in zip(place, across, strict=False)) == pytest.approx(
         sum(p * n for p, n in zip(there, across, strict=False))
@@ -184,10 +186,10 @@ def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
 
 
 @given(st.floats(0.01, 0.24), st.floats(0.01, 0.24), st.floats(0.5, 3.0))
-def test_before_a_wall_it_leans_at_its_own_time_to_impact(
+def test_the_lean_before_a_wall_follows_the_vehicles_own_time_to_impact(
     planned_s: float, left_s: float, closing_m_s: float
 ) -> None:
-    """A vehicle ahead of its trajectory leans sooner, by up to 0.1 s; across the wall only."""
+    """A vehicle ahead of its trajectory leans up to 0.1 s sooner, across the wall only."""
     wall, end_s = MISSION.walls[0], INTO_A_WALL.duration_s
     (nx, ny), (tx, ty), (x, y, _) = wall.normal, wall.tangent, INTO_A_WALL.at(end_s).position
     at_us = round(1e6 * (end_s - planned_s))
@@ -198,10 +200,10 @@ def test_before_a_wall_it_leans_at_its_own_time_to_impact(
         FRAME.point_to_ned((x + away_m * nx, y + away_m * ny, ALTITUDE_M)),
         FRAME.vector_to_ned((-closing_m_s * nx, -closing_m_s * ny, 0.0)),
     )
-    _, _, fed = coasted(late(0.0), sample)
+    _, _, fed = parts_before_wall(mission_with_delays(0.0), sample)
     early_s = max(-0.1, min(0.1, planned_s - left_s))
-    _, _, planned = asked(STANDING.follow(INTO_A_WALL), at_us)
-    _, _, own = asked(STANDING.follow(INTO_A_WALL), at_us + round(1e6 * early_s))
+    _, _, planned = setpoint_parts(STANDING.follow(INTO_A_WALL), at_us)
+    _, _, own = setpoint_parts(STANDING.follow(INTO_A_WALL), at_us + round(1e6 * early_s))
     assert fed is not None
     assert planned is not None
     assert own is not None
@@ -209,12 +211,12 @@ def test_before_a_wall_it_leans_at_its_own_time_to_impact(
     assert fed[0] * nx + fed[1] * ny == pytest.approx(own[0] * nx + own[1] * ny, abs=1e-4)
 
 
-def test_on_the_climb_only_drag_is_added() -> None:
+def test_only_drag_is_added_in_the_climb() -> None:
     references = STANDING.climb(FLYING)
     at_us = round(0.3e6 * references.duration_s)
-    _, velocity, fed = asked(references, at_us)
-    _, before, _ = asked(references, at_us - 100)
-    _, after, _ = asked(references, at_us + 100)
+    _, velocity, fed = setpoint_parts(references, at_us)
+    _, before, _ = setpoint_parts(references, at_us - 100)
+    _, after, _ = setpoint_parts(references, at_us + 100)
     assert velocity is not None
     assert before is not None
     assert after is not None
@@ -223,11 +225,11 @@ def test_on_the_climb_only_drag_is_added() -> None:
     assert fed[2] == pytest.approx((after[2] - before[2]) / 200e-6 + drag * velocity[2], abs=1e-3)
 
 
-def test_an_approach_is_flown_without_a_new_target() -> None:
+def test_an_approach_does_not_change_the_target() -> None:
     approach = Trajectory.run_up((1.0, 2.0), (1.0, 0.0), 0.5, 1.75, ALTITUDE_M)
     flown = STANDING.hold((1.0, 2.0)).approach(approach)
     assert (flown.target, flown.on_transit) == ((1.0, 2.0, ALTITUDE_M), False)
-    position, velocity, _ = asked(flown, 1_000_000)
+    position, velocity, _ = setpoint_parts(flown, 1_000_000)
     assert position == pytest.approx((1.75, 2.0, ALTITUDE_M))
     assert velocity == pytest.approx((1.0, 0.0, 0.0))
 
@@ -237,42 +239,42 @@ vector = st.tuples(coordinate, coordinate, coordinate)
 
 
 @given(vector, vector, vector, vector, vector, vector, st.floats(-math.pi, math.pi))
-def test_a_setpoint_is_its_reference_and_on_free_axes_the_measured_motion(
+def test_a_setpoint_uses_the_measured_motion_on_free_axes_only(
     position: Vec3, velocity: Vec3, push: Vec3, there: Vec3, motion: Vec3, added: Vec3, angle: float
 ) -> None:
-    """Along each free axis nothing is left to correct; across it and in height the reference holds."""
+    """A free axis has no error to correct; the other axes and the height use the reference."""
     reference, normal = Reference(position, velocity, push), (math.cos(angle), math.sin(angle))
     total = tuple(a + b for a, b in zip(push, added, strict=True))
     for along in ((), (normal,), BOTH):
         free = FreeAxes(along, there, motion)
         found = parts(make_setpoint(FRAME, TRIGGER, reference, 0.0, free if along else None, added))
-        for part, wanted, measured in ((found[0], position, there), (found[1], velocity, motion)):
+        for part, expected, measured in ((found[0], position, there), (found[1], velocity, motion)):
             assert part is not None
-            assert part[2] == pytest.approx(wanted[2], abs=1e-9)
+            assert part[2] == pytest.approx(expected[2], abs=1e-9)
             for axis in ((1.0, 0.0), (0.0, 1.0)) if len(along) != 1 else (normal, (-normal[1], normal[0])):
-                source = measured if axis in along else wanted
+                source = measured if axis in along else expected
                 value = part[0] * axis[0] + part[1] * axis[1]
                 assert value == pytest.approx(source[0] * axis[0] + source[1] * axis[1], abs=1e-9)
         assert found[2] == pytest.approx(total, abs=1e-9)
 
 
 def test_a_step_carries_an_acceleration_only_if_one_is_added() -> None:
-    """PX4 accepts an acceleration only with a velocity; the peak of an impact is marked."""
+    """PX4 accepts an acceleration only with a velocity; a recovery setpoint is marked."""
     place = (1.0, 2.0, 1.5)
     recovery = make_setpoint(FRAME, SetpointTrigger(5, 6, recovery=True), Reference(place), 0.2)
     assert (recovery.t_us, recovery.trigger_received_us, recovery.recovery) == (5, 6, True)
-    assert says(recovery, place, None, None)
+    assert has_parts(recovery, place, None, None)
     pushed = make_setpoint(FRAME, TRIGGER, Reference(place), 0.2, added=(0.5, -0.2, 0.0))
-    assert says(pushed, place, NO_PUSH, (0.5, -0.2, 0.0))
+    assert has_parts(pushed, place, NO_PUSH, (0.5, -0.2, 0.0))
 
 
-def test_it_has_arrived_once_it_was_there_slow_and_heading_right_for_a_while() -> None:
+def test_arrival_needs_position_speed_and_heading_for_a_minimum_time() -> None:
     flown, state, t_us = Executive(MISSION), FlightState(), 0
     state.anchor(MissionFrame())
     flown.progress.phase, flown.progress.course = Phase.GOAL, STANDING.hold((0.0, 0.0))
 
     def after(seconds: float, beside_m: float = 0.0, yaw: float = 0.0, speed_m_s: float = 0.0) -> bool:
-        """Whether it has arrived in any of the samples of so long."""
+        """Feed samples for `seconds`; return whether the vehicle has arrived in any of them."""
         nonlocal t_us
         arrived = False
         for _ in range(round(seconds / 0.01)):
@@ -291,15 +293,15 @@ def test_it_has_arrived_once_it_was_there_slow_and_heading_right_for_a_while() -
     assert not after(2.0 * long_s + MEAN_SPEED_S, speed_m_s=1.02 * ARRIVED_M_S)
     assert not after(MEAN_SPEED_S, beside_m=9.0)
     assert not after(ARRIVED_S - 0.02)
-    assert not after(0.05, beside_m=9.0)  # it counts anew
+    assert not after(0.05, beside_m=9.0)  # the time restarts
     assert not after(ARRIVED_S - 0.02, 0.98 * ARRIVED_M, 0.048, 0.98 * ARRIVED_M_S)
     flown.progress.arrived_us = None  # as when a phase begins
     assert not after(ARRIVED_S - 0.02)
     assert after(0.04)
 
 
-def test_a_transit_to_where_it_is_takes_a_tenth_of_a_second() -> None:
-    """A time of nothing would be divided by."""
+def test_a_transit_to_the_current_position_takes_a_tenth_of_a_second() -> None:
+    """A duration of zero would cause a division by zero."""
     here = (1.0, 2.0, ALTITUDE_M)
     assert Trajectory.rest_to_rest(here, here, 1.0, FLYING).duration_s == 0.1
 
@@ -310,11 +312,11 @@ def test_a_transit_to_where_it_is_takes_a_tenth_of_a_second() -> None:
         ("paper_single_wall", 0.99, 0.049, True),
         ("paper_single_wall", 0.99, 0.051, False),
         ("paper_single_wall", 1.01, 0.0, False),
-        ("dual_collision_gps", 2.49, 0.0, True),  # a position that drifts does not come as near
+        ("dual_collision_gps", 2.49, 0.0, True),  # a drifting position needs a larger tolerance
         ("dual_collision_gps", 2.51, 0.0, False),
     ],
 )
-def test_how_near_and_how_straight_it_is_when_it_has_arrived(
+def test_arrival_tolerates_a_limited_distance_and_heading_error(
     mission: str, share: float, off_rad: float, arrives: bool
 ) -> None:
     arrival, state = Arrival(load_mission(packaged("missions", f"{mission}.yaml"))), FlightState()

@@ -1,4 +1,4 @@
-"""The state that core, guard and senses share, by the samples it is made of."""
+"""The flight state that core, guard and senses share, updated by samples."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def at(t_us: int, position: Vec3 = HERE, velocity: Vec3 = HERE) -> OdometrySampl
     return OdometrySample(t_us, t_us, position, velocity)
 
 
-def test_the_newest_sample_counts_in_a_frame_that_comes_after_it() -> None:
+def test_the_newest_sample_is_converted_to_a_frame_that_is_set_later() -> None:
     after, before = FlightState(), FlightState()
     attitude = AttitudeSample(8, 8, quaternion_from_euler(0.1, -0.2, 0.5))
     after.update_odometry(SAMPLE)
@@ -46,8 +46,8 @@ def test_the_newest_sample_counts_in_a_frame_that_comes_after_it() -> None:
 
 
 @given(st.tuples(*[st.floats(-5.0, 5.0)] * 3), st.integers(4000, 40_000))
-def test_the_acceleration_is_that_of_the_velocity_with_a_lag_of_60_ms(push: Vec3, period_us: int) -> None:
-    """From a standstill in the mission frame's own axes; after 60 ms it has come most of the way."""
+def test_the_acceleration_follows_the_velocity_with_a_lag_of_60_ms(push: Vec3, period_us: int) -> None:
+    """The vehicle starts from rest and accelerates constantly."""
     state, frame = FlightState(), MissionFrame()
     state.anchor(frame)
     steps, h = round(2.0 / (period_us * 1e-6)), period_us * 1e-6
@@ -62,7 +62,7 @@ def test_the_acceleration_is_that_of_the_velocity_with_a_lag_of_60_ms(push: Vec3
     assert state.acceleration == pytest.approx(push, abs=1e-6)
 
 
-def test_a_pause_leaves_no_more_than_the_mean_acceleration() -> None:
+def test_the_acceleration_across_a_pause_is_the_mean() -> None:
     state = FlightState()
     state.anchor(MissionFrame())
     state.update_odometry(at(1_000_000))
@@ -73,7 +73,7 @@ def test_a_pause_leaves_no_more_than_the_mean_acceleration() -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize(("field", "most"), [("position_ned", 1e5), ("velocity_ned", 1e3)])
-def test_what_no_vehicle_can_do_is_not_taken(field: str, most: float, sign: float, axis: int) -> None:
+def test_an_implausible_sample_is_rejected(field: str, most: float, sign: float, axis: int) -> None:
     def with_value(value: float) -> OdometrySample:
         vector = [0.0, 0.0, 0.0]
         vector[axis] = sign * value
@@ -86,7 +86,7 @@ def test_what_no_vehicle_can_do_is_not_taken(field: str, most: float, sign: floa
     assert FlightState().update_odometry(with_value(0.99 * most))
 
 
-def test_what_is_not_newer_is_not_taken() -> None:
+def test_a_sample_that_is_not_newer_is_rejected() -> None:
     state = FlightState()
     state.anchor(MissionFrame())
     attitude = AttitudeSample(20_000, 20_000, quaternion_from_euler(0.0, 0.0, 0.0))
@@ -99,7 +99,7 @@ def test_what_is_not_newer_is_not_taken() -> None:
     assert state.update_odometry(at(20_001, (1.0, 0.0, 0.0)))
 
 
-def test_between_samples_it_flies_straight_on() -> None:
+def test_the_position_is_extrapolated_at_constant_velocity() -> None:
     state = FlightState()
     assert state.position_at(5) == HERE
     state.anchor(MissionFrame())
@@ -108,7 +108,7 @@ def test_between_samples_it_flies_straight_on() -> None:
     assert state.position_at(900_000) == pytest.approx((0.95, -2.1, 3.025))
 
 
-def test_velocities_are_remembered_for_a_second() -> None:
+def test_velocities_are_kept_for_a_second() -> None:
     state = FlightState()
     state.anchor(MissionFrame())
     for i in range(1, 301):
@@ -116,13 +116,13 @@ def test_velocities_are_remembered_for_a_second() -> None:
     assert state.velocity_before(2_500_000)[0] == pytest.approx(2.49)
     assert state.velocity_before(2_500_001)[0] == pytest.approx(2.50)
     assert state.velocity_before(2_000_001)[0] == pytest.approx(2.00)
-    assert state.velocity_before(2_000_000) == state.velocity  # what was before is forgotten
+    assert state.velocity_before(2_000_000) == state.velocity  # older velocities are dropped
     assert state.mean_velocity(0.5)[0] == pytest.approx(0.01 * (300 + 251) / 2)
     assert state.mean_velocity(9.0)[0] == pytest.approx(0.01 * (300 + 200) / 2)
 
 
-def test_while_the_streams_are_silent_time_goes_on_by_the_hosts_clock() -> None:
-    """Autopilot 5 s ahead of the host; never back, and a leap of the offset moves it by a second at most."""
+def test_time_follows_the_host_clock_while_the_streams_are_silent() -> None:
+    """The autopilot is 5 s ahead. Time never goes back; an offset jump moves it by at most a second."""
     state = FlightState()
     state.advance(Tick(900_000))
     assert (state.now_us, state.host_us) == (0, 900_000)
@@ -137,7 +137,7 @@ def test_while_the_streams_are_silent_time_goes_on_by_the_hosts_clock() -> None:
     assert state.host_us == 1_500_000
 
 
-def test_a_stamp_that_leaps_is_believed_when_it_lasts() -> None:
+def test_a_jump_of_the_stamps_is_accepted_once_it_lasts() -> None:
     state = FlightState()
     state.update_odometry(at(1_000_000))
     for i in range(1, 25):
@@ -147,7 +147,7 @@ def test_a_stamp_that_leaps_is_believed_when_it_lasts() -> None:
     assert state.now_us == 10_200_000
 
 
-def test_a_single_stamp_that_leaps_counts_for_no_later_ones() -> None:
+def test_isolated_jumps_of_a_stamp_are_never_accepted() -> None:
     state = FlightState()
     state.update_odometry(at(1_000_000))
     for i in range(1, 60):
@@ -156,36 +156,36 @@ def test_a_single_stamp_that_leaps_counts_for_no_later_ones() -> None:
         assert state.update_odometry(at(t_us))
 
 
-def test_after_a_pause_a_stamp_may_be_as_much_later() -> None:
-    """Up to twenty times as fast as the host's clock, and a second."""
-    for ahead_us, taken in ((11_000_000, True), (11_000_001, False)):
+def test_a_stamp_may_advance_further_after_a_pause() -> None:
+    """The limit is twenty times the elapsed time of the host plus one second."""
+    for ahead_us, accepted in ((11_000_000, True), (11_000_001, False)):
         state = FlightState()
         state.update_odometry(at(1_000_000))
         later = OdometrySample(1_000_000 + ahead_us, 1_500_000, HERE, HERE)
-        assert state.update_odometry(later) is taken
+        assert state.update_odometry(later) is accepted
 
 
-def test_how_sure_px4_is_of_its_position_stays_known() -> None:
+def test_the_position_uncertainty_is_kept_until_it_is_reported_again() -> None:
     state = FlightState()
     state.update_estimator(EstimatorSample(0, 10, position_sd_m=0.3))
     state.update_estimator(EstimatorSample(0, 20))
     assert (state.position_sd_m, state.host_us) == (0.3, 20)
 
 
-# --- what PX4 says -----------------------------------------------------------------------------------------
+# --- reports of PX4 -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("later_us", "said"), [(14_999_999, "; PX4 reports: compass swung"), (15_000_000, "")]
+    ("later_us", "reason"), [(14_999_999, "; PX4 reports: compass swung"), (15_000_000, "")]
 )
-def test_px4s_words_explain_for_fifteen_seconds(later_us: int, said: str) -> None:
+def test_a_px4_text_counts_as_a_reason_for_fifteen_seconds(later_us: int, reason: str) -> None:
     state = FlightState()
     state.add_text(StatusText(0, 0, "warning", "compass swung"))
     state.now_us = later_us
-    assert state.reasons() == said
+    assert state.reasons() == reason
 
 
-def test_of_px4s_words_the_newest_six_are_told_each_once() -> None:
+def test_the_newest_six_px4_texts_are_reported_once_each() -> None:
     state = FlightState()
     for text in ("A", "B", "C", "D", "E", "F", "A", "G"):
         state.add_text(StatusText(0, 0, "warning", text))
@@ -193,7 +193,7 @@ def test_of_px4s_words_the_newest_six_are_told_each_once() -> None:
     assert state.reasons() == "; PX4 reports: C, D, E, F, A, G"
 
 
-def test_words_of_its_checks_come_first_and_none_twice() -> None:
+def test_health_findings_come_first_and_no_text_is_repeated() -> None:
     state = FlightState()
     state.add_text(StatusText(0, 0, "error", "no heading"))
     state.add_text(StatusText(0, 0, "error", "low battery"))
@@ -201,7 +201,7 @@ def test_words_of_its_checks_come_first_and_none_twice() -> None:
     assert state.reasons() == "; PX4 reports: low battery, no heading; also no sticks"
 
 
-def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
+def test_findings_of_this_program_are_not_attributed_to_px4() -> None:
     state, here = FlightState(), "ODOMETRY arrives, none has a velocity"
     state.add_text(StatusText(0, 0, "error", here, found_here=True))
     assert state.reasons() == f"; {here}"
@@ -215,7 +215,7 @@ def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
     assert state.reasons("arm") == f"; {here}; PX4 answers: DENIED"
 
 
-def test_an_answer_is_told_of_the_command_that_was_refused_until_it_is_not() -> None:
+def test_a_refusal_is_reported_for_its_command_until_it_is_accepted() -> None:
     state = FlightState()
     state.add_result(CommandResult(0, "arm", False, "DENIED"))
     assert state.reasons("offboard") == state.reasons() == ""

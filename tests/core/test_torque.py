@@ -50,11 +50,13 @@ component = st.floats(-3.0, 3.0)
 vectors = st.tuples(component, component, component)
 
 
-# --- turning ------------------------------------------------------------------------------------------
+# --- rotation -------------------------------------------------------------------------------------------
 
 
 @given(force=vectors, rate=vectors, change=vectors, at=vectors)
-def test_the_lever_is_taken_out_of_any_turning(force: Vec3, rate: Vec3, change: Vec3, at: Vec3) -> None:
+def test_the_lever_of_the_imu_is_compensated_in_any_rotation(
+    force: Vec3, rate: Vec3, change: Vec3, at: Vec3
+) -> None:
     """Against alpha x r + w x (w x r) by numpy, with w and alpha the means over the tick."""
     turning = AngularMotion()
     before = np.subtract(rate, np.multiply(0.002, change))
@@ -66,7 +68,7 @@ def test_the_lever_is_taken_out_of_any_turning(force: Vec3, rate: Vec3, change: 
     assert found == pytest.approx(force, abs=1e-9)
 
 
-def test_a_gap_is_no_turning() -> None:
+def test_a_gap_in_the_stream_gives_no_rotation() -> None:
     turning = AngularMotion()
     turning.update(ImuSample(4000, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     turning.update(ImuSample(304_000, 0, (0.0, 0.0, 0.0), (5.0, 0.0, 0.0)))
@@ -75,12 +77,12 @@ def test_a_gap_is_no_turning() -> None:
     assert TorqueEstimator(VEHICLE).estimate(304_000, turning, None, 1.0, False) is None
 
 
-def felt_while_spinning(vehicle: VehicleConfig, at: Vec3) -> list[float]:
-    """Horizontal force felt by a hovering vehicle that spins up to 8 rad/s about the vertical, newton."""
+def force_while_spinning(vehicle: VehicleConfig, at: Vec3) -> list[float]:
+    """Return the horizontal force estimates of a vehicle that spins at up to 8 rad/s in a hover, newton."""
     state, estimator = FlightState(), ForceEstimator(vehicle)
     state.frame = MissionFrame()
     state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
-    q, felt, last, turning = IDENTITY, [], 0.0, AngularMotion()
+    q, forces, last, turning = IDENTITY, [], 0.0, AngularMotion()
     for i in range(250):
         t = 1_000_000 + 4000 * i
         rate = 8.0 * min(1.0, max(0.0, (i - 100) / 100))
@@ -97,23 +99,23 @@ def felt_while_spinning(vehicle: VehicleConfig, at: Vec3) -> list[float]:
         turning.update(imu)
         estimate = estimator.estimate(imu, state, in_contact=True)
         assert estimate is not None
-        felt.append(math.hypot(estimate.force_mission[0], estimate.force_mission[1]))
-    return felt
+        forces.append(math.hypot(estimate.force_mission[0], estimate.force_mission[1]))
+    return forces
 
 
-def test_a_turning_body_is_not_taken_for_friction() -> None:
+def test_a_spinning_vehicle_measures_no_friction() -> None:
     at = (0.05, -0.03, 0.0)
     known = msgspec.structs.replace(VEHICLE, imu=msgspec.structs.replace(VEHICLE.imu, position_m=at))
-    assert max(felt_while_spinning(known, at)) < 0.05
-    # Without the position it would be a force of m w^2 r along the wall and into it.
-    assert max(felt_while_spinning(VEHICLE, at)) == pytest.approx(MASS * 64.0 * math.hypot(*at[:2]), rel=0.1)
+    assert max(force_while_spinning(known, at)) < 0.05
+    # Without the position of the IMU, there is a spurious force of m w^2 r.
+    assert max(force_while_spinning(VEHICLE, at)) == pytest.approx(MASS * 64.0 * math.hypot(*at[:2]), rel=0.1)
 
 
 # --- torque against the plant ---------------------------------------------------------------------------
 
 
-class Met(NamedTuple):
-    """A simulated hit as the senses see it, without noise."""
+class SensedHit(NamedTuple):
+    """Estimates and truth of a simulated hit, without noise."""
 
     torques: list[TorqueEstimate]
     true: list[Vec3]  # mean over the same ticks
@@ -122,13 +124,13 @@ class Met(NamedTuple):
     contact: TruthContact | None
 
 
-def sense(
+def sense_hit(
     plant: Plant,
     vehicle: VehicleConfig,
     commands: tuple[float, float, float, float],
     heading_rad: float = 0.0,
-) -> Met:
-    """Fly a plant past its first contact and give its IMU to the senses; `heading_rad`: the mission's."""
+) -> SensedHit:
+    """Fly a plant past its first contact and feed its IMU to the estimators."""
     state = FlightState()
     state.frame = frame = MissionFrame(heading_rad=heading_rad)
     state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
@@ -138,7 +140,7 @@ def sense(
     nx, ny, _ = frame.vector_from_ned(plant.frame.vector_to_ned((*WALL.normal, 0.0)))
     wall = msgspec.structs.replace(WALL, normal=(nx, ny))
     expected = ExpectedContact(True, (nx, ny), WALL.material, wall)
-    out = Met([], [], [], [], None)
+    out = SensedHit([], [], [], [], None)
     touched = False
     while plant.time_s < 0.6:
         reading, sums = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
@@ -175,29 +177,29 @@ def sense(
 
 @pytest.mark.parametrize("yaw", [-0.12, 0.03, 0.09])
 @pytest.mark.parametrize("mode", list(Mode))
-def test_torque_is_the_walls(mode: Mode, yaw: float) -> None:
-    # Arms that fold take their motors along: a torque that no wall exerts, and that is not known.
+def test_the_estimated_torque_matches_the_torque_of_the_wall(mode: Mode, yaw: float) -> None:
+    # Folding arms move their motors, which causes an unknown torque that no wall exerts.
     vehicle = body_vehicle(fold_share=0.0)
-    seen = sense(before_the_wall(vehicle, mode, -1.0, 0.4, yaw), vehicle, (HOVER,) * 4)
-    top = max(norm(t) for t in seen.true)
+    sensed = sense_hit(before_the_wall(vehicle, mode, -1.0, 0.4, yaw), vehicle, (HOVER,) * 4)
+    top = max(norm(t) for t in sensed.true)
     assert top > 0.5
-    worst = max(math.dist(e.torque_frd, t) for e, t in zip(seen.torques, seen.true, strict=True))
-    # What is left is the midpoint in time: the truth of four milliseconds, read at their ends.
+    worst = max(math.dist(e.torque_frd, t) for e, t in zip(sensed.torques, sensed.true, strict=True))
+    # The remaining error is timing: means of the truth over 4 ms are compared at their ends.
     assert worst < 0.1 * top
-    assert seen.contact is not None
-    last = seen.bodies[-1]
+    assert sensed.contact is not None
+    last = sensed.bodies[-1]
     assert last.final
-    assert last.peak_torque_nm == pytest.approx(seen.contact.peak_torque_nm, rel=0.1, abs=0.15)
-    assert last.incidence_rad == pytest.approx(seen.contact.incidence_rad, abs=math.radians(1.0))
-    assert last.lead_m * seen.contact.lead_m > 0.0
-    assert last.side is ContactSide.from_lead(seen.contact.lead_m)
+    assert last.peak_torque_nm == pytest.approx(sensed.contact.peak_torque_nm, rel=0.1, abs=0.15)
+    assert last.incidence_rad == pytest.approx(sensed.contact.incidence_rad, abs=math.radians(1.0))
+    assert last.lead_m * sensed.contact.lead_m > 0.0
+    assert last.side is ContactSide.from_lead(sensed.contact.lead_m)
 
 
 @pytest.mark.parametrize("heading_rad", [0.4, -1.1])
-def test_a_wall_may_stand_at_any_angle_to_the_missions_axes(heading_rad: float) -> None:
+def test_contact_estimates_do_not_depend_on_the_mission_heading(heading_rad: float) -> None:
     vehicle = body_vehicle()
     one, other = (
-        sense(before_the_wall(vehicle, Mode.RIGID, -1.0, 0.3, 0.06), vehicle, (HOVER,) * 4, heading)
+        sense_hit(before_the_wall(vehicle, Mode.RIGID, -1.0, 0.3, 0.06), vehicle, (HOVER,) * 4, heading)
         for heading in (0.0, heading_rad)
     )
     assert one.bodies
@@ -207,12 +209,12 @@ def test_a_wall_may_stand_at_any_angle_to_the_missions_axes(heading_rad: float) 
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-def test_a_pure_centre_hit_has_no_torque(mode: Mode) -> None:
+def test_a_centred_hit_has_no_torque(mode: Mode) -> None:
     vehicle = body_vehicle(vertical_lever_m=0.0, fold_share=0.0)
-    seen = sense(before_the_wall(vehicle, mode, -1.0, 0.0, 0.0), vehicle, (HOVER,) * 4)
-    assert max(norm(e.torque_frd) for e in seen.torques) < 1e-6
-    assert [(b.side, b.final) for b in seen.bodies] == [(ContactSide.BOTH, True)]
-    assert seen.bodies[-1].peak_torque_nm < 1e-3
+    sensed = sense_hit(before_the_wall(vehicle, mode, -1.0, 0.0, 0.0), vehicle, (HOVER,) * 4)
+    assert max(norm(e.torque_frd) for e in sensed.torques) < 1e-6
+    assert [(b.side, b.final) for b in sensed.bodies] == [(ContactSide.BOTH, True)]
+    assert sensed.bodies[-1].peak_torque_nm < 1e-3
 
 
 @settings(max_examples=8, deadline=None)
@@ -222,11 +224,13 @@ def test_a_pure_centre_hit_has_no_torque(mode: Mode) -> None:
     tangential=st.floats(-0.5, 0.5),
     mode=st.sampled_from(list(Mode)),
 )
-def test_left_and_right_are_mirrored(yaw: float, normal: float, tangential: float, mode: Mode) -> None:
+def test_a_mirrored_hit_gives_mirrored_estimates(
+    yaw: float, normal: float, tangential: float, mode: Mode
+) -> None:
     """The mirror image of a hit has the other side, the opposite incidence and the opposite yaw torque."""
     vehicle = body_vehicle()
-    one = sense(before_the_wall(vehicle, mode, normal, tangential, yaw), vehicle, (HOVER,) * 4)
-    other = sense(before_the_wall(vehicle, mode, normal, -tangential, -yaw), vehicle, (HOVER,) * 4)
+    one = sense_hit(before_the_wall(vehicle, mode, normal, tangential, yaw), vehicle, (HOVER,) * 4)
+    other = sense_hit(before_the_wall(vehicle, mode, normal, -tangential, -yaw), vehicle, (HOVER,) * 4)
     assert one.bodies
     for a, b in zip(one.bodies, other.bodies, strict=True):
         assert b.incidence_rad == pytest.approx(-a.incidence_rad, abs=1e-4)
@@ -235,12 +239,14 @@ def test_left_and_right_are_mirrored(yaw: float, normal: float, tangential: floa
         assert y.torque_frd[2] == pytest.approx(-x.torque_frd[2], abs=1e-6)
 
 
-def test_right_is_right_when_flying_into_the_wall() -> None:
-    """Turned to the left, the right point comes first and is pushed back: the vehicle turns to the right."""
+def test_a_contact_on_the_right_is_reported_as_right() -> None:
+    """Yawed to the left, the right guard hits first and is pushed back: the vehicle yaws to the right."""
     vehicle = body_vehicle()
     # The wall is to the north; a yaw of -5 degrees (FRD) is to the left.
-    seen = sense(before_the_wall(vehicle, Mode.RIGID, -1.0, 0.0, -math.radians(5.0)), vehicle, (HOVER,) * 4)
-    last = seen.bodies[-1]
+    sensed = sense_hit(
+        before_the_wall(vehicle, Mode.RIGID, -1.0, 0.0, -math.radians(5.0)), vehicle, (HOVER,) * 4
+    )
+    last = sensed.bodies[-1]
     assert (last.side, last.lead_m > 0.0, last.incidence_rad > 0.0) == (ContactSide.RIGHT, True, True)
     assert last.torque_peak_frd[2] > 1.0
 
@@ -248,8 +254,8 @@ def test_right_is_right_when_flying_into_the_wall() -> None:
 @pytest.mark.parametrize(
     "difference", [(0.05, -0.05, -0.05, 0.05), (0.05, -0.05, 0.05, -0.05), (0.05, 0.05, -0.05, -0.05)]
 )
-def test_the_motors_are_not_external(difference: tuple[float, float, float, float]) -> None:
-    """Roll, pitch and yaw by the motors alone: nothing is left of them."""
+def test_motor_torques_are_not_external_torques(difference: tuple[float, float, float, float]) -> None:
+    """Roll, pitch and yaw come from the motors alone."""
     plant = Plant(VEHICLE, (), MissionFrame())
     plant.position, plant.ground_down, plant.motor = (0.0, 0.0, -50.0), 100.0, [HOVER] * 4
     torque, force = TorqueEstimator(VEHICLE), ForceEstimator(VEHICLE)
@@ -264,7 +270,7 @@ def test_the_motors_are_not_external(difference: tuple[float, float, float, floa
         turning.update(ImuSample(t + 4000, t, (0.0, 0.0, 0.0), plant.rate))
         force.thrust.mean_over_tick(t + 4000)
         found = torque.estimate(t + 4000, turning, force.thrust.each_n, 1.0, learns=False)
-        if found is not None and i > 45:  # what the motors did before the first command is forgotten
+        if found is not None and i > 45:  # skip the transient of the first commands
             largest = max(largest, norm(found.torque_frd))
             j = VEHICLE.airframe.inertia_kg_m2
             motors = max(motors, *(abs(j[k] * turning.acceleration[k]) for k in range(3)))
@@ -272,32 +278,32 @@ def test_the_motors_are_not_external(difference: tuple[float, float, float, floa
     assert largest < 0.1 * motors
 
 
-def test_a_torque_that_is_always_there_is_taken_off() -> None:
-    """A centre of mass 5 mm ahead of the motors' middle, and what the gyro's noise makes of the torque."""
+def test_a_constant_torque_is_learned_and_subtracted() -> None:
+    """The centre of mass is 5 mm ahead of the motors' centre; gyro noise adds noise to the torque."""
     rng = np.random.default_rng(8)
     torque, turning = TorqueEstimator(VEHICLE), AngularMotion()
     each = tuple(MASS * 9.81 / 4.0 + d for d in (-0.12, 0.12, -0.12, 0.12))
     a, b, c, d = each
-    seen = []
+    estimates = []
     for i in range(2000):
         t = 1_000_000 + 4000 * i
         x, y, z = rng.normal(0.0, 0.01, 3)
         turning.update(ImuSample(t, t, (0.0, 0.0, -9.81), (float(x), float(y), float(z))))
         found = torque.estimate(t, turning, (a, b, c, d), 1.0, True)
         if found is not None:
-            seen.append(found)
-    assert abs(np.mean([s.torque_frd[1] for s in seen[:50]])) > 0.03
-    late = np.array([s.torque_frd for s in seen[1000:]])
+            estimates.append(found)
+    assert abs(np.mean([s.torque_frd[1] for s in estimates[:50]])) > 0.03
+    late = np.array([s.torque_frd for s in estimates[1000:]])
     assert np.abs(late.mean(axis=0)).max() < 0.005
     inertia = VEHICLE.airframe.inertia_kg_m2
     for k in range(3):
         white = inertia[k] * math.sqrt(2.0) * 0.01 / 0.004
         assert late[:, k].std() == pytest.approx(white, rel=0.1)
-        assert seen[-1].noise_frd_nm[k] == pytest.approx(white, rel=0.25)
+        assert estimates[-1].noise_frd_nm[k] == pytest.approx(white, rel=0.25)
 
 
-def test_a_lasting_torque_larger_than_a_vehicles_own_stays_visible() -> None:
-    """About one axis is enough: half a newton metre about pitch, of which 0.3 may be the vehicle's."""
+def test_a_lasting_torque_beyond_the_learning_limit_stays_visible() -> None:
+    """There are 0.5 N m about pitch, of which at most 0.3 N m are learned."""
     torque, turning = TorqueEstimator(VEHICLE), AngularMotion()
     each = tuple(MASS * 9.81 / 4.0 + d for d in (-1.0, 1.0, -1.0, 1.0))
     a, b, c, d = each
@@ -308,24 +314,24 @@ def test_a_lasting_torque_larger_than_a_vehicles_own_stays_visible() -> None:
         found = torque.estimate(t, turning, (a, b, c, d), 1.0, True)
         if i == 1:
             assert found is not None
-            whole = abs(found.torque_frd[1])
+            initial = abs(found.torque_frd[1])
     assert found is not None
-    assert whole > 0.45
-    assert abs(found.torque_frd[1]) == pytest.approx(whole - 0.3, abs=0.01)
+    assert initial > 0.45
+    assert abs(found.torque_frd[1]) == pytest.approx(initial - 0.3, abs=0.01)
 
 
-def test_the_torque_that_is_always_there_and_the_noise_are_learnt_as_slowly_as_they_should_be() -> None:
-    """By a 250th of the difference with a sample, and by a 125th; a change of white noise counts a third."""
+def test_constant_torque_and_noise_are_learned_at_their_rates() -> None:
+    """A sample changes the torque by 1/250 of the difference, and the variance by 1/125."""
     torque, turning = TorqueEstimator(VEHICLE), AngularMotion()
     jx = VEHICLE.airframe.inertia_kg_m2[0]
-    seen = []
+    estimates = []
     for t_us, rate in ((1_000_000, 0.0), (1_004_000, 0.02), (1_008_000, 0.04), (1_012_000, 0.06)):
         turning.update(ImuSample(t_us, t_us, (0.0, 0.0, -9.81), (rate, 0.0, 0.0)))
         found = torque.estimate(t_us, turning, None, 1.0, learns=True)
         if found is not None:
-            seen.append(found)
+            estimates.append(found)
     kept = 1.0
-    for i, found in enumerate(seen):
+    for i, found in enumerate(estimates):
         kept *= 1.0 - 0.004
         assert found.torque_frd[0] == pytest.approx(kept * jx * 5.0)
         variance = 1e-3
@@ -334,16 +340,16 @@ def test_the_torque_that_is_always_there_and_the_noise_are_learnt_as_slowly_as_t
         assert found.noise_frd_nm == pytest.approx((math.sqrt(variance),) * 3, rel=1e-3 if i == 0 else 1e-9)
 
 
-def test_a_body_is_not_fitted_as_a_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One point first: the pulse is not the oscillator's, and its fit is 5 % too low; the top is not."""
+def test_a_hit_of_a_body_is_not_fitted_with_the_pulse_of_a_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If one guard leads, the fitted pulse is 5 % too low, but the sampled peak is correct."""
     vehicle = body_vehicle()
-    # As learnt in a second of quiet flight.
+    # As learned in a second of quiet flight.
     quiet = msgspec.structs.replace(vehicle.estimation, imu_noise_m_s2=0.2)
     vehicle = msgspec.structs.replace(vehicle, estimation=quiet)
     plants = [before_the_wall(vehicle, Mode.RIGID, -1.2, 0.0, 0.1) for _ in range(2)]
-    chosen = sense(plants[0], vehicle, (HOVER,) * 4)
+    chosen = sense_hit(plants[0], vehicle, (HOVER,) * 4)
     monkeypatch.setattr(detector, "PULSE_MISFIT", 1000.0)
-    fitted = sense(plants[1], vehicle, (HOVER,) * 4)
+    fitted = sense_hit(plants[1], vehicle, (HOVER,) * 4)
     assert chosen.contact is not None
     true = chosen.contact.peak_normal_force_n
     assert not chosen.peaks[0].fitted
@@ -355,7 +361,7 @@ def test_a_body_is_not_fitted_as_a_point(monkeypatch: pytest.MonkeyPatch) -> Non
 # --- flights --------------------------------------------------------------------------------------------
 
 
-def test_the_verdict_says_how_the_body_met(flown: SharedFlights) -> None:
+def test_the_verdict_reports_incidence_side_and_torque(flown: SharedFlights) -> None:
     verdict = flown("paper_single_wall", 2).verdict
     measured, truth = verdict.collisions[0].measured, verdict.collisions[0].truth
     assert truth is not None
@@ -366,8 +372,8 @@ def test_the_verdict_says_how_the_body_met(flown: SharedFlights) -> None:
     assert verdict.collisions[0].planned.contact_side is None
 
 
-def test_a_sample_of_the_campaign(tmp_path: Path) -> None:
-    """Walls that stand off the plan, on seeds beside those of the results."""
+def test_a_sample_of_the_torque_campaign_stays_within_its_error_limits(tmp_path: Path) -> None:
+    """The walls differ from the plan; the seeds differ from those of the published results."""
     rows = campaign_rows(tmp_path / "out", "torque", "--only", "set=off", "--seed", "2201", "--runs", "3")
     assert len(rows) == 3
     for row in rows:
@@ -377,8 +383,8 @@ def test_a_sample_of_the_campaign(tmp_path: Path) -> None:
         assert abs(row["force_error"]) < 0.06
 
 
-def test_a_change_over_a_gap_of_the_stream_is_no_noise() -> None:
-    """What turns the vehicle may have changed meanwhile: two samples of either side say nothing together."""
+def test_a_change_across_a_gap_in_the_stream_is_no_noise() -> None:
+    """The torque may change during a gap, so the samples on its two sides are not compared."""
     torque, turning = TorqueEstimator(VEHICLE), AngularMotion()
     rate, t_us, noise = 0.0, 0, list[Vec3]()
     for alpha, first_us in ((0.0, 1_000_000), (5.0, 3_000_000)):

@@ -1,4 +1,4 @@
-"""The guard's two mechanisms, whatever their inputs: streams against their limits, the estimator's steps."""
+"""Property tests of the guard's watches: timeouts and rates of streams, and steps of the estimator."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ SAMPLES = {
 ages = st.one_of(st.floats(0.0, 0.6), st.floats(0.0, 7.0), st.floats(900.0, 1900.0))
 
 
-def says(rules: tuple[Rule, ...], **conditions: object) -> dict[str, str]:
+def details_of(rules: tuple[Rule, ...], **conditions: object) -> dict[str, str]:
     found = {}
     for rule in rules:
         assert rule.condition.cause is not None
@@ -62,7 +62,7 @@ def says(rules: tuple[Rule, ...], **conditions: object) -> dict[str, str]:
 
 
 def watch_with(ages_s: dict[str, float | None], others_since: int = 0) -> StreamWatch:
-    """A watch of streams whose newest samples are so old; None: there was none."""
+    """Return a watch of streams whose newest samples have these ages, or None if there is no sample."""
     import msgspec
 
     watch = StreamWatch(GUARD)
@@ -84,28 +84,30 @@ def watch_with(ages_s: dict[str, float | None], others_since: int = 0) -> Stream
 def test_a_stream_is_silent_exactly_beyond_its_limit(
     ages_s: dict[str, float | None], others_since: int
 ) -> None:
-    of = {name: math.inf if age is None else round(1e6 * age) * 1e-6 for name, age in ages_s.items()}
+    age_of = {name: math.inf if age is None else round(1e6 * age) * 1e-6 for name, age in ages_s.items()}
     imu_s = GUARD.imu_timeout_s if others_since >= 12 else GUARD.stream_timeout_s
     expected = {
-        "link_lost": min(of[name] for name in ("imu", "attitude", "odometry", "status")) > LINK_LOST_S,
-        "imu_silent": of["imu"] > imu_s,
-        "attitude_silent": of["attitude"] > GUARD.stream_timeout_s,
-        "odometry_silent": of["odometry"] > GUARD.stream_timeout_s,
-        "actuator_silent": of["actuator"] > ACTUATOR_TIMEOUT_S,
-        "status_silent": of["status"] > STATUS_TIMEOUT_S,
+        "link_lost": min(age_of[name] for name in ("imu", "attitude", "odometry", "status")) > LINK_LOST_S,
+        "imu_silent": age_of["imu"] > imu_s,
+        "attitude_silent": age_of["attitude"] > GUARD.stream_timeout_s,
+        "odometry_silent": age_of["odometry"] > GUARD.stream_timeout_s,
+        "actuator_silent": age_of["actuator"] > ACTUATOR_TIMEOUT_S,
+        "status_silent": age_of["status"] > STATUS_TIMEOUT_S,
     }
-    found = says(STREAM_RULES, streams=watch_with(ages_s, others_since))
+    found = details_of(STREAM_RULES, streams=watch_with(ages_s, others_since))
     assert set(found) == {name for name, silent in expected.items() if silent}
     for name in found:
         if name in ("link_lost", "status_silent"):
             assert found[name].endswith(" s")
         else:
             stream = name.removesuffix("_silent")
-            assert found[name] == f"no data for {min(of[stream], 999.0) * 1e3:.0f} ms"
+            assert found[name] == f"no data for {min(age_of[stream], 999.0) * 1e3:.0f} ms"
 
 
 @given(st.sampled_from(SAMPLED), st.integers(1, 400), st.integers(0, 2**40))
-def test_a_rate_is_that_of_the_stamps_over_a_second(name: str, step_ms: int, start_us: int) -> None:
+def test_the_rate_of_a_stream_comes_from_its_stamps_over_a_second(
+    name: str, step_ms: int, start_us: int
+) -> None:
     watch, item = StreamWatch(GUARD), SAMPLES[name]
     kind = type(item)
     fields = {f: getattr(item, f) for f in item.__struct_fields__ if f not in ("t_us", "received_us")}
@@ -115,7 +117,7 @@ def test_a_rate_is_that_of_the_stamps_over_a_second(name: str, step_ms: int, sta
     assert watch.rates_hz[name] == pytest.approx(1000.0 / step_ms, rel=1e-9)
     watch.state.host_us = start_us
     needed = BY_NAME[name].expected_hz
-    found = says(tuple(r for r in STREAM_RULES if r.name == "stream_rate"), streams=watch)
+    found = details_of(tuple(r for r in STREAM_RULES if r.name == "stream_rate"), streams=watch)
     assert ("stream_rate" in found) is (1000.0 / step_ms < needed)
 
 
@@ -127,10 +129,10 @@ def test_a_rate_is_that_of_the_stamps_over_a_second(name: str, step_ms: int, sta
     st.floats(0.0, 0.5),
     st.floats(0.0, 1.0),
 )
-def test_the_estimator_is_judged_by_the_size_of_its_steps_and_after_impacts_not_at_all(
+def test_estimator_rules_depend_on_the_step_and_pause_after_impacts(
     away_m: float, faster_m_s: float, counted: bool, excused: bool, after_s: float, invalid_s: float
 ) -> None:
-    """A step of position and velocity between two samples, perhaps counted as a reset; PX4's flag beside."""
+    """Position and velocity step between two samples, perhaps with a reset count or PX4's flag."""
     watch, t_us = EstimatorWatch(), 10_000_000
 
     def step(item: OdometrySample | None, now_us: int, position_ok: bool = True) -> dict[str, str]:
@@ -138,7 +140,7 @@ def test_the_estimator_is_judged_by_the_size_of_its_steps_and_after_impacts_not_
         if item is not None:
             watch.add_odometry(item)
         watch.finish(position_ok)
-        return says(ESTIMATOR_RULES, estimator=watch)
+        return details_of(ESTIMATOR_RULES, estimator=watch)
 
     watch.begin(t_us, excused)
     watch.add_report(EstimatorSample(t_us, t_us, reset_counter=1), Phase.TRANSIT)

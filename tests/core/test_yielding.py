@@ -1,4 +1,4 @@
-"""Not to fight a contact: what is asked for in it, and that PX4's D term makes nothing of it."""
+"""Yielding to a contact: the setpoints during it, and the compensation of PX4's D term."""
 
 from __future__ import annotations
 
@@ -50,78 +50,80 @@ def sensed(n: int, force: tuple[float, float], in_contact: bool) -> Sensed:
     st.floats(-math.pi, math.pi),
     st.integers(4, 40),
 )
-def test_the_d_term_makes_nothing_of_a_half_sine(peak_n: float, direction: float, samples: int) -> None:
-    """PX4's filtered derivative of the velocity that the contact leaves, times its gain, is fed forward."""
-    yielding, derivative = ContactFeedforward(VEHICLE), 0.0
+def test_the_feedforward_cancels_the_response_of_the_d_term_to_a_half_sine(
+    peak_n: float, direction: float, samples: int
+) -> None:
+    """PX4's filtered derivative of the velocity in the contact, times the D gain, is fed forward."""
+    feedforward, derivative = ContactFeedforward(VEHICLE), 0.0
     gain, mass = VEHICLE.px4.mpc_xy_vel_d_acc, VEHICLE.airframe.mass_kg
     share = 1.0 - math.exp(-2.0 * math.pi * CUTOFF_HZ * TICK_US * 1e-6)
-    yielding.update(sensed(0, (0.0, 0.0), False))
+    feedforward.update(sensed(0, (0.0, 0.0), False))
     for n in range(1, samples + 60):
         in_contact = n <= samples
         force = peak_n * math.sin(math.pi * n / (samples + 1)) if in_contact else 0.0
-        yielding.update(sensed(n, (force * math.cos(direction), force * math.sin(direction)), in_contact))
+        feedforward.update(sensed(n, (force * math.cos(direction), force * math.sin(direction)), in_contact))
         derivative += share * (force / mass - derivative)
-        fed = yielding.feed_forward or (0.0, 0.0, 0.0)
-        wanted = min(5.0, gain * derivative)
-        assert norm(fed) == pytest.approx(wanted, abs=0.01)
+        fed = feedforward.feed_forward or (0.0, 0.0, 0.0)
+        expected = min(5.0, gain * derivative)
+        assert norm(fed) == pytest.approx(expected, abs=0.01)
         if norm(fed) > 0.1:
             assert math.atan2(fed[1], fed[0]) == pytest.approx(direction, abs=1e-6)
-    assert norm(yielding.feed_forward or (0.0, 0.0, 0.0)) < 0.1 * max(wanted, 1.0)
+    assert norm(feedforward.feed_forward or (0.0, 0.0, 0.0)) < 0.1 * max(expected, 1.0)
     for n in range(samples + 60, samples + 160):
-        yielding.update(sensed(n, (0.0, 0.0), False))
-    assert yielding.feed_forward is None
+        feedforward.update(sensed(n, (0.0, 0.0), False))
+    assert feedforward.feed_forward is None
 
 
 def test_nothing_is_fed_forward_without_a_contact() -> None:
-    yielding = ContactFeedforward(VEHICLE)
+    feedforward = ContactFeedforward(VEHICLE)
     for n in range(50):
-        yielding.update(sensed(n, (30.0, 0.0), False))
-    assert yielding.feed_forward is None
+        feedforward.update(sensed(n, (30.0, 0.0), False))
+    assert feedforward.feed_forward is None
 
 
-def test_a_gap_in_the_samples_stays_bounded() -> None:
-    yielding = ContactFeedforward(VEHICLE)
-    yielding.update(sensed(0, (0.0, 0.0), True))
-    yielding.update(sensed(10_000, (4000.0, 0.0), True))
-    assert norm(yielding.feed_forward or (0.0, 0.0, 0.0)) == pytest.approx(5.0)
+def test_the_feedforward_stays_bounded_over_a_gap_in_the_samples() -> None:
+    feedforward = ContactFeedforward(VEHICLE)
+    feedforward.update(sensed(0, (0.0, 0.0), True))
+    feedforward.update(sensed(10_000, (4000.0, 0.0), True))
+    assert norm(feedforward.feed_forward or (0.0, 0.0, 0.0)) == pytest.approx(5.0)
 
 
-def test_a_contact_is_forgotten_once_two_hundredths_of_its_acceleration_are_left() -> None:
-    """In m/s2, after the time constant of PX4's filter; until then it is fed forward."""
-    yielding, mass = ContactFeedforward(VEHICLE), VEHICLE.airframe.mass_kg
+def test_the_feedforward_ends_once_two_percent_of_the_contact_are_left() -> None:
+    """The acceleration decays from 1 to 0.02 m/s2 with the time constant of PX4's filter."""
+    feedforward, mass = ContactFeedforward(VEHICLE), VEHICLE.airframe.mass_kg
     for n in range(500):
-        yielding.update(sensed(n, (mass, 0.0), True))
+        feedforward.update(sensed(n, (mass, 0.0), True))
     fades = math.ceil(math.log(1.0 / 0.02) / (2.0 * math.pi * CUTOFF_HZ * TICK_US * 1e-6))
     for n in range(500, 499 + fades):
-        yielding.update(sensed(n, (0.0, 0.0), False))
-    assert yielding.feed_forward is not None
-    yielding.update(sensed(499 + fades, (0.0, 0.0), False))
-    assert yielding.feed_forward is None
+        feedforward.update(sensed(n, (0.0, 0.0), False))
+    assert feedforward.feed_forward is not None
+    feedforward.update(sensed(499 + fades, (0.0, 0.0), False))
+    assert feedforward.feed_forward is None
 
 
-def test_in_a_contact_that_does_not_end_its_motion_is_asked_for_a_quarter_of_a_second() -> None:
-    """PX4 keeps the last setpoint of a program that hangs: none for longer than a contact takes."""
+def test_the_vehicles_motion_is_commanded_for_at_most_250_ms_of_a_contact() -> None:
+    """PX4 keeps the last setpoint, so the motion is not commanded for longer than a contact lasts."""
     c = HandFedCore(rules=())
-    c.at_the_wood()
+    c.fly_to_wood()
     c.hide_peaks()
     c.force_ned = (-10.0, -16.0, 0.0)
     c.run(0.02)
     began_us = next(o.t_us for o in c.outputs if isinstance(o, PhaseChange) and o.after is Phase.CONTACT)
     out = c.run(0.35)
-    asked = [o.t_us for o in out if isinstance(o, Setpoint) and o.velocity_ned is not None]
+    commanded = [o.t_us for o in out if isinstance(o, Setpoint) and o.velocity_ned is not None]
     assert c.core.phase is Phase.CONTACT
-    assert max(asked) - began_us == pytest.approx(250_000, abs=8_000)
+    assert max(commanded) - began_us == pytest.approx(250_000, abs=8_000)
 
 
-class _Unmoved(ContactFeedforward):
-    """Feeds nothing forward."""
+class _NoFeedforward(ContactFeedforward):
+    """A feedforward that is always empty."""
 
     def update(self, sensed: Sensed) -> None:
         pass
 
 
 class _SilentInContact(SetpointSelection):
-    """Nothing is asked for in a contact until the peak."""
+    """A selection that sends no setpoint in a contact until the peak."""
 
     def setpoint(
         self,
@@ -136,11 +138,11 @@ class _SilentInContact(SetpointSelection):
         return super().setpoint(sample, progress, state, frame, added)
 
 
-def flown(mission: Mission, yields: bool) -> list[Record]:
+def flight_records(mission: Mission, yields: bool) -> list[Record]:
     records: list[Record] = []
     with ExitStack() as patched:
         if not yields:
-            patched.enter_context(patch.object(executive, "ContactFeedforward", _Unmoved))
+            patched.enter_context(patch.object(executive, "ContactFeedforward", _NoFeedforward))
             patched.enter_context(patch.object(executive, "SetpointSelection", _SilentInContact))
         FastFlight(mission, 3, observe=lambda r, n: records.append(r)).run()
     return records
@@ -149,7 +151,7 @@ def flown(mission: Mission, yields: bool) -> list[Record]:
 @pytest.fixture(scope="module")
 def flights() -> dict[bool, list[Record]]:
     mission = load_mission(ROOT / "missions" / "paper_single_wall.yaml")
-    return {yields: flown(mission, yields) for yields in (True, False)}
+    return {yields: flight_records(mission, yields) for yields in (True, False)}
 
 
 def in_contact(records: list[Record]) -> list[Record]:
@@ -162,17 +164,19 @@ def in_contact(records: list[Record]) -> list[Record]:
     return kept
 
 
-def test_in_a_contact_the_vehicles_own_motion_is_asked_for(flights: dict[bool, list[Record]]) -> None:
+def test_the_vehicles_own_motion_is_commanded_in_a_contact(flights: dict[bool, list[Record]]) -> None:
     assert not [r for r in in_contact(flights[False]) if isinstance(r, Setpoint) and not r.recovery]
-    asked = [r for r in in_contact(flights[True]) if isinstance(r, Setpoint) and not r.recovery]
-    assert asked
-    for setpoint in asked:
+    commanded = [r for r in in_contact(flights[True]) if isinstance(r, Setpoint) and not r.recovery]
+    assert commanded
+    for setpoint in commanded:
         assert setpoint.velocity_ned is not None
         assert setpoint.velocity_ned[2] == pytest.approx(0.0)
 
 
-def test_the_recovery_setpoint_is_the_papers_either_way(flights: dict[bool, list[Record]]) -> None:
-    """Same seed, same flight up to the onset; the peak differs by what the loop has pushed until then."""
+def test_the_recovery_setpoint_is_the_same_with_and_without_yielding(
+    flights: dict[bool, list[Record]],
+) -> None:
+    """Both flights are the same up to the onset; the peaks differ by the push of the loop after it."""
     first = [
         next(r for r in flights[yields] if isinstance(r, Setpoint) and r.recovery) for yields in (True, False)
     ]
@@ -184,7 +188,7 @@ def test_the_recovery_setpoint_is_the_papers_either_way(flights: dict[bool, list
     assert first[1].acceleration_ned is None
 
 
-def test_a_vehicle_that_yields_tilts_less_after_the_hit(flights: dict[bool, list[Record]]) -> None:
+def test_yielding_reduces_the_tilt_after_the_hit(flights: dict[bool, list[Record]]) -> None:
     def tilt_after(records: list[Record]) -> float:
         onset = next(r.t_us for r in records if isinstance(r, ImpactOnset))
         return max(

@@ -1,8 +1,8 @@
-"""An independent rigid body that meets posts and the ends of a wall, integrated by scipy between events.
+"""An independent rigid body that hits posts and wall ends, integrated by SciPy between events.
 
-World: north, west, up; body: forward, left, up; rotation matrices, the outline by Qhull, a bar on its two
-springs by solving for its equilibrium. What is remembered of a contact changes at events, which the
-integrator finds. Nothing of the package is used.
+World axes: north, west, up. Body axes: forward, left, up. Rotations are matrices, Qhull gives the outline,
+and the equilibrium of a bar on two springs is solved for. The integrator finds the events at which the
+contact memory changes. Nothing of the package is used.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tests.oracles.rigid_body import Body, Law, guards
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])
-NUDGE_S = 1e-7  # past an event
+NUDGE_S = 1e-7  # step past an event
 EDGE_RADIUS_M = 0.01
 
 
@@ -34,7 +34,7 @@ class Board(NamedTuple):
         return np.cross(UP, self.normal)
 
     def pillars(self) -> list[Pillar]:
-        """Its two edges."""
+        """Return the two edges of the wall."""
         axis = self.middle - EDGE_RADIUS_M * self.normal
         return [Pillar((axis + side * self.half_length * self.along)[:2], EDGE_RADIUS_M) for side in (-1, 1)]
 
@@ -55,14 +55,14 @@ class Nearest(NamedTuple):
 
 
 def spring_share(s: float) -> float:
-    """Stiffness, over that of the side, of a rigid bar on two springs of half of it, pressed at s."""
-    # Deflections d1, d2 and the force: spring forces balance it in sum and in moment, and it moves by 1.
+    """Return the stiffness of a rigid bar on two springs, pressed at `s`, relative to both springs."""
+    # Unknowns: deflections d1, d2 and the force. Forces and moments balance; the pressed point moves by 1.
     equations = np.array([[0.5, 0.5, -1.0], [0.0, 0.5, -s], [1.0 - s, s, 0.0]])
     return float(np.linalg.solve(equations, np.array([0.0, 0.0, 1.0]))[2])
 
 
 def nearest(points: Array, pillar: Pillar) -> Nearest:
-    """Of the hull of points (n, 3) seen from above, the place next to a pillar's axis, or deepest in it."""
+    """Return the point of the horizontal hull of `points` (n, 3) closest to a pillar, or deepest in it."""
     flat = points[:, :2]
     hull = ConvexHull(flat)
     out = hull.equations[:, :2]
@@ -72,13 +72,13 @@ def nearest(points: Array, pillar: Pillar) -> Nearest:
     s = np.einsum("ij,ij->i", pillar.centre - ends[:, 0], line) / np.einsum("ij,ij->i", line, line)
     s = np.clip(s, 0.0, 1.0)
     feet = ends[:, 0] + s[:, None] * line
-    ways = np.linalg.norm(feet - pillar.centre, axis=1)
-    i = int(np.argmin(ways))
+    distances = np.linalg.norm(feet - pillar.centre, axis=1)
+    i = int(np.argmin(distances))
     first, second = (int(n) for n in hull.simplices[i])
     if 0.0 < s[i] < 1.0:
         gap, normal = heights[i], -out[i]
     else:
-        gap, normal = ways[i], (feet[i] - pillar.centre) / ways[i]
+        gap, normal = distances[i], (feet[i] - pillar.centre) / distances[i]
     return Nearest(
         float(gap) - pillar.radius,
         np.append(normal, 0.0),
@@ -89,7 +89,7 @@ def nearest(points: Array, pillar: Pillar) -> Nearest:
 
 
 class Scene:
-    """A body, what it may meet, and what is remembered of that."""
+    """A body, the obstacles that it may hit, and the memory of their contacts."""
 
     def __init__(self, body: Body, law: Law, board: Board | None, posts: list[Pillar]) -> None:
         self.body, self.law, self.board = body, law, board
@@ -97,14 +97,14 @@ class Scene:
         self.edges = range(len(posts), len(self.pillars))
         self.at, self.rub_at = guards(body)
         self.share: dict[int, float] = {}
-        self.barred: set[int] = set()  # edges
-        self.beside: set[int] = set()  # guards
+        self.ignored_edges: set[int] = set()
+        self.guards_past_end: set[int] = set()
 
     def _split(self, y: Array) -> tuple[Array, Array, Array, Array]:
         return y[:3], y[3:6], y[6:15].reshape(3, 3), y[15:]
 
     def _facing(self, y: Array) -> tuple[Array, Array, Array]:
-        """Height of each guard over the board, its foot from the middle, its closing demand k x + f v."""
+        """Return each guard's distance from the board, its position along it, and its demand k x + f v."""
         x, v, r, w = self._split(y)
         assert self.board is not None
         away = x + self.at @ r.T - self.board.middle
@@ -113,14 +113,14 @@ class Scene:
         demand = self.law.k * height + self.law.f * (speed @ self.board.normal)
         return height, away @ self.board.along, demand
 
-    def _meets_face(self, y: Array) -> list[int]:
+    def _guards_on_face(self, y: Array) -> list[int]:
         if self.board is None:
             return []
         _, foot, demand = self._facing(y)
         return [
             i
             for i in range(len(self.at))
-            if abs(foot[i]) <= self.board.half_length and i not in self.beside and demand[i] < 0.0
+            if abs(foot[i]) <= self.board.half_length and i not in self.guards_past_end and demand[i] < 0.0
         ]
 
     def _pillar_demand(self, y: Array, number: int) -> tuple[Nearest, float]:
@@ -132,25 +132,25 @@ class Scene:
         return one, self.law.k * one.gap + self.law.f * speed
 
     def remember(self, y: Array) -> None:
-        """Bring what is remembered up to date with a state just behind an event."""
+        """Update the contact memory with a state just after an event."""
         if self.board is not None:
             height, foot, _ = self._facing(y)
             for i in range(len(self.at)):
                 if height[i] > 0.0:
-                    self.beside.discard(i)
+                    self.guards_past_end.discard(i)
                 elif abs(foot[i]) > self.board.half_length:
-                    self.beside.add(i)
-        pressed = set(self._meets_face(y))
+                    self.guards_past_end.add(i)
+        pressed = set(self._guards_on_face(y))
         for number in range(len(self.pillars)):
             one, demand = self._pillar_demand(y, number)
             bearing = {n for n, weight in zip(one.pair, one.weights, strict=True) if weight > 0.0}
             if one.gap > 0.0:
-                self.barred.discard(number)
+                self.ignored_edges.discard(number)
             if number in self.edges and pressed & bearing:
                 self.share.pop(number, None)
                 if one.gap <= 0.0:
-                    self.barred.add(number)
-            elif number not in self.barred:
+                    self.ignored_edges.add(number)
+            elif number not in self.ignored_edges:
                 if demand < 0.0:
                     self.share.setdefault(number, one.share)
                 elif one.gap > 0.0:
@@ -162,10 +162,10 @@ class Scene:
         pushes: list[tuple[float, Array, Array, Array]] = []
         if self.board is not None:
             demands = self._facing(y)[2]
-            for i in self._meets_face(y):
+            for i in self._guards_on_face(y):
                 on_guard = -0.5 * float(demands[i])
                 pushes.append((on_guard, self.board.normal, r @ self.at[i], r @ self.rub_at[i]))
-        pressed = set(self._meets_face(y))
+        pressed = set(self._guards_on_face(y))
         for number, share in self.share.items():
             one, demand = self._pillar_demand(y, number)
             (a, b), (p, q) = one.pair, one.weights
@@ -187,7 +187,7 @@ class Scene:
         return np.concatenate((v, force / self.body.mass, (r @ turn).ravel(), spin))
 
     def _watched(self, y: Array) -> Array:
-        """Everything whose sign decides something."""
+        """Return all quantities whose sign change is an event."""
         found: list[float] = []
         if self.board is not None:
             height, foot, demands = self._facing(y)
@@ -198,15 +198,15 @@ class Scene:
         return np.array(found)
 
     def fly(self, y: Array, duration_s: float) -> Array:
-        """The state after `duration_s`: position, velocity, rotation matrix (by rows), body rate."""
+        """Return the state after `duration_s`: position, velocity, rotation matrix (by rows), body rate."""
         t = 0.0
         self.remember(y)
-        seen, values = y, self._watched(y)
+        cached, values = y, self._watched(y)
 
         def watched(z: Array, number: int) -> float:
-            nonlocal seen, values
-            if z is not seen:  # the integrator asks for every event of one state in turn
-                seen, values = z, self._watched(z)
+            nonlocal cached, values
+            if z is not cached:  # the integrator evaluates every event at the same state
+                cached, values = z, self._watched(z)
             return float(values[number])
 
         while t < duration_s:

@@ -1,8 +1,7 @@
-"""The planner's flight model solved in two other ways: by an ODE solver to 1e-10, and by plain time stepping.
+"""The planner's flight model, solved by an ODE solver to 1e-10.
 
-The ODE solution (SciPy) is what `tests/planning` and `make bench` compare the planner with; the time stepping
-(NumPy, 1 ms, all candidates at once) is the bench's baseline. Both take the model's definition from the
-docstrings of `contact_stage` and `flight_model`, and the durations of a contact from `contact`.
+`tests/planning` compares the planner with this solution. The docstrings of `contact_stage` and `flight_model`
+define the model; the durations of a contact come from `contact`.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ _PRECISE: dict[str, Any] = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-12}
 
 
 class Terminal(NamedTuple):
-    """Where a candidate ends: closest approach (since the run-up began), position, velocity, distance."""
+    """The end of a candidate: time of closest approach since the run-up, position, velocity, distance."""
 
     t_s: float
     x: float
@@ -44,7 +43,7 @@ class Terminal(NamedTuple):
 
 
 def _friction_peak(c: Coefficients, mass: float, lead: float, vn: float) -> float:
-    """Largest mu lx u per unit of u at the onset, by the contact law alone."""
+    """Return the largest mu lx u per unit of u at the onset, from the contact law alone."""
 
     def law(_: float, z: Array) -> list[float]:
         x, v, u = z
@@ -80,10 +79,10 @@ def _contact_ode(
     normal: list[float],
     slide: list[float],
 ) -> tuple[list[float], list[float], float, float]:
-    """A contact; `normal` is (v, a, i), `slide` (v, a, i) at the onset.
+    """Solve a contact from its onset, where `normal` and `slide` are (v, a, i).
 
-    The vehicle asks for its own motion until the setpoint, and feeds forward what the D term makes of the
-    contact's push.
+    Until the setpoint, the vehicle commands its own motion and feeds forward the D term's response to the
+    push of the contact.
 
     Returns:
         (x, v, a, i) and (q, v, a, i) at the release, and both setpoints.
@@ -135,7 +134,7 @@ def solve_candidate(
     velocity: tuple[float, float],
     grid: ApproachGrid,
 ) -> Terminal:
-    """One candidate by the ODE solver; `grid` holds its approach alone."""
+    """Solve one candidate with the ODE solver; `grid` holds only its approach."""
     loop = PositionLoop.from_px4(scenario.vehicle.px4)
     b = scenario.vehicle.airframe.drag_per_s
     walls = [scenario.walls[name] for name in sequence]

@@ -10,7 +10,7 @@ from dart_flight.contact.law import Onset, normal_force
 def contact_force(
     c: Coefficients, onset: Onset, x_m: float, velocity_collision: Vec3, vertical_sign: int = -1
 ) -> Vec3:
-    """Contact force in newton in the collision frame.
+    """Return the contact force in newton in the collision frame.
 
     Args:
         c: coefficients of material and mode.

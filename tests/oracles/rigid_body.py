@@ -1,7 +1,7 @@
 """An independent rigid body with guards against one wall, integrated to 1e-10 by scipy.
 
-Written with rotation matrices in the wall's own frame (X outward, Y along, Z = X x Y), where the plant uses
-quaternions in NED; nothing of `contact.body` is used.
+It uses rotation matrices in the wall's frame (X outward, Y along, Z = X x Y), and nothing of `contact.body`.
+The plant uses quaternions in NED.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def _cross_matrix(w: Array) -> Array:
 
 
 def guards(body: Body) -> tuple[Array, Array]:
-    """Guard points (8, 3) and where their friction acts, in the body's axes."""
+    """Return the guard points (8, 3) and the points at which friction acts, in the body's axes."""
     points = [
         (turn @ np.array([body.out, side * body.along]))
         for turn in (np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1)))
@@ -53,7 +53,7 @@ def guards(body: Body) -> tuple[Array, Array]:
 
 
 def wrench(body: Body, law: Law, x: Array, v: Array, r: Array, w: Array) -> tuple[Array, Array, float]:
-    """Force and torque in the wall's frame (torque about the centre of mass), and the normal force.
+    """Return force and torque about the centre of mass in the wall's frame, and the normal force.
 
     Args:
         body, law: constants.
@@ -82,7 +82,7 @@ def wrench(body: Body, law: Law, x: Array, v: Array, r: Array, w: Array) -> tupl
 def fly(
     body: Body, law: Law, x: Array, v: Array, r: Array, w_body: Array, duration_s: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Position, velocity, rotation matrix and body rate after `duration_s` without gravity or thrust."""
+    """Return position, velocity, rotation and body rate after `duration_s` without gravity or thrust."""
 
     def slope(_: float, state: Array) -> Array:
         x, v, r, w = state[:3], state[3:6], state[6:15].reshape(3, 3), state[15:]

@@ -9,8 +9,8 @@ With position x, velocity v, step h and the contact plane's normal n, the end of
 lx = max(0, -q)/(1 + g), q = k x + (k h + f)(vx + h ax), g = (k h + f) h / m. In a corner the two planes
 couple, and the four cases (none, first, second, both) are enumerated.
 
-The errors are of first order in h; `contact_map` is exact. This is the independent check on it, the source
-of trajectories over several contacts, and the model that follows another law of motion step by step.
+The error is of first order in h; `contact_map` is exact. This model checks it independently, and simulates
+trajectories over several contacts or under other laws of motion.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.contact_map import WallHit
 from dart_flight.contact.law import Onset
 
-# Friction in a corner acts along the other plane's normal: the normal forces are solved again with the new
-# sliding speeds until these no longer change.
+# Friction in a corner acts along the other plane's normal, so the normal forces are iterated until the
+# sliding speeds settle.
 _CORNER_ROUNDS = 60
 _CORNER_TOLERANCE = 1e-13
 
@@ -43,15 +43,15 @@ class NormalStep(NamedTuple):
 def step_normal(
     c: CoefficientArrays, mass_kg: float, state: tuple[Array, Array], h_s: float, onset: Onset
 ) -> NormalStep:
-    """One implicit Euler step along the normal of one plane.
+    """Return one implicit Euler step along the normal of one plane.
 
     Args:
         c: coefficients.
         mass_kg: vehicle mass.
-        state: signed distance m, and the normal velocity m/s that the step would end with without the plane:
-            other accelerations are already in it.
+        state: signed distance m, and the normal velocity m/s at the end of the step without the plane,
+            other accelerations included.
         h_s: step.
-        onset: `touch` gives no force where the step would end before the plane without it.
+        onset: `touch` gives no force if the step without force would end before the plane.
     """
     x, free = state
     stiff = c.k * h_s + c.f
@@ -74,7 +74,7 @@ def stepped_map(
     acceleration_m_s2: float = 0.0,
     longest_s: float = 2.0,
 ) -> WallHit[Array]:
-    """Wall hits by time stepping; arguments and results as `contact_map`, to first order in `step_s`.
+    """Return wall hits by time stepping; arguments and results as in `contact_map`, to first order.
 
     Every hit starts at its onset. A contact that has not ended after `longest_s` counts as never ending.
 
@@ -111,7 +111,7 @@ def stepped_map(
         out.impulse_n_s[index] += step_s * force
         out.contact_time_s[index] += np.where(force > 0.0, step_s, 0.0)
         out.normal_out_m_s[index], out.tangential_out_m_s[index] = v, slip
-        # Pulled away before the first force: nothing is hit.
+        # Pulled away before the first force: no contact.
         ended |= ~begun & ((v >= 0.0) | (step * step_s > longest_s))
         if ended.any():
             stays = ~ended
@@ -210,7 +210,7 @@ class Corner(NamedTuple):
 
     @property
     def tangents(self) -> Array:
-        """Y of the collision frames: to the right when looking along the normal."""
+        """Return Y of the collision frames: to the right when looking along the normal."""
         return np.stack((self.normals[:, 1], -self.normals[:, 0]), axis=1)
 
 
@@ -238,11 +238,11 @@ def step_corner(
     h_s: float,
     acceleration_m_s2: ArrayLike = (0.0, 0.0),
 ) -> CornerStep:
-    """One implicit Euler step against two planes at once, by the paper's complementarity condition (`lcp`).
+    """Return one implicit Euler step against two planes, by the paper's complementarity condition (`lcp`).
 
-    The forces solve, with z the two normal forces, 0 <= z complementary to M z + q >= 0; the four cases are
-    tried and the one that fulfils it is taken. Friction (implicit too) pushes along the other plane's normal,
-    so it is a part of M; its sliding speeds are iterated.
+    The forces solve, with z the two normal forces, 0 <= z complementary to M z + q >= 0; all four
+    cases are tried and the one that satisfies it is used. Friction, also implicit, acts along the other
+    plane's normal and is part of M; its sliding speeds are iterated.
 
     Args:
         corner: the two planes.
@@ -268,7 +268,7 @@ def step_corner(
             m12 = gain[:, 0] * (cosine - cross[0] * drag[:, 1])
             m21 = gain[:, 1] * (cosine - cross[1] * drag[:, 0])
             z = _four_cases(1.0 + gain, m12, m21, q)
-            # Each plane's sliding speed with its own friction taken at the end of the step.
+            # Each plane's sliding speed, with its own friction at the end of the step.
             pushed = free + per_force * (z @ n)
             other = per_force * (z * drag)[:, ::-1] * float(t[0] @ t[1])
             new = (pushed @ t.T - other) / (1.0 + per_force * c.mu * z)
@@ -283,7 +283,7 @@ def step_corner(
 
 
 def _four_cases(diagonal: Array, m12: Array, m21: Array, q: Array) -> Array:
-    """z >= 0 complementary to M z + q >= 0 for 2 x 2 matrices: (batch, 2)."""
+    """Solve z >= 0 complementary to M z + q >= 0 for 2 x 2 matrices; return z (batch, 2)."""
     q1, q2 = q[:, 0], q[:, 1]
     d1, d2 = diagonal[:, 0], diagonal[:, 1]
     zero = np.zeros_like(q1)
@@ -297,10 +297,12 @@ def _four_cases(diagonal: Array, m12: Array, m21: Array, q: Array) -> Array:
     best = np.zeros_like(q)
     least = np.full_like(q1, math.inf)
     for z1, z2 in cases:
-        # How far the case is from fulfilling its inequalities; the right one is within rounding of 0.
+        # Violation of the inequalities: zero to rounding for the right case.
         w1, w2 = d1 * z1 + m12 * z2 + q1, m21 * z1 + d2 * z2 + q2
-        missed = np.maximum.reduce([-z1, -z2, np.where(z1 == 0.0, -w1, 0.0), np.where(z2 == 0.0, -w2, 0.0)])
-        better = missed < least
-        least = np.where(better, missed, least)
+        violation = np.maximum.reduce(
+            [-z1, -z2, np.where(z1 == 0.0, -w1, 0.0), np.where(z2 == 0.0, -w2, 0.0)]
+        )
+        better = violation < least
+        least = np.where(better, violation, least)
         best = np.where(better[:, None], np.maximum(np.stack((z1, z2), axis=1), 0.0), best)
     return best
