@@ -124,7 +124,7 @@ def test_the_delay_is_not_estimated_shortly_after_a_contact() -> None:
     delay.disturb(0)
     found = fly(delay, 0.15, duration_s=2.0)
     assert set(found) == {None}
-    assert fly(new_estimator(), 0.15, duration_s=5.0)[-1] is not None
+    assert fly(new_estimator(), 0.15, duration_s=2.0)[-1] is not None
 
 
 def test_an_estimator_reset_gives_no_delay() -> None:
