@@ -13,7 +13,7 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.recording.about import software_version
-from tests.lab.campaign.test_campaign import words
+from tests.lab.campaign.test_campaign import campaign_command
 
 FIT, OTHER = "tcp://10.0.0.1:4001", "tcp://10.0.0.2:4002"
 URL = "tcp://10.0.0.9:8786"
@@ -94,7 +94,7 @@ def campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[[],
     """Runs one; gives its status and its last line, and makes sure that no other is an error."""
 
     def run() -> tuple[int, str]:
-        status = main(words(tmp_path / "c", 2, "--scheduler", URL))
+        status = main(campaign_command(tmp_path / "c", 2, "--scheduler", URL))
         lines = capsys.readouterr().err.splitlines()
         assert [line for line in lines[:-1] if not line.startswith(("vehicle: ", "note: "))] == []
         return status, lines[-1]
