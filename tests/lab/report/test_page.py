@@ -275,9 +275,9 @@ def test_a_rehearsal_has_a_page(tmp_path: Path) -> None:
 # --- several flights -----------------------------------------------------------------------------------
 
 
-def test_the_comparison_counts_right(flights: list[RecordedFlight], compared: str) -> None:
-    page = Page(compared)
-    assert "dual-collision, fast: 3 of 3 completed" in compared
+def test_the_comparison_counts_right(flights: list[RecordedFlight], comparison: str) -> None:
+    page = Page(comparison)
+    assert "dual-collision, fast: 3 of 3 completed" in comparison
     seeds = [row[0].split("seed ")[1] for row in page.rows if "seed" in row[0]]
     assert sorted(seeds) == ["1)", "2)", "3)"]
     for index, title in ((1, "Collision 1: wood, flexible"), (2, "Collision 2: acrylic, rigid")):

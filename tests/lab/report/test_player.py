@@ -133,8 +133,8 @@ def test_a_flight_that_never_flew_has_no_animation(trials: list[Path], tmp_path:
     assert "<script" not in flight_page(flight)
 
 
-def test_the_page_forbids_itself_to_load_anything(page: str, compared: str) -> None:
-    for text, scripts in ((page, "'sha256-"), (compared, "'none'")):
+def test_the_page_forbids_itself_to_load_anything(page: str, comparison: str) -> None:
+    for text, scripts in ((page, "'sha256-"), (comparison, "'none'")):
         policy = re.search(r'Content-Security-Policy" content="([^"]+)"', text)
         assert policy is not None
         rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
