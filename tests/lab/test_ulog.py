@@ -17,13 +17,15 @@ TOPICS = ("actuator_motors", "actuator_outputs", "battery_status")
 SHARES = (0.2, 0.5, 0.8)
 
 
-def outputs(low: float, high: float, others: float = 0.0) -> tuple[str, list[tuple[float, list[float]]]]:
+def motor_outputs(
+    low: float, high: float, others: float = 0.0
+) -> tuple[str, list[tuple[float, list[float]]]]:
     """Return outputs of four motors at shares of a range, and of four constant channels."""
     rows = [(1e6 + 1e4 * i, [low + (high - low) * SHARES[i % 3]] * 4 + [others] * 4) for i in range(60)]
     return "float[8] output;", rows
 
 
-def commands(
+def decode_commands(
     tmp_path: Path, topics: Topics, parameters: dict[str, float] | None = None
 ) -> tuple[set[float], str]:
     found = motor_commands(open_ulog(write_ulog(tmp_path / "a.ulg", topics, parameters), TOPICS))
@@ -60,15 +62,17 @@ def commands(
 def test_motor_outputs_of_every_type_are_normalised(
     tmp_path: Path, low: float, high: float, parameters: dict[str, float], expected: str
 ) -> None:
-    values, description = commands(tmp_path, {("actuator_outputs", 0): outputs(low, high)}, parameters)
+    values, description = decode_commands(
+        tmp_path, {("actuator_outputs", 0): motor_outputs(low, high)}, parameters
+    )
     assert values == set(SHARES)
     assert expected in description
 
 
 def test_the_instance_with_moving_motors_is_used(tmp_path: Path) -> None:
     constant = ("float[8] output;", [(1e6 + 1e4 * i, [1500.0] * 8) for i in range(60)])
-    topics = {("actuator_outputs", 0): constant, ("actuator_outputs", 1): outputs(1000.0, 2000.0)}
-    values, description = commands(tmp_path, topics)
+    topics = {("actuator_outputs", 0): constant, ("actuator_outputs", 1): motor_outputs(1000.0, 2000.0)}
+    values, description = decode_commands(tmp_path, topics)
     assert values == set(SHARES)
     assert "actuator_outputs[1]" in description
 
@@ -78,9 +82,9 @@ def test_actuator_motors_take_precedence_and_unused_motors_are_omitted(tmp_path:
     rows = [(1e6 + 1e4 * i, [SHARES[i % 3]] * 6 + [nan] * 6) for i in range(60)]
     topics = {
         ("actuator_motors", 0): ("float[12] control;", rows),
-        ("actuator_outputs", 0): outputs(0.0, 1.0),
+        ("actuator_outputs", 0): motor_outputs(0.0, 1.0),
     }
-    values, description = commands(tmp_path, topics)
+    values, description = decode_commands(tmp_path, topics)
     assert values == set(SHARES)
     assert description == "actuator_motors, 6 motors"
 
@@ -88,7 +92,7 @@ def test_actuator_motors_take_precedence_and_unused_motors_are_omitted(tmp_path:
 def test_outputs_that_never_vary_are_refused(tmp_path: Path) -> None:
     constant = ("float[8] output;", [(1e6 + 1e4 * i, [900.0] * 8) for i in range(60)])
     with pytest.raises(InputError, match="no output of its actuator_outputs varies"):
-        commands(tmp_path, {("actuator_outputs", 0): constant})
+        decode_commands(tmp_path, {("actuator_outputs", 0): constant})
 
 
 @pytest.mark.parametrize(("volts", "kept"), [(0.05, 0), (float("nan"), 0), (16.2, 20)])

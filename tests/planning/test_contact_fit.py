@@ -49,7 +49,7 @@ Row = tuple[float, float, float, float, float, float, float, float, float, bool]
 
 
 def ticks_of(rows: Sequence[Row]) -> Ticks:
-    """Rows (h, normal, along, up, push normal and along, turned, turning, torque, bound), for both modes."""
+    """Return ticks of both modes from rows (h, normal, along, up, pushes, turned, turning, torque, bound)."""
     h, normal, along, up, push, drive, turned, turning, torque = np.array([r[:9] for r in rows]).T
     both = [np.stack([read, read], axis=1) for read in (normal, along)]
     bound = np.array([r[9] for r in rows])
@@ -213,7 +213,7 @@ def test_a_certain_wall_position_is_kept() -> None:
     )
 
 
-def test_the_angle_of_a_tick_is_taken_at_its_middle() -> None:
+def test_the_angle_of_a_tick_applies_at_its_middle() -> None:
     """A left turn at 2 rad/s gives 4 mrad at the middle of the first tick and 12 mrad at the second."""
     request = contact_request([0.0, 0.0, 0.0], rate=-2.0)
     assert ContactFitter(VEHICLE)._ticks(request).turned == pytest.approx([0.004, 0.012, 0.020])
@@ -309,8 +309,8 @@ def test_the_vertical_force_is_ignored_if_the_vertical_coefficient_is_zero() -> 
     c = VEHICLE.materials["acrylic"].rigid
     none = Belief(c.k, c.f, c.mu, 0.0, SPREAD, SPREAD, SPREAD, 0.5)
     contact = pulse(Coefficients(c.k, c.f, c.mu, 6.0), -1.0)
-    still = contact._replace(ticks=contact.ticks._replace(up=0.0 * contact.ticks.up))
-    assert fit_contact(contact, none).evidence == fit_contact(still, none).evidence
+    without_vertical = contact._replace(ticks=contact.ticks._replace(up=0.0 * contact.ticks.up))
+    assert fit_contact(contact, none).evidence == fit_contact(without_vertical, none).evidence
     assert fit_contact(contact, none).belief.nu == 0.0
 
 
@@ -365,10 +365,10 @@ def test_the_fitter_returns_finite_numbers_or_a_problem_for_any_readings(
 
 def test_removing_the_arm_vibration_inverts_adding_it() -> None:
     arms = ArmVibration(18.0, 0.12, 0.08)
-    there, back, rng = ArmFilter(arms, TICK_S), ArmFilter(arms, TICK_S), random.Random(1)
+    adding, removing, rng = ArmFilter(arms, TICK_S), ArmFilter(arms, TICK_S), random.Random(1)
     for _ in range(60):
         x, y = rng.gauss(0.0, 10.0), rng.gauss(0.0, 10.0)
-        assert back.remove(*there.add(x, y), TICK_S) == pytest.approx((x, y), abs=1e-9)
+        assert removing.remove(*adding.add(x, y), TICK_S) == pytest.approx((x, y), abs=1e-9)
 
 
 # --- the mode ----------------------------------------------------------------------------------------------

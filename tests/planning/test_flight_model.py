@@ -79,7 +79,7 @@ def test_rollout_and_executive_refuse_the_same_approaches(dual: Scenario) -> Non
     rollout = Rollout(dual, ("wood", "acrylic"), new_flight(dual), Constraints(dual))
     text = (SCENARIOS.parent / "paper_dual_collision.yaml").read_text()
     rng = np.random.default_rng(5)
-    seen: set[Refusal | None] = set()
+    refusals: set[Refusal | None] = set()
     for _ in range(150):
         n, t = -float(rng.uniform(0.05, 3.0)), float(rng.uniform(-2.0, 2.0))
         grid = rollout.approach(np.array(n), np.array(t))
@@ -87,11 +87,11 @@ def test_rollout_and_executive_refuse_the_same_approaches(dual: Scenario) -> Non
         assert old in text
         document = Document(text.replace(old, f"normal_m_s: {n!r}, tangential_m_s: {t!r}"), "mission")
         try:
-            mission, collision = _first(document, dual)
+            mission, collision = load_first_collision(document, dual)
             approach, impact = plan_approach(mission, collision), collision.impact_point
         except (InputError, NoApproachError):
             assert grid.codes != 0
-            seen.add(REFUSALS[int(grid.codes) - 1])
+            refusals.add(REFUSALS[int(grid.codes) - 1])
             continue
         wall = dual.walls["wood"]
         assert impact is not None
@@ -101,11 +101,11 @@ def test_rollout_and_executive_refuse_the_same_approaches(dual: Scenario) -> Non
         assert grid.codes == 0
         assert (float(grid.begin_x), float(grid.begin_y)) == pytest.approx(approach.begin[:2])
         assert float(grid.impact_s) == pytest.approx(approach.duration_s)
-        seen.add(None)
-    assert {None, Refusal.BEYOND_WALL, Refusal.RUN_UP_BLOCKED} <= seen
+        refusals.add(None)
+    assert {None, Refusal.BEYOND_WALL, Refusal.RUN_UP_BLOCKED} <= refusals
 
 
-def _first(document: Document, dual: Scenario) -> tuple[Mission, Collision]:
+def load_first_collision(document: Document, dual: Scenario) -> tuple[Mission, Collision]:
     mission = parse_mission(document, dual.vehicle)
     return mission, mission.collisions[0]
 

@@ -50,10 +50,10 @@ def test_a_replanned_trajectory_hits_the_wall_as_planned_after_the_lock_is_ready
     assert answer.problem == ""
     assert answer.impact_s is not None
     trajectory, planned = trajectory_of(answer), predict_mission(MISSION).hits[2]
-    met = trajectory.at(answer.impact_s)
-    assert ACRYLIC.signed_distance(met.position) == pytest.approx(0.0, abs=1e-6)
-    assert ACRYLIC.spans(met.position)
-    normal, tangential, _ = ACRYLIC.to_collision(met.velocity)
+    impact = trajectory.at(answer.impact_s)
+    assert ACRYLIC.signed_distance(impact.position) == pytest.approx(0.0, abs=1e-6)
+    assert ACRYLIC.spans(impact.position)
+    normal, tangential, _ = ACRYLIC.to_collision(impact.velocity)
     assert (normal, tangential) == pytest.approx((answer.normal_m_s, answer.tangential_m_s))
     assert normal >= planned.normal_m_s - 1e-9
     assert request.lock_ready_us is not None
@@ -140,10 +140,10 @@ def test_a_lock_fault_or_a_missing_trajectory_is_reported_as_the_problem() -> No
 
 
 def test_the_missions_predicted_impact_takes_precedence_over_the_model() -> None:
-    wanted = CollisionPrediction(2.0, ACRYLIC.point, -0.9, 0.1, 40.0, 0.05)
+    predicted_impact = CollisionPrediction(2.0, ACRYLIC.point, -0.9, 0.1, 40.0, 0.05)
     hit, following = MISSION.collisions
     mission = msgspec.structs.replace(
-        MISSION, collisions=(hit, msgspec.structs.replace(following, predicted=wanted))
+        MISSION, collisions=(hit, msgspec.structs.replace(following, predicted=predicted_impact))
     )
     answer = Replanner(mission).answer(TO_WALL, 0)
     assert answer.problem == ""
@@ -217,8 +217,8 @@ def test_a_measured_wall_stays_in_place_when_the_frame_is_corrected() -> None:
     replanner.move_frame(FrameAnchor(2, "acrylic", (0.06 * nx, 0.06 * ny), 0.1, 0.02, None, (nx, ny), 2, 0))
     answer = replanner.answer(TO_WALL, 0)
     assert answer.impact_s is not None
-    met = trajectory_of(answer).at(answer.impact_s).position
-    assert ACRYLIC.signed_distance(met) == pytest.approx(-0.06, abs=1e-6)
+    impact = trajectory_of(answer).at(answer.impact_s).position
+    assert ACRYLIC.signed_distance(impact) == pytest.approx(-0.06, abs=1e-6)
 
 
 def test_the_straight_segment_grows_with_the_age_of_the_contact_in_a_drifting_frame() -> None:
@@ -286,7 +286,7 @@ def test_a_plan_begins_at_the_state_predicted_by_the_position_loop() -> None:
 FLIGHT = Path(__file__).parents[1] / "data" / "flights" / "fast.mcap"
 
 
-def numbers(answer: PlanAnswer) -> list[float]:
+def plan_numbers(answer: PlanAnswer) -> list[float]:
     hit = (answer.impact_s, answer.normal_m_s, answer.tangential_m_s, answer.peak_force_n)
     pieces = (answer.duration_s, *answer.pieces_s, *answer.x_mission, *answer.y_mission)
     return [*pieces, *(number or 0.0 for number in hit)]
@@ -308,7 +308,7 @@ def test_the_requests_of_a_recorded_flight_give_the_recorded_answers() -> None:
         elif isinstance(record, PlanAnswer):
             replayed = answers.pop(record.number)
             assert (replayed.problem, replayed.collision) == (record.problem, record.collision)
-            assert numbers(replayed) == pytest.approx(numbers(record), rel=1e-5, abs=1e-5)
+            assert plan_numbers(replayed) == pytest.approx(plan_numbers(record), rel=1e-5, abs=1e-5)
     assert answers == {}
 
 
@@ -510,6 +510,6 @@ def test_all_candidate_ends_lead_straight_to_the_wall(turned_rad: float, straigh
     ends = REPLANNER._to_wall(TO_WALL, collision, (-1.0, 0.3), straight_s)
     assert ends.x.size > 0
     for x, y, vx, vy in zip(ends.x, ends.y, ends.vx, ends.vy, strict=True):
-        met = (float(x + straight_s * vx), float(y + straight_s * vy))
-        assert wall.signed_distance(met) == pytest.approx(0.0, abs=1e-9)
+        impact = (float(x + straight_s * vx), float(y + straight_s * vy))
+        assert wall.signed_distance(impact) == pytest.approx(0.0, abs=1e-9)
         assert wall.to_collision((float(vx), float(vy), 0.0))[:2] == pytest.approx((-1.0, 0.3))

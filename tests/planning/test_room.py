@@ -20,7 +20,9 @@ BODY = np.array(
 SQUARE = [(0.0, 1.5), (90.0, 1.4), (180.0, 1.6), (270.0, 1.3)]  # outward, degrees, and distance of the wall
 
 
-def contacts(walls: list[tuple[float, float]], turned_deg: float, count: int = 16) -> list[RoomContact]:
+def star_of_contacts(
+    walls: list[tuple[float, float]], turned_deg: float, count: int = 16
+) -> list[RoomContact]:
     """Return the first contact along each heading of a body that flies out from the middle."""
     found = []
     for k in range(count):
@@ -44,7 +46,7 @@ def room_fit(touches: list[RoomContact]) -> RoomFit:
 @settings(max_examples=15)
 def test_a_star_of_contacts_closes_a_room_at_any_incidence(turned: float, first: float, third: float) -> None:
     walls = [(0.0 + first, 1.5), (90.0, 1.4), (180.0 + third, 1.6), (270.0, 1.3)]
-    room = room_fit(contacts(walls, turned)).fit()
+    room = room_fit(star_of_contacts(walls, turned)).fit()
     assert len(room.walls) == 4
     assert room.is_closed
     for degrees, away in walls:
@@ -55,7 +57,7 @@ def test_a_star_of_contacts_closes_a_room_at_any_incidence(turned: float, first:
 
 
 def test_the_walls_written_for_a_mission_reach_from_corner_to_corner() -> None:
-    room = room_fit(contacts(SQUARE, 3.0)).fit()
+    room = room_fit(star_of_contacts(SQUARE, 3.0)).fit()
     keys = room_keys(room, "wood")
     lengths = sorted(wall["length_m"] for wall in keys.values())
     assert lengths == pytest.approx([2.7, 2.7, 3.1, 3.1], abs=0.03)
@@ -63,13 +65,13 @@ def test_the_walls_written_for_a_mission_reach_from_corner_to_corner() -> None:
 
 
 def test_a_wall_with_a_single_contact_leaves_a_gap_to_probe() -> None:
-    room = room_fit([t for k, t in enumerate(contacts(SQUARE, 0.0)) if k not in (2, 3, 5, 6)]).fit()
+    room = room_fit([t for k, t in enumerate(star_of_contacts(SQUARE, 0.0)) if k not in (2, 3, 5, 6)]).fit()
     assert not room.is_closed
     gaps = sorted(math.degrees(angle) for angle in room.gaps_rad)
     assert any(70.0 < gap < 110.0 for gap in gaps)
 
 
 def test_two_contacts_give_no_walls() -> None:
-    room = room_fit(contacts(SQUARE, 0.0)[:2]).fit()
+    room = room_fit(star_of_contacts(SQUARE, 0.0)[:2]).fit()
     assert (room.walls, room.is_closed) == ([], False)
     assert len(room.gaps_rad) == 8

@@ -18,7 +18,7 @@ DUAL = load_mission(packaged("missions", "dual_collision.yaml"))
 NEAR = {"point_m": [1.5, 0.0], "normal": [-1.0, 0.0], "length_m": 2.0, "material": "wood"}
 
 
-def room(**walls: dict[str, Any]) -> Mission:
+def mission_in_room(**walls: dict[str, Any]) -> Mission:
     tree = {
         "version": 1,
         "name": "room",
@@ -53,7 +53,7 @@ def test_each_wall_is_touched_in_rigid_mode_and_then_in_the_missions_mode() -> N
 
 def test_a_survey_assumes_default_uncertainties_only_where_none_are_given() -> None:
     survey = plan_survey(
-        room(a=NEAR, b=NEAR | {"point_m": [0.0, 2.0], "normal": [0, -1], "position_sd_m": 0.2})
+        mission_in_room(a=NEAR, b=NEAR | {"point_m": [0.0, 2.0], "normal": [0, -1], "position_sd_m": 0.2})
     )
     a, b = survey.mission.walls
     assert (a.position_sd_m, b.position_sd_m) == (0.1, 0.2)
@@ -68,20 +68,20 @@ def test_a_survey_assumes_default_uncertainties_only_where_none_are_given() -> N
 
 def test_the_nearest_wall_is_touched_first() -> None:
     far = NEAR | {"point_m": [-2.5, 0.0], "normal": [1.0, 0.0]}
-    names = [c.wall.name for c in plan_survey(room(far=far, near=NEAR)).mission.collisions]
+    names = [c.wall.name for c in plan_survey(mission_in_room(far=far, near=NEAR)).mission.collisions]
     assert names == ["near", "near", "far", "far"]
 
 
 def test_an_unreachable_wall_is_reported_and_the_others_are_touched() -> None:
     behind = NEAR | {"point_m": [2.5, 0.0], "length_m": 1.0}
-    survey = plan_survey(room(front=NEAR | {"length_m": 6.0}, behind=behind))
+    survey = plan_survey(mission_in_room(front=NEAR | {"length_m": 6.0}, behind=behind))
     assert survey.unreachable == {"behind": "no clear path leads to the wall"}
     assert {c.wall.name for c in survey.mission.collisions} == {"front"}
 
 
 def test_a_mission_without_a_reachable_wall_is_refused() -> None:
     outside = NEAR | {"point_m": [2.9, 0.0], "normal": [1.0, 0.0]}
-    mission = room(outside=outside)
+    mission = mission_in_room(outside=outside)
     with pytest.raises(InputError, match="no wall can be touched"):
         plan_survey(mission.replace({"start.position_m": [2.95, 0.0], "goal.position_m": [2.95, 0.0]}))
 

@@ -324,7 +324,7 @@ def test_numpy_numbers_are_accepted() -> None:
     assert goal.position_m == (0.5, 0.9)
 
 
-def wrong(key: str, value: Any) -> dict[str, Any]:
+def mission_tree_with(key: str, value: Any) -> dict[str, Any]:
     tree = dart_flight.load_mission(SINGLE).to_dict()
     node = tree
     for part in key.split(".")[:-1]:
@@ -333,7 +333,7 @@ def wrong(key: str, value: Any) -> dict[str, Any]:
     return tree
 
 
-def replaced(key: str, value: Any) -> dart_flight.Mission:
+def mission_with(key: str, value: Any) -> dart_flight.Mission:
     return dart_flight.load_mission(SINGLE).replace({key: value})
 
 
@@ -341,34 +341,34 @@ def vehicle_with(key: str, value: Any) -> dart_flight.VehicleConfig:
     return dart_flight.load_vehicle().replace({key: value})
 
 
-def predicted(mode: str, normal_m_s: list[float]) -> Any:
+def predict_acrylic(mode: str, normal_m_s: list[float]) -> Any:
     return dart_flight.predict(dart_flight.load_vehicle(), "acrylic", mode, normal_m_s)
 
 
 WRONG: list[tuple[Callable[[], Any], str]] = [
     (
-        lambda: dart_flight.load_mission(wrong("limits.sped", 1)),
+        lambda: dart_flight.load_mission(mission_tree_with("limits.sped", 1)),
         "<dict>: limits.sped: unknown key, did you mean speed_m_s?",
     ),
     (
-        lambda: dart_flight.load_mission(wrong("goal.position_m", [9.0, 9.0])),
+        lambda: dart_flight.load_mission(mission_tree_with("goal.position_m", [9.0, 9.0])),
         "<dict>: goal.position_m: (9, 9) is outside",
     ),
     (
-        lambda: dart_flight.load_mission(wrong("name", object())),
+        lambda: dart_flight.load_mission(mission_tree_with("name", object())),
         "<dict>: name: object is not a value that a file can hold",
     ),
     (lambda: dart_flight.load_mission({"sequence": ["wood"]}), "<dict>: this is a scenario"),
     (lambda: vehicle_with("airframe.mass_kg", -1), "airframe.mass_kg=-1: expected a number"),
     (lambda: vehicle_with("airframe.mas_kg", 1), "airframe.mas_kg=1: unknown key, did you mean mass_kg?"),
     (lambda: vehicle_with("airframe.mass_kg", 8.0), "to hover 8 kg"),
-    (lambda: replaced("collisions[3].mode", "rigid"), "unknown key 3"),
-    (lambda: replaced("vehicle", "dart.yaml"), "vehicle: expected a vehicle configuration"),
-    (lambda: dart_flight.simulate(replaced("limits.peak_force_n", 20.0)), "peak_force_n"),
+    (lambda: mission_with("collisions[3].mode", "rigid"), "unknown key 3"),
+    (lambda: mission_with("vehicle", "dart.yaml"), "vehicle: expected a vehicle configuration"),
+    (lambda: dart_flight.simulate(mission_with("limits.peak_force_n", 20.0)), "peak_force_n"),
     (lambda: dart_flight.simulate(SINGLE, vary=["mas"]), "unknown mas, did you mean mass?"),
     (lambda: dart_flight.simulate(SINGLE, fault="wall-mising"), "did you mean wall-missing?"),
-    (lambda: predicted("rigit", [-1.0]), "'rigit' is not allowed"),
-    (lambda: predicted("rigid", [-1.0, 0.5]), "does not approach"),
+    (lambda: predict_acrylic("rigit", [-1.0]), "'rigit' is not allowed"),
+    (lambda: predict_acrylic("rigid", [-1.0, 0.5]), "does not approach"),
     (lambda: dart_flight.plan(SINGLE), "this is a mission"),
     (lambda: dart_flight.identify([], mode="rigit"), "'rigit' is not allowed"),
 ]

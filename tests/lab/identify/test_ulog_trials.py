@@ -62,9 +62,9 @@ def write_drop(path: Path, height_m: float, seed: int, positions: bool) -> Path:
     flight = 2.0 * float(contact.normal(contact.end_s)[1]) / GRAVITY_M_S2
     time = np.arange(-numbers.onset_s - 0.5, contact.end_s + flight + 0.15, 1e-3)
     height, _, force = (np.asarray(v) for v in contact.normal(time)[:3])
-    again = np.asarray(contact.normal(time - contact.end_s - flight)[2])
+    second_contact = np.asarray(contact.normal(time - contact.end_s - flight)[2])
     held = time < -numbers.onset_s
-    up = np.where(held, GRAVITY_M_S2, (force + 0.5 * again) / MASS_KG)
+    up = np.where(held, GRAVITY_M_S2, (force + 0.5 * second_contact) / MASS_KG)
     place = np.stack([np.zeros_like(time), np.zeros_like(time), -np.where(held, height_m, height)], axis=1)
     specific = np.stack([np.zeros_like(time), np.zeros_like(time), -up], axis=1)
     return write_level_ulog(

@@ -26,7 +26,7 @@ DATA = re.compile(r'<script type="application/json" id="flight-data">(.*?)</scri
 
 
 @pytest.fixture(scope="session")
-def ten(flown: SharedFlights) -> RecordedFlight:
+def ten_collisions(flown: SharedFlights) -> RecordedFlight:
     """Return a flight with ten collisions."""
     mission = many_hits(10)
     folder = flown.once("ten-hits", lambda cache: fly_fast(mission, 1, cache))
@@ -34,14 +34,14 @@ def ten(flown: SharedFlights) -> RecordedFlight:
 
 
 @pytest.fixture(scope="session")
-def ten_page(ten: RecordedFlight) -> str:
+def ten_collisions_page(ten_collisions: RecordedFlight) -> str:
     """Return the page of the ten collisions without a replay, which takes long."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "dart_flight.lab.report.recorded_flight.replay",
             lambda _: Replay(0, 0, True, [], [], [], 0, "not in this test"),
         )
-        return flight_page(ten)
+        return flight_page(ten_collisions)
 
 
 # --- data ----------------------------------------------------------------------------------------------
@@ -91,15 +91,17 @@ def test_animation_frames_are_denser_around_an_impact(page: str) -> None:
     assert np.diff(times).max() <= 40
 
 
-def test_the_page_of_ten_collisions_is_smaller_than_a_megabyte(ten: RecordedFlight, ten_page: str) -> None:
-    assert len(ten.impacts) == 10
-    assert len(ten_page.encode()) < 1_000_000
-    assert len(animation_data(ten_page)["hits"]) == 10
+def test_the_page_of_ten_collisions_is_smaller_than_a_megabyte(
+    ten_collisions: RecordedFlight, ten_collisions_page: str
+) -> None:
+    assert len(ten_collisions.impacts) == 10
+    assert len(ten_collisions_page.encode()) < 1_000_000
+    assert len(animation_data(ten_collisions_page)["hits"]) == 10
 
 
 @pytest.mark.parametrize("count", [5, 10])
-def test_labels_of_many_collisions_do_not_overlap(ten: RecordedFlight, count: int) -> None:
-    flight = ten if count == 10 else _first_hits(ten, count)
+def test_labels_of_many_collisions_do_not_overlap(ten_collisions: RecordedFlight, count: int) -> None:
+    flight = ten_collisions if count == 10 else _first_hits(ten_collisions, count)
     figure = flight_map([flight])
     figure.draw_without_rendering()
     axis = figure.axes[0]

@@ -24,7 +24,7 @@ def wall(x: float, y: float, normal: list[float], length_m: float = 3.0) -> dict
     return {"point_m": [x, y], "normal": normal, "length_m": length_m, "material": "acrylic"}
 
 
-def room(**other: Any) -> Mission:
+def mission_in_room(**other: Any) -> Mission:
     """Return a mission that hits the east wall and returns to the start; no leg leads to the north wall."""
     tree = {
         "version": 1, "name": "room", "start": {"position_m": [0.0, 0.0], "altitude_m": 1.2},
@@ -41,7 +41,7 @@ def drawn_map(mission: Mission) -> Any:
 
 
 def test_the_leg_after_a_contact_is_counted_and_drawn() -> None:
-    mission = room()
+    mission = mission_in_room()
     planned = predict_mission(mission)
     (after_contact, to_goal) = predicted_segments(mission, planned.hits)
     assert after_contact.begin is not None
@@ -56,14 +56,14 @@ def test_the_leg_after_a_contact_is_counted_and_drawn() -> None:
 
 
 def test_legs_after_an_unpredicted_contact_are_reported_as_such() -> None:
-    rehearsal = room(standoff_m=0.5)
-    says = next(f for f in check_mission(rehearsal) if f.item == "waypoints").says
-    assert "1 legs after a contact, of unpredicted length" in says
+    rehearsal = mission_in_room(standoff_m=0.5)
+    finding = next(f for f in check_mission(rehearsal) if f.item == "waypoints")
+    assert "1 legs after a contact, of unpredicted length" in finding.says
 
 
 @pytest.mark.parametrize("place", [(0.0, 2.4, [0.0, -1.0]), (0.0, -2.4, [0.0, 1.0]), (-2.4, 0.5, [1.0, 0.0])])
 def test_a_wall_without_a_collision_is_drawn(place: tuple[float, float, list[float]]) -> None:
-    mission = room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "third": wall(*place)})
+    mission = mission_in_room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "third": wall(*place)})
     plan = drawn_map(mission)
     x, y = mission.vehicle.airframe.wall_surface(mission.walls[1]).point
     assert plan.get_xlim()[0] < x < plan.get_xlim()[1]
@@ -72,7 +72,10 @@ def test_a_wall_without_a_collision_is_drawn(place: tuple[float, float, list[flo
 
 
 def test_a_wall_far_outside_of_the_bounds_does_not_shrink_the_map() -> None:
-    near, far = room(), room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "far": wall(0.0, 90.0, [0.0, -1.0])})
+    near, far = (
+        mission_in_room(),
+        mission_in_room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "far": wall(0.0, 90.0, [0.0, -1.0])}),
+    )
     points = np.array([[0.0, 0.0], [1.5, 0.0]])
     assert view_of(far, points)[1, 1] <= view_of(near, points)[1, 1]
 
@@ -89,7 +92,7 @@ def test_each_face_of_a_partition_is_labelled_on_its_own_side(gap_m: float, turn
         name: wall(-abs(n[0]) * at - 1.5 * abs(n[1]), at * abs(n[1]) - 1.5 * abs(n[0]), n, 1.0)
         for name, (n, at) in faces.items()
     }
-    mission = room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0])} | walls)
+    mission = mission_in_room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0])} | walls)
     written = {text.get_text(): text for text in drawn_map(mission).texts}
     for one in mission.walls[1:]:
         assert one.signed_distance(written[f"{one.name} (acrylic)"].xy) > 0.0
@@ -100,7 +103,7 @@ def test_an_arrow_points_north(heading_deg: float) -> None:
     from matplotlib.offsetbox import AnchoredOffsetbox
     from matplotlib.patches import FancyArrow
 
-    mission = room(frame={"heading_deg": heading_deg})
+    mission = mission_in_room(frame={"heading_deg": heading_deg})
     (box,) = (one for one in drawn_map(mission).artists if isinstance(one, AnchoredOffsetbox))
     arrow: Any
     (arrow,) = box.findobj(FancyArrow)
@@ -110,7 +113,7 @@ def test_an_arrow_points_north(heading_deg: float) -> None:
 
 
 def test_start_and_goal_at_one_place_share_a_label() -> None:
-    words = texts_of(as_svg(mission_figure(room(), predict_mission(room()))))
+    words = texts_of(as_svg(mission_figure(mission_in_room(), predict_mission(mission_in_room()))))
     assert "start, goal, 1" in words
 
 

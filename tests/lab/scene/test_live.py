@@ -316,9 +316,9 @@ def test_a_dry_run_is_shown_while_it_runs(tmp_path: Path) -> None:
         layout = Path(first.rsplit("layout ", 1)[1].strip())
         assert layout.exists()
         viewer = Viewer(url[0], shows_flight)
-        seen = viewer.watch(PATIENCE_S)
+        received = viewer.watch(PATIENCE_S)
         rest = flight.stderr.read()
         assert flight.wait(PATIENCE_S) in (0, 1), rest
-    assert seen
+    assert received
     assert "/flight/true_force" in viewer.messages
     assert "live view failed" not in rest

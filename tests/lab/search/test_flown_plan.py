@@ -97,11 +97,13 @@ def test_a_faster_plan_that_completes_is_offered_with_its_flight_record(planned:
     assert offered.record.free_time_s == 20.0
     assert "20 of 20 drawn flights complete" in offered.says[-1]
     assert "saves 1.50 s" in offered.says[-1]
-    seeds = [(kind, FIRST_SEED + k, drawn) for kind in ("free", "colliding") for drawn, k in _once()]
+    seeds = [
+        (kind, FIRST_SEED + k, drawn) for kind in ("free", "colliding") for drawn, k in _nominal_and_drawn()
+    ]
     assert flights.flown == seeds
 
 
-def _once() -> list[tuple[bool, int]]:
+def _nominal_and_drawn() -> list[tuple[bool, int]]:
     return [(False, 0), *((True, k) for k in range(DRAWN))]
 
 

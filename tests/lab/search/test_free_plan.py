@@ -51,7 +51,7 @@ def test_a_wider_limit_never_lengthens_the_flight(length: float, limits: MotionL
     assert straight_time_s(length, wider) <= straight_time_s(length, limits) + 1e-9
 
 
-def between_walls(offset_m: float) -> Scenario:
+def scenario_with_wall(offset_m: float) -> Scenario:
     """Return a scenario with a wall of 2 m between start and goal, with its middle offset to the side."""
     text = {
         "version": 1,
@@ -80,13 +80,13 @@ def between_walls(offset_m: float) -> Scenario:
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-1.0, 1.0))
 def test_the_gap_of_a_flight_around_a_wall_is_a_valid_bound(offset: float) -> None:
-    free = plan_free(between_walls(offset))
+    free = plan_free(scenario_with_wall(offset))
     assert free.time_s is not None
     assert free.via
     assert all(abs(y - offset) > 1.0 for _, y in free.via)  # past the wall's end
     assert 0.0 < free.gap_s < free.time_s
     # The lower bound is the straight path past the wall's edge, by half a vehicle and a margin.
-    scenario = between_walls(offset)
+    scenario = scenario_with_wall(offset)
     edge_y = offset + math.copysign(1.0 + 0.2 + 0.12, -offset if offset else 1.0)
     beyond = [(1.5 + 0.2, y) for y in (edge_y, 2.0 * offset - edge_y)]
     least_m = min(math.dist((0.0, 0.0), b) + math.dist(b, (3.0, 0.0)) for b in beyond)
@@ -106,7 +106,7 @@ def test_the_gap_of_a_flight_around_a_wall_is_a_valid_bound(offset: float) -> No
 
 
 def test_a_wall_beside_the_straight_path_needs_no_detour() -> None:
-    free = plan_free(between_walls(2.5))
+    free = plan_free(scenario_with_wall(2.5))
     assert (free.via, free.gap_s) == ((), 0.0)
 
 

@@ -47,7 +47,7 @@ def test_stopping_from_the_safe_speed_uses_all_of_the_distance(
     assert reaction_s * v + place[0] == pytest.approx(distance_m, rel=1e-2)
 
 
-def speeds(plan: QuickestPlan) -> tuple[np.ndarray, np.ndarray]:
+def first_leg_states(plan: QuickestPlan) -> tuple[np.ndarray, np.ndarray]:
     """Return position and velocity towards the wall along the first leg."""
     trajectory = Trajectory.from_mission(plan.trajectory.legs[0], 1.0)
     states = [trajectory.at(t) for t in np.linspace(0.0, trajectory.duration_s, 3000)]
@@ -66,7 +66,7 @@ def test_both_plans_cruise_until_the_reaction_time_has_passed(planned: QuickestR
     for plan in (result.free, result.colliding):
         assert plan is not None
         assert plan.cruise_m_s is not None
-        x, v = speeds(plan)
+        x, v = first_leg_states(plan)
         reacted_m = WALL_M - SEEN_M + REACTION_S * plan.cruise_m_s
         cruising = (x > WALL_M - SEEN_M - 0.1) & (x < reacted_m) & (v > 0.0)
         assert v[cruising] == pytest.approx(plan.cruise_m_s, rel=3e-3)
