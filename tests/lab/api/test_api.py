@@ -277,7 +277,7 @@ def test_a_mission_file_may_contain_its_vehicle(tmp_path: Path) -> None:
     assert mission.vehicle.airframe.mass_kg == 1.4
     assert mission.flown_vehicle().set == ("airframe.contact_distance_m=0.3",)
     path.write_text(path.read_text().replace("mass_kg: 1.4", "mas_kg: 1.4"), encoding="utf-8")
-    line = next(i for i, text in enumerate(path.read_text().splitlines(), 1) if "mas_kg" in text)
+    line = next(i for i, row in enumerate(path.read_text().splitlines(), 1) if "mas_kg" in row)
     with pytest.raises(
         dart_flight.InputError, match=rf"mission.yaml:{line}: vehicle.airframe.mas_kg: unknown key"
     ):
