@@ -134,7 +134,7 @@ def test_a_viewer_receives_room_flight_and_arms_but_cannot_publish(log: Log, vie
     assert max(f["normal_n"] for f in viewer.messages["/flight/force"]) > 10.0
 
 
-def test_a_viewer_that_joins_later_receives_room_path_and_vehicle(log: Log, view: LiveViewProcess) -> None:
+def test_a_viewer_that_joins_later_receives_room_and_vehicle(log: Log, view: LiveViewProcess) -> None:
     half = len(log.entries) // 2
     for entry in log.entries[:half]:
         view.feed(entry.record)
