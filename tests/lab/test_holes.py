@@ -1,4 +1,4 @@
-"""Logs with a hole, cut short, or without a flight: said, with where and how long."""
+"""Reports of logs with holes, truncated logs and logs without a flight."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dart_flight.lab.report.page import comparison_page, flight_page
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.reader import Log, read_log
 from tests.doubles.ulog_file import write_ulog
-from tests.lab.inspect.test_inspect import felt, topics
+from tests.lab.inspect.test_inspect import inspect_json, topics
 from tests.shared_flights import SharedFlights
 
 pytest.importorskip("pyulog")
@@ -35,7 +35,7 @@ pytest.importorskip("pyulog")
     st.floats(0.6, 30.0),
     st.floats(0.0, 1e4),
 )
-def test_one_hole_is_found_where_it_is(
+def test_a_hole_is_reported_with_its_time_and_duration(
     interval_s: float, count: int, place: int, hole_s: float, begin_s: float
 ) -> None:
     time_s = np.asarray(begin_s + interval_s * np.arange(count), dtype=np.float64)
@@ -46,7 +46,7 @@ def test_one_hole_is_found_where_it_is(
     assert line == f"hole of {long_s:.2f} s in normal_m, at {at_s:.2f} s"
 
 
-def test_many_holes_are_counted() -> None:
+def test_additional_holes_are_counted() -> None:
     time_s = np.concatenate([np.arange(0.0, 1.0, 0.01) + 2.0 * k for k in range(6)])
     lines = describe_holes(time_s, "imu")
     assert len(lines) == 4
@@ -55,41 +55,45 @@ def test_many_holes_are_counted() -> None:
 
 
 def _without(part: Any, begin_s: float, end_s: float) -> Any:
-    """The topics without what lies between two times, seconds after the log's beginning."""
+    """Return the topics without the rows between two times, in seconds after the log's beginning."""
     return {
         key: (fields, [row for row in rows if not begin_s <= row[0] * 1e-6 - 1.0 < end_s])
         for key, (fields, rows) in part.items()
     }
 
 
-def test_inspect_says_where_a_log_has_a_hole_and_where_it_is_cut(
+def test_inspect_reports_holes_and_truncation_of_a_log(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole = felt(write_ulog(tmp_path / "whole.ulg", topics()), capsys)["unknown"]
+    def unknown(name: str, content: Any) -> list[str]:
+        lines: list[str] = inspect_json(write_ulog(tmp_path / f"{name}.ulg", content), capsys)["unknown"]
+        return lines
+
+    whole = unknown("whole", topics())
     assert not [what for what in whole if "hole" in what or "cut" in what]
-    holed = felt(write_ulog(tmp_path / "hole.ulg", _without(topics(), 12.0, 13.5)), capsys)["unknown"]
+    holed = unknown("hole", _without(topics(), 12.0, 13.5))
     assert "hole of 1.50 s in sensor_combined, at 12.00 s" in holed
-    short = felt(write_ulog(tmp_path / "short.ulg", _without(topics(), 20.0, 99.0)), capsys)["unknown"]
+    short = unknown("short", _without(topics(), 20.0, 99.0))
     assert "cut: the log ends in the air, at 20.00 s" in short
-    late = felt(write_ulog(tmp_path / "late.ulg", _without(topics(), 0.0, 8.0)), capsys)["unknown"]
+    late = unknown("late", _without(topics(), 0.0, 8.0))
     assert "cut: the log begins in the air" in late
 
 
-def test_a_log_without_a_flight_has_no_impact_to_find(
+def test_a_log_without_a_flight_reports_that_no_impact_can_be_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     grounded = dict(topics())
     fields, rows = grounded["vehicle_land_detected", 0]
     grounded["vehicle_land_detected", 0] = (fields, [(stamp, [True]) for stamp, _ in rows])
     assert main(["inspect", str(write_ulog(tmp_path / "ground.ulg", grounded))]) == 0
-    said = capsys.readouterr().out
-    assert "0 s in the air: no impact can be found" in said
-    assert "\nno impact" not in said
+    output = capsys.readouterr().out
+    assert "0 s in the air: no impact can be found" in output
+    assert "\nno impact" not in output
     flight = inspect_file(tmp_path / "ground.ulg", load_vehicle())
     assert "<p>0 s in the air: no impact can be found.</p>" in inspection_page([flight])
 
 
-def test_a_trial_says_where_it_has_a_hole(tmp_path: Path) -> None:
+def test_a_trial_notes_its_hole(tmp_path: Path) -> None:
     time_s = np.arange(0.0, 2.0, 0.004)
     normal_m = np.abs(time_s - 1.0) * 0.8 - 0.05 * np.exp(-(((time_s - 1.0) / 0.05) ** 2))
     keep = ~((time_s > 0.3) & (time_s < 0.65))
@@ -99,19 +103,19 @@ def test_a_trial_says_where_it_has_a_hole(tmp_path: Path) -> None:
     assert trial.notes == (f"{tmp_path}/trial.csv: hole of 0.35 s in normal_m, at 0.30 s",)
 
 
-def test_identify_says_that_a_flight_log_is_cut(
+def test_identify_reports_a_truncated_flight_log(
     flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = flown("single_wall", 1).log.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: round(0.8 * len(data))])
     assert main(["identify", str(cut), "--mode", "flexible"]) == 0
-    said = capsys.readouterr().err
-    assert f"{cut}: cut: the log ends at " in said
+    output = capsys.readouterr().err
+    assert f"{cut}: cut: the log ends at " in output
 
 
-def _edited(log: Log, *, cut_s: float | None = None, hole_s: tuple[float, float] | None = None) -> Log:
-    """A log without what comes after a time, or without the IMU samples between two."""
+def _damaged(log: Log, *, cut_s: float | None = None, hole_s: tuple[float, float] | None = None) -> Log:
+    """Return a log truncated at a time, or without the IMU samples between two times."""
     begin_us = next(e.record.t_us for e in log.entries if isinstance(e.record, ImuSample))
     kept, now_s = [], 0.0
     for entry in log.entries:
@@ -125,17 +129,17 @@ def _edited(log: Log, *, cut_s: float | None = None, hole_s: tuple[float, float]
     return Log(log.source, log.about, {} if cut_s is not None else log.end, kept, complete=cut_s is None)
 
 
-def test_report_says_at_its_top_where_a_log_is_cut_or_has_a_hole(flown: SharedFlights) -> None:
+def test_a_report_begins_with_the_holes_and_truncation_of_the_log(flown: SharedFlights) -> None:
     whole = flown("single_wall", 1).log
     log = read_log(whole)
     assert describe_missing_parts(log) == []
-    cut = _edited(log, cut_s=8.0)
+    cut = _damaged(log, cut_s=8.0)
     (line,) = describe_missing_parts(cut)
     assert line == "cut: the log ends at 8.00 s"
     page = flight_page(RecordedFlight(cut))
     assert f"The log does not contain the whole flight: {line}." in page
     assert page.index(line) < page.index("class=sentence")
-    holed = _edited(log, hole_s=(2.0, 3.5))
+    holed = _damaged(log, hole_s=(2.0, 3.5))
     (line,) = describe_missing_parts(holed)
     assert line == "hole of 1.50 s in the IMU samples, at 2.00 s"
     both = comparison_page([RecordedFlight(holed), RecordedFlight(log)])
@@ -143,7 +147,7 @@ def test_report_says_at_its_top_where_a_log_is_cut_or_has_a_hole(flown: SharedFl
 
 
 def test_a_log_cut_before_its_first_imu_sample_is_reported(flown: SharedFlights) -> None:
-    log = _edited(read_log(flown("single_wall", 1).log), cut_s=-1.0)
+    log = _damaged(read_log(flown("single_wall", 1).log), cut_s=-1.0)
     log.entries = [e for e in log.entries if not isinstance(e.record, ImuSample)]
     assert describe_missing_parts(log) == ["cut: the log ends before its first IMU sample"]
     assert "cut: the log ends before its first IMU sample" in flight_page(RecordedFlight(log))
@@ -152,7 +156,7 @@ def test_a_log_cut_before_its_first_imu_sample_is_reported(flown: SharedFlights)
 
 
 @pytest.mark.parametrize("samples", [0, 1, 2, 3])
-def test_a_px4_log_with_hardly_an_imu_sample_has_no_impact(
+def test_a_px4_log_with_too_few_imu_samples_has_no_impact(
     samples: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     short = dict(topics())
@@ -160,8 +164,8 @@ def test_a_px4_log_with_hardly_an_imu_sample_has_no_impact(
         fields, rows = short[key]
         short[key] = (fields, rows[:samples])
     assert main(["inspect", str(write_ulog(tmp_path / "short.ulg", short))]) == (2 if samples < 2 else 0)
-    said = capsys.readouterr()
-    if samples < 2:  # no rate
-        assert len(said.err.strip().splitlines()) == 1
+    output = capsys.readouterr()
+    if samples < 2:  # too few for a sample rate
+        assert len(output.err.strip().splitlines()) == 1
     else:
-        assert "0 s in the air: no impact can be found" in said.out
+        assert "0 s in the air: no impact can be found" in output.out

@@ -1,4 +1,4 @@
-"""The stepwise simulation: reproducible, in the air, and a wall pushes back."""
+"""The stepwise simulation and its Gymnasium environment."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def simulation(mission: Mission) -> Simulation:
     return Simulation(mission)
 
 
-def test_a_reset_hovers_at_the_start_and_a_seed_gives_the_same_simulation(simulation: Simulation) -> None:
+def test_a_reset_hovers_at_the_start_and_equal_seeds_give_equal_flights(simulation: Simulation) -> None:
     flown = []
     for seed in (3, 4, 3):
         first = simulation.reset(seed)
@@ -28,38 +28,38 @@ def test_a_reset_hovers_at_the_start_and_a_seed_gives_the_same_simulation(simula
         assert np.abs(first.position - (0.0, 0.0, 1.0)).max() < 0.1
         assert not first.is_down
         for _ in range(20):
-            seen = simulation.step(FlightSetpoint((0.3, 0.0, 1.0)))
-        flown.append(seen)
-    assert seen.time_s == pytest.approx(0.4)
+            observation = simulation.step(FlightSetpoint((0.3, 0.0, 1.0)))
+        flown.append(observation)
+    assert observation.time_s == pytest.approx(0.4)
     assert np.array_equal(flown[0].position, flown[2].position)
     assert np.array_equal(flown[0].force, flown[2].force)
     assert not np.array_equal(flown[0].position, flown[1].position)
 
 
-def test_no_setpoint_keeps_the_previous_one(simulation: Simulation) -> None:
+def test_a_step_without_a_setpoint_keeps_the_previous_setpoint(simulation: Simulation) -> None:
     simulation.reset(1)
     simulation.step(FlightSetpoint((0.5, 0.2, 1.2)))
     for _ in range(200):
-        seen = simulation.step()
-    assert np.abs(seen.position - (0.5, 0.2, 1.2)).max() < 0.1
+        observation = simulation.step()
+    assert np.abs(observation.position - (0.5, 0.2, 1.2)).max() < 0.1
 
 
-def test_a_wall_pushes_back_and_the_force_is_estimated(simulation: Simulation) -> None:
-    seen = simulation.reset(1)
-    assert seen.walls.shape == (2, 5)
-    assert seen.walls[0, 4] <= seen.walls[1, 4]
+def test_a_contact_is_counted_and_its_force_is_estimated(simulation: Simulation) -> None:
+    observation = simulation.reset(1)
+    assert observation.walls.shape == (2, 5)
+    assert observation.walls[0, 4] <= observation.walls[1, 4]
     nan = float("nan")
     largest = 0.0
     for _ in range(200):
-        seen = simulation.step(FlightSetpoint((nan, nan, 1.0), (0.8, 0.0, nan)))
-        largest = max(largest, -seen.force[0])
-        if seen.contacts:
+        observation = simulation.step(FlightSetpoint((nan, nan, 1.0), (0.8, 0.0, nan)))
+        largest = max(largest, -observation.force[0])
+        if observation.contacts:
             break
-    assert seen.contacts == 1
+    assert observation.contacts == 1
     assert largest > 10.0
 
 
-def test_the_lock_moves_in_its_time(simulation: Simulation) -> None:
+def test_the_lock_takes_time_to_switch(simulation: Simulation) -> None:
     assert simulation.reset(1).mode is Mode.RIGID
     modes = [simulation.step(FlightSetpoint((0.0, 0.0, 1.0), mode=Mode.FLEXIBLE)).mode for _ in range(40)]
     assert modes[0] is not Mode.FLEXIBLE
@@ -72,12 +72,12 @@ def test_only_walls_in_view_are_observed(mission: Mission) -> None:
 
 
 @pytest.mark.parametrize("period_s", [0.0, -0.02, 0.006, 1e-9])
-def test_a_period_that_is_no_multiple_of_a_tick_is_refused(mission: Mission, period_s: float) -> None:
+def test_a_period_that_is_not_a_multiple_of_a_tick_is_refused(mission: Mission, period_s: float) -> None:
     with pytest.raises(InputError, match=r"expected a positive multiple of 0\.004 s"):
         Simulation(mission, period_s=period_s)
 
 
-def test_gymnasiums_own_checker_passes_and_seeds_repeat() -> None:
+def test_the_environment_passes_gymnasiums_checker_and_repeats_by_seed() -> None:
     gymnasium = pytest.importorskip("gymnasium")
     checker = pytest.importorskip("gymnasium.utils.env_checker")
     from dart_flight.lab.gym_shuttle import ShuttleEnv
@@ -94,7 +94,7 @@ def test_gymnasiums_own_checker_passes_and_seeds_repeat() -> None:
     assert isinstance(environment.unwrapped, ShuttleEnv)
 
 
-def test_an_episode_ends_outside_of_the_room_with_a_penalty() -> None:
+def test_an_episode_ends_with_a_penalty_outside_of_the_room() -> None:
     pytest.importorskip("gymnasium")
     from dart_flight.lab.gym_shuttle import ShuttleEnv
 

@@ -1,4 +1,4 @@
-"""ULogs opened: motor outputs of several versions and output types, battery, refusals."""
+"""Reading ULogs: motor outputs of several PX4 versions and output types, battery and refusals."""
 
 from __future__ import annotations
 
@@ -17,13 +17,15 @@ TOPICS = ("actuator_motors", "actuator_outputs", "battery_status")
 SHARES = (0.2, 0.5, 0.8)
 
 
-def outputs(low: float, high: float, others: float = 0.0) -> tuple[str, list[tuple[float, list[float]]]]:
-    """Four motors through the shares of a range, four further outputs at rest."""
+def motor_outputs(
+    low: float, high: float, others: float = 0.0
+) -> tuple[str, list[tuple[float, list[float]]]]:
+    """Return outputs of four motors at shares of a range, and of four constant channels."""
     rows = [(1e6 + 1e4 * i, [low + (high - low) * SHARES[i % 3]] * 4 + [others] * 4) for i in range(60)]
     return "float[8] output;", rows
 
 
-def commands(
+def decode_commands(
     tmp_path: Path, topics: Topics, parameters: dict[str, float] | None = None
 ) -> tuple[set[float], str]:
     found = motor_commands(open_ulog(write_ulog(tmp_path / "a.ulg", topics, parameters), TOPICS))
@@ -31,7 +33,7 @@ def commands(
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "parameters", "said"),
+    ("low", "high", "parameters", "expected"),
     [
         (1000.0, 2000.0, {}, "PWM 1000 to 2000"),
         (1075.0, 1950.0, {"PWM_MIN": 1075.0, "PWM_MAX": 1950.0}, "PWM 1075 to 1950"),
@@ -57,42 +59,44 @@ def commands(
         (0.0, 1.0, {}, "0 to 1"),
     ],
 )
-def test_outputs_are_decoded(
-    tmp_path: Path, low: float, high: float, parameters: dict[str, float], said: str
+def test_motor_outputs_of_every_type_are_normalised(
+    tmp_path: Path, low: float, high: float, parameters: dict[str, float], expected: str
 ) -> None:
-    values, says = commands(tmp_path, {("actuator_outputs", 0): outputs(low, high)}, parameters)
+    values, description = decode_commands(
+        tmp_path, {("actuator_outputs", 0): motor_outputs(low, high)}, parameters
+    )
     assert values == set(SHARES)
-    assert said in says
+    assert expected in description
 
 
-def test_the_instance_with_the_motors_is_taken(tmp_path: Path) -> None:
-    still = ("float[8] output;", [(1e6 + 1e4 * i, [1500.0] * 8) for i in range(60)])
-    topics = {("actuator_outputs", 0): still, ("actuator_outputs", 1): outputs(1000.0, 2000.0)}
-    values, says = commands(tmp_path, topics)
+def test_the_instance_with_moving_motors_is_used(tmp_path: Path) -> None:
+    constant = ("float[8] output;", [(1e6 + 1e4 * i, [1500.0] * 8) for i in range(60)])
+    topics = {("actuator_outputs", 0): constant, ("actuator_outputs", 1): motor_outputs(1000.0, 2000.0)}
+    values, description = decode_commands(tmp_path, topics)
     assert values == set(SHARES)
-    assert "actuator_outputs[1]" in says
+    assert "actuator_outputs[1]" in description
 
 
-def test_actuator_motors_come_first_and_only_those_that_turn(tmp_path: Path) -> None:
+def test_actuator_motors_take_precedence_and_unused_motors_are_omitted(tmp_path: Path) -> None:
     nan = float("nan")
     rows = [(1e6 + 1e4 * i, [SHARES[i % 3]] * 6 + [nan] * 6) for i in range(60)]
     topics = {
         ("actuator_motors", 0): ("float[12] control;", rows),
-        ("actuator_outputs", 0): outputs(0.0, 1.0),
+        ("actuator_outputs", 0): motor_outputs(0.0, 1.0),
     }
-    values, says = commands(tmp_path, topics)
+    values, description = decode_commands(tmp_path, topics)
     assert values == set(SHARES)
-    assert says == "actuator_motors, 6 motors"
+    assert description == "actuator_motors, 6 motors"
 
 
-def test_motors_that_do_not_move_are_none(tmp_path: Path) -> None:
-    still = ("float[8] output;", [(1e6 + 1e4 * i, [900.0] * 8) for i in range(60)])
+def test_outputs_that_never_vary_are_refused(tmp_path: Path) -> None:
+    constant = ("float[8] output;", [(1e6 + 1e4 * i, [900.0] * 8) for i in range(60)])
     with pytest.raises(InputError, match="no output of its actuator_outputs varies"):
-        commands(tmp_path, {("actuator_outputs", 0): still})
+        decode_commands(tmp_path, {("actuator_outputs", 0): constant})
 
 
 @pytest.mark.parametrize(("volts", "kept"), [(0.05, 0), (float("nan"), 0), (16.2, 20)])
-def test_only_a_plausible_voltage_is_one(tmp_path: Path, volts: float, kept: int) -> None:
+def test_implausible_voltages_are_discarded(tmp_path: Path, volts: float, kept: int) -> None:
     rows = [(1e6 + 1e5 * i, [volts]) for i in range(20)]
     log = open_ulog(
         write_ulog(tmp_path / "a.ulg", {("battery_status", 0): ("float voltage_v;", rows)}), TOPICS
@@ -102,7 +106,7 @@ def test_only_a_plausible_voltage_is_one(tmp_path: Path, volts: float, kept: int
     assert bool(found.problem) == (kept == 0)
 
 
-def test_the_version_is_read(tmp_path: Path) -> None:
+def test_version_and_samples_are_read(tmp_path: Path) -> None:
     topics = {("battery_status", 0): ("float voltage_v;", [(1e6, [16.0])])}
     path = write_ulog(tmp_path / "a.ulg", topics, release=0x010B02FF)
     assert open_ulog(path, TOPICS).version == (1, 11, 2)

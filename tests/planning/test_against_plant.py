@@ -1,7 +1,7 @@
 """The flight model against the plant: fast flights of plans, predicted against flown.
 
-Planner and flight model know a point: so does the plant here. The bounds are about twice what
-`docs/results/planning_agreement.md` measured over its table.
+The plant's body is a point here, as in the planner and the flight model. The tolerances are about twice the
+differences in `docs/results/planning_agreement.md`.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 
 
 @pytest.mark.parametrize(("name", "seed"), [("dual_collision", 1), ("one_wall", 2)])
-def test_a_plan_flies_as_predicted(name: str, seed: int, tmp_path: Path) -> None:
+def test_a_flown_plan_matches_its_prediction(name: str, seed: int, tmp_path: Path) -> None:
     scenario = load_scenario(SCENARIOS / f"{name}.yaml")
-    # Two seconds between the walls let a small error of the first impact grow: 0.13 m/s at the second, seen.
+    # In two seconds between the walls a small error of the first impact grows to 0.13 m/s at the second.
     plans = search(scenario, top=10).plans
     plan = next(p for p in plans if p.collisions[-1].t_s - p.collisions[0].t_s < 1.5)
     write_mission(scenario, plan, tmp_path / "mission.yaml")
@@ -40,8 +40,8 @@ def test_a_plan_flies_as_predicted(name: str, seed: int, tmp_path: Path) -> None
     assert verdict.goal_miss_m == pytest.approx(plan.goal_miss_m, abs=0.1)
 
 
-def test_the_papers_plan(tmp_path: Path) -> None:
-    """Second impact and miss of the published optimum as the shipped mission flies it."""
+def test_the_published_plan_matches_the_flight_of_the_shipped_mission(tmp_path: Path) -> None:
+    """Compare the second impact and the goal miss."""
     mission = load_mission(SCENARIOS.parent / "paper_dual_collision.yaml", settings=POINT)
     result = search(load_scenario(SCENARIOS / "dual_collision.yaml"), top=2000)
     plan = next(

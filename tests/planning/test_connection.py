@@ -1,4 +1,4 @@
-"""Planning with the parameters of the vehicle that answers."""
+"""Scenarios with the PX4 parameters of the connected vehicle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 
 @pytest.mark.realtime
 @pytest.mark.mavlink
-def test_gains_come_from_the_vehicle(tmp_path: Path) -> None:
+def test_position_gains_are_read_from_the_vehicle(tmp_path: Path) -> None:
     from dart_flight.lab.search.scenario import with_vehicle_parameters
     from dart_flight.run.simulator_process import SimulatorProcess
     from dart_flight.sim.pipe import SimulatorSpec

@@ -1,4 +1,4 @@
-"""What a contact says of its wall: synthetic pulses with known truth, the posterior's properties, flights."""
+"""The fit of a contact: synthetic pulses with known truth, properties of the posterior, and flights."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ Row = tuple[float, float, float, float, float, float, float, float, float, bool]
 
 
 def ticks_of(rows: Sequence[Row]) -> Ticks:
-    """Rows (h, normal, along, up, push normal and along, turned, turning, torque, bound), for both modes."""
+    """Return ticks of both modes from rows (h, normal, along, up, pushes, turned, turning, torque, bound)."""
     h, normal, along, up, push, drive, turned, turning, torque = np.array([r[:9] for r in rows]).T
     both = [np.stack([read, read], axis=1) for read in (normal, along)]
     bound = np.array([r[9] for r in rows])
@@ -74,7 +74,7 @@ def pulse(
     onset: Onset = Onset.LCP,
     full_scale_n: float = math.inf,
 ) -> Contact:
-    """The contact law in steps of 0.05 ms, as an IMU's ticks."""
+    """Integrate the contact law in steps of 0.05 ms and return the IMU's ticks."""
     rng = random.Random(seed)
     x, v, w = -normal * 0.0137 + c.f / c.k * -normal, normal, along
     ticks: list[Row] = []
@@ -100,8 +100,8 @@ def pulse(
     return Contact(ticks_of(ticks), 0.0137, (normal, along), 0.0, NOISE_N, 0.1)
 
 
-def met_by_a_guard(c: Coefficients, degrees: float, seed: int = 0, along: float = 0.3) -> Contact:
-    """Two guards by the law of each, the one ahead turning the vehicle to its own side."""
+def guard_contact(c: Coefficients, degrees: float, seed: int = 0, along: float = 0.3) -> Contact:
+    """Simulate a contact of two guards; the leading guard turns the vehicle towards its own side."""
     rng, a, out = random.Random(seed), 0.13, 0.2
     lead = incidence = math.radians(degrees)
     turning = -math.copysign(1.0, lead)
@@ -130,14 +130,14 @@ def met_by_a_guard(c: Coefficients, degrees: float, seed: int = 0, along: float 
     return Contact(ticks_of(ticks), 0.0137, (-0.9, along), lead, NOISE_N, 0.1)
 
 
-def fitted(
+def fit_contact(
     contact: Contact, before: Belief, scatter: float = SCATTER, vehicle: VehicleConfig = VEHICLE
 ) -> Hypothesis:
     (found,) = ContactFit(contact, [before], vehicle, scatter).run()
     return found
 
 
-def odds_of(contact: Contact, material: str) -> float:
+def log_odds(contact: Contact, material: str) -> float:
     before = [belief_of(material, mode) for mode in Mode]
     rigid, flexible = ContactFit(contact, before, VEHICLE, SCATTER).run()
     return rigid.evidence - flexible.evidence
@@ -154,19 +154,19 @@ def test_the_true_mode_and_its_coefficients_are_found(
 ) -> None:
     true = scaled(VEHICLE.materials[material].coefficients(mode), k, f, mu)
     contact = pulse(true, -0.9, along, seed=3, push=0.5)
-    after = fitted(contact, belief_of(material, mode)).belief
+    after = fit_contact(contact, belief_of(material, mode)).belief
     assert after.k == pytest.approx(true.k, rel=0.05)
     assert abs(true.f / after.f - 1.0) < 3.0 * after.f_sd
     assert abs(true.mu / after.mu - 1.0) < 3.0 * after.mu_sd
     assert after.k_sd < 0.4 * SPREAD
-    assert odds_of(contact, material) * (1.0 if mode is Mode.RIGID else -1.0) > 6.9
+    assert log_odds(contact, material) * (1.0 if mode is Mode.RIGID else -1.0) > 6.9
 
 
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("degrees", [-10.0, -7.0, 4.0, 7.0, 10.0])
-def test_a_wall_is_found_that_one_guard_meets_first(degrees: float, mode: Mode) -> None:
+def test_incidence_is_estimated_if_one_guard_touches_first(degrees: float, mode: Mode) -> None:
     true = VEHICLE.materials["wood"].coefficients(mode)
-    found = fitted(met_by_a_guard(true, degrees, 1), belief_of("wood", mode))
+    found = fit_contact(guard_contact(true, degrees, 1), belief_of("wood", mode))
     assert found.belief.k == pytest.approx(true.k, rel=0.04)
     assert math.degrees(found.incidence_rad) == pytest.approx(degrees, abs=1.0)
     assert found.misfit < 1.5
@@ -174,10 +174,10 @@ def test_a_wall_is_found_that_one_guard_meets_first(degrees: float, mode: Mode) 
 
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("degrees", [2.0, 4.0, 7.0, 10.0])
-def test_what_is_felt_of_a_mirrored_hit_is_the_mirror_image(degrees: float, mode: Mode) -> None:
+def test_a_mirrored_contact_gives_the_mirrored_estimate(degrees: float, mode: Mode) -> None:
     true = VEHICLE.materials["wood"].coefficients(mode)
     one, other = (
-        fitted(met_by_a_guard(true, side * degrees, along=side * 0.3), belief_of("wood", mode))
+        fit_contact(guard_contact(true, side * degrees, along=side * 0.3), belief_of("wood", mode))
         for side in (1.0, -1.0)
     )
     assert other.incidence_rad == pytest.approx(-one.incidence_rad, rel=1e-3)
@@ -186,54 +186,54 @@ def test_what_is_felt_of_a_mirrored_hit_is_the_mirror_image(degrees: float, mode
     assert other.belief[:4] == pytest.approx(one.belief[:4], rel=1e-3)
 
 
-def test_a_wall_between_both_modes_is_undecided() -> None:
-    """Head-on, where friction says nothing, a soft rigid wall is as likely as a hard flexible one."""
+def test_mode_stays_undecided_for_a_wall_between_both_modes() -> None:
+    """A head-on contact has no friction, so a soft rigid wall is as likely as a hard flexible one."""
     between = Coefficients(2070.0, 11.0, 1.0, 7.0)
-    assert abs(odds_of(pulse(between, -0.8), "acrylic")) < SURE_LOG_ODDS
-    # The same stiffness with friction along the wall is told.
+    assert abs(log_odds(pulse(between, -0.8), "acrylic")) < SURE_LOG_ODDS
+    # Friction along the wall identifies the mode at the same stiffness.
     sliding = Coefficients(2070.0, 11.0, 5.0, 7.0)
-    assert odds_of(pulse(sliding, -0.8, 0.4), "acrylic") < -SURE_LOG_ODDS
+    assert log_odds(pulse(sliding, -0.8, 0.4), "acrylic") < -SURE_LOG_ODDS
 
 
 @pytest.mark.parametrize("onset", list(Onset))
-def test_both_onsets_are_fitted(onset: Onset) -> None:
+def test_stiffness_is_estimated_for_both_onset_laws(onset: Onset) -> None:
     true = scaled(VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE), 1.2)
     vehicle = msgspec.structs.replace(VEHICLE, onset=onset.value)
     contact = pulse(true, -1.0, 0.3, onset=onset)
-    found = fitted(contact, belief_of("acrylic", Mode.FLEXIBLE), vehicle=vehicle)
+    found = fit_contact(contact, belief_of("acrylic", Mode.FLEXIBLE), vehicle=vehicle)
     assert found.belief.k == pytest.approx(true.k, rel=0.05)
 
 
-def test_a_place_that_is_known_for_sure_is_kept() -> None:
-    """The centre is as far before the wall as it flies from the first tick to the first touch."""
+def test_a_certain_wall_position_is_kept() -> None:
+    """The centre's distance from the wall is its travel from the first tick to the first touch."""
     true = VEHICLE.materials["acrylic"].rigid
     contact = pulse(true, -0.9, 0.3)._replace(place_sd=1e-6)
-    assert fitted(contact, belief_of("acrylic", Mode.RIGID)).place_m == pytest.approx(
+    assert fit_contact(contact, belief_of("acrylic", Mode.RIGID)).place_m == pytest.approx(
         0.9 * contact.touched_s, abs=1e-4
     )
 
 
-def test_a_tick_stands_for_the_angle_at_its_middle() -> None:
-    """Turning to the left at 2 rad/s: 4 mrad in the middle of the first tick, 12 in that of the second."""
-    request = request_of([0.0, 0.0, 0.0], rate=-2.0)
+def test_the_angle_of_a_tick_applies_at_its_middle() -> None:
+    """A left turn at 2 rad/s gives 4 mrad at the middle of the first tick and 12 mrad at the second."""
+    request = contact_request([0.0, 0.0, 0.0], rate=-2.0)
     assert ContactFitter(VEHICLE)._ticks(request).turned == pytest.approx([0.004, 0.012, 0.020])
 
 
-def test_readings_at_full_scale_are_only_bounds() -> None:
+def test_readings_at_full_scale_count_as_lower_bounds() -> None:
     true = scaled(VEHICLE.materials["wood"].rigid, 1.2)
     whole = pulse(true, -1.0, 0.3)
     cut = pulse(true, -1.0, 0.3, full_scale_n=0.7 * float(whole.ticks.normal.max()))
     assert cut.ticks.bound.sum() >= 4
-    assert fitted(cut, belief_of("wood", Mode.RIGID)).belief.k == pytest.approx(true.k, rel=0.08)
-    taken = cut.ticks._replace(bound=np.zeros_like(cut.ticks.bound))
-    believed = fitted(cut._replace(ticks=taken), belief_of("wood", Mode.RIGID)).belief.k
-    assert abs(believed / true.k - 1.0) > 0.08
+    assert fit_contact(cut, belief_of("wood", Mode.RIGID)).belief.k == pytest.approx(true.k, rel=0.08)
+    unmarked = cut.ticks._replace(bound=np.zeros_like(cut.ticks.bound))
+    biased = fit_contact(cut._replace(ticks=unmarked), belief_of("wood", Mode.RIGID)).belief.k
+    assert abs(biased / true.k - 1.0) > 0.08
 
 
-def test_a_place_off_the_plan_is_found() -> None:
+def test_a_wall_position_off_the_plan_is_estimated() -> None:
     true = VEHICLE.materials["acrylic"].rigid
     contact = pulse(true, -1.0)
-    found = fitted(contact, belief_of("acrylic", Mode.RIGID))
+    found = fit_contact(contact, belief_of("acrylic", Mode.RIGID))
     begins_m = 0.0137 + true.f / true.k
     assert found.place_m == pytest.approx(begins_m, abs=0.003)
     assert abs(found.place_m - begins_m) < 4.0 * found.place_sd
@@ -256,14 +256,14 @@ def test_the_posterior_lies_between_prior_and_data(
 ) -> None:
     contact = pulse(scaled(VEHICLE.materials["acrylic"].coefficients(mode), k, 1.0, mu), normal, along, seed)
     before = belief_of("acrylic", mode)
-    # Nothing but k is let loose: what the data alone say of it.
-    loose = fitted(contact, before._replace(k_sd=20.0)).belief.k
-    sure = fitted(contact, before._replace(k_sd=0.02)).belief.k
-    after = fitted(contact, before).belief
+    # A very wide prior of k, and of k alone, leaves its estimate to the data.
+    loose = fit_contact(contact, before._replace(k_sd=20.0)).belief.k
+    sure = fit_contact(contact, before._replace(k_sd=0.02)).belief.k
+    after = fit_contact(contact, before).belief
     low, high = min(loose, before.k), max(loose, before.k)
     assert 0.99 * low <= after.k <= 1.01 * high
     assert 0.99 * low <= sure <= 1.01 * high
-    # The surer the belief, the nearer to it.
+    # A narrower prior draws the estimate nearer to itself.
     assert abs(sure - before.k) <= abs(after.k - before.k) + 0.01 * before.k
 
 
@@ -277,13 +277,13 @@ def test_the_posterior_lies_between_prior_and_data(
     scatter=st.floats(0.01, 0.2),
     seed=st.integers(0, 1000),
 )
-def test_readings_never_make_less_sure(
+def test_readings_never_increase_a_standard_deviation(
     mode: Mode, k: float, normal: float, along: float, sd: float, scatter: float, seed: int
 ) -> None:
-    """Absolute deviations: a coefficient that turns out smaller may be less sure relative to itself."""
+    """Compare absolute deviations: the relative one may grow if the coefficient turns out smaller."""
     contact = pulse(scaled(VEHICLE.materials["acrylic"].coefficients(mode), k), normal, along, seed)
     before = belief_of("acrylic", mode, sd)
-    after = fitted(contact, before, scatter).belief
+    after = fit_contact(contact, before, scatter).belief
     for name in ("k", "f", "mu", "nu"):
         was = getattr(before, name) * getattr(before, f"{name}_sd")
         now = getattr(after, name) * getattr(after, f"{name}_sd")
@@ -292,44 +292,44 @@ def test_readings_never_make_less_sure(
 
 @pytest.mark.parametrize("factor", [0.6, 1.0, 1.5])
 @pytest.mark.parametrize("nu", [0.8, 6.0])
-def test_the_vertical_force_tells_how_the_wall_rubs_up_or_down(nu: float, factor: float) -> None:
-    """Hit by hit, the sooner the more there is of it; what is small against its noise says little."""
+def test_the_vertical_force_identifies_the_vertical_friction(nu: float, factor: float) -> None:
+    """A larger coefficient is identified in fewer contacts; a force below the noise adds little."""
     c = VEHICLE.materials["acrylic"].rigid
     true = Coefficients(c.k, c.f, c.mu, nu * factor)
     before = belief = Belief(c.k, c.f, c.mu, nu, SPREAD, SPREAD, SPREAD, 0.5)
     for hit in range(12):
-        after = fitted(pulse(true, -1.0, 0.3, seed=hit), belief).belief
+        after = fit_contact(pulse(true, -1.0, 0.3, seed=hit), belief).belief
         assert after.nu * after.nu_sd < belief.nu * belief.nu_sd * 1.001
         belief = after
     assert belief.nu * belief.nu_sd < 0.7 * before.nu * before.nu_sd
     assert belief.nu == pytest.approx(true.nu, rel=0.35 if nu < 1.0 else 0.1)
 
 
-def test_without_a_vertical_coefficient_the_vertical_force_says_nothing() -> None:
+def test_the_vertical_force_is_ignored_if_the_vertical_coefficient_is_zero() -> None:
     c = VEHICLE.materials["acrylic"].rigid
     none = Belief(c.k, c.f, c.mu, 0.0, SPREAD, SPREAD, SPREAD, 0.5)
     contact = pulse(Coefficients(c.k, c.f, c.mu, 6.0), -1.0)
-    still = contact._replace(ticks=contact.ticks._replace(up=0.0 * contact.ticks.up))
-    assert fitted(contact, none).evidence == fitted(still, none).evidence
-    assert fitted(contact, none).belief.nu == 0.0
+    without_vertical = contact._replace(ticks=contact.ticks._replace(up=0.0 * contact.ticks.up))
+    assert fit_contact(contact, none).evidence == fit_contact(without_vertical, none).evidence
+    assert fit_contact(contact, none).belief.nu == 0.0
 
 
-def test_hits_of_one_wall_add_up_to_the_scatter_and_no_further() -> None:
+def test_repeated_contacts_reduce_the_uncertainty_to_the_scatter_of_their_mean() -> None:
     true = VEHICLE.materials["wood"].coefficients(Mode.FLEXIBLE)
     before = belief_of("wood", Mode.FLEXIBLE)
     sds = [before.k_sd]
     for hit in range(8):
         factor = 1.2 * (1.0 + SCATTER * random.Random(hit).gauss(0.0, 1.0))
-        before = fitted(pulse(scaled(true, factor), -0.8, 0.3, seed=hit), before).belief
+        before = fit_contact(pulse(scaled(true, factor), -0.8, 0.3, seed=hit), before).belief
         sds.append(before.k_sd)
     assert sds == sorted(sds, reverse=True)
     assert before.k == pytest.approx(1.2 * true.k, rel=0.05)
-    # One hit cannot tell the wall from its own scatter.
+    # One contact cannot separate the wall's coefficient from the scatter between contacts.
     assert sds[1] > 0.9 * SCATTER
     assert 0.8 * SCATTER / math.sqrt(8) < sds[-1] < 1.6 * SCATTER / math.sqrt(8)
 
 
-# --- anything that comes ----------------------------------------------------------------------------------
+# --- arbitrary readings -----------------------------------------------------------------------------------
 
 _any = st.floats(-1e6, 1e6)
 
@@ -340,11 +340,10 @@ _any = st.floats(-1e6, 1e6)
     velocity=st.tuples(_any, _any),
     gap_us=st.integers(0, 200_000),
 )
-def test_no_readings_break_it(
+def test_the_fitter_returns_finite_numbers_or_a_problem_for_any_readings(
     forces: Sequence[tuple[float, float, float, bool]], velocity: tuple[float, float], gap_us: int
 ) -> None:
-    """Whatever comes, there is an answer of finite numbers, or a problem."""
-    request = request_of([-f[0] for f in forces])
+    request = contact_request([-f[0] for f in forces])
     onset = msgspec.structs.replace(request.onset, velocity_mission=(*velocity, 0.0))
     later = [t_us + gap_us * (i > 3) for i, t_us in enumerate(request.sample_us)]
     answer = ContactFitter(VEHICLE).answer(
@@ -364,18 +363,18 @@ def test_no_readings_break_it(
         assert all(math.isfinite(v) for v in values if isinstance(v, float))
 
 
-def test_arms_put_back_are_the_inverse_of_arms_taken_out() -> None:
+def test_removing_the_arm_vibration_inverts_adding_it() -> None:
     arms = ArmVibration(18.0, 0.12, 0.08)
-    there, back, rng = ArmFilter(arms, TICK_S), ArmFilter(arms, TICK_S), random.Random(1)
+    adding, removing, rng = ArmFilter(arms, TICK_S), ArmFilter(arms, TICK_S), random.Random(1)
     for _ in range(60):
         x, y = rng.gauss(0.0, 10.0), rng.gauss(0.0, 10.0)
-        assert back.remove(*there.add(x, y), TICK_S) == pytest.approx((x, y), abs=1e-9)
+        assert removing.remove(*adding.add(x, y), TICK_S) == pytest.approx((x, y), abs=1e-9)
 
 
 # --- the mode ----------------------------------------------------------------------------------------------
 
 
-def request_of(
+def contact_request(
     normal_n: Sequence[float],
     wall: Wall | None = AT_WALL,
     reported: Mode | None = None,
@@ -383,7 +382,7 @@ def request_of(
     velocity: tuple[float, float] = (1.0, 0.0),
     along_n: Sequence[float] | None = None,
 ) -> ContactRequest:
-    """A contact met by a vehicle that flies along x, without any torque; the first samples are before it."""
+    """Return a torque-free contact of a vehicle that flies along x, with some samples from before it."""
     count = len(normal_n)
     along_n = [0.0] * count if along_n is None else along_n
     onset = ImpactOnset(
@@ -410,12 +409,12 @@ def request_of(
     )
 
 
-def judged(
+def answer_with_odds(
     monkeypatch: pytest.MonkeyPatch, odds: float, misfit: float, reported: Mode | None
 ) -> tuple[ContactFitter, WallEstimate, dict[Mode, Belief]]:
-    """What is made of two fits: fitter, estimate, and what each fit believes."""
+    """Answer a contact whose two fits are given; return the fitter, the estimate and each fit's belief."""
     after = {mode: belief_of("wood", mode)._replace(k=777.0) for mode in Mode}
-    request = request_of([0.0] * 3 + [9.0] * 5, reported=reported)
+    request = contact_request([0.0] * 3 + [9.0] * 5, reported=reported)
 
     def run(fit: ContactFit) -> list[Hypothesis]:
         theta = np.array([1.0, 1.0, 0.03, -1.0, 0.0, 1.0, 0.0])
@@ -430,24 +429,24 @@ def judged(
 
 
 @pytest.mark.parametrize(
-    ("odds", "misfit", "felt"),
+    ("odds", "misfit", "identified"),
     [
         (1.01 * SURE_LOG_ODDS, 0.5, Mode.RIGID),
         (-1.01 * SURE_LOG_ODDS, 0.5, Mode.FLEXIBLE),
         (0.99 * SURE_LOG_ODDS, 0.5, None),
         (-0.99 * SURE_LOG_ODDS, 0.5, None),
-        (1.9 * SURE_LOG_ODDS, 1.8, Mode.RIGID),  # a poor fit counts for less
+        (1.9 * SURE_LOG_ODDS, 1.8, Mode.RIGID),  # a poor fit scales the odds down
         (1.7 * SURE_LOG_ODDS, 1.8, None),
-        (50.0 * SURE_LOG_ODDS, 2.1, None),  # no such contact
+        (50.0 * SURE_LOG_ODDS, 2.1, None),  # the misfit exceeds its limit
     ],
 )
-def test_a_mode_is_felt_where_the_odds_are_sure_and_the_fit_is_one(
-    monkeypatch: pytest.MonkeyPatch, odds: float, misfit: float, felt: Mode | None
+def test_mode_is_identified_if_the_odds_are_decisive_and_the_fit_is_good(
+    monkeypatch: pytest.MonkeyPatch, odds: float, misfit: float, identified: Mode | None
 ) -> None:
     begins_us = 4000 - round((VEHICLE.imu.tick_s + VEHICLE.imu.filter_lag_s) * 1e6)
     for reported in (None, *Mode):
-        _, found, _ = judged(monkeypatch, odds, misfit, reported)
-        assert (found.mode_felt, found.mode_reported) == (felt, reported)
+        _, found, _ = answer_with_odds(monkeypatch, odds, misfit, reported)
+        assert (found.mode_felt, found.mode_reported) == (identified, reported)
         assert found.plane_offset_m == pytest.approx(0.02 + (24_000 - begins_us) * 1e-6 - 0.03)
 
 
@@ -457,14 +456,14 @@ def test_a_mode_is_felt_where_the_odds_are_sure_and_the_fit_is_one(
         (0.5 * SURE_LOG_ODDS, Mode.RIGID, Mode.RIGID),
         (0.5 * SURE_LOG_ODDS, None, Mode.RIGID),
         (-0.5 * SURE_LOG_ODDS, None, Mode.FLEXIBLE),
-        (0.5 * SURE_LOG_ODDS, Mode.FLEXIBLE, None),  # the readings speak against what the lock says
+        (0.5 * SURE_LOG_ODDS, Mode.FLEXIBLE, None),  # the readings contradict the lock
         (2.0 * SURE_LOG_ODDS, Mode.FLEXIBLE, Mode.RIGID),
     ],
 )
-def test_what_was_felt_is_kept_for_the_mode_that_is_likely(
+def test_the_fitted_coefficients_are_stored_for_the_likely_mode(
     monkeypatch: pytest.MonkeyPatch, odds: float, reported: Mode | None, kept: Mode | None
 ) -> None:
-    fitter, found, after = judged(monkeypatch, odds, 0.5, reported)
+    fitter, found, after = answer_with_odds(monkeypatch, odds, 0.5, reported)
     assert found.k_n_per_m == 777.0
     for mode in Mode:
         assert (fitter._belief(AT_WALL, mode) == after[mode]) is (mode is kept)
@@ -478,18 +477,18 @@ def test_what_was_felt_is_kept_for_the_mode_that_is_likely(
         (12, (-1.0, 0.0), "the vehicle did not fly towards the wall"),
     ],
 )
-def test_a_contact_that_says_nothing_says_why(
+def test_an_unusable_contact_is_answered_with_the_reason(
     inside: int, velocity: tuple[float, float], problem: str
 ) -> None:
-    answer = ContactFitter(VEHICLE).answer(request_of([0.0] * 3 + [9.0] * inside, velocity=velocity), 5)
+    answer = ContactFitter(VEHICLE).answer(contact_request([0.0] * 3 + [9.0] * inside, velocity=velocity), 5)
     assert (answer.body, answer.wall) == (None, None)
     assert answer.problem == f"contact not fitted: {problem}"
 
 
-def samples_of(contact: Contact, **changes: Any) -> ContactRequest:
-    """The samples of a synthetic contact, by the lag of the IMU later."""
+def request_from(contact: Contact, **changes: Any) -> ContactRequest:
+    """Return the request of a synthetic contact, with the IMU's lag in its sample times."""
     readings = contact.ticks
-    request = request_of(
+    request = contact_request(
         readings.normal[:, 0].tolist(), velocity=(1.0, 0.0), along_n=readings.along[:, 0].tolist(), **changes
     )
     onset = msgspec.structs.replace(
@@ -498,25 +497,25 @@ def samples_of(contact: Contact, **changes: Any) -> ContactRequest:
     return msgspec.structs.replace(request, onset=onset)
 
 
-def test_a_contact_without_a_plan_is_fitted_too_and_says_nothing_of_a_wall() -> None:
-    """Its direction by the force is known to 15 degrees, and no wall is believed of."""
+def test_an_unplanned_contact_is_fitted_without_a_wall_estimate() -> None:
+    """The force gives its direction to 15 degrees, and no belief of a wall is stored."""
     contact = pulse(VEHICLE.materials["acrylic"].rigid, -1.0)
     fitter = ContactFitter(VEHICLE)
-    answer = fitter.answer(samples_of(contact, wall=None), 0)
+    answer = fitter.answer(request_from(contact, wall=None), 0)
     assert answer.body is not None, answer.problem
     assert (answer.wall, answer.body.final, answer.body.side) == (None, True, ContactSide.BOTH)
     assert abs(answer.body.incidence_rad) < 3.0 * answer.body.incidence_sigma_rad
     assert fitter._beliefs == {}
-    planned = fitter.answer(samples_of(contact), 0)
+    planned = fitter.answer(request_from(contact), 0)
     assert planned.wall is not None
     assert planned.wall.wall == "w"
     assert len(fitter._beliefs) == 1
 
 
 @pytest.mark.parametrize(("planned", "degrees"), [(True, 4.0), (False, 15.0)])
-def test_the_direction_is_known_as_well_as_the_plan_says(planned: bool, degrees: float) -> None:
-    """docs/torque.md: the attitude against a planned wall is known to 4 degrees, to another one to 15."""
-    request = request_of([0.0] * 3 + [9.0] * 8)
+def test_a_planned_wall_narrows_the_prior_of_the_incidence(planned: bool, degrees: float) -> None:
+    """docs/torque.md gives a standard deviation of 4 degrees for a planned wall and 15 otherwise."""
+    request = contact_request([0.0] * 3 + [9.0] * 8)
     fit, _ = ContactFitter(VEHICLE)._fit(request if planned else msgspec.structs.replace(request, wall=None))
     assert math.degrees(fit.contact.angle_sd) == pytest.approx(degrees)
 
@@ -524,8 +523,8 @@ def test_the_direction_is_known_as_well_as_the_plan_says(planned: bool, degrees:
 # --- flights ----------------------------------------------------------------------------------------------
 
 
-def test_a_lock_that_lies_is_found_out(tmp_path: Path) -> None:
-    """The campaign's first flights whose lock lies, on seeds that the software was tuned on."""
+def test_the_true_mode_is_identified_if_the_lock_misreports(tmp_path: Path) -> None:
+    """Fly the campaign's first flights with a misreporting lock, on seeds that the software was tuned on."""
     rows = []
     for kind, seed in (("wood", "6"), ("sliding", "2")):
         rows += campaign_rows(tmp_path / kind, "felt", "--only", f"set={kind}", "--seed", seed, "--runs", "1")
@@ -533,15 +532,15 @@ def test_a_lock_that_lies_is_found_out(tmp_path: Path) -> None:
     for row in rows:
         assert row["mode_reported"] != row["true_mode"]
         assert row["mode_felt"] == row["true_mode"]
-        assert row["after_ms"] <= 150.0  # a plan that needs the answer waits so long
+        assert row["after_ms"] <= 150.0  # the longest wait of a plan for the estimate
         assert abs(row["plane_error_m"]) < 0.01
         value, sd, true = row["coefficients"]["k"]
         assert abs(true / value - 1.0) <= 2.0 * sd
 
 
 @pytest.mark.parametrize("count", [36, 37, 100, 160])
-def test_many_readings_are_merged_into_few_that_say_the_same_together(count: int) -> None:
-    """Where none is at full scale; such a one stays what it is."""
+def test_merging_many_readings_preserves_their_totals(count: int) -> None:
+    """A reading at full scale is not merged."""
     rng = random.Random(count)
     rows = [
         (rng.choice((0.002, 0.004)), *(rng.gauss(0.0, 1.0) for _ in range(8)), i == 20) for i in range(count)

@@ -1,4 +1,4 @@
-"""The approaches in pictures and on pages are those that are flown."""
+"""The approaches drawn in figures and on pages match the flown approaches."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PLACES = st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 1.5))
 
 @st.composite
 def missions(draw: st.DrawFn) -> Mission:
-    """One wall, met where the approach from start leads or somewhere else, perhaps after waypoints."""
+    """Draw a mission with one wall; impact point and waypoints are optional."""
     mode = draw(st.sampled_from(["rigid", "flexible"]))
     collision = {
         "wall": "acrylic",
@@ -59,8 +59,8 @@ def missions(draw: st.DrawFn) -> Mission:
         reject()
 
 
-def drawn_and_flown(mission: Mission) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
-    """Corners of the way to the wall: of the picture, and of the references that the executive follows."""
+def drawn_and_flown_corners(mission: Mission) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """Return the corners of the drawn path to the wall, and of the executive's reference path."""
     approach = plan_approach(mission, mission.collisions[0])
     before = mission.place_before(0)
     begin, impact = approach.begin[:2], mission.collisions[0].impact_point
@@ -71,9 +71,9 @@ def drawn_and_flown(mission: Mission) -> tuple[list[tuple[float, float]], list[t
 
 @given(missions())
 @settings(max_examples=200)
-def test_the_drawn_approach_is_the_flown_one(mission: Mission) -> None:
+def test_the_drawn_approach_matches_the_flown_approach(mission: Mission) -> None:
     try:
-        drawn, flown = drawn_and_flown(mission)
+        drawn, flown = drawn_and_flown_corners(mission)
     except NoApproachError:
         reject()
     assert len(drawn) == len(flown)

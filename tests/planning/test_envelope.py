@@ -1,4 +1,4 @@
-"""What of body and incidence `check`, planner and warnings know, from docs/results/body.md's flights."""
+"""Limits of guard height and incidence from docs/results/body.md in `check`, the planner and warnings."""
 
 import math
 
@@ -27,7 +27,7 @@ def with_second_wall_turned(angle_deg: float, mode: Mode) -> Mission:
 @pytest.mark.parametrize(
     ("angle_deg", "planned_deg"), [(0.0, 0.0), (20.0, 20.0), (-20.0, 20.0), (60.0, 30.0)]
 )
-def test_a_recovery_meets_its_wall_in_the_heading_of_the_approach_before(
+def test_incidence_after_a_recovery_uses_the_heading_of_the_previous_approach(
     angle_deg: float, planned_deg: float
 ) -> None:
     mission = with_second_wall_turned(angle_deg, Mode.RIGID)
@@ -43,7 +43,7 @@ def test_a_recovery_meets_its_wall_in_the_heading_of_the_approach_before(
         (40.0, Mode.RIGID, True),
     ],
 )
-def test_check_says_no_to_a_hit_at_more_incidence_than_its_mode_bears(
+def test_check_rejects_an_incidence_beyond_the_limit_of_the_mode(
     angle_deg: float, mode: Mode, warns: bool
 ) -> None:
     mission = with_second_wall_turned(angle_deg, mode)
@@ -53,11 +53,13 @@ def test_check_says_no_to_a_hit_at_more_incidence_than_its_mode_bears(
 
 
 @pytest.mark.parametrize(("height_m", "warns"), [(0.0, False), (-0.03, False), (-0.04, True), (0.06, True)])
-def test_guards_beside_the_centre_are_warned_of_by_the_speed_of_the_hit(height_m: float, warns: bool) -> None:
+def test_guards_above_or_below_the_centre_of_mass_are_warned_of_at_the_impact_speed(
+    height_m: float, warns: bool
+) -> None:
     settings = [f"simulation.contact.guard_height_m={height_m}"]
     mission = load_mission(
         packaged("missions", "paper_single_wall.yaml"), settings=settings
-    )  # meets it at 1 m/s
+    )  # impact at 1 m/s
     assert any("turn the vehicle over" in line for line in impact_warnings(mission)) is warns
     point = load_mission(
         packaged("missions", "paper_single_wall.yaml"), settings=[*settings, "simulation.contact.body=point"]
@@ -65,13 +67,13 @@ def test_guards_beside_the_centre_are_warned_of_by_the_speed_of_the_hit(height_m
     assert not any("turn the vehicle over" in line for line in impact_warnings(point))
 
 
-def test_faster_hits_bear_less_below_the_centre() -> None:
-    rooms = [heights_flown_m(speed) for speed in (0.3, 0.8, 1.5, 2.5, 9.0)]
-    assert [below for below, _ in rooms] == sorted((below for below, _ in rooms), reverse=True)
-    assert all(math.isfinite(above) and above > 0.0 for _, above in rooms)
+def test_the_permitted_guard_height_below_the_centre_shrinks_with_speed() -> None:
+    heights = [heights_flown_m(speed) for speed in (0.3, 0.8, 1.5, 2.5, 9.0)]
+    assert [below for below, _ in heights] == sorted((below for below, _ in heights), reverse=True)
+    assert all(math.isfinite(above) and above > 0.0 for _, above in heights)
 
 
-def test_the_planner_does_not_plan_a_recovery_into_a_wall_at_too_much_incidence() -> None:
+def test_the_planner_refuses_a_recovery_into_a_wall_at_excessive_incidence() -> None:
     scenario = load_scenario(packaged("missions", "scenarios", "dual_collision.yaml"))
     walls = scenario.walls | {"acrylic": scenario.walls["acrylic"].rotated(math.radians(25.0))}
     found = search(msgspec.structs.replace(scenario, walls=walls))

@@ -1,4 +1,4 @@
-"""The flight model against an ODE solver, and its parts against their scalar twins."""
+"""The flight model against an ODE solver, and its vectorized parts against scalar implementations."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def dual() -> Scenario:
     return load_scenario(SCENARIOS / "dual_collision.yaml")
 
 
-def test_matrix_exponential() -> None:
+def test_matrix_exponential_matches_scipy() -> None:
     rng = np.random.default_rng(1)
     matrices = rng.normal(size=(5, 6, 6)) * np.array([0.0, 1e-3, 1.0, 5.0, 20.0])[:, None, None]
     for ours, matrix in zip(expm(matrices), matrices, strict=True):
@@ -50,7 +50,7 @@ def test_state_between_grid_points_is_the_exact_solution(dual: Scenario) -> None
 
 
 @pytest.mark.parametrize("name", ["dual_collision", "any_walls"])
-def test_terminal_states_against_an_ode_solver(name: str) -> None:
+def test_terminal_states_match_an_ode_solver(name: str) -> None:
     scenario = load_scenario(SCENARIOS / f"{name}.yaml")
     stages = stages_for(scenario, [None])[0]
     flight = new_flight(scenario)
@@ -58,7 +58,7 @@ def test_terminal_states_against_an_ode_solver(name: str) -> None:
     tangential = np.array(scenario.tangential_m_s)[None, :]
     rng = np.random.default_rng(3)
     compared = 0
-    # A recovery into the board, which stands at 45 degrees to the others, is refused.
+    # A recovery into the board, at 45 degrees to the other walls, is refused.
     square = [s for s in scenario.sequences if "board" not in s]
     for sequence in square[-2:]:
         rollout = Rollout(scenario, sequence, flight, Constraints(scenario))
@@ -75,11 +75,11 @@ def test_terminal_states_against_an_ode_solver(name: str) -> None:
     assert compared >= 4
 
 
-def test_approaches_are_refused_as_the_executive_refuses_them(dual: Scenario) -> None:
+def test_rollout_and_executive_refuse_the_same_approaches(dual: Scenario) -> None:
     rollout = Rollout(dual, ("wood", "acrylic"), new_flight(dual), Constraints(dual))
     text = (SCENARIOS.parent / "paper_dual_collision.yaml").read_text()
     rng = np.random.default_rng(5)
-    seen: set[Refusal | None] = set()
+    refusals: set[Refusal | None] = set()
     for _ in range(150):
         n, t = -float(rng.uniform(0.05, 3.0)), float(rng.uniform(-2.0, 2.0))
         grid = rollout.approach(np.array(n), np.array(t))
@@ -87,11 +87,11 @@ def test_approaches_are_refused_as_the_executive_refuses_them(dual: Scenario) ->
         assert old in text
         document = Document(text.replace(old, f"normal_m_s: {n!r}, tangential_m_s: {t!r}"), "mission")
         try:
-            mission, collision = _first(document, dual)
+            mission, collision = load_first_collision(document, dual)
             approach, impact = plan_approach(mission, collision), collision.impact_point
         except (InputError, NoApproachError):
             assert grid.codes != 0
-            seen.add(REFUSALS[int(grid.codes) - 1])
+            refusals.add(REFUSALS[int(grid.codes) - 1])
             continue
         wall = dual.walls["wood"]
         assert impact is not None
@@ -101,16 +101,16 @@ def test_approaches_are_refused_as_the_executive_refuses_them(dual: Scenario) ->
         assert grid.codes == 0
         assert (float(grid.begin_x), float(grid.begin_y)) == pytest.approx(approach.begin[:2])
         assert float(grid.impact_s) == pytest.approx(approach.duration_s)
-        seen.add(None)
-    assert {None, Refusal.BEYOND_WALL, Refusal.RUN_UP_BLOCKED} <= seen
+        refusals.add(None)
+    assert {None, Refusal.BEYOND_WALL, Refusal.RUN_UP_BLOCKED} <= refusals
 
 
-def _first(document: Document, dual: Scenario) -> tuple[Mission, Collision]:
+def load_first_collision(document: Document, dual: Scenario) -> tuple[Mission, Collision]:
     mission = parse_mission(document, dual.vehicle)
     return mission, mission.collisions[0]
 
 
-def test_braking_way_is_the_executives(dual: Scenario) -> None:
+def test_the_braking_distance_matches_the_executives(dual: Scenario) -> None:
     constraints = Constraints(dual)
     wall = dual.walls["acrylic"]
     for distance in (0.1, 0.4, 0.9):

@@ -1,4 +1,4 @@
-"""The planner in flight: ways that begin where the vehicle will be and end as the mission has planned."""
+"""The replanner: trajectories from the predicted state of the vehicle to the planned impact or goal."""
 
 import itertools
 import math
@@ -35,13 +35,13 @@ TO_GOAL = msgspec.structs.replace(
 )  # fmt: skip
 
 
-def way_of(answer: PlanAnswer) -> Trajectory:
+def trajectory_of(answer: PlanAnswer) -> Trajectory:
     return Trajectory.from_plan(answer, MISSION.altitude_m)
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(0.4, 1.3), st.floats(-1.08, -0.8), st.floats(-0.2, 0.6), st.floats(0.1, 0.6))
-def test_a_way_to_the_wall_meets_it_as_planned_once_the_lock_is_ready(
+def test_a_replanned_trajectory_hits_the_wall_as_planned_after_the_lock_is_ready(
     x: float, y: float, vx: float, vy: float
 ) -> None:
     request = msgspec.structs.replace(TO_WALL, position_mission=(x, y, 1.0), velocity_mission=(vx, vy, 0.0))
@@ -49,52 +49,54 @@ def test_a_way_to_the_wall_meets_it_as_planned_once_the_lock_is_ready(
     assert answer == REPLANNER.answer(request, 0)
     assert answer.problem == ""
     assert answer.impact_s is not None
-    way, planned = way_of(answer), predict_mission(MISSION).hits[2]
-    met = way.at(answer.impact_s)
-    assert ACRYLIC.signed_distance(met.position) == pytest.approx(0.0, abs=1e-6)
-    assert ACRYLIC.spans(met.position)
-    normal, tangential, _ = ACRYLIC.to_collision(met.velocity)
+    trajectory, planned = trajectory_of(answer), predict_mission(MISSION).hits[2]
+    impact = trajectory.at(answer.impact_s)
+    assert ACRYLIC.signed_distance(impact.position) == pytest.approx(0.0, abs=1e-6)
+    assert ACRYLIC.spans(impact.position)
+    normal, tangential, _ = ACRYLIC.to_collision(impact.velocity)
     assert (normal, tangential) == pytest.approx((answer.normal_m_s, answer.tangential_m_s))
     assert normal >= planned.normal_m_s - 1e-9
     assert request.lock_ready_us is not None
     assert answer.impact_s * 1e6 >= request.lock_ready_us - request.begin_us
-    # It begins near where the vehicle will be: 0.1 s ahead under the setpoint in force.
-    begin = way.at(0.0).position
+    # The plan begins 0.1 s ahead, close to the state predicted under the current setpoint.
+    begin = trajectory.at(0.0).position
     assert math.dist(begin[:2], (x + 0.1 * vx, y + 0.1 * vy)) < 0.05
-    _assert_flyable(way)
+    _assert_flyable(trajectory)
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(0.2, 1.55), st.floats(-1.0, 0.5), st.floats(-1.0, 0.3), st.floats(-0.4, 0.4))
-def test_a_way_to_the_goal_ends_there_at_rest(x: float, y: float, vx: float, vy: float) -> None:
+def test_a_replanned_trajectory_to_the_goal_ends_there_at_rest(
+    x: float, y: float, vx: float, vy: float
+) -> None:
     request = msgspec.structs.replace(TO_GOAL, position_mission=(x, y, 1.0), velocity_mission=(vx, vy, 0.0))
     answer = REPLANNER.answer(request, 0)
     assert answer.problem == ""
-    way = way_of(answer)
-    end = way.at(answer.duration_s + 1.0)
+    trajectory = trajectory_of(answer)
+    end = trajectory.at(answer.duration_s + 1.0)
     assert end.position[:2] == pytest.approx(MISSION.goal.position_m, abs=1e-6)
     assert math.hypot(*end.velocity[:2]) < 1e-6
     assert answer.impact_s is None
-    _assert_flyable(way)
+    _assert_flyable(trajectory)
 
 
-def _assert_flyable(way: Trajectory) -> None:
+def _assert_flyable(trajectory: Trajectory) -> None:
     limit = GRAVITY_M_S2 * math.tan(math.radians(MISSION.vehicle.px4.mpc_tiltmax_air))
-    for t in np.linspace(0.0, way.duration_s, 50):
-        at = way.at(float(t))
+    for t in np.linspace(0.0, trajectory.duration_s, 50):
+        at = trajectory.at(float(t))
         assert math.hypot(*at.acceleration[:2]) < 0.7 * limit
         assert math.hypot(*at.velocity[:2]) <= MISSION.limits.speed_m_s + 1e-6
         assert MISSION.bounds.excess2(at.position) < 1e-3
 
 
 @pytest.mark.parametrize(("most_m_s2", "most_m_s3"), [(2.0, 8.0), (3.0, 4.0)])
-def test_what_is_planned_anew_keeps_to_the_mission_s_limits(most_m_s2: float, most_m_s3: float) -> None:
+def test_a_replanned_trajectory_respects_the_missions_limits(most_m_s2: float, most_m_s3: float) -> None:
     limits = msgspec.structs.replace(MISSION.limits, acceleration_m_s2=most_m_s2, jerk_m_s3=most_m_s3)
     bound = Replanner(msgspec.structs.replace(MISSION, limits=limits))
     request = msgspec.structs.replace(
         TO_GOAL, position_mission=(0.3, -0.6, 1.0), velocity_mission=(0.2, 0.0, 0.0)
     )
-    unbound, answer = (way_of(one.answer(request, 0)) for one in (REPLANNER, bound))
+    unbound, answer = (trajectory_of(one.answer(request, 0)) for one in (REPLANNER, bound))
     states = [answer.at(float(t)) for t in np.linspace(0.0, answer.duration_s, 100)]
     assert max(math.hypot(*at.acceleration[:2]) for at in states) <= most_m_s2 + 1e-2
     changes = (math.dist(a.acceleration, b.acceleration) for a, b in itertools.pairwise(states))
@@ -102,8 +104,8 @@ def test_what_is_planned_anew_keeps_to_the_mission_s_limits(most_m_s2: float, mo
     assert unbound.duration_s < answer.duration_s
 
 
-def test_leading_back_to_the_mission_s_trajectory_stays_near_its_limits_where_it_can() -> None:
-    """Quicker is possible with all that the vehicle can, and not chosen: the plan keeps to limits, too."""
+def test_rejoining_the_missions_trajectory_stays_near_its_limits_if_possible() -> None:
+    """The vehicle's full performance would allow a faster trajectory."""
     hairpin = load_mission(packaged("missions", "hairpin.yaml"))
     leg = hairpin.goal_trajectory
     assert leg is not None
@@ -114,44 +116,47 @@ def test_leading_back_to_the_mission_s_trajectory_stays_near_its_limits_where_it
         velocity_mission=(1.2 * vx, 1.2 * vy, 0.0), acceleration_mission=planned.acceleration,
     )  # fmt: skip
     unlimited = msgspec.structs.replace(hairpin.limits, motion=None, acceleration_m_s2=None, jerk_m_s3=None)
-    bound, able = (
-        way_of(Replanner(mission).answer(request, 0))
+    bound, unlimited_plan = (
+        trajectory_of(Replanner(mission).answer(request, 0))
         for mission in (hairpin, msgspec.structs.replace(hairpin, limits=unlimited))
     )
     pushes = [
-        max(math.hypot(*way.at(float(t)).acceleration[:2]) for t in np.linspace(0.0, way.duration_s, 200))
-        for way in (bound, able)
+        max(
+            math.hypot(*trajectory.at(float(t)).acceleration[:2])
+            for t in np.linspace(0.0, trajectory.duration_s, 200)
+        )
+        for trajectory in (bound, unlimited_plan)
     ]
     assert pushes[0] < 0.9 * pushes[1]
     assert pushes[0] <= 1.25 * 3.0 * 1.02
-    assert able.duration_s < bound.duration_s
+    assert unlimited_plan.duration_s < bound.duration_s
 
 
-def test_without_a_lock_or_a_way_it_says_why() -> None:
+def test_a_lock_fault_or_a_missing_trajectory_is_reported_as_the_problem() -> None:
     no_lock = REPLANNER.answer(msgspec.structs.replace(TO_WALL, lock_ready_us=None), 0)
     assert no_lock.problem == "lock fault"
     behind = REPLANNER.answer(msgspec.structs.replace(TO_WALL, position_mission=(3.0, 0.0, 1.0)), 0)
     assert "no trajectory to wall acrylic" in behind.problem
 
 
-def test_what_the_mission_says_of_an_impact_comes_before_the_model() -> None:
-    wanted = CollisionPrediction(2.0, ACRYLIC.point, -0.9, 0.1, 40.0, 0.05)
+def test_the_missions_predicted_impact_takes_precedence_over_the_model() -> None:
+    predicted_impact = CollisionPrediction(2.0, ACRYLIC.point, -0.9, 0.1, 40.0, 0.05)
     hit, following = MISSION.collisions
-    told = msgspec.structs.replace(
-        MISSION, collisions=(hit, msgspec.structs.replace(following, predicted=wanted))
+    mission = msgspec.structs.replace(
+        MISSION, collisions=(hit, msgspec.structs.replace(following, predicted=predicted_impact))
     )
-    answer = Replanner(told).answer(TO_WALL, 0)
+    answer = Replanner(mission).answer(TO_WALL, 0)
     assert answer.problem == ""
     assert (answer.normal_m_s, answer.tangential_m_s) == pytest.approx((-0.9, 0.1))
 
 
-def test_where_neither_says_how_fast_there_is_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_plan_is_made_without_a_planned_impact_velocity(monkeypatch: pytest.MonkeyPatch) -> None:
     replanner = Replanner(MISSION)
     monkeypatch.setattr(replanner, "_planned", {})
     assert replanner.answer(TO_WALL, 0).problem == "no velocity is planned for wall acrylic"
 
 
-def test_a_lock_that_needs_long_lengthens_the_way() -> None:
+def test_a_slow_lock_delays_the_impact() -> None:
     quick = REPLANNER.answer(TO_WALL, 0)
     slow = REPLANNER.answer(msgspec.structs.replace(TO_WALL, lock_ready_us=2_000_000), 0)
     assert quick.impact_s is not None
@@ -159,13 +164,13 @@ def test_a_lock_that_needs_long_lengthens_the_way() -> None:
     assert slow.impact_s >= 1.9 > quick.impact_s
 
 
-def test_a_hit_over_the_mission_s_force_is_refused() -> None:
+def test_an_impact_over_the_missions_peak_force_is_refused() -> None:
     weak = msgspec.structs.replace(MISSION, limits=msgspec.structs.replace(MISSION.limits, peak_force_n=50.0))
     answer = Replanner(weak).answer(TO_WALL, 0)
     assert "peak_force" in answer.problem
 
 
-def test_a_fault_of_the_planner_is_a_problem_and_no_exception(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exception_in_the_planner_is_reported_as_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise ZeroDivisionError("by hand")
 
@@ -175,28 +180,28 @@ def test_a_fault_of_the_planner_is_a_problem_and_no_exception(monkeypatch: pytes
     assert answer.number == TO_GOAL.number
 
 
-def felt(reported: Mode | None, found: Mode | None, stiffer: float) -> WallEstimate:
+def wall_estimate(reported: Mode | None, identified: Mode | None, stiffer: float) -> WallEstimate:
     c = MISSION.vehicle.materials["acrylic"].coefficients(Mode.RIGID)
     own, spread, plane = (stiffer * c.k, c.f, c.mu, c.nu), (0.1, 0.1, 0.1, 0.1), (0.0, 0.1, 0.0, 0.1)
-    return WallEstimate(1, 0, "acrylic", reported, found, 0.0, *own, *spread, *plane)
+    return WallEstimate(1, 0, "acrylic", reported, identified, 0.0, *own, *spread, *plane)
 
 
 @pytest.mark.parametrize(
-    ("reported", "found", "ratio"),
+    ("reported", "identified", "ratio"),
     [
-        (Mode.RIGID, None, 2.0),  # undecided: what the lock says
+        (Mode.RIGID, None, 2.0),  # undecided, so the lock's report counts
         (None, Mode.RIGID, 2.0),
-        (Mode.RIGID, Mode.FLEXIBLE, 1.0),  # of the other mode: this one stays as it was
+        (Mode.RIGID, Mode.FLEXIBLE, 1.0),  # the estimate is for the other mode
         (None, None, 1.0),
     ],
 )
-def test_what_was_felt_counts_for_the_mode_that_it_was_felt_in(
-    reported: Mode | None, found: Mode | None, ratio: float
+def test_a_wall_estimate_updates_only_the_mode_of_its_contact(
+    reported: Mode | None, identified: Mode | None, ratio: float
 ) -> None:
-    """The peak goes about with the square root of the stiffness."""
+    """The peak force is about proportional to the square root of the stiffness."""
     before = REPLANNER.answer(TO_WALL, 0)
     replanner = Replanner(MISSION)
-    replanner.update_wall(felt(reported, found, 2.0))
+    replanner.update_wall(wall_estimate(reported, identified, 2.0))
     after = replanner.answer(TO_WALL, 0)
     assert before.peak_force_n is not None
     assert after.peak_force_n is not None
@@ -205,19 +210,19 @@ def test_what_was_felt_counts_for_the_mode_that_it_was_felt_in(
     assert force / speed == pytest.approx(math.sqrt(ratio), rel=0.08)
 
 
-def test_a_wall_that_was_felt_stays_where_it_is_when_the_frame_is_put_right() -> None:
-    """The frame's origin goes 6 cm along the wall's normal: the wall comes as much nearer."""
+def test_a_measured_wall_stays_in_place_when_the_frame_is_corrected() -> None:
+    """Moving the frame's origin 6 cm along the wall's normal brings the wall 6 cm closer."""
     replanner, (nx, ny) = Replanner(MISSION), ACRYLIC.normal
-    replanner.update_wall(felt(Mode.RIGID, None, 1.0))
+    replanner.update_wall(wall_estimate(Mode.RIGID, None, 1.0))
     replanner.move_frame(FrameAnchor(2, "acrylic", (0.06 * nx, 0.06 * ny), 0.1, 0.02, None, (nx, ny), 2, 0))
     answer = replanner.answer(TO_WALL, 0)
     assert answer.impact_s is not None
-    met = way_of(answer).at(answer.impact_s).position
-    assert ACRYLIC.signed_distance(met) == pytest.approx(-0.06, abs=1e-6)
+    impact = trajectory_of(answer).at(answer.impact_s).position
+    assert ACRYLIC.signed_distance(impact) == pytest.approx(-0.06, abs=1e-6)
 
 
-def test_where_the_frame_drifts_it_flies_straight_for_longer_the_older_the_contact_is() -> None:
-    """3 standard deviations of the place, of which each second adds `estimation.position_drift_m_s`."""
+def test_the_straight_segment_grows_with_the_age_of_the_contact_in_a_drifting_frame() -> None:
+    """Its length is 3 standard deviations of the position, which grow by `estimation.position_drift_m_s`."""
     mission = MISSION.replace({"frame.anchored_by": "touch"})
     drift_m_s, straights = mission.vehicle.estimation.position_drift_m_s, []
     for age_s in (0.5, 3.0):
@@ -236,8 +241,8 @@ def test_where_the_frame_drifts_it_flies_straight_for_longer_the_older_the_conta
 
 
 @pytest.mark.parametrize(("behind_m", "problem"), [(0.14, ""), (0.16, "no trajectory to the goal")])
-def test_a_way_may_begin_where_the_arms_are_still_pressed_in(behind_m: float, problem: str) -> None:
-    """Up to 15 cm behind the plane; from further behind it would lead through the wall."""
+def test_a_trajectory_may_begin_while_the_arms_are_compressed(behind_m: float, problem: str) -> None:
+    """More than 15 cm behind the plane, the trajectory would lead through the wall."""
     (x, y), (nx, ny) = ACRYLIC.foot((1.6, -0.7)), ACRYLIC.normal
     pressed = msgspec.structs.replace(
         TO_GOAL, begin_us=TO_GOAL.t_us, position_mission=(x - behind_m * nx, y - behind_m * ny, 1.0)
@@ -246,13 +251,13 @@ def test_a_way_may_begin_where_the_arms_are_still_pressed_in(behind_m: float, pr
     assert bool(REPLANNER.answer(pressed, 0).problem) is bool(problem)
 
 
-def test_before_a_wall_whose_place_is_not_sure_it_flies_straight_for_longer_where_there_is_room() -> None:
+def test_an_uncertain_wall_lengthens_the_straight_segment_if_space_permits() -> None:
     assert _straights(0.0) == [(0.3, 0.0), (0.1, 0.0)]
     assert _straights(0.05) == [(0.3, 1.0), (0.1, 1.0), (0.1, 0.0)]
 
 
 @pytest.mark.parametrize("most_n", [150.0, 12.0])
-def test_a_hit_that_is_flown_to_from_rest_is_as_fast_as_it_may_be(most_n: float) -> None:
+def test_an_impact_after_a_start_from_rest_uses_the_highest_permitted_speed(most_n: float) -> None:
     limits = msgspec.structs.replace(MISSION.limits, peak_force_n=most_n)
     request = msgspec.structs.replace(TO_WALL, collision=1)
     answer = Replanner(msgspec.structs.replace(MISSION, limits=limits)).answer(request, 0)
@@ -263,12 +268,12 @@ def test_a_hit_that_is_flown_to_from_rest_is_as_fast_as_it_may_be(most_n: float)
     assert planned - 1e-9 <= answer.normal_m_s < 0.0
 
 
-def test_a_plan_begins_where_the_loop_will_have_flown_to() -> None:
-    """Under the setpoint in force; a tenth of a second is about a tenth of the velocity."""
+def test_a_plan_begins_at_the_state_predicted_by_the_position_loop() -> None:
+    """In 0.1 s under the current setpoint the vehicle moves by about a tenth of its velocity."""
     begins = []
     for ahead_us in (0, 100_000, 200_000):
         request = msgspec.structs.replace(TO_WALL, begin_us=TO_WALL.t_us + ahead_us, lock_ready_us=600_000)
-        begins.append(way_of(REPLANNER.answer(request, 0)).at(0.0).position)
+        begins.append(trajectory_of(REPLANNER.answer(request, 0)).at(0.0).position)
     assert begins[0][:2] == pytest.approx(TO_WALL.position_mission[:2], abs=1e-6)
     for axis in (0, 1):
         first, second = (begins[i + 1][axis] - begins[i][axis] for i in (0, 1))
@@ -281,16 +286,16 @@ def test_a_plan_begins_where_the_loop_will_have_flown_to() -> None:
 FLIGHT = Path(__file__).parents[1] / "data" / "flights" / "fast.mcap"
 
 
-def numbers(answer: PlanAnswer) -> list[float]:
+def plan_numbers(answer: PlanAnswer) -> list[float]:
     hit = (answer.impact_s, answer.normal_m_s, answer.tangential_m_s, answer.peak_force_n)
-    way = (answer.duration_s, *answer.pieces_s, *answer.x_mission, *answer.y_mission)
-    return [*way, *(number or 0.0 for number in hit)]
+    pieces = (answer.duration_s, *answer.pieces_s, *answer.x_mission, *answer.y_mission)
+    return [*pieces, *(number or 0.0 for number in hit)]
 
 
-def test_what_a_recorded_flight_asked_is_answered_again_as_it_was() -> None:
-    """Ways back to the mission's trajectories after three hits, and one time none.
+def test_the_requests_of_a_recorded_flight_give_the_recorded_answers() -> None:
+    """The flight rejoins the mission's trajectory after three contacts and finds none after another.
 
-    By a mission that has come as text, as it comes to the planner in flight.
+    The mission is decoded from the log's text, as the planner in flight decodes it.
     """
     log = read_log(FLIGHT)
     replanner = Replanner(flown_mission(log.about, log.source))
@@ -301,31 +306,33 @@ def test_what_a_recorded_flight_asked_is_answered_again_as_it_was() -> None:
         elif isinstance(record, PlanRequest):
             answers[record.number] = replanner.answer(record, 0)
         elif isinstance(record, PlanAnswer):
-            found = answers.pop(record.number)
-            assert (found.problem, found.collision) == (record.problem, record.collision)
-            assert numbers(found) == pytest.approx(numbers(record), rel=1e-5, abs=1e-5)
+            replayed = answers.pop(record.number)
+            assert (replayed.problem, replayed.collision) == (record.problem, record.collision)
+            assert plan_numbers(replayed) == pytest.approx(plan_numbers(record), rel=1e-5, abs=1e-5)
     assert answers == {}
 
 
 @pytest.mark.parametrize(("height_m", "lean"), [(0.02, 0.1), (-0.02, -0.1), (0.5, 0.3), (-0.5, -0.3)])
-def test_who_is_pushed_above_the_centre_of_mass_leans_into_the_wall(height_m: float, lean: float) -> None:
-    """By what brings the guards level with it, to a limit: acceleration into the wall at the impact."""
+def test_a_contact_above_the_centre_of_mass_plans_a_lean_into_the_wall(height_m: float, lean: float) -> None:
+    """The tilt brings the guards level with the centre of mass, up to a limit."""
     log = read_log(FLIGHT)
     mission = flown_mission(log.about, log.source)
     replanner, wall = Replanner(mission), mission.collisions[1].wall
     request = next(e.record for e in log.entries if isinstance(e.record, PlanRequest))
     pushes = []
     for height in (0.0, height_m):
-        way = way_of(replanner.answer(msgspec.structs.replace(request, contact_height_m=height), 0))
-        push, _, _ = wall.to_collision(way.at(way.duration_s).acceleration)
+        trajectory = trajectory_of(
+            replanner.answer(msgspec.structs.replace(request, contact_height_m=height), 0)
+        )
+        push, _, _ = wall.to_collision(trajectory.at(trajectory.duration_s).acceleration)
         pushes.append(push)
     assert pushes[0] - pushes[1] == pytest.approx(lean * GRAVITY_M_S2, abs=0.4)
 
 
-def test_a_lean_into_the_wall_does_not_come_so_late_that_it_is_not_there() -> None:
-    """The attitude lags: of 24 m/s3, as the quickest of the last has it, 1.5 m/s2 would be missing."""
+def test_a_lean_into_the_wall_begins_early_enough_for_the_attitude_to_follow() -> None:
+    """The fastest trajectory has a final jerk of 24 m/s3, of which the attitude lag would lose 1.5 m/s2."""
     log = read_log(FLIGHT)
-    mission, led = flown_mission(log.about, log.source), 0
+    mission, checked = flown_mission(log.about, log.source), 0
     replanner = Replanner(mission)
     for request in (e.record for e in log.entries if isinstance(e.record, PlanRequest)):
         if request.collision is None:
@@ -333,25 +340,26 @@ def test_a_lean_into_the_wall_does_not_come_so_late_that_it_is_not_there() -> No
         answer = replanner.answer(msgspec.structs.replace(request, contact_height_m=0.03), 0)
         if answer.problem:
             continue
-        way, wall = way_of(answer), mission.collisions[request.collision - 1].wall
-        if way.duration_s < 1.0:  # no time is left for an earlier lean
+        trajectory, wall = trajectory_of(answer), mission.collisions[request.collision - 1].wall
+        if trajectory.duration_s < 1.0:  # too short for an earlier lean
             continue
         jerks = [
-            wall.to_collision(way.at(share * way.duration_s).jerk)[0] for share in np.linspace(0.92, 1.0, 9)
+            wall.to_collision(trajectory.at(share * trajectory.duration_s).jerk)[0]
+            for share in np.linspace(0.92, 1.0, 9)
         ]
         assert min(jerks) > -8.5
-        led += 1
-    assert led == 4
+        checked += 1
+    assert checked == 4
 
 
 @pytest.mark.parametrize(
     ("mode", "dead_s", "thrust_m_s2"),
     [(Mode.FLEXIBLE, None, 0.2), (Mode.RIGID, None, 0.1), (Mode.RIGID, 0.05, 0.0)],
 )
-def test_rigid_arms_meet_a_wall_without_the_lean_off_it_that_was_planned(
+def test_rigid_arms_reduce_the_planned_lean_away_from_the_wall(
     mode: Mode, dead_s: float | None, thrust_m_s2: float
 ) -> None:
-    """Half of it, where the attitude lags behind the trajectory; the recorded plan ends with 0.2 m/s2."""
+    """An attitude that lags behind the trajectory halves it; the recorded plan ends with 0.2 m/s2."""
     log = read_log(FLIGHT)
     mission = flown_mission(log.about, log.source)
     collisions = tuple(msgspec.structs.replace(c, mode=mode) for c in mission.collisions)
@@ -360,35 +368,44 @@ def test_rigid_arms_meet_a_wall_without_the_lean_off_it_that_was_planned(
     vehicle = msgspec.structs.replace(mission.vehicle, flying=flying)
     changed = msgspec.structs.replace(mission, collisions=collisions, limits=limits, vehicle=vehicle)
     request = next(e.record for e in log.entries if isinstance(e.record, PlanRequest))
-    way = way_of(Replanner(changed).answer(msgspec.structs.replace(request, contact_height_m=0.0), 0))
-    end, wall = way.at(way.duration_s), mission.collisions[1].wall
+    trajectory = trajectory_of(
+        Replanner(changed).answer(msgspec.structs.replace(request, contact_height_m=0.0), 0)
+    )
+    end, wall = trajectory.at(trajectory.duration_s), mission.collisions[1].wall
     (push, _, _), (speed, _, _) = wall.to_collision(end.acceleration), wall.to_collision(end.velocity)
     thrust = push + mission.vehicle.airframe.drag_per_s[0] * speed
     assert thrust == pytest.approx(thrust_m_s2, abs=0.01)
 
 
 @pytest.mark.parametrize("dead_s", [None, 0.05])
-def test_it_ends_as_planned_where_the_attitude_follows_to_the_end(dead_s: float | None) -> None:
-    """Before a wall, 0.2 s of the mission's own jerk; else what leads back to it lasts until the wall."""
+def test_a_trajectory_ends_with_the_planned_jerk_if_the_attitude_delay_is_known(dead_s: float | None) -> None:
+    """The last 0.2 s before the wall have the mission's jerk; otherwise rejoining lasts until the wall."""
     log = read_log(FLIGHT)
     mission = flown_mission(log.about, log.source)
     flying = msgspec.structs.replace(mission.vehicle.flying, attitude_delay_s=dead_s)
     vehicle = msgspec.structs.replace(mission.vehicle, flying=flying)
     request = next(e.record for e in log.entries if isinstance(e.record, PlanRequest))
-    way = way_of(Replanner(msgspec.structs.replace(mission, vehicle=vehicle)).answer(request, 0))
+    trajectory = trajectory_of(
+        Replanner(msgspec.structs.replace(mission, vehicle=vehicle)).answer(request, 0)
+    )
     written = mission.collisions[1].trajectory
     assert written is not None
     planned = Trajectory.from_mission(written, mission.altitude_m)
     off = [
-        math.dist(way.at(way.duration_s - s).jerk, planned.at(planned.duration_s - s).jerk)
+        math.dist(trajectory.at(trajectory.duration_s - s).jerk, planned.at(planned.duration_s - s).jerk)
         for s in (0.02, 0.1, 0.18)
     ]
     assert (max(off) < 1e-6) == (dead_s is not None)
-    assert math.dist(way.at(way.duration_s - 0.25).jerk, planned.at(planned.duration_s - 0.25).jerk) > 0.1
+    assert (
+        math.dist(
+            trajectory.at(trajectory.duration_s - 0.25).jerk, planned.at(planned.duration_s - 0.25).jerk
+        )
+        > 0.1
+    )
 
 
-def test_a_trajectory_under_way_is_not_given_up_for_a_slower_hit() -> None:
-    """Half a second before the wall the planned speed can no longer be had: what is flown goes on."""
+def test_a_trajectory_in_progress_is_not_replaced_by_a_slower_impact() -> None:
+    """Half a second before the wall the planned speed is out of reach, so the trajectory continues."""
     shuttle = load_mission(packaged("missions", "shuttle.yaml"))
     late = PlanRequest(
         0, 1, 100_000, 5, (0.3, 0.011, 1.11), (2.2, -0.008, -0.244), (1.07, -0.02, 0.0),
@@ -403,8 +420,8 @@ def test_a_trajectory_under_way_is_not_given_up_for_a_slower_hit() -> None:
     assert replanner.answer(early, 0).normal_m_s == pytest.approx(-2.81, abs=0.01)
 
 
-def test_a_mission_that_was_read_from_a_line_has_the_same_ways() -> None:
-    """The planner of real time is a process: there walls of hits and of the room are equal, not the same."""
+def test_a_mission_decoded_from_json_gives_the_same_plan() -> None:
+    """The planner process decodes its mission, whose collisions have equal but not identical walls."""
     shuttle = load_mission(packaged("missions", "shuttle.yaml"))
     request = PlanRequest(
         0, 1, 100_000, 4, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
@@ -416,8 +433,8 @@ def test_a_mission_that_was_read_from_a_line_has_the_same_ways() -> None:
     assert answer.normal_m_s == pytest.approx(-2.81, abs=0.05)
 
 
-def test_a_trajectory_is_slowed_down_until_its_lock_is_ready() -> None:
-    """0.05 s before the hit, and then no longer than the ways that are looked at lie apart."""
+def test_a_trajectory_is_slowed_down_until_the_lock_is_ready() -> None:
+    """The lock needs 0.05 s before the impact; the spacing of the candidates may add a little."""
     request = PlanRequest(
         0, 1, 100_000, 4, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
         (-0.53, -0.01, 1.0), 2_000_000,
@@ -428,12 +445,12 @@ def test_a_trajectory_is_slowed_down_until_its_lock_is_ready() -> None:
     assert 1.95 <= answer.impact_s < 2.05
 
 
-def test_a_plan_for_a_vehicle_that_coasts_begins_with_it_righting_itself() -> None:
-    """As a first-order lag does that is asked for nothing: half of its push is gone in 0.1 s."""
+def test_a_plan_for_a_coasting_vehicle_begins_with_the_decay_of_its_tilt() -> None:
+    """Without a command, a first-order lag halves the acceleration in 0.1 s."""
     request = msgspec.structs.replace(
         TO_WALL, acceleration_mission=(2.0, -1.0, 0.0), lock_ready_us=900_000, coasts=True
     )
-    begin = way_of(REPLANNER.answer(request, 0)).at(0.0)
+    begin = trajectory_of(REPLANNER.answer(request, 0)).at(0.0)
     t = np.linspace(0.0, 0.1, 2001)
     for axis, push in enumerate((2.0, -1.0)):
         a = push * np.exp(-t / ATTITUDE_LAG_S)
@@ -455,7 +472,7 @@ def test_a_plan_for_a_vehicle_that_coasts_begins_with_it_righting_itself() -> No
 )
 @example(place=(1.375, 0.0), velocity=(-1.0, 0.0), share=0.5, beside_m=0.0)  # between two samples
 def test_no_trajectory_leads_into_a_post(place: Vec2, velocity: Vec2, share: float, beside_m: float) -> None:
-    """Between vehicle and goal: where the quickest would meet it, another is flown, or none."""
+    """If the fastest trajectory would hit the post, the planner chooses another or none."""
     goal, radius_m = MISSION.goal.position_m, 0.05
     reach_m = radius_m + math.hypot(
         MISSION.vehicle.airframe.contact_distance_m, MISSION.vehicle.airframe.guard_along_m
@@ -473,8 +490,8 @@ def test_no_trajectory_leads_into_a_post(place: Vec2, velocity: Vec2, share: flo
     assert not unaware.problem
 
     def nearest_m(answer: PlanAnswer) -> float:
-        way, times = way_of(answer), np.linspace(0.0, answer.duration_s, 200)
-        return min(distance2(way.at(float(t)).position[:2], centre) for t in times)
+        trajectory, times = trajectory_of(answer), np.linspace(0.0, answer.duration_s, 200)
+        return min(distance2(trajectory.at(float(t)).position[:2], centre) for t in times)
 
     if nearest_m(unaware) > reach_m + 0.02:
         assert aware == unaware
@@ -487,12 +504,12 @@ def test_no_trajectory_leads_into_a_post(place: Vec2, velocity: Vec2, share: flo
 
 @pytest.mark.parametrize("turned_rad", [0.0, 0.4, -0.9])
 @pytest.mark.parametrize("straight_s", [0.1, 0.3])
-def test_straight_on_from_where_they_end_all_meet_the_wall(turned_rad: float, straight_s: float) -> None:
+def test_all_candidate_ends_lead_straight_to_the_wall(turned_rad: float, straight_s: float) -> None:
     wall = ACRYLIC.rotated(turned_rad)
     collision = msgspec.structs.replace(MISSION.collisions[1], wall=wall)
     ends = REPLANNER._to_wall(TO_WALL, collision, (-1.0, 0.3), straight_s)
     assert ends.x.size > 0
     for x, y, vx, vy in zip(ends.x, ends.y, ends.vx, ends.vy, strict=True):
-        met = (float(x + straight_s * vx), float(y + straight_s * vy))
-        assert wall.signed_distance(met) == pytest.approx(0.0, abs=1e-9)
+        impact = (float(x + straight_s * vx), float(y + straight_s * vy))
+        assert wall.signed_distance(impact) == pytest.approx(0.0, abs=1e-9)
         assert wall.to_collision((float(vx), float(vy), 0.0))[:2] == pytest.approx((-1.0, 0.3))

@@ -1,4 +1,4 @@
-"""Missions that touch the walls of another one, and that one written anew."""
+"""Missions that survey the walls of another mission, and that mission written with the measured walls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DUAL = load_mission(packaged("missions", "dual_collision.yaml"))
 NEAR = {"point_m": [1.5, 0.0], "normal": [-1.0, 0.0], "length_m": 2.0, "material": "wood"}
 
 
-def room(**walls: dict[str, Any]) -> Mission:
+def mission_in_room(**walls: dict[str, Any]) -> Mission:
     tree = {
         "version": 1,
         "name": "room",
@@ -29,10 +29,10 @@ def room(**walls: dict[str, Any]) -> Mission:
     return load_mission(tree | {"walls": walls})
 
 
-def test_each_wall_is_touched_rigid_first_then_as_the_mission_hits_it() -> None:
+def test_each_wall_is_touched_in_rigid_mode_and_then_in_the_missions_mode() -> None:
     survey = plan_survey(DUAL.replace({"standoff_m": 0.5}), 0.6)
     assert survey.unreachable == {}
-    assert survey.mission.standoff_m is None, "also of a rehearsal"
+    assert survey.mission.standoff_m is None, "a survey ignores the standoff of a rehearsal"
     touched = [(c.wall.name, c.mode) for c in survey.mission.collisions]
     assert sorted(touched) == [
         ("acrylic", Mode.RIGID),
@@ -44,21 +44,21 @@ def test_each_wall_is_touched_rigid_first_then_as_the_mission_hits_it() -> None:
     for collision in survey.mission.collisions:
         assert collision.probe is not None
         assert collision.probe.speed_m_s == 0.6
-        assert collision.approach_m_s == pytest.approx((-0.6, 0.0)), "straight at it"
+        assert collision.approach_m_s == pytest.approx((-0.6, 0.0)), "the approach is head-on"
         plan_approach(survey.mission, collision)
-    one = survey.mission
-    assert (one.start, one.goal.position_m, one.bounds) == (DUAL.start, DUAL.start, DUAL.bounds)
-    assert (one.waypoints, one.goal_trajectory) == ((), None)
+    mission = survey.mission
+    assert (mission.start, mission.goal.position_m, mission.bounds) == (DUAL.start, DUAL.start, DUAL.bounds)
+    assert (mission.waypoints, mission.goal_trajectory) == ((), None)
 
 
-def test_walls_without_figures_are_not_believed_and_those_with_keep_theirs() -> None:
+def test_a_survey_assumes_default_uncertainties_only_where_none_are_given() -> None:
     survey = plan_survey(
-        room(a=NEAR, b=NEAR | {"point_m": [0.0, 2.0], "normal": [0, -1], "position_sd_m": 0.2})
+        mission_in_room(a=NEAR, b=NEAR | {"point_m": [0.0, 2.0], "normal": [0, -1], "position_sd_m": 0.2})
     )
     a, b = survey.mission.walls
     assert (a.position_sd_m, b.position_sd_m) == (0.1, 0.2)
     assert a.yaw_sd_rad is not None
-    # It goes on to where the wall may stand furthest away: three standard deviations.
+    # The probe ends at the farthest place of the wall, three standard deviations away.
     for wall, collision in ((a, survey.mission.collisions[0]), (b, survey.mission.collisions[2])):
         assert collision.probe is not None
         assert wall.position_sd_m is not None
@@ -66,32 +66,32 @@ def test_walls_without_figures_are_not_believed_and_those_with_keep_theirs() -> 
         assert wall.signed_distance(collision.probe.begin) > 3.0 * wall.position_sd_m
 
 
-def test_the_nearest_comes_first() -> None:
+def test_the_nearest_wall_is_touched_first() -> None:
     far = NEAR | {"point_m": [-2.5, 0.0], "normal": [1.0, 0.0]}
-    names = [c.wall.name for c in plan_survey(room(far=far, near=NEAR)).mission.collisions]
+    names = [c.wall.name for c in plan_survey(mission_in_room(far=far, near=NEAR)).mission.collisions]
     assert names == ["near", "near", "far", "far"]
 
 
-def test_a_wall_behind_another_is_named_and_the_rest_touched() -> None:
+def test_an_unreachable_wall_is_reported_and_the_others_are_touched() -> None:
     behind = NEAR | {"point_m": [2.5, 0.0], "length_m": 1.0}
-    survey = plan_survey(room(front=NEAR | {"length_m": 6.0}, behind=behind))
+    survey = plan_survey(mission_in_room(front=NEAR | {"length_m": 6.0}, behind=behind))
     assert survey.unreachable == {"behind": "no clear path leads to the wall"}
     assert {c.wall.name for c in survey.mission.collisions} == {"front"}
 
 
-def test_where_none_can_be_touched_that_is_said() -> None:
+def test_a_mission_without_a_reachable_wall_is_refused() -> None:
     outside = NEAR | {"point_m": [2.9, 0.0], "normal": [1.0, 0.0]}
-    one = room(outside=outside)
+    mission = mission_in_room(outside=outside)
     with pytest.raises(InputError, match="no wall can be touched"):
-        plan_survey(one.replace({"start.position_m": [2.95, 0.0], "goal.position_m": [2.95, 0.0]}))
+        plan_survey(mission.replace({"start.position_m": [2.95, 0.0], "goal.position_m": [2.95, 0.0]}))
 
 
-# --- written anew -----------------------------------------------------------------------------------------
+# --- the surveyed mission ---------------------------------------------------------------------------------
 
 TURNED = MeasuredWall("wood", (0.81, -1.15), (0.0523, 0.99863), 0.0123, 0.8, "wood")
 
 
-def test_a_wall_that_was_measured_is_written_as_it_was_met_and_others_stay_out() -> None:
+def test_only_measured_walls_are_written_and_at_their_measured_places() -> None:
     (name, keys), *rest = surveyed_walls(DUAL, {"wood": TURNED}).items()
     assert (name, rest) == ("wood", [])
     assert keys == {
@@ -104,13 +104,13 @@ def test_a_wall_that_was_measured_is_written_as_it_was_met_and_others_stay_out()
     }
     nameless = MeasuredWall("wood", (0.8, -1.1), (0.0, 1.0), None, None, None)
     keys = surveyed_walls(DUAL, {"wood": nameless})["wood"]
-    assert keys["material"] == "wood", "of no material that is known: as the mission has it"
+    assert keys["material"] == "wood", "an unknown material keeps the mission's entry"
     assert "yaw_sd_deg" not in keys
     assert keys["position_sd_m"] == 0.001
 
 
-def test_gains_and_places_go_with_the_wall() -> None:
-    """What is said along the mission's axes would be refused of a wall that is not along one."""
+def test_gains_and_impact_points_follow_the_measured_wall() -> None:
+    """Keys along the mission's axes are refused for a wall that is oblique to them."""
     collisions: list[dict[str, Any]] = [
         {
             "wall": "wood",
@@ -121,20 +121,20 @@ def test_gains_and_places_go_with_the_wall() -> None:
         },
         {"wall": "acrylic", "mode": "rigid", "alpha_m_per_n": [0.02, 0.02]},
     ]
-    one = DUAL.replace({"collisions": collisions, "goal_trajectory": None, "after_impact": "setpoint"})
-    anew = surveyed_collisions(one, collisions, {"wood": TURNED})
-    assert anew[1] == collisions[1], "its wall was not met"
-    assert anew[0] == {
+    mission = DUAL.replace({"collisions": collisions, "goal_trajectory": None, "after_impact": "setpoint"})
+    surveyed = surveyed_collisions(mission, collisions, {"wood": TURNED})
+    assert surveyed[1] == collisions[1], "its wall was not measured"
+    assert surveyed[0] == {
         "wall": "wood",
         "mode": "rigid",
         "approach": {"normal_m_s": -0.8},
         "alpha_wall_m_per_n": [0.025, 0.12],
-        "impact_along_m": pytest.approx(one.walls[0].along((0.5, -1.1))),
+        "impact_along_m": pytest.approx(mission.walls[0].along((0.5, -1.1))),
     }
-    walls = {w.name: w for w in one.walls}
+    walls = {w.name: w for w in mission.walls}
     assert walls["wood"].normal == (0.0, 1.0)
-    tree = one.to_dict() | {"collisions": anew}
-    tree["walls"] |= surveyed_walls(one, {"wood": TURNED})
+    tree = mission.to_dict() | {"collisions": surveyed}
+    tree["walls"] |= surveyed_walls(mission, {"wood": TURNED})
     written = load_mission(tree)
     hit = written.collisions[0]
     assert hit.impact_point is not None

@@ -1,4 +1,4 @@
-"""Half a vehicle, and what a wall's place leaves open, between a hit and the wall's end, and past its end."""
+"""The margin of impacts and paths from a wall's ends: half a vehicle plus the wall's position uncertainty."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.search.search import search
 from tests.mission_findings import check_mission
 
-HALF_M = 0.2  # of the packaged vehicle: its contact distance
+HALF_M = 0.2  # contact distance of the packaged vehicle
 
 
-def met_at(from_end_m: float, **wall: float) -> Mission:
-    """The single wall as a door 1.6 m wide, met so far from its end."""
+def mission_with_impact(from_end_m: float, **wall: float) -> Mission:
+    """Return the single-wall mission with a door of 1.6 m and an impact at a distance from its end."""
     mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
     hit = mission.collisions[0].impact_point
     assert hit is not None
@@ -32,29 +32,29 @@ def met_at(from_end_m: float, **wall: float) -> Mission:
     return msgspec.structs.replace(mission, walls=(door,), collisions=(collision,))
 
 
-def wall_end(mission: Mission) -> CheckFinding:
+def wall_end_finding(mission: Mission) -> CheckFinding:
     return next(f for f in check_mission(mission) if f.item == "wall_end")
 
 
-def test_a_hit_sixteen_millimetres_from_a_doors_end_is_no_go() -> None:
-    finding = wall_end(met_at(0.016))
+def test_an_impact_sixteen_millimetres_from_the_end_of_a_door_is_no_go() -> None:
+    finding = wall_end_finding(mission_with_impact(0.016))
     assert not finding.go
     assert finding.figures == pytest.approx({"distance_m": 0.016, "margin_m": HALF_M})
     assert "0.02 m from its end, minimum half a vehicle (0.20 m)" in finding.says
-    assert wall_end(met_at(HALF_M + 0.01)).go
+    assert wall_end_finding(mission_with_impact(HALF_M + 0.01)).go
     assert "not all guards touch the wall there" in finding.says
-    assert "guards" not in wall_end(met_at(HALF_M - 0.01)).says
+    assert "guards" not in wall_end_finding(mission_with_impact(HALF_M - 0.01)).says
 
 
-def test_what_the_place_leaves_open_counts_too() -> None:
-    assert wall_end(met_at(0.45)).go
-    finding = wall_end(met_at(0.45, position_sd_m=0.1))
+def test_the_uncertainty_of_a_walls_position_widens_its_end_margin() -> None:
+    assert wall_end_finding(mission_with_impact(0.45)).go
+    finding = wall_end_finding(mission_with_impact(0.45, position_sd_m=0.1))
     assert not finding.go
     assert finding.figures["margin_m"] == pytest.approx(HALF_M + SURE_SD * 0.1)
 
 
 @pytest.mark.parametrize("name", ["dual_collision", "any_walls"])
-def test_no_plan_meets_a_wall_at_its_end(name: str) -> None:
+def test_plans_keep_the_margin_from_the_ends_of_walls(name: str) -> None:
     scenario = load_scenario(packaged("missions", "scenarios", f"{name}.yaml"))
     plans = search(scenario, top=300).plans
     assert len(plans) > 100
@@ -65,7 +65,7 @@ def test_no_plan_meets_a_wall_at_its_end(name: str) -> None:
 
 
 @given(st.floats(-1.5, 1.5), st.floats(0.0, 0.1))
-def test_a_path_keeps_the_margin_from_the_end_that_it_passes(y: float, sd: float) -> None:
+def test_a_path_is_blocked_within_the_margin_of_a_walls_end(y: float, sd: float) -> None:
     wall = Wall("door", (1.0, 0.0), (-1.0, 0.0), 1.6, "wood", sd, None, HALF_M)
     beside = abs(y) - 0.8 - HALF_M - SURE_SD * sd
     if abs(beside) > 1e-9:

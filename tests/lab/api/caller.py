@@ -1,4 +1,4 @@
-"""Ten lines of a caller: mypy --strict checks them in the tree and against the installed wheel."""
+"""A ten-line caller, which mypy --strict checks in the tree and against the installed wheel."""
 
 import dart_flight
 

@@ -1,4 +1,4 @@
-"""The package as a library: `import dart_flight`, and nothing else of it."""
+"""The package as a library, by `import dart_flight` alone."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def flight() -> dart_flight.Flight:
 # --- names ----------------------------------------------------------------------------------------------
 
 
-def test_the_names_are_those_of_the_api() -> None:
+def test_the_package_exports_the_names_of_the_api() -> None:
     assert dart_flight.__all__ == api.__all__
     assert all(getattr(dart_flight, name) is getattr(api, name) for name in dart_flight.__all__)
     assert set(dart_flight.__all__) <= set(dir(dart_flight))
@@ -41,8 +41,8 @@ def test_the_names_are_those_of_the_api() -> None:
         dart_flight.simulat  # noqa: B018
 
 
-def test_no_module_hides_a_name() -> None:
-    """`import dart_flight.plan` would put the module in the function's place."""
+def test_no_module_hides_an_exported_name() -> None:
+    """`import dart_flight.plan` would replace the function of that name by the module."""
     folder = Path(dart_flight.__file__).parent
     modules = {path.stem for path in folder.glob("*.py")} | {
         path.name for path in folder.iterdir() if path.is_dir()
@@ -50,13 +50,13 @@ def test_no_module_hides_a_name() -> None:
     assert not modules & set(dart_flight.__all__)
 
 
-def test_importing_costs_nothing() -> None:
+def test_the_import_loads_no_dependencies() -> None:
     code = "import sys, dart_flight; print(sorted({'numpy', 'msgspec', 'yaml', 'rich'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
-def test_flying_takes_no_extra() -> None:
+def test_a_simulated_flight_needs_no_extra() -> None:
     code = (
         "import sys, dart_flight as d; d.simulate(d.packaged('missions', 'single_wall.yaml')).log.topics;"
         "heavy = {'scipy', 'matplotlib', 'pymavlink', 'mavsdk', 'asyncio', 'pandas'};"
@@ -69,8 +69,8 @@ def test_flying_takes_no_extra() -> None:
 # --- missions and vehicles without a file ---------------------------------------------------------------
 
 
-def unsourced(mission: dart_flight.Mission) -> dart_flight.Mission:
-    """A mission without the files that it came from."""
+def without_source(mission: dart_flight.Mission) -> dart_flight.Mission:
+    """Return a mission without the paths of its files."""
     return msgspec.structs.replace(mission, source="", vehicle_source=None)
 
 
@@ -78,10 +78,10 @@ MISSIONS = sorted(path for path in SINGLE.parent.glob("**/*.yaml") if path.paren
 
 
 @pytest.mark.parametrize("path", MISSIONS, ids=lambda path: path.stem)
-def test_a_mission_comes_back_from_its_dictionary(path: Path) -> None:
+def test_a_mission_survives_its_dictionary(path: Path) -> None:
     mission = dart_flight.load_mission(path)
     tree = json.loads(json.dumps(mission.to_dict()))
-    assert unsourced(dart_flight.load_mission(tree)) == unsourced(mission)
+    assert without_source(dart_flight.load_mission(tree)) == without_source(mission)
     assert dart_flight.load_vehicle(mission.vehicle.to_dict()) == mission.vehicle
 
 
@@ -92,9 +92,9 @@ def trajectory_to(
     begin_velocity: tuple[float, ...] = (0.0, 0.0),
     begin_acceleration: tuple[float, ...] = (0.0, 0.0),
 ) -> Any:
-    """A trajectory of two pieces of a second each to a place and a velocity there."""
+    """Return a trajectory of two pieces of 1 s that ends at a position and velocity."""
     p, q, v, w, a = (np.array(one) for one in (begin, end, begin_velocity, velocity, begin_acceleration))
-    # The jerks' shares in velocity and way at the end.
+    # The final velocity and position are linear in both jerks, with these coefficients.
     shares = np.array([[1.5, 0.5], [7.0 / 6.0, 1.0 / 6.0]])
     jerks = np.linalg.solve(shares, np.stack([w - v - 2.0 * a, q - p - 2.0 * v - 2.0 * a]))
     return {
@@ -106,7 +106,7 @@ def trajectory_to(
 
 
 def every_key() -> dict[str, Any]:
-    """A mission that sets every key, each to another value than its default."""
+    """Return a mission that sets every key to a value other than its default."""
     vehicle = dart_flight.load_vehicle(dart_flight.packaged("configs", "rigid_cage.yaml")).to_dict()
     vehicle["airframe"]["mass_kg"] = 0.93
     prediction = {
@@ -135,7 +135,7 @@ def every_key() -> dict[str, Any]:
         "position_sd_m": 0.13,
         "yaw_sd_deg": 4.3,
     }
-    looked_for = {
+    probe = {
         "from_m": [-0.2, 0.3],
         "from_here": True,
         "length_m": 1.2,
@@ -166,9 +166,9 @@ def every_key() -> dict[str, Any]:
         "posts": {"pole": {"centre_m": [-1.5, -1.0], "radius_m": 0.05, "material": "acrylic"}},
         "transit_mode": "rigid",
         "collisions": [
-            {"wall": "back", "mode": "rigid", "probe": looked_for},
-            {"wall": "side", "mode": "rigid", "probe": looked_for, "if_met": "back"},
-            {"wall": "other", "mode": "rigid", "probe": looked_for, "if_not_met": "side"},
+            {"wall": "back", "mode": "rigid", "probe": probe},
+            {"wall": "side", "mode": "rigid", "probe": probe, "if_met": "back"},
+            {"wall": "other", "mode": "rigid", "probe": probe, "if_not_met": "side"},
             first,
             {key: value for key, value in first.items() if key != "trajectory"}
             | {"wall": "far", "impact_point_m": None, "impact_along_m": 0.1}
@@ -227,8 +227,8 @@ def every_key() -> dict[str, Any]:
     }
 
 
-def keys_unset(kind: Any, trees: list[Any], above: str) -> list[str]:
-    """Keys of a section that none of the trees sets, or that only have their defaults."""
+def unset_keys(kind: Any, trees: list[Any], above: str) -> list[str]:
+    """Return the keys of a section that the trees do not set or set only to their defaults."""
     out = []
     for field in msgspec.structs.fields(kind):
         name = field.encode_name
@@ -253,21 +253,21 @@ def keys_unset(kind: Any, trees: list[Any], above: str) -> list[str]:
             )
         ]
         for section in below:
-            out += keys_unset(section, nested, f"{above}{name}.")
+            out += unset_keys(section, nested, f"{above}{name}.")
     return out
 
 
-def test_a_mission_that_sets_every_key_comes_back_with_its_vehicle() -> None:
+def test_a_mission_with_every_key_and_its_vehicle_survives_its_dictionary() -> None:
     tree = every_key()
-    assert keys_unset(MissionFile, [tree], "") == []
+    assert unset_keys(MissionFile, [tree], "") == []
     mission = dart_flight.load_mission(tree)
-    again = dart_flight.load_mission(json.loads(json.dumps(mission.to_dict())))
-    assert again == mission
-    assert (again.vehicle.has_lock, again.vehicle.airframe.mass_kg) == (False, 0.93)
-    assert again.standoff_m == 0.4
+    reloaded = dart_flight.load_mission(json.loads(json.dumps(mission.to_dict())))
+    assert reloaded == mission
+    assert (reloaded.vehicle.has_lock, reloaded.vehicle.airframe.mass_kg) == (False, 0.93)
+    assert reloaded.standoff_m == 0.4
 
 
-def test_the_vehicle_of_a_mission_file_may_stand_in_it(tmp_path: Path) -> None:
+def test_a_mission_file_may_contain_its_vehicle(tmp_path: Path) -> None:
     text = SINGLE.read_text(encoding="utf-8")
     inline = "vehicle:\n  extends: dart.yaml\n  airframe:\n    mass_kg: 1.4\n"
     path = tmp_path / "mission.yaml"
@@ -277,7 +277,7 @@ def test_the_vehicle_of_a_mission_file_may_stand_in_it(tmp_path: Path) -> None:
     assert mission.vehicle.airframe.mass_kg == 1.4
     assert mission.flown_vehicle().set == ("airframe.contact_distance_m=0.3",)
     path.write_text(path.read_text().replace("mass_kg: 1.4", "mas_kg: 1.4"), encoding="utf-8")
-    line = next(i for i, said in enumerate(path.read_text().splitlines(), 1) if "mas_kg" in said)
+    line = next(i for i, row in enumerate(path.read_text().splitlines(), 1) if "mas_kg" in row)
     with pytest.raises(
         dart_flight.InputError, match=rf"mission.yaml:{line}: vehicle.airframe.mas_kg: unknown key"
     ):
@@ -295,36 +295,36 @@ def test_a_dictionary_has_every_key_of_the_file() -> None:
         assert set(node) == {field.encode_name for field in msgspec.structs.fields(kind)}
 
 
-def test_a_wall_comes_back_to_the_bit() -> None:
+def test_a_wall_survives_its_dictionary_exactly() -> None:
     tree = dart_flight.load_mission(SINGLE).to_dict()
     tree["walls"]["acrylic"] |= {"normal": [-3.0, 0.7], "position_sd_m": 0.13, "yaw_sd_deg": 4.3}
     first = dart_flight.load_mission(tree)
     assert dart_flight.load_mission(first.to_dict()).walls == first.walls
 
 
-def test_what_hangs_on_a_change_changes_with_it() -> None:
+def test_dependent_values_follow_a_replaced_key() -> None:
     mission = dart_flight.load_mission(SINGLE)
     other = mission.replace({"collisions[0].approach.tangential_m_s": -0.5, "vehicle.airframe.mass_kg": 1.5})
     assert mission.collisions[0].impact_point != other.collisions[0].impact_point
     assert (mission.vehicle.airframe.mass_kg, other.vehicle.airframe.mass_kg) == (1.3, 1.5)
-    said = other.flown_vehicle()
-    assert said.mass_kg == 1.5
-    assert said.set == ("airframe.mass_kg=1.5",)
+    source = other.flown_vehicle()
+    assert source.mass_kg == 1.5
+    assert source.set == ("airframe.mass_kg=1.5",)
     whole = mission.replace({"vehicle": other.vehicle})
     assert whole.vehicle == other.vehicle
-    assert whole.flown_vehicle().source is None, "it is of no file"
+    assert whole.flown_vehicle().source is None, "a replaced vehicle has no source file"
     assert dart_flight.load_mission(SINGLE, settings=["airframe.mass_kg=1.5"]).vehicle == other.vehicle
     assert dart_flight.load_mission(mission, settings=["airframe.mass_kg=1.5"]).vehicle == other.vehicle
 
 
-def test_numpy_numbers_are_numbers() -> None:
+def test_numpy_numbers_are_accepted() -> None:
     vehicle = dart_flight.load_vehicle().replace({"airframe.mass_kg": np.float64(1.4)})
     assert vehicle.airframe.mass_kg == 1.4
     goal = dart_flight.load_mission(SINGLE).replace({"goal.position_m": np.array([0.5, 0.9])}).goal
     assert goal.position_m == (0.5, 0.9)
 
 
-def wrong(key: str, value: Any) -> dict[str, Any]:
+def mission_tree_with(key: str, value: Any) -> dict[str, Any]:
     tree = dart_flight.load_mission(SINGLE).to_dict()
     node = tree
     for part in key.split(".")[:-1]:
@@ -333,7 +333,7 @@ def wrong(key: str, value: Any) -> dict[str, Any]:
     return tree
 
 
-def replaced(key: str, value: Any) -> dart_flight.Mission:
+def mission_with(key: str, value: Any) -> dart_flight.Mission:
     return dart_flight.load_mission(SINGLE).replace({key: value})
 
 
@@ -341,52 +341,52 @@ def vehicle_with(key: str, value: Any) -> dart_flight.VehicleConfig:
     return dart_flight.load_vehicle().replace({key: value})
 
 
-def predicted(mode: str, normal_m_s: list[float]) -> Any:
+def predict_acrylic(mode: str, normal_m_s: list[float]) -> Any:
     return dart_flight.predict(dart_flight.load_vehicle(), "acrylic", mode, normal_m_s)
 
 
 WRONG: list[tuple[Callable[[], Any], str]] = [
     (
-        lambda: dart_flight.load_mission(wrong("limits.sped", 1)),
+        lambda: dart_flight.load_mission(mission_tree_with("limits.sped", 1)),
         "<dict>: limits.sped: unknown key, did you mean speed_m_s?",
     ),
     (
-        lambda: dart_flight.load_mission(wrong("goal.position_m", [9.0, 9.0])),
+        lambda: dart_flight.load_mission(mission_tree_with("goal.position_m", [9.0, 9.0])),
         "<dict>: goal.position_m: (9, 9) is outside",
     ),
     (
-        lambda: dart_flight.load_mission(wrong("name", object())),
+        lambda: dart_flight.load_mission(mission_tree_with("name", object())),
         "<dict>: name: object is not a value that a file can hold",
     ),
     (lambda: dart_flight.load_mission({"sequence": ["wood"]}), "<dict>: this is a scenario"),
     (lambda: vehicle_with("airframe.mass_kg", -1), "airframe.mass_kg=-1: expected a number"),
     (lambda: vehicle_with("airframe.mas_kg", 1), "airframe.mas_kg=1: unknown key, did you mean mass_kg?"),
     (lambda: vehicle_with("airframe.mass_kg", 8.0), "to hover 8 kg"),
-    (lambda: replaced("collisions[3].mode", "rigid"), "unknown key 3"),
-    (lambda: replaced("vehicle", "dart.yaml"), "vehicle: expected a vehicle configuration"),
-    (lambda: dart_flight.simulate(replaced("limits.peak_force_n", 20.0)), "peak_force_n"),
+    (lambda: mission_with("collisions[3].mode", "rigid"), "unknown key 3"),
+    (lambda: mission_with("vehicle", "dart.yaml"), "vehicle: expected a vehicle configuration"),
+    (lambda: dart_flight.simulate(mission_with("limits.peak_force_n", 20.0)), "peak_force_n"),
     (lambda: dart_flight.simulate(SINGLE, vary=["mas"]), "unknown mas, did you mean mass?"),
     (lambda: dart_flight.simulate(SINGLE, fault="wall-mising"), "did you mean wall-missing?"),
-    (lambda: predicted("rigit", [-1.0]), "'rigit' is not allowed"),
-    (lambda: predicted("rigid", [-1.0, 0.5]), "does not approach"),
+    (lambda: predict_acrylic("rigit", [-1.0]), "'rigit' is not allowed"),
+    (lambda: predict_acrylic("rigid", [-1.0, 0.5]), "does not approach"),
     (lambda: dart_flight.plan(SINGLE), "this is a mission"),
     (lambda: dart_flight.identify([], mode="rigit"), "'rigit' is not allowed"),
 ]
 
 
-@pytest.mark.parametrize(("call", "said"), WRONG, ids=[said for _, said in WRONG])
-def test_wrong_input_is_one_line_and_a_value_error(call: Any, said: str) -> None:
+@pytest.mark.parametrize(("call", "message"), WRONG, ids=[message for _, message in WRONG])
+def test_invalid_input_raises_a_value_error_with_one_line(call: Any, message: str) -> None:
     with pytest.raises(dart_flight.InputError) as caught:
         call()
     assert isinstance(caught.value, ValueError)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 # --- flights --------------------------------------------------------------------------------------------
 
 
-def test_memory_and_file_hold_the_same(flight: dart_flight.Flight, tmp_path: Path) -> None:
+def test_a_log_in_memory_equals_the_written_log(flight: dart_flight.Flight, tmp_path: Path) -> None:
     on_disk = dart_flight.simulate(SINGLE, seed=5, log_dir=tmp_path)
     (path,) = tmp_path.glob("*/flight.mcap")
     assert on_disk.verdict.log is not None
@@ -401,27 +401,27 @@ def test_memory_and_file_hold_the_same(flight: dart_flight.Flight, tmp_path: Pat
     assert kept.items() <= read.about.items()
 
 
-def test_the_verdict_of_the_log_is_that_of_the_flight(flight: dart_flight.Flight) -> None:
+def test_the_verdict_from_the_log_equals_the_flights_verdict(flight: dart_flight.Flight) -> None:
     assert dart_flight.verdict_of(flight.log) == flight.verdict
 
 
-def test_it_is_what_the_command_flies(flight: dart_flight.Flight, tmp_path: Path) -> None:
+def test_simulate_equals_the_flight_of_the_command(flight: dart_flight.Flight, tmp_path: Path) -> None:
     assert main(["dry-run", str(SINGLE), "--fast", "--seed", "5", "--log-dir", str(tmp_path)]) == 0
     (path,) = tmp_path.glob("*/flight.mcap")
     assert dart_flight.read_log(path).entries == flight.log.entries
 
 
-def test_a_changed_mission_is_in_its_log(tmp_path: Path) -> None:
+def test_a_log_contains_the_changed_mission(tmp_path: Path) -> None:
     mission = dart_flight.load_mission(SINGLE).replace({"goal.hold_s": 0.5, "name": "changed"})
     flown = dart_flight.simulate(mission, log_dir=tmp_path)
     (path,) = tmp_path.glob("*/flight.mcap")
     assert "changed" in dart_flight.read_log(path).about["mission_text"]
     assert flown.verdict.outcome is Outcome.COMPLETED
     assert main(["replay", str(path)]) == 0
-    assert main(["replay", str(path), "--set", "goal.hold_s=0.5"]) == 0, "the text is that of the change"
+    assert main(["replay", str(path), "--set", "goal.hold_s=0.5"]) == 0, "the log's text has the change"
 
 
-def test_a_drawn_world_and_a_fault() -> None:
+def test_draws_and_faults_are_simulated() -> None:
     drawn = dart_flight.simulate(SINGLE, seed=7, vary={"mass": 0.1, "wind_m_s": 0.2}).verdict.drawn
     assert set(drawn) == {"mass", "wind_north_m_s", "wind_east_m_s"}
     assert dart_flight.simulate(SINGLE, seed=7, vary=["mass=0.1", "wind_m_s=0.2"]).verdict.drawn == drawn
@@ -430,7 +430,7 @@ def test_a_drawn_world_and_a_fault() -> None:
     assert "aborted" in repr(lost)
 
 
-def test_it_runs_inside_an_event_loop(flight: dart_flight.Flight) -> None:
+def test_simulate_runs_inside_an_event_loop(flight: dart_flight.Flight) -> None:
     async def notebook() -> dart_flight.Flight:
         return dart_flight.simulate(SINGLE, seed=5)
 
@@ -451,13 +451,13 @@ def test_arrays_have_the_fields_of_the_records(flight: dart_flight.Flight) -> No
             array = topic[field]
             assert len(array) == len(topic)
             for i in {0, len(topic) // 2, len(topic) - 1}:
-                value, there = getattr(topic.records[i], field), array[i]
+                value, cell = getattr(topic.records[i], field), array[i]
                 if value is None:
-                    assert there is None or np.isnan(there).all()
+                    assert cell is None or np.isnan(cell).all()
                 elif isinstance(value, tuple):
-                    assert tuple(there) == value
+                    assert tuple(cell) == value
                 else:
-                    assert there == value
+                    assert cell == value
 
 
 def test_times_count_from_the_first_imu_sample(flight: dart_flight.Flight) -> None:
@@ -467,7 +467,7 @@ def test_times_count_from_the_first_imu_sample(flight: dart_flight.Flight) -> No
     assert force.t_s.shape == (len(force),)
     assert force.force_mission.shape == (len(force), 3)
     assert np.allclose(np.diff(force.t_s), 0.004)
-    ticks = log["/in/tick"]  # without a stamp: that of the record before
+    ticks = log["/in/tick"]  # a tick has the time of the record before it
     assert (np.diff(ticks.t_s) >= 0.0).all()
     assert ticks.t_s[-1] > 10.0
 
@@ -482,7 +482,7 @@ def test_a_channel_without_records_is_empty(flight: dart_flight.Flight) -> None:
     assert (len(esc), esc.rpm.shape) == (0, (0, 0))
 
 
-def test_unknown_names_are_told_with_the_nearest(flight: dart_flight.Flight) -> None:
+def test_an_unknown_name_is_reported_with_the_closest_match(flight: dart_flight.Flight) -> None:
     with pytest.raises(KeyError, match="did you mean /estimate/force"):
         flight.log["/estimate/forces"]
     with pytest.raises(AttributeError, match="did you mean force_mission"):
@@ -492,7 +492,7 @@ def test_unknown_names_are_told_with_the_nearest(flight: dart_flight.Flight) -> 
 # --- prediction, plans, identification ------------------------------------------------------------------
 
 
-def test_a_prediction_is_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_prediction_equals_the_commands_output(capsys: pytest.CaptureFixture[str]) -> None:
     vehicle = dart_flight.load_vehicle()
     hit = dart_flight.predict(vehicle, "acrylic", "flexible", -1.0, 0.5)
     words = ["predict", "--surface", "acrylic", "--mode", "flexible", "--velocity", "-1.0", "0.5", "--json"]
@@ -517,7 +517,7 @@ def test_arrays_of_velocities_give_arrays() -> None:
     assert grid.tangential_out_m_s.shape == (7, 2)
 
 
-def test_a_plan_flies(tmp_path: Path) -> None:
+def test_a_plan_completes_and_is_written(tmp_path: Path) -> None:
     found = dart_flight.plan(SINGLE.parent / "scenarios" / "one_wall.yaml", top=3)
     assert len(found.plans) == 3
     first = found.mission.collisions[0].approach_m_s
@@ -529,7 +529,7 @@ def test_a_plan_flies(tmp_path: Path) -> None:
         found.mission_of(4)
 
 
-def test_a_plan_for_another_vehicle_or_objective() -> None:
+def test_a_plan_uses_the_given_vehicle_and_objective() -> None:
     path = SINGLE.parent / "scenarios" / "one_wall.yaml"
     vehicle = dart_flight.load_vehicle().replace({"airframe.mass_kg": 1.5})
     heavy = dart_flight.plan(dart_flight.load_scenario(path, vehicle), top=1)
@@ -538,21 +538,21 @@ def test_a_plan_for_another_vehicle_or_objective() -> None:
     assert gentle.peak_force_n < near.peak_force_n
 
 
-def test_identification_takes_flights_and_arrays(flight: dart_flight.Flight, tmp_path: Path) -> None:
+def test_identify_accepts_flights_logs_and_paths(flight: dart_flight.Flight, tmp_path: Path) -> None:
     pytest.importorskip("scipy")
     flown = [flight, dart_flight.simulate(SINGLE, seed=6, log_dir=tmp_path)]
     found = dart_flight.identify([flown[0], flown[1].log], surface="acrylic")
     assert [len(found.trials), list(found.coefficients)] == [2, ["flexible"]]
     (path,) = tmp_path.glob("*/flight.mcap")
-    of_file = dart_flight.identify([flight.log, path], surface="acrylic")
-    assert of_file.coefficients == found.coefficients
+    from_file = dart_flight.identify([flight.log, path], surface="acrylic")
+    assert from_file.coefficients == found.coefficients
     with pytest.raises(dart_flight.InputError, match="no collision with wood"):
         dart_flight.identify(flight, surface="wood")
 
 
-def test_way_points_follow_what_they_hang_on() -> None:
+def test_waypoints_follow_the_altitude_and_speed_they_default_to() -> None:
     mission = dart_flight.load_mission(SINGLE.parent / "square.yaml")
     lower = mission.replace({"start.altitude_m": 0.8, "vehicle.flying.transit_speed_m_s": 0.3})
     assert [w.position[2] for w in lower.waypoints[:3] if w.position] == [0.8, 0.8, 1.4]
     assert lower.waypoints[0].speed_m_s == 0.3
-    assert lower.waypoints[-1].speed_m_s == 1.0, "its own"
+    assert lower.waypoints[-1].speed_m_s == 1.0, "a waypoint's own speed is kept"

@@ -1,7 +1,7 @@
-"""The wheel in an environment of its own, without any extra: it imports, flies, and has its types.
+"""The wheel in its own environment without extras: import, flight, types and the start folder.
 
-The environment has the wheel, installed by pip, and links to the runtime dependencies of this one: what is no
-dependency (SciPy, matplotlib, pymavlink, pandas) is not there, and no network is needed.
+pip installs the wheel there, and its runtime dependencies are links to the installed ones. Other packages
+(SciPy, matplotlib, pymavlink, pandas) are missing there, and no network is needed.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ ROOT = Path(__file__).parents[3]
 CALLER = Path(__file__).with_name("caller.py")
 
 
-def closure(name: str) -> set[str]:
-    """Names of what a distribution depends on here, without extras."""
+def dependencies_of(name: str) -> set[str]:
+    """Return the names of all dependencies of a distribution, without extras."""
     found: set[str] = set()
-    waiting = [name]
-    while waiting:
-        for text in distribution(waiting.pop()).requires or []:
+    pending = [name]
+    while pending:
+        for text in distribution(pending.pop()).requires or []:
             requirement = Requirement(text)
-            wanted = requirement.marker is None or requirement.marker.evaluate({"extra": ""})
-            if wanted and requirement.name not in found:
+            applies = requirement.marker is None or requirement.marker.evaluate({"extra": ""})
+            if applies and requirement.name not in found:
                 found.add(requirement.name)
-                waiting.append(requirement.name)
+                pending.append(requirement.name)
     return found
 
 
@@ -45,8 +45,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A Python with the wheel and its dependencies."""
+def bare_python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a Python interpreter with only the wheel and its dependencies."""
     folder = tmp_path_factory.mktemp("bare")
     venv.create(folder, symlinks=True)
     python = folder / "bin" / "python"
@@ -61,27 +61,27 @@ def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         "--no-index",
         "--no-deps",
     ]
-    subprocess.run([*pip, str(wheel)], check=True, capture_output=True, timeout=120, env=clean())
+    subprocess.run([*pip, str(wheel)], check=True, capture_output=True, timeout=120, env=clean_environment())
     (site,) = folder.glob("lib/python*/site-packages")
-    for name in closure("dart-flight"):
-        here = distribution(name)
-        for top in {file.parts[0] for file in here.files or []} - {"..", "__pycache__"}:
+    for name in dependencies_of("dart-flight"):
+        installed = distribution(name)
+        for top in {file.parts[0] for file in installed.files or []} - {"..", "__pycache__"}:
             target = site / top
             if not target.exists():
-                target.symlink_to(Path(str(here.locate_file(top))))
+                target.symlink_to(Path(str(installed.locate_file(top))))
     return python
 
 
-def clean() -> dict[str, str]:
-    """The environment without what leads to the checkout."""
+def clean_environment() -> dict[str, str]:
+    """Return the environment variables without those that point to the checkout."""
     return {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "DART_"))}
 
 
-def run(python: Path, folder: Path, *words: str) -> str:
+def run(python: Path, folder: Path, *arguments: str) -> str:
     done = subprocess.run(
-        [str(python), *words],
+        [str(python), *arguments],
         cwd=folder,
-        env=clean(),
+        env=clean_environment(),
         capture_output=True,
         text=True,
         timeout=120,
@@ -91,7 +91,7 @@ def run(python: Path, folder: Path, *words: str) -> str:
     return done.stdout
 
 
-def test_the_wheel_says_that_it_has_types(wheel: Path) -> None:
+def test_the_wheel_contains_type_marker_templates_and_no_tests(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert "dart_flight/py.typed" in names
     assert {f"dart_flight/lab/report/{name}" for name in ("page.css", "player.js")} < set(names)
@@ -99,31 +99,36 @@ def test_the_wheel_says_that_it_has_types(wheel: Path) -> None:
     assert not [name for name in names if name.startswith(("tests/", "tools/"))]
 
 
-def test_a_callers_ten_lines_run_without_extras(bare: Path, tmp_path: Path) -> None:
+def test_the_caller_runs_without_extras(bare_python: Path, tmp_path: Path) -> None:
     for extra in ("scipy", "matplotlib", "pymavlink", "pandas"):
         assert (
-            run(bare, tmp_path, "-c", f"import importlib.util as u; print(u.find_spec({extra!r}))")
+            run(bare_python, tmp_path, "-c", f"import importlib.util as u; print(u.find_spec({extra!r}))")
             == "None\n"
         )
-    where = run(bare, tmp_path, "-c", "import dart_flight; print(dart_flight.__file__)")
-    assert str(bare.parents[1]) in where, "not the checkout"
-    assert run(bare, tmp_path, str(CALLER)) == "completed True True True\n"
+    location = run(bare_python, tmp_path, "-c", "import dart_flight; print(dart_flight.__file__)")
+    assert str(bare_python.parents[1]) in location, "the checkout was imported"
+    assert run(bare_python, tmp_path, str(CALLER)) == "completed True True True\n"
 
 
-def test_a_folder_to_start_from_comes_out_of_the_wheel(bare: Path, tmp_path: Path) -> None:
-    run(bare, tmp_path, "-m", "dart_flight", "init", "lab")
+def test_init_creates_a_valid_folder_from_the_wheel(bare_python: Path, tmp_path: Path) -> None:
+    run(bare_python, tmp_path, "-m", "dart_flight", "init", "lab")
     assert (tmp_path / "lab" / "configs" / "dart.yaml").exists()
-    run(bare, tmp_path / "lab", "-m", "dart_flight", "check", "missions/single_wall.yaml")
+    run(bare_python, tmp_path / "lab", "-m", "dart_flight", "check", "missions/single_wall.yaml")
 
 
-def test_mypy_strict_passes_a_callers_ten_lines(bare: Path, tmp_path: Path) -> None:
+def test_the_caller_passes_mypy_strict_against_the_wheel(bare_python: Path, tmp_path: Path) -> None:
     caller = tmp_path / "caller.py"
     caller.write_text(CALLER.read_text() + "reveal_type(flight.verdict.goal_miss_m)\n")
-    words = ["-m", "mypy", "--strict", "--python-executable", str(bare), str(caller)]
-    said = run(Path(sys.executable), tmp_path, *words)
-    assert 'Revealed type is "float | None"' in said.replace("builtins.", ""), said
+    arguments = ["-m", "mypy", "--strict", "--python-executable", str(bare_python), str(caller)]
+    output = run(Path(sys.executable), tmp_path, *arguments)
+    assert 'Revealed type is "float | None"' in output.replace("builtins.", ""), output
     caller.write_text(CALLER.read_text() + "flight.verdict.goal_mis_m\n")
     done = subprocess.run(
-        [sys.executable, *words], cwd=tmp_path, env=clean(), capture_output=True, text=True, check=False
+        [sys.executable, *arguments],
+        cwd=tmp_path,
+        env=clean_environment(),
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    assert 'has no attribute "goal_mis_m"' in done.stdout, "the types are seen, not Any"
+    assert 'has no attribute "goal_mis_m"' in done.stdout, "the package is typed as Any"

@@ -1,4 +1,4 @@
-"""`dart-flight calibrate inertia`: the inertia back from turning that is known."""
+"""`dart-flight calibrate inertia` recovers a known inertia from simulated rotation."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[3]
 VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")
-INERTIA = (0.016, 0.011, 0.027)  # not the configured one
+INERTIA = (0.016, 0.011, 0.027)  # differs from the configured inertia
 HOVER = VEHICLE.thrust.command_for(VEHICLE.airframe.mass_kg * 9.80665 / 4.0)
 
 
-def turning(
-    shakes: tuple[float, float, float],
+def excited_track(
+    amplitudes: tuple[float, float, float],
     seconds: float = 20.0,
     lag_s: float = 0.025,
     wind_nm: float = 0.0,
     vehicle: VehicleConfig = VEHICLE,
 ) -> Track:
-    """A track of `INERTIA` whose motors shake it about the three axes, commands by `shakes`."""
+    """Simulate a vehicle of `INERTIA` whose motors excite its axes with the given command amplitudes."""
     rng = np.random.default_rng(3)
     tick, fine = 0.004, 4
     motors = vehicle.airframe.motors
@@ -40,15 +40,15 @@ def turning(
     arms = np.array([(-m.y_m, m.x_m, m.yaw_torque_per_thrust_m) for m in motors])
     j, w, u = np.array(INERTIA), np.zeros(3), np.full(4, HOVER)
     keep = math.exp(-tick / fine / lag_s)
-    gyro, sent, stamps = [], [], []
+    gyro, commands, stamps = [], [], []
     for i in range(round(seconds / tick)):
         t = i * tick
-        # Two tones an axis, of its own, so that the vehicle turns to and fro.
+        # Two tones per axis make the vehicle rotate back and forth.
         wave = [math.sin(2 * math.pi * (1.1 + 0.7 * k) * t) + math.sin(19.0 * t + k) for k in range(3)]
-        command = HOVER + mix @ (np.array(shakes) * wave) + 0.002 * rng.normal(size=4)
+        command = HOVER + mix @ (np.array(amplitudes) * wave) + 0.002 * rng.normal(size=4)
         if i % 2 == 0:
             stamps.append(t)
-            sent.append(command)
+            commands.append(command)
         for _ in range(fine):
             u = command + (u - command) * keep
             torque = np.array([vehicle.thrust.force_n(x) for x in u]) @ arms + wind_nm * rng.normal(size=3)
@@ -61,12 +61,12 @@ def turning(
         specific_force=np.tile((0.0, 0.0, -9.81), (n, 1)),
         rate=np.array(gyro),
         motor_s=np.array(stamps),
-        motors=np.array(sent),
+        motors=np.array(commands),
     )
 
 
-def test_what_shakes_about_all_axes_tells_all_three() -> None:
-    result = calibrate_inertia([turning((0.02, 0.02, 0.05))], VEHICLE)
+def test_excitation_of_all_axes_gives_all_three_inertias() -> None:
+    result = calibrate_inertia([excited_track((0.02, 0.02, 0.05))], VEHICLE)
     for axis, true in zip(result.axes, INERTIA, strict=True):
         assert axis.value == pytest.approx(true, rel=0.04), axis
         assert axis.low is not None
@@ -76,24 +76,24 @@ def test_what_shakes_about_all_axes_tells_all_three() -> None:
     assert result.motor_lag_s == pytest.approx(0.025, rel=0.25)
 
 
-def test_another_lag_is_found() -> None:
-    result = calibrate_inertia([turning((0.02, 0.02, 0.05), lag_s=0.05)], VEHICLE)
+def test_a_different_motor_lag_is_estimated() -> None:
+    result = calibrate_inertia([excited_track((0.02, 0.02, 0.05), lag_s=0.05)], VEHICLE)
     assert result.motor_lag_s == pytest.approx(0.05, rel=0.25)
     assert result.axes[0].value == pytest.approx(INERTIA[0], rel=0.06)
 
 
-def test_yaw_scales_with_the_propellers_torque() -> None:
-    """Only the ratio of inertia and propeller torque shows: half the one is half the other."""
-    track = turning((0.02, 0.02, 0.05))
+def test_yaw_inertia_scales_with_the_propeller_torque() -> None:
+    """Only the ratio of inertia to propeller torque is observable: half the torque gives half the inertia."""
+    track = excited_track((0.02, 0.02, 0.05))
     airframe = msgspec.structs.replace(VEHICLE.airframe, yaw_torque_per_thrust_m=0.008)
     half = calibrate_inertia([track], msgspec.structs.replace(VEHICLE, airframe=airframe))
-    # But for the gyroscopic terms, which do not scale with it.
+    # The gyroscopic terms do not scale with the torque, hence the wide tolerance.
     assert half.axes[2].value == pytest.approx(0.5 * INERTIA[2], rel=0.15)
     assert half.axes[1].value == pytest.approx(INERTIA[1], rel=0.04)
 
 
-def test_an_axis_without_excitation_is_refused_by_name() -> None:
-    result = calibrate_inertia([turning((0.02, 0.0, 0.0))], VEHICLE)
+def test_an_axis_without_excitation_is_refused() -> None:
+    result = calibrate_inertia([excited_track((0.02, 0.0, 0.0))], VEHICLE)
     roll, _, yaw = result.axes
     assert roll.value == pytest.approx(INERTIA[0], rel=0.06)
     assert (yaw.axis, yaw.value) == ("yaw", None)
@@ -101,16 +101,16 @@ def test_an_axis_without_excitation_is_refused_by_name() -> None:
     assert result.inertia_kg_m2[2] is None
 
 
-def test_without_any_excitation_nothing_is_told() -> None:
-    track = turning((0.0, 0.0, 0.0))
+def test_a_track_without_any_excitation_is_refused() -> None:
+    track = excited_track((0.0, 0.0, 0.0))
     track.motors[:] = HOVER
     with pytest.raises(InputError, match=r"no axis is excited: roll: .*pitch: .*yaw: "):
         calibrate_inertia([track], VEHICLE)
 
 
-def test_motors_in_another_order_are_noticed() -> None:
-    """Left and right exchanged: rates in roll and yaw go against the torques, pitch is as it was."""
-    track = turning((0.02, 0.02, 0.05))
+def test_a_wrong_motor_order_is_detected() -> None:
+    """With left and right exchanged, roll and yaw rates oppose the torques; pitch is unaffected."""
+    track = excited_track((0.02, 0.02, 0.05))
     track.motors[:] = track.motors[:, (2, 3, 0, 1)]
     roll, pitch, yaw = calibrate_inertia([track], VEHICLE).axes
     assert (roll.value, yaw.value) == (None, None)
@@ -118,8 +118,8 @@ def test_motors_in_another_order_are_noticed() -> None:
     assert pitch.value == pytest.approx(INERTIA[1], rel=0.1)
 
 
-def test_slow_commands_and_other_vehicles_are_refused() -> None:
-    track = turning((0.02, 0.02, 0.05), seconds=6.0)
+def test_slow_commands_other_airframes_and_short_tracks_are_refused() -> None:
+    track = excited_track((0.02, 0.02, 0.05), seconds=6.0)
     slow = msgspec.structs.replace(track, motor_s=track.motor_s[::20], motors=track.motors[::20])
     with pytest.raises(InputError, match="motor commands at 6 Hz, at least 50"):
         calibrate_inertia([slow], VEHICLE)
@@ -127,12 +127,12 @@ def test_slow_commands_and_other_vehicles_are_refused() -> None:
     with pytest.raises(InputError, match="6 motors, the configured airframe 4"):
         calibrate_inertia([six], VEHICLE)
     with pytest.raises(InputError, match=r"windows of 0\.1 s"):
-        calibrate_inertia([turning((0.02, 0.02, 0.05), seconds=2.0)], VEHICLE)
+        calibrate_inertia([excited_track((0.02, 0.02, 0.05), seconds=2.0)], VEHICLE)
 
 
-def test_contacts_and_the_ground_are_left_out() -> None:
-    """A torque from outside, in a contact and on the ground, changes nothing."""
-    track = turning((0.02, 0.02, 0.05))
+def test_contacts_and_ground_time_are_excluded() -> None:
+    """External torques in a contact and on the ground do not affect the estimate."""
+    track = excited_track((0.02, 0.02, 0.05))
     hit = (track.imu_s > 8.0) & (track.imu_s < 8.4)
     track.specific_force[hit] = (20.0, 0.0, -9.81)
     track.rate[hit] += 5.0 * np.sin(30.0 * track.imu_s[hit])[:, None]
@@ -142,21 +142,21 @@ def test_contacts_and_the_ground_are_left_out() -> None:
     assert result.axes[0].value == pytest.approx(INERTIA[0], rel=0.05)
 
 
-def test_own_log_and_the_configuration(
+def test_the_command_writes_only_the_identified_axis_to_the_configuration(
     flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An ordinary flight tells pitch, the axis of its approach; `--write` changes that and nothing else."""
+    """An ordinary flight excites pitch, the axis of its approach; `--write` leaves the other axes."""
     config = tmp_path / "mine.yaml"
     text = (ROOT / "configs" / "dart.yaml").read_text()
     config.write_text(text.replace("[0.0125, 0.0125, 0.022]", "[0.02, 0.02, 0.03]"))
     log = str(flown("paper_single_wall", 2).log)
     assert main(["calibrate", "inertia", log, "--config", str(config), "--write", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    pitch = said["axes"][1]
+    output = json.loads(capsys.readouterr().out)
+    pitch = output["axes"][1]
     assert pitch["low"] < 0.0125 < pitch["high"]
     found = load_vehicle(config).airframe.inertia_kg_m2
     kept = (0.02, 0.02, 0.03)
-    for value, axis, old in zip(found, said["axes"], kept, strict=True):
+    for value, axis, old in zip(found, output["axes"], kept, strict=True):
         assert value == pytest.approx(axis["value"] or old, abs=1e-6)
     changed = [a for a, b in zip(text.splitlines(), config.read_text().splitlines(), strict=True) if a != b]
     assert len(changed) == 1
@@ -164,16 +164,16 @@ def test_own_log_and_the_configuration(
     assert "about" in capsys.readouterr().out
 
 
-def test_px4_logs_tell_it_too(tmp_path: Path) -> None:
+def test_px4_logs_give_the_inertia(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
-    track = turning((0.02, 0.02, 0.05))
+    track = excited_track((0.02, 0.02, 0.05))
     imu = zip(track.imu_s, np.hstack([track.rate, track.specific_force]).tolist(), strict=True)
-    sent = zip(track.motor_s, track.motors.tolist(), strict=True)
+    commands = zip(track.motor_s, track.motors.tolist(), strict=True)
     topics = {
         (name, 0): (fields, [(10_000_000 + round(1e6 * float(t)), values) for t, values in rows])
         for name, fields, rows in (
             ("sensor_combined", "float[3] gyro_rad;float[3] accelerometer_m_s2;", imu),
-            ("actuator_motors", "float[4] control;", sent),
+            ("actuator_motors", "float[4] control;", commands),
         )
     }
     result = calibrate_inertia([read_calibration_series(write_ulog(tmp_path / "a.ulg", topics))], VEHICLE)

@@ -1,4 +1,4 @@
-"""What a campaign is asked: grids, identities, and when it is another one."""
+"""Campaign specifications: grids, items, differences between campaigns, and the statistics of results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SINGLE, DUAL = (
 )
 
 
-def test_values_are_parted_at_commas_outside_brackets_and_quotes() -> None:
+def test_grid_values_are_split_at_commas_outside_brackets_and_quotes() -> None:
     grid = parse_grid(
         ["airframe.mass_kg=1.2, 1.4", "lock.driver=mock", "imu.position_m=[0, 0, 0],[0.1, 0, 0]"]
     )
@@ -41,16 +41,16 @@ def test_values_are_parted_at_commas_outside_brackets_and_quotes() -> None:
 
 
 @pytest.mark.parametrize("setting", ["airframe.mass_kg", "=1", "a=", "a=1,", "a=1,1"])
-def test_what_is_no_grid_is_refused(setting: str) -> None:
+def test_an_invalid_grid_setting_is_refused(setting: str) -> None:
     with pytest.raises(InputError, match="--set"):
         parse_grid([setting])
 
 
-def test_every_mission_with_every_combination_and_every_seed() -> None:
-    asked = CampaignSpec(
+def test_a_campaign_combines_every_mission_setting_and_seed() -> None:
+    spec = CampaignSpec(
         (SINGLE, DUAL), settings=parse_grid(["airframe.mass_kg=1.2,1.4", "onset=lcp,touch"]), runs=3, seed=5
     )
-    points = points_of(asked)
+    points = points_of(spec)
     assert [(p.number, p.path, p.values) for p in points][:5] == [
         (1, SINGLE, ("1.2", "lcp")),
         (2, SINGLE, ("1.2", "touch")),
@@ -60,16 +60,16 @@ def test_every_mission_with_every_combination_and_every_seed() -> None:
     ]
     assert points[2].mission.vehicle.airframe.mass_kg == 1.4
     assert len({p.digest for p in points}) == 8
-    items = list(items_of(asked, points))
+    items = list(items_of(spec, points))
     assert len(items) == len(set(items)) == 24
-    assert [item.seed for item in items[:8]] == [5] * 8, "all of the grid first"
-    columns = campaign_of(asked, points).columns
+    assert [item.seed for item in items[:8]] == [5] * 8, "the whole grid is flown before the next seed"
+    columns = campaign_of(spec, points).columns
     assert columns[:4] == ("mission", "airframe.mass_kg", "onset", "seed")
     assert columns[-4:] == ("c1_normal_m_s", "c1_peak_force_n", "c2_normal_m_s", "c2_peak_force_n")
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("spec", "message"),
     [
         (CampaignSpec((SINGLE, SINGLE)), "twice"),
         (CampaignSpec((SINGLE,), settings={"airframe.mas_kg": ("1",)}), "did you mean"),
@@ -78,26 +78,28 @@ def test_every_mission_with_every_combination_and_every_seed() -> None:
         (CampaignSpec(("none.yaml",)), "cannot read"),
     ],
 )
-def test_wrong_input_is_found_before_the_first_flight(asked: CampaignSpec, said: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=said):
-        open_campaign(asked, tmp_path / "new", resume=False)
+def test_invalid_input_is_refused_before_the_first_flight(
+    spec: CampaignSpec, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=message):
+        open_campaign(spec, tmp_path / "new", resume=False)
     assert not (tmp_path / "new").exists()
 
 
-def test_another_campaign_is_told_by_what_differs(tmp_path: Path) -> None:
+def test_the_difference_to_an_existing_campaign_is_reported(tmp_path: Path) -> None:
     shutil.copytree(packaged("missions"), tmp_path / "missions")
     shutil.copytree(packaged("configs"), tmp_path / "configs")
     mission = tmp_path / "missions" / "paper_single_wall.yaml"
-    asked = CampaignSpec((str(mission),), vary=("mass",), runs=4, seed=3)
+    spec = CampaignSpec((str(mission),), vary=("mass",), runs=4, seed=3)
 
     def differs(**changes: object) -> str | None:
-        other = msgspec.structs.replace(asked, **changes)
-        return difference(kept, campaign_of(other, points_of(other)))
+        other = msgspec.structs.replace(spec, **changes)
+        return difference(existing, campaign_of(other, points_of(other)))
 
-    kept = campaign_of(asked, points_of(asked))
+    existing = campaign_of(spec, points_of(spec))
     assert differs() is None
-    assert differs(runs=9) is None, "more seeds are the same campaign"
-    for changes, said in (
+    assert differs(runs=9) is None, "more runs extend the same campaign"
+    for changes, message in (
         ({"runs": 2}, "--runs: 4 in the existing campaign"),
         ({"seed": 4}, "--seed: 3 in the existing campaign, not 4"),
         ({"vary": ("mass=0.2",)}, "--vary: mass in the existing campaign, not mass=0.2"),
@@ -109,7 +111,7 @@ def test_another_campaign_is_told_by_what_differs(tmp_path: Path) -> None:
     ):
         found = differs(**changes)
         assert found is not None
-        assert found.startswith(said)
+        assert found.startswith(message)
     mission.write_text(mission.read_text().replace("hold_s: 2.0", "hold_s: 1.0"))
     assert differs() == "a mission or configuration file has changed since the campaign began"
 
@@ -117,15 +119,15 @@ def test_another_campaign_is_told_by_what_differs(tmp_path: Path) -> None:
 # --- statistics -----------------------------------------------------------------------------------------
 
 
-def test_the_interval_is_wilsons() -> None:
-    rate = share(8, 10)  # Agresti and Coull 1998, and any table of the score interval
+def test_the_interval_of_a_share_is_wilsons_score_interval() -> None:
+    rate = share(8, 10)  # Agresti and Coull 1998
     assert rate.low == pytest.approx(0.4902, abs=1e-4)
     assert rate.high == pytest.approx(0.9433, abs=1e-4)
     assert share(0, 0).share is None
     assert share(5, 5).high == 1.0
 
 
-def test_bins_hold_about_the_same_number() -> None:
+def test_bins_hold_about_the_same_number_of_values() -> None:
     rng = random.Random(1)
     values = [rng.gauss(0.0, 1.0) for _ in range(400)]
     edges = bin_edges(values)
@@ -137,7 +139,7 @@ def test_bins_hold_about_the_same_number() -> None:
     assert bin_of(2.0, bin_edges([2.0] * 100)) == 0
 
 
-def test_separation_is_the_share_of_pairs() -> None:
+def test_separation_is_the_share_of_ordered_pairs() -> None:
     rng = random.Random(2)
     first = [rng.choice([1.0, 2.0, 3.0]) for _ in range(30)]
     second = [rng.choice([2.0, 3.0, 4.0]) for _ in range(40)]

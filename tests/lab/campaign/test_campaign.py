@@ -1,4 +1,4 @@
-"""`dart-flight campaign`: the table, going on, what is kept, and the way back to a failed flight."""
+"""`dart-flight campaign`: the table, resuming, kept logs, and the reproduction of failed flights."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[3]
 MISSION = str(ROOT / "tests" / "data" / "near_wall.yaml")
-# Short flights; some of these worlds have their wall where the mission does not believe it.
+# In some of these worlds the wall is far from its place in the mission.
 VARY = ["--vary", "wall_offset_m=0.4", "--vary", "mass"]
 
 
-RUNS = 5  # one of them completed, so that both outcomes are in the table
+RUNS = 5  # one flight completes, so the table has both outcomes
 
 
-def words(out: Path, runs: int, *more: str) -> list[str]:
-    return ["campaign", MISSION, "--runs", str(runs), "--out", str(out), *VARY, *more]
+def campaign_command(out: Path, runs: int, *options: str) -> list[str]:
+    return ["campaign", MISSION, "--runs", str(runs), "--out", str(out), *VARY, *options]
 
 
 def rows(out: Path) -> list[dict[str, str]]:
@@ -48,21 +48,21 @@ def rows(out: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def flown(flown: SharedFlights) -> Path:
-    """`RUNS` flights in one go, by whichever worker comes first; some of them fail."""
+    """Return the folder of a campaign of `RUNS` flights without interruption."""
 
     def fly(folder: Path) -> None:
-        assert main(words(folder / "whole", RUNS)) == 0
+        assert main(campaign_command(folder / "whole", RUNS)) == 0
 
     return flown.once("campaign", fly) / "whole"
 
 
-def test_a_row_is_the_flight(flown: Path) -> None:
+def test_a_row_holds_the_results_of_its_flight(flown: Path) -> None:
     mission = load_flyable(MISSION)
     spreads = parse_vary(VARY[1::2], mission.vehicle)
     found = {int(row["seed"]): row for row in rows(flown)}
     assert sorted(found) == list(range(1, RUNS + 1))
     assert {row["outcome"] for row in found.values()} == {"completed", "aborted"}
-    for seed in (1, 2):  # without a contact, and with one
+    for seed in (1, 2):  # seed 1 has no contact, seed 2 has one
         verdict = fly_fast(mission, seed, None, spreads=spreads)
         row = found[seed]
         assert row["mission"] == MISSION
@@ -89,7 +89,9 @@ def test_the_summary_counts_the_rows(flown: Path) -> None:
     assert summary["vehicle"]["mass_kg"] == 1.3
 
 
-def test_a_failed_flight_is_kept_and_replays(flown: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_log_of_a_failed_flight_is_kept_and_can_be_replayed(
+    flown: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     failed = json.loads((flown / "summary.json").read_text())["failed"]
     logs = sorted(str(path.relative_to(flown)) for path in flown.glob("logs/*/flight.mcap"))
     assert logs == sorted(one["log"] for one in failed)
@@ -98,11 +100,11 @@ def test_a_failed_flight_is_kept_and_replays(flown: Path, monkeypatch: pytest.Mo
     assert main(command[1:]) == 0
 
 
-def test_a_failed_flight_is_flown_again_by_its_command(
+def test_the_command_of_a_failed_flight_reproduces_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     grid = ["--set", "airframe.mass_kg=1.25,1.35", "--keep", "none", "--jobs", "1"]
-    assert main(words(tmp_path / "bare", 2, "--seed", "2", *grid)) == 0
+    assert main(campaign_command(tmp_path / "bare", 2, "--seed", "2", *grid)) == 0
     summary = json.loads((tmp_path / "bare" / "summary.json").read_text())
     assert not (tmp_path / "bare" / "logs").exists()
     assert [point["settings"] for point in summary["points"]] == [
@@ -121,7 +123,7 @@ def test_a_failed_flight_is_flown_again_by_its_command(
     )
 
 
-def test_the_page_is_one_file(flown: Path) -> None:
+def test_the_campaign_page_is_a_single_file(flown: Path) -> None:
     page = (flown / "index.html").read_text()
     assert not re.search(r"<script|https?://(?!www\.w3\.org)|<link", page)
     assert "wall_not_met" in page or "wall_met_early" in page
@@ -130,7 +132,7 @@ def test_the_page_is_one_file(flown: Path) -> None:
     assert page.count("data:image/svg+xml") == 2
 
 
-def test_without_jinja2_a_campaign_has_its_table_and_says_what_the_page_needs(
+def test_missing_jinja2_is_reported_and_the_table_is_still_written(
     flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(flown, tmp_path / "out", ignore=shutil.ignore_patterns("index.html", "summary.json"))
@@ -142,29 +144,29 @@ def test_without_jinja2_a_campaign_has_its_table_and_says_what_the_page_needs(
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["flights"] == RUNS
 
 
-# --- going on -------------------------------------------------------------------------------------------
+# --- resuming -------------------------------------------------------------------------------------------
 
 
-def test_more_seeds_go_on_with_the_table(
+def test_resuming_with_more_runs_appends_to_the_table(
     flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "two"
-    assert main(words(out, 2)) == 0
-    assert main(words(out, 2)) == 2
+    assert main(campaign_command(out, 2)) == 0
+    assert main(campaign_command(out, 2)) == 2
     assert "a campaign exists here already; use --resume to continue it" in capsys.readouterr().err
-    assert main([*words(out, RUNS), "--resume"]) == 0
+    assert main([*campaign_command(out, RUNS), "--resume"]) == 0
     assert f"2 of {RUNS} flights are already in the table" in capsys.readouterr().err
     assert sorted((out / "flights.csv").read_bytes().splitlines()) == sorted(
         (flown / "flights.csv").read_bytes().splitlines()
     )
     before = (out / "flights.csv").read_bytes()
-    assert main(["campaign", "--resume", "--out", str(out), "--json"]) == 0, "nothing is left"
+    assert main(["campaign", "--resume", "--out", str(out), "--json"]) == 0, "no flight remains"
     assert json.loads(capsys.readouterr().out)["flights"] == RUNS
     assert (out / "flights.csv").read_bytes() == before
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("options", "message"),
     [
         (["--seed", "2"], "cannot resume this campaign: --seed: 1 in the existing campaign, not 2"),
         (["--vary", "battery"], "cannot resume this campaign: --vary"),
@@ -172,19 +174,19 @@ def test_more_seeds_go_on_with_the_table(
         (["--keep", "all"], "cannot resume this campaign: --keep: failed in the existing campaign, not all"),
     ],
 )
-def test_another_campaign_is_refused_in_one_line(
-    more: list[str], said: str, flown: Path, capsys: pytest.CaptureFixture[str]
+def test_resuming_a_different_campaign_is_refused_in_one_line(
+    options: list[str], message: str, flown: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = (flown / "flights.csv").read_bytes()
-    assert main([*words(flown, RUNS), "--resume", *more]) == 2
+    assert main([*campaign_command(flown, RUNS), "--resume", *options]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
-    assert said in lines[0]
+    assert message in lines[0]
     assert (flown / "flights.csv").read_bytes() == before
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("options", "message"),
     [
         (["--runs", "3"], "MISSION: no mission given"),
         (["--resume"], "no campaign to resume here"),
@@ -196,24 +198,24 @@ def test_another_campaign_is_refused_in_one_line(
         ),
     ],
 )
-def test_half_a_command_is_refused(
-    more: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_an_incomplete_command_is_refused(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["campaign", "--out", str(tmp_path / "none"), *more]) == 2
-    assert said in capsys.readouterr().err
+    assert main(["campaign", "--out", str(tmp_path / "none"), *options]) == 2
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
 
-def started(out: Path, runs: int) -> subprocess.Popen[str]:
+def start_campaign(out: Path, runs: int) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "dart_flight", *words(out, runs), "--resume"],
+        [sys.executable, "-m", "dart_flight", *campaign_command(out, runs), "--resume"],
         env=os.environ | {"PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )  # fmt: skip
 
 
-def until_rows(out: Path, count: int, process: subprocess.Popen[str]) -> None:
+def wait_for_rows(out: Path, count: int, process: subprocess.Popen[str]) -> None:
     until = time.monotonic() + 120.0
     table = out / "flights.csv"
     while time.monotonic() < until and process.poll() is None:
@@ -222,18 +224,18 @@ def until_rows(out: Path, count: int, process: subprocess.Popen[str]) -> None:
         time.sleep(0.02)
 
 
-def test_killed_again_and_again_no_row_is_lost_or_doubled(flown: Path, tmp_path: Path) -> None:
+def test_rows_are_neither_lost_nor_duplicated_by_repeated_kills(flown: Path, tmp_path: Path) -> None:
     out = tmp_path / "killed"
     for count in (1, 3):
-        process = started(out, RUNS)
-        until_rows(out, count, process)
+        process = start_campaign(out, RUNS)
+        wait_for_rows(out, count, process)
         process.kill()
         process.wait()
         with open(out / "flights.csv", "ab") as file:
-            file.write(b"torn,by,the,last")  # as a disk may leave it
-    process = started(out, RUNS)
-    _, said = process.communicate(timeout=300.0)
-    assert process.returncode == 0, said
+            file.write(b"torn,by,the,last")  # an incomplete row, as after a crash
+    process = start_campaign(out, RUNS)
+    _, message = process.communicate(timeout=300.0)
+    assert process.returncode == 0, message
     assert sorted((out / "flights.csv").read_bytes().splitlines()) == sorted(
         (flown / "flights.csv").read_bytes().splitlines()
     )
@@ -242,28 +244,28 @@ def test_killed_again_and_again_no_row_is_lost_or_doubled(flown: Path, tmp_path:
     }
 
 
-def test_ctrl_c_keeps_what_is_flown(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_completed_rows(tmp_path: Path) -> None:
     out = tmp_path / "interrupted"
-    process = started(out, 200)
-    until_rows(out, 1, process)
+    process = start_campaign(out, 200)
+    wait_for_rows(out, 1, process)
     os.killpg(process.pid, signal.SIGINT)
-    _, said = process.communicate(timeout=120.0)
-    assert process.returncode == 130, said
-    there = len(rows(out))
-    assert 1 <= there < 200
-    assert f"{there} of 200 flights are in the table" in said
-    assert json.loads((out / "summary.json").read_text())["flights"] == there
+    _, message = process.communicate(timeout=120.0)
+    assert process.returncode == 130, message
+    written = len(rows(out))
+    assert 1 <= written < 200
+    assert f"{written} of 200 flights are in the table" in message
+    assert json.loads((out / "summary.json").read_text())["flights"] == written
     assert "flights are not flown yet" in (out / "index.html").read_text()
 
 
-# --- what goes wrong ------------------------------------------------------------------------------------
+# --- errors ---------------------------------------------------------------------------------------------
 
 
-def opened(out: Path, runs: int = 6) -> campaigns.CampaignFolder:
+def open_folder(out: Path, runs: int = 6) -> campaigns.CampaignFolder:
     return campaigns.open_campaign(CampaignSpec((MISSION,), runs=runs), out, resume=True)
 
 
-def engine_of(flights: Mapping[int, Flown | Failure]) -> campaigns.Engine:
+def engine_with(flights: Mapping[int, Flown | Failure]) -> campaigns.Engine:
     def engine(flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrupt) -> campaigns.Landings:
         for item in items:
             line = flyer.failed(item, "stands in").line
@@ -272,27 +274,27 @@ def engine_of(flights: Mapping[int, Flown | Failure]) -> campaigns.Engine:
     return engine
 
 
-def test_a_fault_of_the_program_is_a_row_and_not_the_end(tmp_path: Path) -> None:
-    here = opened(tmp_path / "faulty")
+def test_a_software_error_becomes_a_row_and_the_campaign_continues(tmp_path: Path) -> None:
+    opened = open_folder(tmp_path / "faulty")
     faults = {3: Failure("ValueError: no (plant.py:7)"), 5: Failure("its process died 2 times (SIGKILL)")}
-    assert campaigns.fly(here, engine_of(faults), Interrupt()) == 6
-    found = {row["seed"]: row for row in rows(here.folder)}
+    assert campaigns.fly(opened, engine_with(faults), Interrupt()) == 6
+    found = {row["seed"]: row for row in rows(opened.folder)}
     assert (found["3"]["outcome"], found["3"]["reason"]) == ("error", "ValueError: no (plant.py:7)")
     assert found["5"]["reason"] == "its process died 2 times (SIGKILL)"
     assert len(found) == 6
 
 
-def test_a_full_disk_ends_it_with_a_line_and_it_goes_on_later(
+def test_a_full_disk_ends_a_campaign_that_can_be_resumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The kernel's limit of a file's size stands in for the disk, in the process that writes."""
+    """The kernel's limit on file sizes simulates the full disk."""
     out = tmp_path / "full"
     limited = (
         "import resource, sys\n"
         "from dart_flight.cli import main\n"
         "from dart_flight.recording.about import software_version\n"
         "if __name__ == '__main__':\n"
-        "    software_version()\n"  # git writes its index: cut, that would leave a lock behind
+        "    software_version()\n"  # call git before the limit: a truncated index leaves a lock file
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (800, 800))\n"
         "    sys.exit(main(sys.argv[1:]))\n"
     )
@@ -300,15 +302,15 @@ def test_a_full_disk_ends_it_with_a_line_and_it_goes_on_later(
     script.write_text(limited)
     command = ["campaign", MISSION, "--runs", "6", "--out", str(out), "--keep", "none", "--jobs", "2"]
     done = subprocess.run(
-        [sys.executable, "-B", str(script), *command],  # -B: bytecode would be cut, too, and stay
+        [sys.executable, "-B", str(script), *command],  # -B: no truncated bytecode
         env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr
     assert done.stderr.splitlines()[-1] == (
         f"cannot write {out}/flights.csv: File too large; completed rows are kept; continue with --resume"
     )
-    there = len(rows(out))
-    assert 1 <= there < 6
+    written = len(rows(out))
+    assert 1 <= written < 6
     assert main([*command, "--resume"]) == 0
     assert [int(row["seed"]) for row in sorted(rows(out), key=lambda row: int(row["seed"]))] == list(
         range(1, 7)

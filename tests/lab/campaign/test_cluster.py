@@ -1,4 +1,4 @@
-"""The same flights on Dask's workers: rows identical to a local run, also where a worker is killed."""
+"""Campaigns on Dask's workers: the rows of a local run, and lost workers and schedulers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.packages import install_command
-from tests.lab.campaign.test_campaign import ROOT, rows, words
+from tests.lab.campaign.test_campaign import ROOT, campaign_command, rows
 
 distributed = pytest.importorskip("distributed", reason="needs Dask's distributed, the extra cluster")
 
@@ -28,7 +28,7 @@ def spawn(*command: str) -> subprocess.Popen[bytes]:
 
 
 class Cluster:
-    """A scheduler and two workers, each a process of its own as on two machines."""
+    """A scheduler and two workers in separate processes."""
 
     def __init__(self, folder: Path) -> None:
         self._file = folder / "scheduler.json"
@@ -63,10 +63,10 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         made.close()
 
 
-def begun(out: Path, cluster: Cluster, runs: int) -> subprocess.Popen[str]:
-    """The command, with a first row in its table."""
+def start_campaign(out: Path, cluster: Cluster, runs: int) -> subprocess.Popen[str]:
+    """Start a campaign and return its process after the first row."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "dart_flight", *words(out, runs, "--scheduler", cluster.url)],
+        [sys.executable, "-m", "dart_flight", *campaign_command(out, runs, "--scheduler", cluster.url)],
         env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE, text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )  # fmt: skip
@@ -78,58 +78,56 @@ def begun(out: Path, cluster: Cluster, runs: int) -> subprocess.Popen[str]:
     return process
 
 
-def test_rows_are_those_of_a_local_run_also_where_a_worker_is_killed(
-    cluster: Cluster, tmp_path: Path
-) -> None:
-    here, there = tmp_path / "here", tmp_path / "there"
-    assert main(words(here, 8)) == 0
-    process = begun(there, cluster, 8)
+def test_rows_equal_those_of_a_local_run_after_a_worker_is_killed(cluster: Cluster, tmp_path: Path) -> None:
+    local, remote = tmp_path / "here", tmp_path / "there"
+    assert main(campaign_command(local, 8)) == 0
+    process = start_campaign(remote, cluster, 8)
     cluster.workers[0].send_signal(signal.SIGKILL)
-    _, said = process.communicate(timeout=300.0)
-    assert process.returncode == 0, said
-    assert sorted((there / "flights.csv").read_bytes().splitlines()) == sorted(
-        (here / "flights.csv").read_bytes().splitlines()
+    _, errors = process.communicate(timeout=300.0)
+    assert process.returncode == 0, errors
+    assert sorted((remote / "flights.csv").read_bytes().splitlines()) == sorted(
+        (local / "flights.csv").read_bytes().splitlines()
     )
-    assert {path.parent.name for path in there.glob("logs/*/flight.mcap")} == {
-        path.parent.name for path in here.glob("logs/*/flight.mcap")
+    assert {path.parent.name for path in remote.glob("logs/*/flight.mcap")} == {
+        path.parent.name for path in local.glob("logs/*/flight.mcap")
     }
 
 
-def test_ctrl_c_keeps_what_has_landed(cluster: Cluster, tmp_path: Path) -> None:
+def test_ctrl_c_keeps_completed_rows(cluster: Cluster, tmp_path: Path) -> None:
     out = tmp_path / "stopped"
-    process = begun(out, cluster, 100)
+    process = start_campaign(out, cluster, 100)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=120.0)
-    assert process.returncode == 130, said
+    _, errors = process.communicate(timeout=120.0)
+    assert process.returncode == 130, errors
     flown = len(rows(out))
     assert 1 <= flown < 100
     seeds = [int(row["seed"]) for row in rows(out)]
     assert len(set(seeds)) == flown
 
 
-def test_a_scheduler_that_dies_ends_it_in_a_line(cluster: Cluster, tmp_path: Path) -> None:
+def test_the_death_of_the_scheduler_ends_the_campaign_in_one_line(cluster: Cluster, tmp_path: Path) -> None:
     out = tmp_path / "orphaned"
-    process = begun(out, cluster, 100)
+    process = start_campaign(out, cluster, 100)
     cluster.processes[0].kill()
-    _, said = process.communicate(timeout=120.0)
-    assert process.returncode == 1, said
+    _, errors = process.communicate(timeout=120.0)
+    assert process.returncode == 1, errors
     last = "lost connection to the scheduler; completed rows are kept; continue with --resume"
-    assert said.splitlines()[-1].endswith(last)
-    assert "Traceback" not in said
-    assert {row["outcome"] for row in rows(out)} <= {"completed", "aborted"}, "no row of what was not flown"
+    assert errors.splitlines()[-1].endswith(last)
+    assert "Traceback" not in errors
+    assert {row["outcome"] for row in rows(out)} <= {"completed", "aborted"}, "an unflown item has no row"
 
 
-def test_a_scheduler_that_is_not_there(
+def test_an_unreachable_scheduler_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dart_flight.lab.campaign.cluster._PATIENCE_S", 1.0)
-    assert main(words(tmp_path / "none", 2, "--scheduler", "tcp://127.0.0.1:9")) == 1
+    assert main(campaign_command(tmp_path / "none", 2, "--scheduler", "tcp://127.0.0.1:9")) == 1
     assert "--scheduler tcp://127.0.0.1:9: " in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_without_dask_the_extra_is_named(
+def test_missing_dask_is_reported_with_the_extra_to_install(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    assert main(words(tmp_path / "none", 2, "--scheduler", "tcp://127.0.0.1:9")) == 2
+    assert main(campaign_command(tmp_path / "none", 2, "--scheduler", "tcp://127.0.0.1:9")) == 2
     assert install_command("cluster") in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""A campaign with its own judge and cases: a row of the table is what the judge returned."""
+"""Campaigns with their own judge and cases, whose rows are the judge's results."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FLY, JUDGE = f"{HERE}:fly_nothing", f"{HERE}:judge_nothing"
 
 
 class Row(msgspec.Struct, frozen=True):
-    """Every kind of field that a judge may return."""
+    """A row with every type of field that a judge may return."""
 
     number: float | None
     count: int
@@ -73,46 +73,46 @@ def judge_without_type(flown: FlownFlight):  # type: ignore[no-untyped-def]
     return flown
 
 
-def in_this_process(flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrupt) -> Landings:
+def fly_in_this_process(flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrupt) -> Landings:
     for item in items:
         yield FinishedItem(item, attempt(flyer, item))
 
 
-def flown(spec: CampaignSpec, out: Path, resume: bool = False) -> list[flight_job.JudgedRow]:
+def fly_rows(spec: CampaignSpec, out: Path, resume: bool = False) -> list[flight_job.JudgedRow]:
     opened = campaigns.open_campaign(spec, out, resume)
-    campaigns.fly(opened, in_this_process, Interrupt())
+    campaigns.fly(opened, fly_in_this_process, Interrupt())
     return campaigns.read_rows(opened)
 
 
-def test_a_judge_sees_the_flight_with_its_truth(tmp_path: Path) -> None:
+def test_a_judge_receives_the_flight_with_its_truth_records(tmp_path: Path) -> None:
     spec = CampaignSpec((MISSION,), cases=({"word": "near"},), judge=f"{HERE}:judge_contacts")
-    (row,) = flown(spec, tmp_path / "out")
+    (row,) = fly_rows(spec, tmp_path / "out")
     assert row.values == {"word": "near"}
     assert row.row.count == len(row.row.pairs) > 0
     assert row.row.mode is Mode.RIGID
     assert row.row.pairs[0][1] < 0.0
 
 
-def test_cases_are_flown_with_every_seed_and_an_error_is_a_row(tmp_path: Path) -> None:
+def test_cases_are_flown_with_every_seed_and_errors_become_rows(tmp_path: Path) -> None:
     spec = CampaignSpec((MISSION,), runs=2, cases=f"{HERE}:three_cases", fly=FLY, judge=JUDGE)
-    rows = flown(spec, tmp_path / "out")
+    rows = fly_rows(spec, tmp_path / "out")
     assert [(r.values["word"], r.seed) for r in rows] == [(w, s) for s in (1, 2) for w in ("a", "b, c", "d")]
     assert [r.row and (r.row.words, r.row.count) for r in rows[:3]] == [("a", 1), ("b, c", 1), ("d", 1)]
     assert all(r.row is None and "ValueError: no such world" in r.error for r in rows[3:])
 
 
-def test_resuming_flies_only_what_has_no_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_resuming_flies_only_items_without_a_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spec = CampaignSpec((MISSION,), cases=f"{HERE}:three_cases", fly=FLY, judge=JUDGE)
-    flown(spec, tmp_path / "out")
+    fly_rows(spec, tmp_path / "out")
     table = tmp_path / "out" / campaigns.TABLE
     whole = table.read_bytes()
-    table.write_bytes(whole[:-3])  # the last row is torn
-    assert len(flown(spec, tmp_path / "out", resume=True)) == 3
+    table.write_bytes(whole[:-3])  # truncate the last row
+    assert len(fly_rows(spec, tmp_path / "out", resume=True)) == 3
     assert table.read_bytes() == whole
     assert main(["campaign", "--resume", "--out", str(tmp_path / "out")]) == 2
     assert "its own judge" in capsys.readouterr().err
     with pytest.raises(InputError, match="the judge"):
-        flown(msgspec.structs.replace(spec, judge=f"{HERE}:judge_contacts"), tmp_path / "out", resume=True)
+        fly_rows(msgspec.structs.replace(spec, judge=f"{HERE}:judge_contacts"), tmp_path / "out", resume=True)
 
 
 @given(
@@ -123,7 +123,7 @@ def test_resuming_flies_only_what_has_no_row(tmp_path: Path, capsys: pytest.Capt
     st.text("abc,;\"'[{= ").map(lambda text: " ".join(text.split())),
     st.lists(st.tuples(st.integers(0, 9), st.floats(allow_nan=False, allow_infinity=False))),
 )
-def test_a_row_survives_the_table(
+def test_a_row_survives_writing_and_reading_the_table(
     number: float | None,
     count: int,
     sure: bool,
@@ -135,11 +135,11 @@ def test_a_row_survives_the_table(
     cells = {name: flight_job._text(cell) for name, cell in flight_job._judged_cells(row).items()}
     spec = CampaignSpec((MISSION,), judge=f"{HERE}:judge_nothing")
     campaign = Campaign(spec, (), ("mission", "seed", "error", *Row.__struct_fields__), "")
-    (again,) = flight_job.judged_rows(campaign, [{"mission": MISSION, "seed": "1", "error": "", **cells}])
-    assert again.row == row
+    (read,) = flight_job.judged_rows(campaign, [{"mission": MISSION, "seed": "1", "error": "", **cells}])
+    assert read.row == row
 
 
-def test_a_specification_file_names_the_key_that_is_wrong(tmp_path: Path) -> None:
+def test_an_unknown_key_of_a_specification_file_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "spec.yaml"
     path.write_text("missions: [a.yaml]\nruns: 3\njudge: x:y\n")
     assert load_specification(path) == CampaignSpec(("a.yaml",), runs=3, judge="x:y")
@@ -148,7 +148,7 @@ def test_a_specification_file_names_the_key_that_is_wrong(tmp_path: Path) -> Non
         load_specification(path)
 
 
-def test_a_function_that_is_not_there_is_named() -> None:
+def test_missing_functions_and_invalid_cases_are_refused() -> None:
     for name in ("", "no_such_module:f", f"{HERE}:nothing"):
         with pytest.raises(InputError, match="module:function"):
             named_function(name)

@@ -1,4 +1,4 @@
-"""What a table amounts to, on rows that are made so that the answer is known."""
+"""The summary and page of a campaign, from synthetic rows with known relations."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ FLIGHTS = 400
 
 @pytest.fixture(scope="module")
 def opened(tmp_path_factory: pytest.TempPathFactory) -> campaigns.CampaignFolder:
-    """Flights that fail where the vehicle is heavy, and where the lock is stuck; nothing else matters."""
-    asked = CampaignSpec(
+    """Return flights that fail if the vehicle is heavy or the lock is stuck; other draws have no effect."""
+    spec = CampaignSpec(
         (SINGLE,), vary=("mass", "battery", "lock_true_mode", "contact_scatter"), runs=FLIGHTS
     )
-    opened = campaigns.open_campaign(asked, tmp_path_factory.mktemp("made") / "out", resume=False)
+    opened = campaigns.open_campaign(spec, tmp_path_factory.mktemp("made") / "out", resume=False)
     rng = random.Random(3)
     with Table(opened.folder / campaigns.TABLE, opened.campaign.columns) as table:
         for seed in range(1, FLIGHTS + 1):
@@ -63,7 +63,7 @@ def summary(opened: campaigns.CampaignFolder) -> CampaignSummary:
     return summarise(opened)
 
 
-def test_an_error_counts_in_no_rate(summary: CampaignSummary) -> None:
+def test_a_software_error_is_excluded_from_the_rates(summary: CampaignSummary) -> None:
     assert (summary.flights, summary.errors, summary.completed.of) == (FLIGHTS, 1, FLIGHTS - 1)
     failed = sum(rule.flights for rule in summary.rules if rule.rule != "ValueError")
     assert summary.completed.count == FLIGHTS - 1 - failed
@@ -71,7 +71,7 @@ def test_an_error_counts_in_no_rate(summary: CampaignSummary) -> None:
     assert summary.figures["goal_miss_m"].flights == summary.completed.count
 
 
-def test_a_rule_is_told_by_what_made_it_fire(summary: CampaignSummary) -> None:
+def test_a_rule_is_explained_by_the_quantity_that_triggered_it(summary: CampaignSummary) -> None:
     rules = {rule.rule: rule for rule in summary.rules}
     assert set(rules) == {"too_heavy", "lock_fault", "ValueError"}
     (heavy,) = rules["too_heavy"].telling
@@ -83,27 +83,27 @@ def test_a_rule_is_told_by_what_made_it_fire(summary: CampaignSummary) -> None:
     assert rules["ValueError"].telling == []
 
 
-def test_what_matters_comes_first_and_what_never_varied_not_at_all(summary: CampaignSummary) -> None:
+def test_influential_quantities_come_first_and_constant_ones_are_omitted(summary: CampaignSummary) -> None:
     names = [drawn.name for drawn in summary.drawn]
     assert set(names[:2]) == {"mass", "lock_true_mode"}
     assert names[2:] == ["battery"]
     (mass,) = (drawn.bins for drawn in summary.drawn if drawn.name == "mass")
     assert mass[-1].completed.count < mass[0].completed.count
     assert sum(one.completed.of for one in mass) == FLIGHTS - 1
-    (words,) = (drawn.bins for drawn in summary.drawn if drawn.name == "lock_true_mode")
-    assert {one.value: one.completed.count for one in words}["stuck"] == 0
+    (modes,) = (drawn.bins for drawn in summary.drawn if drawn.name == "lock_true_mode")
+    assert {one.value: one.completed.count for one in modes}["stuck"] == 0
 
 
-def test_the_page_shows_it(summary: CampaignSummary) -> None:
+def test_the_page_shows_errors_and_the_commands_of_failed_flights(summary: CampaignSummary) -> None:
     page = campaign_page(summary)
     assert "1 flights ended by a software error" in page
     assert "&lt;more&gt;" in page
     assert page.count("<code>dart-flight dry-run") == len(summary.failed)
-    assert re.search(r"<details><summary>\d+ more", page), "many failed flights are folded away"
+    assert re.search(r"<details><summary>\d+ more", page), "a long list of failed flights is folded"
     assert "--vary lock_true_mode" in summary.failed[0].command
 
 
-def test_without_matplotlib_the_page_says_what_is_missing(
+def test_missing_matplotlib_is_reported_with_the_package_to_install(
     summary: CampaignSummary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -112,10 +112,10 @@ def test_without_matplotlib_the_page_says_what_is_missing(
     assert "<img" not in page
 
 
-def test_where_everything_completed_the_page_shows_what_varied(tmp_path: Path) -> None:
-    """Of one-point plots of the rate none; the miss over what it follows."""
-    asked = CampaignSpec((SINGLE,), vary=("mass", "battery"), runs=40)
-    opened = campaigns.open_campaign(asked, tmp_path / "out", resume=False)
+def test_the_page_shows_correlations_if_every_flight_completed(tmp_path: Path) -> None:
+    """The page omits one-point plots of the success rate and plots the miss over its cause."""
+    spec = CampaignSpec((SINGLE,), vary=("mass", "battery"), runs=40)
+    opened = campaigns.open_campaign(spec, tmp_path / "out", resume=False)
     rng = random.Random(4)
     with Table(opened.folder / campaigns.TABLE, opened.campaign.columns) as table:
         for seed in range(1, 41):
@@ -137,7 +137,7 @@ def test_where_everything_completed_the_page_shows_what_varied(tmp_path: Path) -
     assert "Success versus drawn quantity" not in page
 
 
-def test_a_campaign_without_a_row_has_a_page(tmp_path: Path) -> None:
+def test_a_campaign_without_rows_has_a_page(tmp_path: Path) -> None:
     empty = campaigns.open_campaign(CampaignSpec((SINGLE,), vary=("mass",), runs=2), tmp_path, resume=False)
     summary = summarise(empty)
     assert summary.completed.share is None
@@ -147,16 +147,16 @@ def test_a_campaign_without_a_row_has_a_page(tmp_path: Path) -> None:
 DUAL = str(packaged("missions", "paper_dual_collision.yaml"))
 
 
-def two_walls(folder: Path, rows: int, follows: str | None) -> CampaignSummary:
-    """Flights of the dual collision (wood flexible, then acrylic rigid); the first peak follows one draw."""
-    asked = CampaignSpec((DUAL,), vary=("contact", "wall_offset_m", "mass", "battery"), runs=rows)
-    opened = campaigns.open_campaign(asked, folder / "out", resume=False)
+def two_wall_summary(folder: Path, rows: int, cause: str | None) -> CampaignSummary:
+    """Summarise dual collisions (wood flexible, then acrylic rigid) whose first peak has one cause."""
+    spec = CampaignSpec((DUAL,), vary=("contact", "wall_offset_m", "mass", "battery"), runs=rows)
+    opened = campaigns.open_campaign(spec, folder / "out", resume=False)
     columns, rng = opened.campaign.columns, random.Random(5)
     names = columns[columns.index("seed") + 1 : columns.index("outcome")]
     with Table(opened.folder / campaigns.TABLE, columns) as table:
         for seed in range(1, rows + 1):
             drawn = {name: rng.gauss(1.0, 0.1) for name in names}
-            peak_n = rng.gauss(20.0, 1.0) if follows is None else 20.0 * drawn[follows]
+            peak_n = rng.gauss(20.0, 1.0) if cause is None else 20.0 * drawn[cause]
             missed = msgspec.json.encode([
                 {"what": "collision 1 peak force, N", "planned": 20.0, "flown": 28.0 + seed,
                  "tolerance": 5.0},
@@ -171,27 +171,29 @@ def two_walls(folder: Path, rows: int, follows: str | None) -> CampaignSummary:
 
 
 @pytest.mark.parametrize(
-    ("follows", "seen"),
+    ("cause", "correlated"),
     [
         ("contact.wood.flexible.k", True),
         ("mass", True),
         ("contact.wood.rigid.k", False),  # the other mode
-        ("contact.acrylic.rigid.k", False),  # of a wall that is hit later
+        ("contact.acrylic.rigid.k", False),  # a wall that is hit later
         ("wall_offset_m.acrylic", False),
         (None, False),
     ],
 )
-def test_a_peak_follows_only_what_can_matter_to_it(follows: str | None, seen: bool, tmp_path: Path) -> None:
-    summary = two_walls(tmp_path, 40, follows)
-    assert [one.name for one in summary.varied if one.figure == "c1_peak_force_n"][:1] == [follows] * seen
+def test_a_peak_force_is_correlated_only_with_draws_that_can_affect_it(
+    cause: str | None, correlated: bool, tmp_path: Path
+) -> None:
+    summary = two_wall_summary(tmp_path, 40, cause)
+    assert [one.name for one in summary.varied if one.figure == "c1_peak_force_n"][:1] == [cause] * correlated
     tried = summary.tried["c1_peak_force_n"]
     assert tried == len(("k", "f", "mu", "nu")) + len(("wall_offset_m.wood", "mass", "battery"))
-    words = f"c1 peak force, N: none of {tried} drawn quantities is significant"
-    assert (words in campaign_page(summary)) is not seen
+    sentence = f"c1 peak force, N: none of {tried} drawn quantities is significant"
+    assert (sentence in campaign_page(summary)) is not correlated
 
 
-def test_the_page_says_what_was_not_followed(tmp_path: Path) -> None:
-    summary = two_walls(tmp_path, 20, None)
+def test_the_page_shows_deviations_from_the_plan(tmp_path: Path) -> None:
+    summary = two_wall_summary(tmp_path, 20, None)
     peak, mode = summary.not_followed
     assert (peak.what, peak.flights, peak.of, peak.not_flown) == ("collision 1 peak force, N", 10, 20, 0)
     assert (peak.planned, peak.flown, peak.tolerance) == (20.0, 38.0, 5.0)
@@ -203,7 +205,7 @@ def test_the_page_says_what_was_not_followed(tmp_path: Path) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(*[st.floats(-5.0, 5.0)] * 2), min_size=20, max_size=80, unique_by=lambda p: p[0]))
-def test_the_p_value_is_near_that_of_scipy(pairs: list[tuple[float, float]]) -> None:
+def test_the_p_value_is_close_to_scipys(pairs: list[tuple[float, float]]) -> None:
     if len({y for _, y in pairs}) < 2:
         return
     exact = scipy.stats.spearmanr(*zip(*pairs, strict=True))
@@ -212,7 +214,7 @@ def test_the_p_value_is_near_that_of_scipy(pairs: list[tuple[float, float]]) -> 
     assert found == pytest.approx(float(exact.pvalue), abs=0.03)
 
 
-def test_of_a_few_pairs_nothing_is_significant() -> None:
+def test_fewer_than_ten_pairs_are_never_significant() -> None:
     assert rank_correlation_chance(1.0, 9) == 1.0
     assert rank_correlation_chance(1.0, 10) < 0.001
     assert rank_correlation_chance(0.0, 100) == pytest.approx(1.0)

@@ -1,4 +1,4 @@
-"""Workers and schedulers that cannot fly a campaign: refused in a line before the first flight."""
+"""Workers and schedulers that cannot fly a campaign are refused in one line before the first flight."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.recording.about import software_version
-from tests.lab.campaign.test_campaign import words
+from tests.lab.campaign.test_campaign import campaign_command
 
 FIT, OTHER = "tcp://10.0.0.1:4001", "tcp://10.0.0.2:4002"
 URL = "tcp://10.0.0.9:8786"
@@ -21,7 +21,7 @@ MISSING = ModuleNotFoundError("No module named 'dart_flight'")
 
 
 class FakeFuture:
-    """A flight that ended before it began."""
+    """A future that is finished when it is submitted."""
 
     def __init__(self, error: Exception | None) -> None:
         self.status, self._error = "error", error
@@ -34,10 +34,10 @@ class FakeFuture:
 
 
 class FakeClient:
-    """What the campaign asks of Dask's client, answered from a table.
+    """Dask's client as the campaign uses it, with answers from class attributes.
 
-    Class attributes are set by each test: what a worker answers to the import, its version, what the
-    scheduler lacks, and what becomes of a flight.
+    Each test sets the errors of connection, waiting and scheduler, the answers and versions of workers, and
+    the error of a flight.
     """
 
     connect: Exception | None = None
@@ -91,10 +91,10 @@ def client(monkeypatch: pytest.MonkeyPatch) -> type[FakeClient]:
 
 @pytest.fixture
 def campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[[], tuple[int, str]]:
-    """Runs one; gives its status and its last line, and makes sure that no other is an error."""
+    """Return a function that runs a campaign and returns its status and last line; check the other lines."""
 
     def run() -> tuple[int, str]:
-        status = main(words(tmp_path / "c", 2, "--scheduler", URL))
+        status = main(campaign_command(tmp_path / "c", 2, "--scheduler", URL))
         lines = capsys.readouterr().err.splitlines()
         assert [line for line in lines[:-1] if not line.startswith(("vehicle: ", "note: "))] == []
         return status, lines[-1]
@@ -103,17 +103,17 @@ def campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[[],
 
 
 @pytest.mark.parametrize(
-    ("answer", "version", "words_said"),
+    ("answer", "version", "message"),
     [
         (MISSING, None, f"worker {OTHER}: ModuleNotFoundError: No module named 'dart_flight'; install"),
         (ImportError("needs\nmsgspec"), None, f"worker {OTHER}: ImportError: needs msgspec; install"),
         (object(), "0.0.9", f"worker {OTHER} has dart-flight 0.0.9: install {software_version()} there"),
     ],
 )
-def test_a_worker_that_cannot_fly_is_named(
+def test_an_unfit_worker_is_reported_with_its_address(
     answer: object,
     version: str | None,
-    words_said: str,
+    message: str,
     client: type[FakeClient],
     campaign: Callable[[], tuple[int, str]],
 ) -> None:
@@ -121,11 +121,11 @@ def test_a_worker_that_cannot_fly_is_named(
     client.versions = {} if version is None else {OTHER: version}
     status, line = campaign()
     assert status == 2
-    assert line.startswith(f"--scheduler {URL}: {words_said}")
+    assert line.startswith(f"--scheduler {URL}: {message}")
     assert client.submitted == 0
 
 
-def test_a_scheduler_without_the_program_is_named(
+def test_a_scheduler_without_dart_flight_is_reported(
     client: type[FakeClient], campaign: Callable[[], tuple[int, str]]
 ) -> None:
     client.scheduler = MISSING
@@ -135,7 +135,7 @@ def test_a_scheduler_without_the_program_is_named(
 
 
 @pytest.mark.parametrize("where", ["connect", "scheduler"])
-def test_another_version_of_dask_is_named(
+def test_an_incompatible_version_of_dask_is_reported(
     where: str, client: type[FakeClient], campaign: Callable[[], tuple[int, str]]
 ) -> None:
     setattr(client, where, TypeError("identity() got an unexpected\nkeyword argument 'n_workers'"))
@@ -149,7 +149,7 @@ def test_another_version_of_dask_is_named(
     [("connect", TimeoutError("timed out\nafter 30 s")), ("scheduler", TimeoutError("timed out")),
      ("waits", TimeoutError()), ("connect", ConnectionRefusedError("refused"))],
 )  # fmt: skip
-def test_a_scheduler_that_does_not_answer_is_one_line(
+def test_an_unresponsive_scheduler_is_reported_in_one_line(
     where: str, error: Exception, client: type[FakeClient], campaign: Callable[[], tuple[int, str]]
 ) -> None:
     setattr(client, where, error)
@@ -158,7 +158,7 @@ def test_a_scheduler_that_does_not_answer_is_one_line(
     assert line.startswith(f"--scheduler {URL}: ")
 
 
-def test_a_worker_that_joins_later_and_cannot_fly_writes_no_row(
+def test_an_unfit_worker_that_joins_later_writes_no_row(
     client: type[FakeClient], campaign: Callable[[], tuple[int, str]], tmp_path: Path
 ) -> None:
     client.flights = MISSING

@@ -1,4 +1,4 @@
-"""A flight followed on to the ground: controlled or not, and the rule that is its cause."""
+"""A simulated flight that continues to the ground: loss of control and the rule that ended the mission."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ def with_guards_at(mission: Mission, height_m: float) -> DrawnWorld:
     return DrawnWorld(msgspec.structs.replace(mission, vehicle=vehicle), None, {})
 
 
-def test_it_is_the_fast_flight_and_its_onlookers_see_every_record() -> None:
+def test_a_watched_flight_equals_the_fast_flight_and_passes_on_every_record() -> None:
     watched = WatchedFlight(NEAR, 1)
     contacts: list[Record] = []
 
-    def look(record: Record, number: int) -> None:
+    def collect_contacts(record: Record, number: int) -> None:
         if isinstance(record, TruthContact):
             contacts.append(record)
 
-    watched.onlookers.append(look)
+    watched.onlookers.append(collect_contacts)
     verdict = watched.run()
     assert verdict.outcome is Outcome.COMPLETED
     assert verdict.collisions == fly_fast(NEAR, 1, None).collisions
@@ -44,8 +44,8 @@ def test_it_is_the_fast_flight_and_its_onlookers_see_every_record() -> None:
     assert math.degrees(watched.truth.tilt_rad) < 45.0
 
 
-def test_a_vehicle_that_turns_over_is_uncontrolled() -> None:
-    """A hit at 3 m/s with guards 12 cm below the centre of mass, which nothing can balance."""
+def test_a_rollover_is_reported_as_uncontrolled() -> None:
+    """An impact at 3 m/s with guards 12 cm below the centre of mass cannot be balanced."""
     mission = load_mission(DATA / "faster_hit.yaml")
     watched = WatchedFlight(mission, 1, with_guards_at(mission, -0.12))
     verdict = watched.run()
@@ -53,24 +53,24 @@ def test_a_vehicle_that_turns_over_is_uncontrolled() -> None:
     assert any(problem.startswith("tilted by") for problem in watched.problems)
 
 
-def test_the_first_rule_that_acted_is_the_cause() -> None:
+def test_the_first_rule_that_acts_is_the_cause() -> None:
     watched = WatchedFlight(NEAR, 1, fault=parse_fault("imu-dropout@approach"))
     verdict = watched.run()
     assert (rule_of(verdict), watched.problems) == ("imu_silent", [])
     assert watched.decided_us is not None
 
 
-def test_a_wall_is_moved_and_turned() -> None:
+def test_walls_are_shifted_along_their_normal_and_rotated() -> None:
     (wall,) = NEAR.walls
     (moved,) = place_walls(DrawnWorld(NEAR, None, {}), {wall.name: 0.1}, {wall.name: 90.0}).mission.walls
     assert math.dist(moved.point, wall.point) == pytest.approx(0.1)
-    assert wall.signed_distance(moved.point) == pytest.approx(0.1)  # out, along its normal
+    assert wall.signed_distance(moved.point) == pytest.approx(0.1)  # along its normal
     assert moved.normal[0] * wall.normal[0] + moved.normal[1] * wall.normal[1] == pytest.approx(
         0.0, abs=1e-12
     )
 
 
-def test_a_wrong_position_may_lead_as_far_out_as_it_is_wrong() -> None:
+def test_a_position_fault_widens_the_permitted_excursion_by_its_size() -> None:
     assert excursion_allowed_m(None) == 0.5
     assert excursion_allowed_m(Fault("ekf-jump", -0.7)) == pytest.approx(1.2)
     assert excursion_allowed_m(Fault("ekf-jump", math.inf)) == math.inf

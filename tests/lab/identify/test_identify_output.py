@@ -1,4 +1,4 @@
-"""What `identify` hands back: what it found, whatever becomes of the file, and whether to believe it."""
+"""The output of `identify`: the result, the entry of a material, the quality of the fit and refusals."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ def hits(tmp_path: Path) -> list[str]:
     return paths
 
 
-def test_a_new_material_keeps_what_is_known(
+def test_a_partial_entry_lists_identified_and_assumed_coefficients(
     drops: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "felt.yaml"
-    words = ["identify", *drops, "--mode", "rigid", "--drop", "--surface", "felt", "-o", str(out)]
-    assert main([*words, "--json"]) == 0
+    arguments = ["identify", *drops, "--mode", "rigid", "--drop", "--surface", "felt", "-o", str(out)]
+    assert main([*arguments, "--json"]) == 0
     streams = capsys.readouterr()
     found = json.loads(streams.out)["coefficients"]["rigid"]
     assert found["nu"] is None
@@ -64,13 +64,13 @@ def test_a_new_material_keeps_what_is_known(
     text = out.read_text()
     assert f"k: {found['k']['value']:.6g}" in text
     assert "nu not determined by the trials, assumed" in text
-    assert "assumed: mu of rigid, nu of rigid" in text, "in the source, which `check` shows"
+    assert "assumed: mu of rigid, nu of rigid" in text, "`check` shows the source"
     assert "# flexible: unknown from these trials" in text
     assert "a configuration also needs mode flexible" in streams.err
     assert "mu of rigid, nu of rigid" in streams.err
 
 
-def test_with_both_modes_the_entry_is_accepted(
+def test_an_entry_with_both_modes_is_accepted_by_the_configuration(
     drops: list[str], hits: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "felt.yaml"
@@ -87,34 +87,45 @@ def test_with_both_modes_the_entry_is_accepted(
     assert "assumed" in material.source
 
 
-def test_what_was_found_is_printed_before_a_file_that_cannot_be_written(
+def test_the_result_is_printed_although_the_file_cannot_be_written(
     drops: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "missing" / "felt.yaml"
-    words = ["identify", *drops, "--mode", "rigid", "--drop", "--surface", "felt", "-o", str(out), "--json"]
-    assert main(words) == 2
+    arguments = [
+        "identify",
+        *drops,
+        "--mode",
+        "rigid",
+        "--drop",
+        "--surface",
+        "felt",
+        "-o",
+        str(out),
+        "--json",
+    ]
+    assert main(arguments) == 2
     streams = capsys.readouterr()
     assert json.loads(streams.out)["coefficients"]["rigid"]["k"]["value"] > 0.0
     assert "cannot write" in streams.err
 
 
-def test_a_good_fit_is_called_good(
+def test_a_good_fit_is_reported_as_good(
     drops: list[str], hits: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for words in ([*drops, "--drop", "--mode", "rigid"], [*hits, "--mode", "flexible"]):
-        assert main(["identify", *words]) == 0
+    for arguments in ([*drops, "--drop", "--mode", "rigid"], [*hits, "--mode", "flexible"]):
+        assert main(["identify", *arguments]) == 0
         streams = capsys.readouterr()
         assert "fit: good" in streams.out
         assert "95 %" in streams.out
         assert "poor" not in streams.err
 
 
-def test_wall_hits_taken_for_drops_are_noticed(
+def test_wall_impacts_read_as_drops_are_reported_as_a_poor_fit(
     hits: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "entry.yaml"
-    words = ["identify", *hits, "--drop", "--mode", "flexible", "--surface", "acrylic", "-o", str(out)]
-    assert main([*words, "--json"]) == 0
+    arguments = ["identify", *hits, "--drop", "--mode", "flexible", "--surface", "acrylic", "-o", str(out)]
+    assert main([*arguments, "--json"]) == 0
     streams = capsys.readouterr()
     fit = json.loads(streams.out)["fit"]
     assert fit["good"] is False
@@ -123,55 +134,55 @@ def test_wall_hits_taken_for_drops_are_noticed(
     assert "POOR FIT" in out.read_text()
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """The one line that the call is refused with."""
-    assert main(["identify", *words]) == 2
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Return the one line of a refusal."""
+    assert main(["identify", *arguments]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     return error
 
 
-def test_a_flight_log_has_no_drops(
+def test_drop_is_refused_for_a_flight_log(
     flown: SharedFlights, drops: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, out = str(flown("paper_single_wall", 1).log), tmp_path / "entry.yaml"
-    for words in (
+    for arguments in (
         [log, "--drop"],
         [log, "--drop", "0.2", "--surface", "acrylic", "-o", str(out)],
         [str(Path(log).parent), "--drop"],
         [*drops, log, "--drop"],
     ):
-        said = refused(capsys, *words)
-        assert said == f"{log}: drop: a flight log contains wall collisions, not drops: omit --drop\n"
+        message = refusal(capsys, *arguments)
+        assert message == f"{log}: drop: a flight log contains wall collisions, not drops: omit --drop\n"
     assert not out.exists()
 
 
 @pytest.mark.parametrize(
-    "option", [["--wall", "3", "2", "225"], ["--columns", "time_s=t"]], ids=lambda words: words[0]
+    "option", [["--wall", "3", "2", "225"], ["--columns", "time_s=t"]], ids=lambda arguments: arguments[0]
 )
-def test_an_option_for_files_of_another_kind_is_refused(
+def test_an_option_for_another_file_type_is_refused(
     flown: SharedFlights, option: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = refused(capsys, str(flown("paper_single_wall", 1).log), *option)
-    assert said.startswith(f"{option[0].removeprefix('--')}: applies to .")
+    message = refusal(capsys, str(flown("paper_single_wall", 1).log), *option)
+    assert message.startswith(f"{option[0].removeprefix('--')}: applies to .")
 
 
-def test_mode_chooses_among_the_collisions_of_a_flight(
+def test_mode_selects_among_the_collisions_of_a_flight(
     flown: SharedFlights, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The dual collision meets wood with flexible arms, then acrylic with rigid ones."""
+    """The dual collision hits wood in flexible mode, then acrylic in rigid mode."""
     log = str(flown("paper_dual_collision", 1).log)
     for mode in ("flexible", "rigid"):
         assert main(["identify", log, "--mode", mode, "--json"]) == 0
         assert list(json.loads(capsys.readouterr().out)["coefficients"]) == [mode]
-    said = refused(capsys, log, "--mode", "flexible", "--surface", "acrylic")
-    assert "no collision with acrylic in flexible mode in this flight" in said
+    message = refusal(capsys, log, "--mode", "flexible", "--surface", "acrylic")
+    assert "no collision with acrylic in flexible mode in this flight" in message
 
 
-def test_a_flight_log_is_of_the_vehicle_that_flew(
+def test_a_flight_log_is_identified_with_the_mass_of_its_vehicle(
     flown: SharedFlights, hits: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Whatever configuration is at hand: with another mass k would be off by a third."""
+    """With the configuration's mass, k would be wrong by a third."""
     log, other = str(flown("paper_single_wall", 1).log), tmp_path / "light.yaml"
     other.write_text(packaged("configs", "dart.yaml").read_text().replace("mass_kg: 1.3", "mass_kg: 0.9"))
     found = {}
@@ -185,11 +196,11 @@ def test_a_flight_log_is_of_the_vehicle_that_flew(
     assert same["vehicle"]["mass_kg"] == 1.3
     k = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE).k
     assert right["coefficients"]["flexible"]["k"]["value"] == pytest.approx(k, rel=0.04)
-    said = refused(capsys, *hits, log, "--mode", "flexible", "--config", str(other))
-    assert "a trial of another vehicle (0.9 kg, not 1.3 kg): identify the vehicles separately" in said
+    message = refusal(capsys, *hits, log, "--mode", "flexible", "--config", str(other))
+    assert "a trial of another vehicle (0.9 kg, not 1.3 kg): identify the vehicles separately" in message
 
 
-def test_a_mass_that_is_not_the_logs_is_taken_and_named(
+def test_a_given_mass_overrides_the_logs_mass_with_a_warning(
     flown: SharedFlights, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = str(flown("paper_single_wall", 1).log)
@@ -200,8 +211,8 @@ def test_a_mass_that_is_not_the_logs_is_taken_and_named(
     assert abs(json.loads(streams.out)["coefficients"]["flexible"]["k"]["value"] / k - 1.0) > 0.1
 
 
-def test_a_vehicle_that_turns_widens_what_is_said_of_friction(flown: SharedFlights) -> None:
-    """The body with guards is turned by friction, and the law is a point's: mu comes out too low."""
+def test_rotation_of_the_vehicle_widens_the_interval_of_friction(flown: SharedFlights) -> None:
+    """Friction turns a body with guards, but the law describes a point, so mu is underestimated."""
     log = read_log(flown("paper_single_wall", 1).log)
     (trial,) = trials_at_one(log, "acrylic")
     (contact,) = (e.record for e in log.entries if isinstance(e.record, TruthContact))

@@ -1,7 +1,6 @@
-"""Identification on what real recordings are like: the contact is never lost, and what is unknown is said.
+"""Identification on replicas of published recordings, with their sampling, noise and faults.
 
-The published recordings themselves (docs/results/real_data.md) have no licence; these are replicas with their
-sampling, noise and faults.
+The recordings of docs/results/real_data.md have no licence that permits copies.
 """
 
 from __future__ import annotations
@@ -40,35 +39,35 @@ LIGHT_KG = 0.241
 BELLY = Coefficients(k=40_000.0, f=80.0, mu=0.0, nu=0.0)
 
 
-def dropped(
+def drop_trial(
     height_m: float, random: np.random.Generator, *, limit_m_s2: float | None = None, known: bool = True
 ) -> Trial:
-    """A drop as a 1 kHz accelerometer on a 241 g vehicle feels it: held, fall, pulse, flight, pulse."""
+    """Return a drop recorded at 1 kHz by an accelerometer on 241 g: hold, fall, pulse, flight, pulse."""
     numbers = drop(BELLY, LIGHT_KG, height_m, Onset.LCP)
     contact = ContactMotion(BELLY, LIGHT_KG, -numbers.onset_speed_m_s, Onset.LCP, acceleration_m_s2=-G)
     flight = 2.0 * float(contact.normal(contact.end_s)[1]) / G
     t = np.arange(-numbers.onset_s - 0.5, contact.end_s + flight + 0.2, 1e-3) + random.uniform(0.0, 1e-3)
-    felt = contact.normal(t)[2] / LIGHT_KG
-    again = contact.normal(t - contact.end_s - flight)[2] / LIGHT_KG
-    felt = felt + 0.3 * again + np.where(t < -numbers.onset_s, G, 0.0)
+    value = contact.normal(t)[2] / LIGHT_KG
+    bounce = contact.normal(t - contact.end_s - flight)[2] / LIGHT_KG
+    value = value + 0.3 * bounce + np.where(t < -numbers.onset_s, G, 0.0)
     if limit_m_s2 is not None:
-        felt = np.minimum(felt, limit_m_s2)
-    felt = np.round((felt + random.normal(0.0, 1.3, t.size)) / 1.1) * 1.1  # noise, and steps of the converter
+        value = np.minimum(value, limit_m_s2)
+    value = np.round((value + random.normal(0.0, 1.3, t.size)) / 1.1) * 1.1  # noise, then ADC resolution
     if limit_m_s2 is not None:
-        felt = np.where(felt > limit_m_s2 - 5.0, limit_m_s2, felt)
-    series = {"specific_force_m_s2": Series(t + 3.0, felt + 0.8)}
+        value = np.where(value > limit_m_s2 - 5.0, limit_m_s2, value)
+    series = {"specific_force_m_s2": Series(t + 3.0, value + 0.8)}
     return Trial(f"drop {height_m}", series, "flexible", -G, height_m if known else None)
 
 
-def at_100_hz(speed: float, random: np.random.Generator, *, ringing: bool = False) -> Trial:
-    """A stiff wall hit that motion capture at 100 Hz sees in two or three samples."""
+def mocap_trial(speed: float, random: np.random.Generator, *, ringing: bool = False) -> Trial:
+    """Return a stiff wall impact of two or three samples of motion capture at 100 Hz."""
     stiff = Coefficients(k=25_000.0, f=60.0, mu=0.3, nu=0.0)
     contact = ContactMotion(stiff, MASS_KG, -speed, Onset.LCP)
     t = np.arange(-0.5, 0.4, 0.01) + random.uniform(0.0, 0.01)
-    way = contact.slide(t)
+    slide = contact.slide(t)
     series = {
         "normal_m": Series(t, contact.normal(t)[0] + random.normal(0.0, 2e-4, t.size)),
-        "tangential_m": Series(t, 0.8 * way + random.normal(0.0, 2e-4, t.size)),
+        "tangential_m": Series(t, 0.8 * slide + random.normal(0.0, 2e-4, t.size)),
     }
     if ringing:
         s = np.arange(-0.5, 0.4, 1.0 / 212.0)
@@ -77,24 +76,26 @@ def at_100_hz(speed: float, random: np.random.Generator, *, ringing: bool = Fals
     return Trial(f"{speed}", series, "rigid")
 
 
-# --- the contact is not lost ----------------------------------------------------------------------------
+# --- samples of the contact -----------------------------------------------------------------------------
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.integers(3, 40), st.integers(40, 200), st.floats(0.0, 200.0))
-def test_a_contact_is_never_dropped(seed: int, inside: int, outside: int, off: float) -> None:
+def test_the_samples_of_a_contact_are_kept_if_the_law_is_wrong(
+    seed: int, inside: int, outside: int, off: float
+) -> None:
     random = np.random.default_rng(seed)
     errors = random.normal(0.0, 1.0, inside + outside)
     contact = np.zeros(errors.size, dtype=bool)
     contact[outside // 2 : outside // 2 + inside] = True
-    errors[contact] += off * np.sin(np.linspace(0.0, 3.0, inside))  # a law that is wrong
+    errors[contact] += off * np.sin(np.linspace(0.0, 3.0, inside))  # errors of a wrong law
     counts, _ = weigh([errors], [contact])
     gone = (counts[0] == 0.0) & contact
     assert gone.sum() <= MAX_SET_ASIDE * inside
     assert not (gone[1:] & gone[:-1]).any()
 
 
-def test_one_bad_sample_in_a_contact_is_set_aside() -> None:
+def test_a_single_outlier_in_a_contact_is_set_aside() -> None:
     errors = np.random.default_rng(1).normal(0.0, 1.0, 120)
     contact = np.zeros(120, dtype=bool)
     contact[50:80] = True
@@ -105,8 +106,8 @@ def test_one_bad_sample_in_a_contact_is_set_aside() -> None:
     assert sd == pytest.approx(1.0, rel=0.2)
 
 
-def two_stage_hits() -> list[Trial]:
-    """Hits whose force has a second stage ten times as stiff: the paper's law cannot follow it."""
+def two_stage_trials() -> list[Trial]:
+    """Return impacts with a much stiffer second stage, which the paper's law cannot reproduce."""
     random = np.random.default_rng(3)
     trials = []
     for speed in (0.6, 0.9, 1.2, 1.5):
@@ -135,8 +136,8 @@ def two_stage_hits() -> list[Trial]:
     return trials
 
 
-def test_a_wrong_law_is_named_and_the_peak_is_kept() -> None:
-    trials = two_stage_hits()
+def test_a_wrong_law_is_reported_and_the_peak_force_is_preserved() -> None:
+    trials = two_stage_trials()
     found = identify(trials, MASS_KG, Onset.LCP)
     assert any("differs from the law by" in note for note in found.notes)
     assert sum(t.set_aside.contact for t in found.trials) <= 0.1 * sum(
@@ -158,7 +159,7 @@ def test_a_wrong_law_is_named_and_the_peak_is_kept() -> None:
     assert "no better than the baselines" in compared.sentence
 
 
-def test_clocks_that_differ() -> None:
+def test_a_clock_offset_between_position_and_force_is_estimated() -> None:
     random = np.random.default_rng(4)
     trials = [
         wall_trial(ACRYLIC.coefficients(Mode.FLEXIBLE), -v, random, mode="flexible", force_noise_n=0.5)
@@ -181,7 +182,7 @@ def test_clocks_that_differ() -> None:
 
 def test_motion_capture_at_100_hz_gives_restitution() -> None:
     random = np.random.default_rng(5)
-    trials = [at_100_hz(v, random) for v in (0.4, 0.6, 0.8, 1.0)]
+    trials = [mocap_trial(v, random) for v in (0.4, 0.6, 0.8, 1.0)]
     found = identify(trials, MASS_KG, Onset.LCP)
     truth = exact(Coefficients(k=25_000.0, f=60.0, mu=0.3, nu=0.0), MASS_KG, -1.0, 0.8, Onset.LCP)
     e, r = found.restitution["rigid"], found.tangential_ratio["rigid"]
@@ -195,14 +196,16 @@ def test_motion_capture_at_100_hz_gives_restitution() -> None:
     assert any("k and f are unknown" in note for note in found.notes)
 
 
-def test_a_sensor_that_rings_has_no_peak() -> None:
+def test_a_ringing_sensor_gives_no_peak_force() -> None:
     random = np.random.default_rng(6)
-    found = identify([at_100_hz(v, random, ringing=True) for v in (0.4, 0.7, 1.0)], MASS_KG, Onset.LCP)
+    found = identify([mocap_trial(v, random, ringing=True) for v in (0.4, 0.7, 1.0)], MASS_KG, Onset.LCP)
     assert all(t.peak_force_n is None for t in found.trials)
     assert any("rings" in note for note in found.notes)
 
 
-def test_velocities_without_positions(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_velocities_without_positions_give_restitution(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     random = np.random.default_rng(7)
     contact = ContactMotion(ACRYLIC.rigid, MASS_KG, -0.9, Onset.LCP)
     t = np.arange(-0.5, 0.4, 0.01)
@@ -211,43 +214,47 @@ def test_velocities_without_positions(capsys: pytest.CaptureFixture[str], tmp_pa
     rows = "\n".join(f"{a:.4f},{b:.5f}" for a, b in zip(t, v, strict=True))
     path.write_text("time_s,normal_m_s\n" + rows + "\n")
     assert main(["identify", str(path), "--mode", "rigid", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    result = json.loads(capsys.readouterr().out)
     out = float(contact.normal(0.3)[1])
-    assert said["restitution"]["rigid"]["value"] == pytest.approx(out / 0.9, abs=0.06)
-    k = said["coefficients"]["rigid"]["k"]  # five samples of the contact tell its duration, roughly
+    assert result["restitution"]["rigid"]["value"] == pytest.approx(out / 0.9, abs=0.06)
+    k = result["coefficients"]["rigid"]["k"]  # the contact has five samples, so its duration is known roughly
     assert k is None or k["low"] < ACRYLIC.rigid.k < k["high"]
-    assert said["plane_m"] is None
+    assert result["plane_m"] is None
 
 
 # --- accelerometers -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_drops_felt_by_an_accelerometer(known: bool) -> None:
+def test_an_accelerometer_gives_speeds_and_peak_of_drops(known: bool) -> None:
     random = np.random.default_rng(8)
-    trials = [dropped(h, random, known=known) for h in (0.5, 0.5, 1.0, 1.0, 1.5, 1.5)]
+    trials = [drop_trial(h, random, known=known) for h in (0.5, 0.5, 1.0, 1.0, 1.5, 1.5)]
     for trial, height in zip(trials, (0.5, 0.5, 1.0, 1.0, 1.5, 1.5), strict=True):
-        hit, truth = measure_impact(trial, LIGHT_KG), drop(BELLY, LIGHT_KG, height, Onset.LCP)
-        assert hit.normal_in_m_s == pytest.approx(np.sqrt(2.0 * G * height), rel=0.04)
-        assert hit.peak_force_n == pytest.approx(truth.peak_force_n, rel=0.05)
-        assert hit.normal_out_m_s == pytest.approx(truth.max_rebound_speed_m_s, abs=0.08)
+        impact, truth = measure_impact(trial, LIGHT_KG), drop(BELLY, LIGHT_KG, height, Onset.LCP)
+        assert impact.normal_in_m_s == pytest.approx(np.sqrt(2.0 * G * height), rel=0.04)
+        assert impact.peak_force_n == pytest.approx(truth.peak_force_n, rel=0.05)
+        assert impact.normal_out_m_s == pytest.approx(truth.max_rebound_speed_m_s, abs=0.08)
     found = identify(trials[:2], LIGHT_KG, Onset.LCP)
     k, f = (found.coefficients["flexible"][name] for name in ("k", "f"))
     assert k is not None
     assert f is not None
-    said = drop(Coefficients(k=k.value, f=f.value, mu=0.0, nu=0.0), LIGHT_KG, 1.5, Onset.LCP)
-    assert said.peak_force_n == pytest.approx(drop(BELLY, LIGHT_KG, 1.5, Onset.LCP).peak_force_n, rel=0.08)
+    predicted = drop(Coefficients(k=k.value, f=f.value, mu=0.0, nu=0.0), LIGHT_KG, 1.5, Onset.LCP)
+    assert predicted.peak_force_n == pytest.approx(
+        drop(BELLY, LIGHT_KG, 1.5, Onset.LCP).peak_force_n, rel=0.08
+    )
 
 
-def test_a_clipped_peak_is_unknown() -> None:
-    hit = measure_impact(dropped(1.0, np.random.default_rng(9), limit_m_s2=700.0), LIGHT_KG)
-    assert hit.clipped
-    assert hit.peak_force_n is None
-    assert any("cut off" in note for note in hit.notes)
+def test_a_clipped_peak_force_is_unknown() -> None:
+    impact = measure_impact(drop_trial(1.0, np.random.default_rng(9), limit_m_s2=700.0), LIGHT_KG)
+    assert impact.clipped
+    assert impact.peak_force_n is None
+    assert any("cut off" in note for note in impact.notes)
 
 
-def test_an_accelerometer_needs_a_drop(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    trial = dropped(0.5, np.random.default_rng(10))
+def test_an_accelerometer_trial_needs_a_drop_that_shows_the_release(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    trial = drop_trial(0.5, np.random.default_rng(10))
     path = tmp_path / "drop.csv"
     time, value = trial.series["specific_force_m_s2"]
     rows = "\n".join(f"{t:.6f},{v:.4f}" for t, v in zip(time, value, strict=True))
@@ -256,19 +263,19 @@ def test_an_accelerometer_needs_a_drop(capsys: pytest.CaptureFixture[str], tmp_p
     assert "--drop" in capsys.readouterr().err
     command = ["identify", "--drop", "0.5", str(path), "--mass", "0.241", "--mode", "flexible", "--json"]
     assert main(command) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["trials"][0]["used"] == "whole"
-    assert said["trials"][0]["peak_force_n"] == pytest.approx(184.0, rel=0.15)
-    begun = time > time[0] + 0.55  # after the release
-    late = Trial("late", {"specific_force_m_s2": Series(time[begun], value[begun])}, "flexible", -G)
+    result = json.loads(capsys.readouterr().out)
+    assert result["trials"][0]["used"] == "whole"
+    assert result["trials"][0]["peak_force_n"] == pytest.approx(184.0, rel=0.15)
+    released = time > time[0] + 0.55
+    late = Trial("late", {"specific_force_m_s2": Series(time[released], value[released])}, "flexible", -G)
     with pytest.raises(InputError, match="the speed of the fall is unknown"):
         measure_impact(late, LIGHT_KG)
 
 
-# --- whole hits -----------------------------------------------------------------------------------------
+# --- whole impacts --------------------------------------------------------------------------------------
 
 
-def hit(
+def impact(
     speed: float, out: float | None, peak: float | None, contact: float | None = None, push: float = 0.0
 ) -> MeasuredImpact:
     return MeasuredImpact(
@@ -277,16 +284,20 @@ def hit(
     )  # fmt: skip
 
 
-def made_by(k: float, f: float, speeds: list[float], onset: Onset, push: float = 0.0) -> list[MeasuredImpact]:
-    said = predict(k, f, HitTable.from_hits([hit(v, None, None, push=push) for v in speeds]), MASS_KG, onset)
-    told = zip(speeds, said.normal_out_m_s, said.peak_normal_force_n, said.contact_time_s, strict=True)
-    return [hit(v, float(out), float(peak), float(time), push) for v, out, peak, time in told]
+def impacts_by_law(
+    k: float, f: float, speeds: list[float], onset: Onset, push: float = 0.0
+) -> list[MeasuredImpact]:
+    law = predict(
+        k, f, HitTable.from_hits([impact(v, None, None, push=push) for v in speeds]), MASS_KG, onset
+    )
+    rows = zip(speeds, law.normal_out_m_s, law.peak_normal_force_n, law.contact_time_s, strict=True)
+    return [impact(v, float(out), float(peak), float(time), push) for v, out, peak, time in rows]
 
 
 @pytest.mark.parametrize("onset", list(Onset))
 @pytest.mark.parametrize("push", [0.0, -G])
-def test_coefficients_come_back_from_whole_hits(onset: Onset, push: float) -> None:
-    hits = made_by(4200.0, 15.0, [0.4, 0.6, 0.9, 1.2, 1.6, 2.0], onset, push)
+def test_whole_impacts_give_the_true_coefficients(onset: Onset, push: float) -> None:
+    hits = impacts_by_law(4200.0, 15.0, [0.4, 0.6, 0.9, 1.2, 1.6, 2.0], onset, push)
     found, notes = fit_hits(hits, MASS_KG, onset)
     for name, true in (("k", 4200.0), ("f", 15.0)):
         estimate = found[name]
@@ -296,44 +307,46 @@ def test_coefficients_come_back_from_whole_hits(onset: Onset, push: float) -> No
     assert not notes
 
 
-def test_the_law_that_made_the_hits_predicts_them() -> None:
-    # Drops: the weight of a soft vehicle is in the peak, so that it is not in proportion to the speed.
-    soft = made_by(1250.0, 8.5, [0.9, 1.3, 1.8, 2.5], Onset.LCP, -G)
-    said = hold_out(soft, MASS_KG, Onset.LCP)
-    assert said.earned
-    assert "better than both baselines" in said.sentence
-    # Scatter of a quarter, as real drops have: nothing is learnt beyond the baselines, and that is said.
+def test_the_law_predicts_held_out_impacts_better_than_the_baselines() -> None:
+    # The peak of a soft vehicle's drop includes its weight, so it is not proportional to the speed.
+    soft = impacts_by_law(1250.0, 8.5, [0.9, 1.3, 1.8, 2.5], Onset.LCP, -G)
+    compared = hold_out(soft, MASS_KG, Onset.LCP)
+    assert compared.earned
+    assert "better than both baselines" in compared.sentence
+    # With the scatter of real drops, the law is no better than the baselines.
     random = np.random.default_rng(11)
     noisy = [
-        hit(v, 0.4 * v * random.uniform(0.7, 1.3), 90.0 * v * random.uniform(0.7, 1.3))
+        impact(v, 0.4 * v * random.uniform(0.7, 1.3), 90.0 * v * random.uniform(0.7, 1.3))
         for v in np.repeat([0.5, 1.0, 1.5], 8)
     ]
-    said = hold_out(noisy, MASS_KG, Onset.TOUCH)
-    assert not said.earned
-    assert "no better than the baselines" in said.sentence
-    assert said.baselines["force-proportional"].outgoing_speed is None
+    compared = hold_out(noisy, MASS_KG, Onset.TOUCH)
+    assert not compared.earned
+    assert "no better than the baselines" in compared.sentence
+    assert compared.baselines["force-proportional"].outgoing_speed is None
 
 
-def test_two_hits_tell_no_law() -> None:
-    two = [hit(1.0, 0.4, 80.0), hit(2.0, 0.8, 160.0)]
+def test_two_impacts_are_too_few_for_a_law() -> None:
+    two = [impact(1.0, 0.4, 80.0), impact(2.0, 0.8, 160.0)]
     assert hold_out(two, MASS_KG, Onset.TOUCH).law is None
 
 
 # --- prediction from ratios -----------------------------------------------------------------------------
 
 
-def test_prediction_from_restitution(capsys: pytest.CaptureFixture[str]) -> None:
+def test_restitution_predicts_the_outgoing_velocity_without_forces(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     ratios = ["--restitution", "0.5", "--tangential-ratio", "0.8"]
     assert main(["predict", *ratios, "--velocity", "-1.2", "0.5", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["normal_out_m_s"] == pytest.approx(0.6)
-    assert said["tangential_out_m_s"] == pytest.approx(0.4)
-    assert said["peak_normal_force_n"] is None
-    assert said["contact_time_s"] is None
+    result = json.loads(capsys.readouterr().out)
+    assert result["normal_out_m_s"] == pytest.approx(0.6)
+    assert result["tangential_out_m_s"] == pytest.approx(0.4)
+    assert result["peak_normal_force_n"] is None
+    assert result["contact_time_s"] is None
     assert main(["predict", "--restitution", "0.5", "--drop", "0.2", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["max_rebound_speed_m_s"] == pytest.approx(0.5 * np.sqrt(2.0 * 9.81 * 0.2), rel=1e-3)
-    assert said["peak_force_n"] is None
+    result = json.loads(capsys.readouterr().out)
+    assert result["max_rebound_speed_m_s"] == pytest.approx(0.5 * np.sqrt(2.0 * 9.81 * 0.2), rel=1e-3)
+    assert result["peak_force_n"] is None
     assert main(["predict", "--restitution", "0.5", "--velocity", "-1", "0.5"]) == 0
     capsys.readouterr()
     for wrong in (

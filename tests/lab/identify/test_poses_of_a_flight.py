@@ -1,4 +1,4 @@
-"""Raw motion-capture poses in `identify` and in the report: a contact that PX4's estimate smears."""
+"""Raw motion-capture poses in `identify` and in the report, around a contact that PX4's estimate smooths."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def log() -> Log:
     return kept[0].log
 
 
-def edited(log: Log, change: Any) -> Log:
-    """A copy of a log with other poses; None leaves one out."""
+def with_poses_changed(log: Log, change: Any) -> Log:
+    """Return a copy of a log with changed poses; a change to None removes the pose."""
     entries = []
     for entry in log.entries:
         new = change(entry.record) if isinstance(entry.record, PoseSample) else entry.record
@@ -44,7 +44,7 @@ def edited(log: Log, change: Any) -> Log:
 
 
 def errors_m(log: Log) -> np.ndarray[Any, Any]:
-    """Error of the trial's normal position from 0.05 s before the onset to 0.3 s after it, metres."""
+    """Return the errors of the trial's normal position from -0.05 s to 0.3 s around the onset, metres."""
     ((trial,),) = trials_of(log).values()
     mission = flown_mission(log.about, log.source)
     course = FlightArrays(log, mission)
@@ -57,17 +57,17 @@ def errors_m(log: Log) -> np.ndarray[Any, Any]:
     return np.asarray(value[near] - np.interp(time[near] + onset_s, truth.t_s, true_m))
 
 
-def test_poses_follow_a_contact_that_the_estimate_smears(log: Log) -> None:
+def test_poses_resolve_a_contact_that_the_estimate_smooths(log: Log) -> None:
     raw = errors_m(log)
-    smeared = errors_m(edited(log, lambda pose: None))
-    rms_raw, rms_smeared = (float(np.sqrt(np.mean(e**2))) for e in (raw, smeared))
+    smoothed = errors_m(with_poses_changed(log, lambda pose: None))
+    rms_raw, rms_smoothed = (float(np.sqrt(np.mean(e**2))) for e in (raw, smoothed))
     assert rms_raw < 0.003  # the poses' own noise is 1 mm
-    assert rms_smeared > 2.0 * rms_raw
+    assert rms_smoothed > 2.0 * rms_raw
 
 
-def test_poses_of_unknown_age_or_too_few_are_left_alone(log: Log) -> None:
-    estimate = errors_m(edited(log, lambda pose: None))
-    few = errors_m(edited(log, lambda pose: pose if (pose.frame_number or 0) % 3 == 0 else None))
+def test_sparse_poses_and_poses_of_unknown_age_are_not_used(log: Log) -> None:
+    estimate = errors_m(with_poses_changed(log, lambda pose: None))
+    few = errors_m(with_poses_changed(log, lambda pose: pose if (pose.frame_number or 0) % 3 == 0 else None))
     assert np.array_equal(few, estimate)
     mission = flown_mission(log.about, log.source)
     mocap = msgspec.structs.replace(mission.vehicle.mocap, delay_ms=None)
@@ -81,19 +81,19 @@ def test_poses_of_unknown_age_or_too_few_are_left_alone(log: Log) -> None:
     assert course.posed.time_s.size > 500
 
 
-def test_stamps_of_the_source_remove_the_jitter_of_the_receipt(log: Log) -> None:
+def test_source_timestamps_remove_the_jitter_of_reception(log: Log) -> None:
     def shake(pose: PoseSample) -> PoseSample:
         late_us = 1_000 * ((pose.frame_number or 0) * 7 % 9)
         return msgspec.structs.replace(pose, t_us=pose.t_us + late_us)
 
     mission = flown_mission(log.about, log.source)
-    quiet, shaken = (FlightArrays(one, mission).posed for one in (log, edited(log, shake)))
+    quiet, shaken = (FlightArrays(one, mission).posed for one in (log, with_poses_changed(log, shake)))
     assert shaken.time_s == pytest.approx(quiet.time_s, abs=1e-3)
-    without = edited(log, lambda pose: msgspec.structs.replace(shake(pose), source_us=None))
+    without = with_poses_changed(log, lambda pose: msgspec.structs.replace(shake(pose), source_us=None))
     assert np.abs(FlightArrays(without, mission).posed.time_s[:100] - quiet.time_s[:100]).max() > 5e-3
 
 
-def test_a_report_shows_poses_beside_the_estimate_where_there_are_any(log: Log) -> None:
-    says = "Position from the motion capture"
-    assert says in flight_page(RecordedFlight(log))
-    assert says not in flight_page(RecordedFlight(edited(log, lambda pose: None)))
+def test_a_report_shows_poses_beside_the_estimate_if_the_log_has_poses(log: Log) -> None:
+    heading = "Position from the motion capture"
+    assert heading in flight_page(RecordedFlight(log))
+    assert heading not in flight_page(RecordedFlight(with_poses_changed(log, lambda pose: None)))

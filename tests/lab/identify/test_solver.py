@@ -1,4 +1,4 @@
-"""The one solver and its intervals: against what is known of a mean, and on hits that scatter."""
+"""The solver and its intervals: against the closed form for a mean, and on impacts with scatter."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ K, F, MASS_KG, G = 40_000.0, 80.0, 0.241, 9.80665
 
 
 class Mean:
-    """The `LawProblem` of a mean of numbers with a known deviation."""
+    """A `LawProblem` that estimates a mean of numbers with a known standard deviation."""
 
     robust_from = 1.5
 
-    def __init__(self, numbers: Array, sd: float, together: int) -> None:
-        self.numbers, self.sd, self.together = numbers, sd, together
+    def __init__(self, numbers: Array, sd: float, groups: int) -> None:
+        self.numbers, self.sd, self.groups = numbers, sd, groups
 
     def bounds(self) -> tuple[Array, Array]:
         return np.array([-1e6]), np.array([1e6])
@@ -54,33 +54,36 @@ class Mean:
         return 1.0
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:
-        return np.array_split(np.arange(self.numbers.size), self.together)
+        return np.array_split(np.arange(self.numbers.size), self.groups)
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.floats(-5.0, 5.0), min_size=3, max_size=30), st.floats(0.1, 3.0))
-def test_of_a_mean_the_wider_deviation_counts(numbers: list[float], sd: float) -> None:
+def test_the_interval_of_a_mean_uses_the_wider_standard_deviation(numbers: list[float], sd: float) -> None:
     values = np.array(numbers)
     n = values.size
     problem = Mean(values, sd, n)
     theta = descend(problem, np.array([0.0]), ("linear",))
     assert theta[0] == pytest.approx(values.mean(), abs=1e-6)
-    known, seen = Z95 * sd / math.sqrt(n), student_t(n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    expected, sample = (
+        Z95 * sd / math.sqrt(n),
+        student_t(n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n),
+    )
     (half,) = half_widths(problem, theta)
-    if seen > 1.31 * known:
-        assert half == pytest.approx(seen, rel=1e-4)
-    elif seen < 1.29 * known:
-        assert half == pytest.approx(known, rel=1e-6)
+    if sample > 1.31 * expected:
+        assert half == pytest.approx(sample, rel=1e-4)
+    elif sample < 1.29 * expected:
+        assert half == pytest.approx(expected, rel=1e-6)
 
 
-def test_what_is_drawn_in_one_piece_has_the_known_deviation() -> None:
+def test_a_single_resampling_group_uses_the_known_standard_deviation() -> None:
     problem = Mean(np.array([0.0, 9.0, 20.0]), 0.5, 1)
     (half,) = half_widths(problem, np.array([29.0 / 3.0]))
     assert half == pytest.approx(Z95 * 0.5 / math.sqrt(3.0))
 
 
 @given(st.floats(1.0, 15.0), st.floats(-8.0, 10.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0))
-def test_what_the_data_cannot_tell_is_unknown(
+def test_an_undetermined_coefficient_is_unknown(
     log_k: float, log_f: float, wide_k: float, wide_f: float
 ) -> None:
     found, notes = stiffness_and_damping(np.array([log_k, log_f]), np.array([wide_k, wide_f]), 1.1)
@@ -97,8 +100,8 @@ def test_what_the_data_cannot_tell_is_unknown(
     assert len(notes) == sum(estimate is None for estimate in found.values())
 
 
-def scattered(n: int, sds: tuple[float, float, float], seed: int) -> list[MeasuredImpact]:
-    """Drops of the law with known coefficients, whose speed out, peak and duration are off by chance."""
+def scattered_drops(n: int, sds: tuple[float, float, float], seed: int) -> list[MeasuredImpact]:
+    """Return drops by the law whose outgoing speed, peak and duration have random errors."""
     random = np.random.default_rng((seed, n))
 
     def hit(speed: float, out: float | None, peak: float | None, contact: float | None) -> MeasuredImpact:
@@ -119,22 +122,22 @@ def scattered(n: int, sds: tuple[float, float, float], seed: int) -> list[Measur
 
 @pytest.mark.parametrize("n", [3, 6])
 @pytest.mark.parametrize("sds", [(0.04, 0.08, 0.1), (0.055, 0.19, 0.2)], ids=["as expected", "as real drops"])
-def test_intervals_of_whole_hits_hold_the_truth(n: int, sds: tuple[float, float, float]) -> None:
-    held = []
+def test_intervals_of_whole_impacts_cover_the_truth(n: int, sds: tuple[float, float, float]) -> None:
+    covered = []
     for seed in range(25):
-        found, _ = fit_hits(scattered(n, sds, seed), MASS_KG, Onset.LCP)
+        found, _ = fit_hits(scattered_drops(n, sds, seed), MASS_KG, Onset.LCP)
         for name, true in (("k", K), ("f", F)):
             estimate = found[name]
-            held.append(estimate is None or estimate.low <= true <= estimate.high)
-    assert np.mean(held) > 0.88
+            covered.append(estimate is None or estimate.low <= true <= estimate.high)
+    assert np.mean(covered) > 0.88
 
 
-def test_pseudo_values_have_the_robust_solution() -> None:
+def test_the_reweighted_problem_has_the_robust_solution() -> None:
     for seed in range(5):
-        problem = HitFit(HitTable.from_hits(scattered(6, (0.06, 0.25, 0.2), seed)), MASS_KG, Onset.LCP)
+        problem = HitFit(HitTable.from_hits(scattered_drops(6, (0.06, 0.25, 0.2), seed)), MASS_KG, Onset.LCP)
         robust = descend(problem, np.log([30_000.0, 60.0]), ("huber",))
         problem.reweight(robust)
         score = problem.jacobian(robust).T @ problem.residuals(robust)
         assert score == pytest.approx(0.0, abs=1e-3)
-        off = np.abs(problem.solve() - robust)  # both end where a step gains next to nothing
+        off = np.abs(problem.solve() - robust)  # both stop when a step gains almost nothing
         assert (off < 0.02 * half_widths(problem, robust)).all()

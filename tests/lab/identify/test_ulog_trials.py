@@ -34,8 +34,8 @@ GROUND = VEHICLE.materials["concrete"].coefficients(Mode.FLEXIBLE)
 BEGIN_S = 2.0  # stamp of the first touch
 
 
-def ulog(path: Path, time: Any, place: Any, specific: Any, positions: bool) -> Path:
-    """A level vehicle's log, heading north: NED places (n, 3), specific force in FRD (n, 3), every ms."""
+def write_level_ulog(path: Path, time: Any, place: Any, specific: Any, positions: bool) -> Path:
+    """Write the log of a level vehicle heading north, from NED positions and FRD forces (n, 3) every ms."""
     stamps = np.round((time + BEGIN_S) * 1e6)
     topics = {
         ("sensor_combined", 0): (
@@ -52,8 +52,8 @@ def ulog(path: Path, time: Any, place: Any, specific: Any, positions: bool) -> P
     return write_ulog(path, topics)
 
 
-def dropped(path: Path, height_m: float, seed: int, positions: bool) -> Path:
-    """Held, released, one contact with the ground, thrown back up to its apex and down again."""
+def write_drop(path: Path, height_m: float, seed: int, positions: bool) -> Path:
+    """Write the log of a drop: hold, release, contact with the ground, rebound and second contact."""
     random = np.random.default_rng(seed)
     numbers = drop(GROUND, MASS_KG, height_m, Onset.LCP)
     contact = ContactMotion(
@@ -62,12 +62,12 @@ def dropped(path: Path, height_m: float, seed: int, positions: bool) -> Path:
     flight = 2.0 * float(contact.normal(contact.end_s)[1]) / GRAVITY_M_S2
     time = np.arange(-numbers.onset_s - 0.5, contact.end_s + flight + 0.15, 1e-3)
     height, _, force = (np.asarray(v) for v in contact.normal(time)[:3])
-    again = np.asarray(contact.normal(time - contact.end_s - flight)[2])
+    second_contact = np.asarray(contact.normal(time - contact.end_s - flight)[2])
     held = time < -numbers.onset_s
-    up = np.where(held, GRAVITY_M_S2, (force + 0.5 * again) / MASS_KG)
+    up = np.where(held, GRAVITY_M_S2, (force + 0.5 * second_contact) / MASS_KG)
     place = np.stack([np.zeros_like(time), np.zeros_like(time), -np.where(held, height_m, height)], axis=1)
     specific = np.stack([np.zeros_like(time), np.zeros_like(time), -up], axis=1)
-    return ulog(
+    return write_level_ulog(
         path,
         time,
         place + random.normal(0.0, 3e-4, place.shape),
@@ -76,38 +76,38 @@ def dropped(path: Path, height_m: float, seed: int, positions: bool) -> Path:
     )
 
 
-def identified(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+def run_identify(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     assert main(["identify", *words, "--json"]) == 0
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
     return found
 
 
-def about(found: dict[str, Any], truth: Coefficients, rel: float) -> None:
+def assert_near(found: dict[str, Any], truth: Coefficients, rel: float) -> None:
     assert found["k"]["value"] == pytest.approx(truth.k, rel=rel)
     assert found["f"]["value"] == pytest.approx(truth.f, rel=2.0 * rel)
 
 
 @pytest.mark.parametrize("positions", [True, False])
-def test_drops_recorded_by_the_vehicle_itself(
+def test_drops_are_identified_with_and_without_recorded_positions(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], positions: bool
 ) -> None:
-    logs = [str(dropped(tmp_path / f"{h}.ulg", h, 4, positions)) for h in (0.1, 0.3)]
-    found = identified(capsys, *logs, "--drop", "--mode", "flexible")
+    logs = [str(write_drop(tmp_path / f"{h}.ulg", h, 4, positions)) for h in (0.1, 0.3)]
+    found = run_identify(capsys, *logs, "--drop", "--mode", "flexible")
     assert [t["used"] for t in found["trials"]] == ["samples" if positions else "whole"] * 2
     for trial, height in zip(found["trials"], (0.1, 0.3), strict=True):
         truth = drop(GROUND, MASS_KG, height, Onset.LCP)
         assert -trial["normal_m_s"] == pytest.approx(truth.onset_speed_m_s, rel=0.05 if positions else 0.08)
         assert trial["peak_force_n"] == pytest.approx(truth.peak_force_n, rel=0.1)
-    about(found["coefficients"]["flexible"], GROUND, 0.15)
+    assert_near(found["coefficients"]["flexible"], GROUND, 0.15)
     assert found["fit"]["good"] is True
 
 
-def test_coefficients_that_do_not_give_back_the_drops_are_a_poor_fit(tmp_path: Path) -> None:
-    how = TrialReading(mode="flexible", drop=True, mass_kg=MASS_KG)
+def test_coefficients_that_do_not_reproduce_the_drops_are_a_poor_fit(tmp_path: Path) -> None:
+    reading = TrialReading(mode="flexible", drop=True, mass_kg=MASS_KG)
     trials = [
         trial
         for height in (0.1, 0.2, 0.3)
-        for trial in read_trials(dropped(tmp_path / f"{height}.ulg", height, 6, positions=False), how)
+        for trial in read_trials(write_drop(tmp_path / f"{height}.ulg", height, 6, positions=False), reading)
     ]
     found = identify(trials, MASS_KG, Onset.LCP)
     assert found.fit.good is True
@@ -116,8 +116,8 @@ def test_coefficients_that_do_not_give_back_the_drops_are_a_poor_fit(tmp_path: P
     k = found.coefficients["flexible"]["k"]
     assert k is not None
     wrong = {"flexible": found.coefficients["flexible"] | {"k": k._replace(value=3.0 * k.value)}}
-    judged = assess_fit(wrong, hits, found.residuals, expected, MASS_KG, Onset.LCP)
-    assert judged.good is False
-    assert any("flexible peak" in line for line in judged.says)
+    assessed = assess_fit(wrong, hits, found.residuals, expected, MASS_KG, Onset.LCP)
+    assert assessed.good is False
+    assert any("flexible peak" in line for line in assessed.says)
     unknown = {"flexible": dict.fromkeys(found.coefficients["flexible"])}
     assert assess_fit(unknown, hits, found.residuals, expected, MASS_KG, Onset.LCP).good is None

@@ -1,4 +1,4 @@
-"""What `identify` and `predict` say: one verdict on a fit, its value in its interval, unknown where it is."""
+"""Intervals, unknowns and plausibility limits in the output of `identify` and `predict`."""
 
 from __future__ import annotations
 
@@ -16,21 +16,23 @@ from tests.doubles.ulog_file import write_ulog
 
 
 @pytest.mark.parametrize("shares", [[-0.041], [-0.041, -0.036, -0.05], [0.02, 0.01], [1.2, 0.97], [0.5]])
-def test_an_interval_holds_its_value(shares: list[float]) -> None:
+def test_the_interval_of_a_ratio_contains_its_value(shares: list[float]) -> None:
     for least, most in ((0.0, 1.0), (-np.inf, np.inf)):
         found = speed_ratios._ratio(np.array(shares), np.full(len(shares), 0.01), least, most)
         assert found is not None
         assert least <= found.low <= found.value <= found.high <= most
 
 
-def test_what_ratios_do_not_tell_is_unknown(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_prediction_from_ratios_reports_forces_and_times_as_unknown(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["predict", "--restitution", "0.5", "--velocity", "-1", "0.5"]) == 0
     out = capsys.readouterr().out
     assert "nan" not in out
     assert out.count("unknown") == 7
 
 
-def test_a_flight_may_lead_far_away_but_a_column_is_in_metres(tmp_path: Path) -> None:
+def test_large_distances_are_accepted_in_a_flight_log_but_not_in_a_table(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
     time = np.arange(0.0, 4.0, 0.01)
     normal = 87.0 - 87.0 * np.minimum(time, 2.0) / 2.0 - 0.0 * time

@@ -1,4 +1,4 @@
-"""`dart-flight inspect`: a log made of known forces."""
+"""`dart-flight inspect` on synthetic logs with known forces."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ VIBRATION_M_S2 = 2.5
 Rows = list[tuple[float, list[float]]]
 
 
-def pushed(estimated: Estimated, push: tuple[float, float]) -> Estimated:
-    """The estimate with one more horizontal force, newton, mission frame."""
+def with_force(estimated: Estimated, push: tuple[float, float]) -> Estimated:
+    """Return the estimate with an added horizontal force, newton, mission frame."""
     x, y, z = estimated.force.force_mission
     force = msgspec.structs.replace(estimated.force, force_mission=(x + push[0], y + push[1], z))
     along = estimated.along_n + push[0] * estimated.up[0] + push[1] * estimated.up[1]
@@ -37,7 +37,7 @@ def pushed(estimated: Estimated, push: tuple[float, float]) -> Estimated:
 
 
 def topics(motor_hz: float = 100.0, motors: bool = True, north_m_s: float = 0.0) -> Topics:
-    """21 s in the air, slow climbs and descents, vibration, one hit; level, facing north."""
+    """Return 21 s of level flight facing north, with slow climbs and descents, vibration and one impact."""
     rng = random.Random(5)
     imu: Rows = []
     attitude: Rows = []
@@ -72,16 +72,18 @@ def topics(motor_hz: float = 100.0, motors: bool = True, north_m_s: float = 0.0)
     return out
 
 
-def felt(path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
-    assert main(["inspect", str(path), "--json", *more]) == 0
+def inspect_json(path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
+    assert main(["inspect", str(path), "--json", *options]) == 0
     flights: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
     return flights[0]
 
 
-def test_the_one_hit_is_felt_with_size_direction_and_time(
+def test_an_impact_is_found_with_its_size_direction_and_time(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    flight = felt(write_ulog(tmp_path / "a.ulg", topics(), release=0x010E00FF), capsys, "--mass", "2.0")
+    flight = inspect_json(
+        write_ulog(tmp_path / "a.ulg", topics(), release=0x010E00FF), capsys, "--mass", "2.0"
+    )
     (impact,) = flight["impacts"]
     assert impact["t_s"] == pytest.approx(HIT_S, abs=0.05)
     assert impact["acceleration_m_s2"] == pytest.approx(HIT_M_S2, rel=0.2)
@@ -98,36 +100,36 @@ def test_the_one_hit_is_felt_with_size_direction_and_time(
     assert flight["px4_version"] == "1.14.0"
 
 
-def test_without_a_mass_there_are_no_newtons(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    flight = felt(write_ulog(tmp_path / "a.ulg", topics()), capsys)
+def test_forces_are_unknown_without_a_mass(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flight = inspect_json(write_ulog(tmp_path / "a.ulg", topics()), capsys)
     assert flight["noise_n"] is None
     assert flight["threshold_n"] is None
     assert [i["force_n"] for i in flight["impacts"]] == [None]
     assert any("mass" in what for what in flight["unknown"])
 
 
-def test_slow_and_missing_topics_are_named_with_what_would_help(
+def test_slow_and_missing_topics_are_reported_with_a_remedy(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    slow = felt(write_ulog(tmp_path / "slow.ulg", topics(motor_hz=10.0)), capsys)["unknown"]
+    slow = inspect_json(write_ulog(tmp_path / "slow.ulg", topics(motor_hz=10.0)), capsys)["unknown"]
     assert any("at 10 Hz" in what for what in slow)
     assert any("SDLOG_PROFILE" in what for what in slow)
-    flight = felt(write_ulog(tmp_path / "none.ulg", topics(motors=False)), capsys)
+    flight = inspect_json(write_ulog(tmp_path / "none.ulg", topics(motors=False)), capsys)
     assert flight["thrust"] is None
     assert any(what.startswith("thrust: the log has no actuator_motors") for what in flight["unknown"])
 
 
-def test_without_motor_outputs_only_a_vehicle_that_hovers_is_believed(
+def test_impacts_in_fast_flight_are_untold_without_motor_outputs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    slow = felt(write_ulog(tmp_path / "slow.ulg", topics(motors=False)), capsys)
+    slow = inspect_json(write_ulog(tmp_path / "slow.ulg", topics(motors=False)), capsys)
     assert (len(slow["impacts"]), slow["untold"]) == (1, 0)
     fast_log = write_ulog(tmp_path / "fast.ulg", topics(motors=False, north_m_s=6.0))
-    fast = felt(fast_log, capsys)
+    fast = inspect_json(fast_log, capsys)
     assert ([i["kind"] for i in fast["impacts"]], fast["untold"]) == (["untold"], 1)
     assert main(["inspect", str(fast_log)]) == 0
     assert "contact or manoeuvre" in " ".join(capsys.readouterr().out.split())
-    known = felt(write_ulog(tmp_path / "known.ulg", topics(north_m_s=6.0)), capsys)
+    known = inspect_json(write_ulog(tmp_path / "known.ulg", topics(north_m_s=6.0)), capsys)
     assert (len(known["impacts"]), known["untold"]) == (1, 0)
 
 
@@ -137,7 +139,7 @@ def test_a_log_without_attitude_is_refused(tmp_path: Path, capsys: pytest.Captur
     assert "has no vehicle_attitude" in capsys.readouterr().err
 
 
-def test_trials_and_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_impact_trials_and_the_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     path, page = write_ulog(tmp_path / "a.ulg", topics()), tmp_path / "page.html"
     status = main(["inspect", str(path), "--mass", "1.3", "-o", str(tmp_path / "t"), "--report", str(page)])
@@ -149,37 +151,37 @@ def test_trials_and_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "a.ulg" in page.read_text()
 
 
-def test_a_thrust_fit_that_fails_on_what_it_has_not_seen_is_refused_by_name(
+def test_a_thrust_fit_that_fails_on_held_out_data_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # Commands that have nothing to do with the thrust felt.
-    made = dict(topics())
-    fields, rows = made["actuator_motors", 0]
-    made["actuator_motors", 0] = (
+    # The motor commands are unrelated to the measured thrust.
+    changed = dict(topics())
+    fields, rows = changed["actuator_motors", 0]
+    changed["actuator_motors", 0] = (
         fields,
         [(t, [0.5 + 0.25 * math.sin(0.17 * (t - 1e6) * 1e-6)] * 4) for t, _ in rows],
     )
-    flight = felt(write_ulog(tmp_path / "a.ulg", made), capsys)
+    flight = inspect_json(write_ulog(tmp_path / "a.ulg", changed), capsys)
     assert flight["thrust"] is None
-    (says,) = (what for what in flight["unknown"] if what.startswith("thrust:"))
-    assert "half seconds" in says
-    assert "limit 10 %" in says
+    (problem,) = (what for what in flight["unknown"] if what.startswith("thrust:"))
+    assert "half seconds" in problem
+    assert "limit 10 %" in problem
 
 
 @pytest.mark.parametrize(
     ("peak_n", "along_n", "is_impact"), [(0.3, 0.0, False), (0.3, 6.0, True), (4.0, 0.0, True)]
 )
-def test_a_crossing_that_its_peak_does_not_bear_out_is_no_impact(
+def test_a_threshold_crossing_without_a_matching_peak_is_not_an_impact(
     peak_n: float, along_n: float, is_impact: bool
 ) -> None:
     onset = ImpactOnset(1, 1, 1, (6.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    assert ThresholdCrossing(onset, 5.5).is_impact, "the log ends before the peak is known"
+    assert ThresholdCrossing(onset, 5.5).is_impact, "a crossing at the end of a log needs no peak"
     peak = ImpactPeak(1, 1, 1, (1.0, 0.0), peak_n, along_n, (0.0, 0.0, 0.0), False, fitted=True)
     assert ThresholdCrossing(onset, 5.5, peak).is_impact is is_impact
 
 
-def at_tilt(tilt_deg: float, thrust_n: float, along_n: float) -> Estimated:
-    """Leaning north; the motors are taken to give one thrust and give another."""
+def tilted_estimate(tilt_deg: float, thrust_n: float, along_n: float) -> Estimated:
+    """Return the estimate of a vehicle that leans north and whose thrust differs from its commands."""
     up = (math.sin(math.radians(tilt_deg)), 0.0, math.cos(math.radians(tilt_deg)))
     error = along_n - thrust_n
     force = ForceEstimate(1, (error * up[0], error * up[1], error * up[2]), False)
@@ -189,43 +191,43 @@ def at_tilt(tilt_deg: float, thrust_n: float, along_n: float) -> Estimated:
 @pytest.mark.parametrize(
     ("tilt_deg", "along_n", "push_n", "is_impact"),
     [
-        (50.0, 2.0, 0.0, False),  # the motors give less than is thought
-        (50.0, 24.0, 0.0, False),  # or more
+        (50.0, 2.0, 0.0, False),  # the thrust is below the estimate
+        (50.0, 24.0, 0.0, False),  # the thrust is above the estimate
         (0.0, 12.0, -10.0, True),
-        (40.0, 12.0, -10.0, True),  # against the wall
+        (40.0, 12.0, -10.0, True),  # the vehicle leans into the wall
         (40.0, 12.0, 10.0, True),
-        (40.0, 60.0, 0.0, True),  # no motor gives that
+        (40.0, 60.0, 0.0, True),  # exceeds the full thrust
         (40.0, -20.0, 0.0, True),
     ],
 )
-def test_what_an_error_of_the_thrust_explains_is_no_impact(
+def test_a_force_that_a_thrust_error_explains_is_not_an_impact(
     tilt_deg: float, along_n: float, push_n: float, is_impact: bool
 ) -> None:
-    felt = pushed(at_tilt(tilt_deg, 12.0, along_n), (push_n, 0.0))
-    x, y, z = felt.force.force_mission
+    estimated = with_force(tilted_estimate(tilt_deg, 12.0, along_n), (push_n, 0.0))
+    x, y, z = estimated.force.force_mission
     onset = ImpactOnset(1, 1, 1, (x, y, z), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     crossing = ThresholdCrossing(onset, 5.5)
     peak = ImpactPeak(1, 1, 1, (math.copysign(1.0, x), 0.0), abs(x), 0.0, (0.0, 0.0, 0.0), False, fitted=True)
-    crossing.record_peak(peak, [felt], 8)
+    crossing.record_peak(peak, [estimated], 8)
     assert crossing.is_impact is is_impact
 
 
-def test_motors_that_fail_in_a_tilted_vehicle_are_no_impact(
+def test_a_thrust_loss_of_a_tilted_vehicle_is_not_an_impact(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = dict(topics())
+    changed = dict(topics())
     begin, end = 1e6 + 20.0e6, 1e6 + 20.3e6
-    fields, rows = made["sensor_combined", 0]
-    made["sensor_combined", 0] = (
+    fields, rows = changed["sensor_combined", 0]
+    changed["sensor_combined", 0] = (
         fields,
         [(t, [*v[:5], 0.2 * v[5]] if begin <= t <= end else v) for t, v in rows],
     )
     half = math.radians(0.5 * 50.0)
-    fields, rows = made["vehicle_attitude", 0]
-    made["vehicle_attitude", 0] = (
+    fields, rows = changed["vehicle_attitude", 0]
+    changed["vehicle_attitude", 0] = (
         fields,
         [(t, [math.cos(half), 0.0, math.sin(half), 0.0] if begin <= t <= end else v) for t, v in rows],
     )
-    flight = felt(write_ulog(tmp_path / "a.ulg", made), capsys)
+    flight = inspect_json(write_ulog(tmp_path / "a.ulg", changed), capsys)
     assert [round(i["t_s"]) for i in flight["impacts"]] == [round(HIT_S)]
     assert flight["weak"] >= 1

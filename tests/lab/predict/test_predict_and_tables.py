@@ -1,4 +1,4 @@
-"""`dart-flight predict` and `tables` as a user and a script meet them."""
+"""`dart-flight predict` and `tables` on the command line, as tables, JSON and plots."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def as_json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, fl
     return numbers
 
 
-def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """The one line a wrong input gives; checks status 2 and that nothing is on standard output."""
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Return the one line of a refusal; check status 2 and an empty standard output."""
     try:
         status = main(list(arguments))
     except SystemExit as usage:
@@ -44,33 +44,35 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return streams.err
 
 
-def test_wall_hit_in_json(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wall_impact_is_predicted_in_json(capsys: pytest.CaptureFixture[str]) -> None:
     numbers = as_json(capsys, *WALL)
     assert {
         "normal_out_m_s", "tangential_out_m_s", "contact_time_s", "penetration_m", "peak_normal_force_n",
         "peak_friction_force_n", "impulse_n_s",
     } <= set(numbers)  # fmt: skip
     assert numbers["peak_normal_force_n"] == pytest.approx(63.6, abs=0.05)
-    # nu N over nearly all of the contact.
+    # The vertical force is nu, in newtons, over nearly all of the contact.
     assert 0.8 < numbers["vertical_impulse_n_s"] / (5.0 * numbers["contact_time_s"]) < 1.0
 
 
 @pytest.mark.parametrize("onset", ["lcp", "touch"])
-def test_drop_in_json(capsys: pytest.CaptureFixture[str], onset: str) -> None:
+def test_a_drop_prediction_in_json_matches_the_reference(
+    capsys: pytest.CaptureFixture[str], onset: str
+) -> None:
     numbers = as_json(capsys, *DROP, "--onset", onset)
     with (DATA / "drop_tests.csv").open() as file:
         rows = list(csv.DictReader(file))
-    want = next(r for r in rows if (r["onset"], r["mode"], r["height_m"]) == (onset, "flexible", "0.2"))
+    expected = next(r for r in rows if (r["onset"], r["mode"], r["height_m"]) == (onset, "flexible", "0.2"))
     for name in ("contact_time_s", "max_rebound_speed_m_s", "peak_force_n", "impulse_n_s"):
-        assert numbers[name] == pytest.approx(float(want[name]), rel=1e-9)
+        assert numbers[name] == pytest.approx(float(expected[name]), rel=1e-9)
 
 
-def test_numbers_as_scripts_print_them(capsys: pytest.CaptureFixture[str]) -> None:
+def test_velocities_in_scientific_notation_are_accepted(capsys: pytest.CaptureFixture[str]) -> None:
     wall = [*WALL[:5], "--velocity"]
     assert as_json(capsys, *wall, "-5e-1", "-2.5e-05") == as_json(capsys, *wall, "-0.5", "-0.000025")
 
 
-def test_table_on_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_table_is_printed_on_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(WALL) == 0
     out = capsys.readouterr().out
     assert "63.6063" in out
@@ -79,7 +81,7 @@ def test_table_on_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert "max rebound speed" in capsys.readouterr().out
 
 
-def test_incidence_makes_an_unlocked_vehicle_rigid(capsys: pytest.CaptureFixture[str]) -> None:
+def test_incidence_makes_a_flexible_vehicle_rigid(capsys: pytest.CaptureFixture[str]) -> None:
     hit = ["predict", "--surface", "acrylic", "--mode", "flexible", "--velocity", "-1", "0"]
     soft, turned = as_json(capsys, *hit), as_json(capsys, *hit, "--incidence-deg", "15")
     stiff = as_json(capsys, "predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "-1", "0")
@@ -89,7 +91,7 @@ def test_incidence_makes_an_unlocked_vehicle_rigid(capsys: pytest.CaptureFixture
     assert almost == soft
 
 
-def test_batch_of_the_reference_collisions(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_batch_matches_the_reference_collisions(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     with (DATA / "wall_collisions.csv").open() as file:
         rows = list(csv.DictReader(file))
     path = tmp_path / "hits.csv"
@@ -98,36 +100,38 @@ def test_batch_of_the_reference_collisions(capsys: pytest.CaptureFixture[str], t
     path.write_text("\n".join(lines) + "\n")
     batch = ["predict", "--surface", "acrylic", "--batch", str(path)]
     assert main(batch) == 0
-    got = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
-    assert len(got) == len(rows)
-    for line, want in zip(got, rows, strict=True):
-        assert line["mode"] == want["mode"]
-        assert float(line["normal_m_s"]) == float(want["vx_in_m_s"])
-        assert float(line["normal_out_m_s"]) == pytest.approx(float(want["lcp_vx_out_m_s"]), rel=1e-9)
+    computed = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert len(computed) == len(rows)
+    for line, expected in zip(computed, rows, strict=True):
+        assert line["mode"] == expected["mode"]
+        assert float(line["normal_m_s"]) == float(expected["vx_in_m_s"])
+        assert float(line["normal_out_m_s"]) == pytest.approx(float(expected["lcp_vx_out_m_s"]), rel=1e-9)
         assert float(line["peak_friction_force_n"]) == pytest.approx(
-            float(want["lcp_peak_friction_force_n"]), rel=1e-9, abs=1e-12
+            float(expected["lcp_peak_friction_force_n"]), rel=1e-9, abs=1e-12
         )
     assert main([*batch, "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["collisions"]) == len(rows)
 
 
-def test_batch_names_the_line_that_is_wrong(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_an_invalid_batch_line_is_reported_with_its_number(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     path = tmp_path / "hits.csv"
-    for text, said in {
+    for text, message in {
         "mode,normal_m_s\nrigid,-1\n": "missing column tangential_m_s",
         "mode,normal_m_s,tangential_m_s\nrigid,-1,0\nstiff,-1,0\n": ":3: mode: 'stiff' is not allowed",
         "mode,normal_m_s,tangential_m_s\nrigid,nan,0\n": ":2: normal_m_s: 'nan' is not a speed",
         "mode,normal_m_s,tangential_m_s\nrigid,-1\n": ":2: tangential_m_s",
     }.items():
         path.write_text(text)
-        assert said in refused(capsys, "predict", "--surface", "acrylic", "--batch", str(path))
-    assert "cannot read" in refused(
+        assert message in refusal(capsys, "predict", "--surface", "acrylic", "--batch", str(path))
+    assert "cannot read" in refusal(
         capsys, "predict", "--surface", "acrylic", "--batch", str(tmp_path / "none.csv")
     )
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["predict", "--surface", "steel", "--mode", "rigid", "--drop", "0.1"], "unknown surface 'steel'"),
         ([*WALL[:5], "--velocity", "1.0", "0"], "does not approach"),
@@ -141,12 +145,16 @@ def test_batch_names_the_line_that_is_wrong(capsys: pytest.CaptureFixture[str], 
         ([*WALL, "--plot", "/nowhere/hit.png"], "cannot write"),
     ],
 )
-def test_wrong_input_is_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], said: str) -> None:
-    assert said in refused(capsys, *arguments)
+def test_invalid_input_is_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert message in refusal(capsys, *arguments)
 
 
-def test_a_contact_that_never_ends(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    # Hardly any height: damping and weight keep the vehicle on the ground.
+def test_a_contact_that_never_ends_has_no_contact_time(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    # At this small height, damping and weight keep the vehicle on the ground.
     numbers = as_json(capsys, "predict", "--surface", "concrete", "--mode", "rigid", "--drop", "0.0001")
     assert numbers["contact_time_s"] is None
     plot = tmp_path / "down.png"
@@ -157,7 +165,7 @@ def test_a_contact_that_never_ends(capsys: pytest.CaptureFixture[str], tmp_path:
     assert "never ends" in capsys.readouterr().out
 
 
-def test_plots_show_what_they_name(tmp_path: Path) -> None:
+def test_plots_contain_their_labels(tmp_path: Path) -> None:
     path = tmp_path / "plot.svg"
     assert main([*WALL, "--plot", str(path)]) == 0
     assert "along the wall" in path.read_text()
@@ -167,7 +175,7 @@ def test_plots_show_what_they_name(tmp_path: Path) -> None:
     assert "paper: contact 145 ms" in text
 
 
-def test_numbers_need_neither_scipy_nor_matplotlib() -> None:
+def test_predictions_need_neither_scipy_nor_matplotlib() -> None:
     code = (
         "import sys\n"
         "from dart_flight.cli import main\n"
@@ -177,17 +185,17 @@ def test_numbers_need_neither_scipy_nor_matplotlib() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-def test_plot_without_matplotlib_says_what_to_install(
+def test_missing_matplotlib_is_reported_with_the_package_to_install(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert install_command("report") in refused(capsys, *WALL, "--plot", "x.png")
+    assert install_command("report") in refusal(capsys, *WALL, "--plot", "x.png")
 
 
 # --- tables ---------------------------------------------------------------------------------------------
 
 
-def test_the_page_in_docs_is_what_the_command_writes(tmp_path: Path) -> None:
+def test_the_page_in_docs_is_up_to_date(tmp_path: Path) -> None:
     path = tmp_path / "page.md"
     config = str(packaged("configs", "dart.yaml"))
     assert main(["tables", "-o", str(path), "--config", config]) == 0
@@ -207,28 +215,29 @@ def test_tables_agree_with_the_published_drops(capsys: pytest.CaptureFixture[str
     assert "Drop tests" in capsys.readouterr().out
 
 
-def test_tables_of_another_vehicle() -> None:
-    # Generated, not typed in: other coefficients give other tables.
+def test_tables_depend_on_the_vehicles_coefficients() -> None:
     vehicle = load_vehicle(packaged("configs", "dart.yaml"))
-    heavy = type(vehicle)(
+    changed = type(vehicle)(
         **{name: getattr(vehicle, name) for name in vehicle.__struct_fields__ if name != "materials"},
         materials=vehicle.materials | {"concrete": vehicle.materials["acrylic"]},
     )
-    assert paper.page(heavy) != paper.page(vehicle)
-    assert paper.stiffness_ratios(heavy)["concrete"] == pytest.approx(3.36)
+    assert paper.page(changed) != paper.page(vehicle)
+    assert paper.stiffness_ratios(changed)["concrete"] == pytest.approx(3.36)
 
 
-def test_one_height_can_be_met_but_not_both() -> None:
+def test_a_refit_matches_one_drop_height_but_not_both() -> None:
     vehicle = load_vehicle(packaged("configs", "dart.yaml"))
     for onset in Onset:
         for refit in paper.refits(vehicle.airframe.mass_kg, onset):
             rows = [row for row in paper.DROPS if row.mode is refit.mode]
             coefficients = Coefficients(k=refit.k_n_per_m, f=refit.f_ns_per_m, mu=0.0, nu=0.0)
-            # As the closed form says, one drop at a time.
+            # The errors match the closed form of each drop.
             for row, errors in zip(rows, refit.errors, strict=True):
-                got = drop(coefficients, vehicle.airframe.mass_kg, row.height_m, onset)
-                assert errors[0] == pytest.approx(got.contact_time_s / row.contact_time_s - 1.0, abs=1e-9)
-                rebound = got.max_rebound_speed_m_s / row.max_rebound_speed_m_s - 1.0
+                computed = drop(coefficients, vehicle.airframe.mass_kg, row.height_m, onset)
+                assert errors[0] == pytest.approx(
+                    computed.contact_time_s / row.contact_time_s - 1.0, abs=1e-9
+                )
+                rebound = computed.max_rebound_speed_m_s / row.max_rebound_speed_m_s - 1.0
                 assert errors[1] == pytest.approx(rebound, abs=1e-9)
             fitted = [e for row, e in zip(rows, refit.errors, strict=True) if row.height_m in refit.fitted]
             worst = max(abs(x) for pair in fitted for x in pair)

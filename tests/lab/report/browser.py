@@ -1,6 +1,6 @@
-"""A page in a real browser, without a window: for tests.
+"""A page in a headless browser for tests.
 
-Speaks the browser's own protocol (Chrome DevTools) over two pipes, so nothing but a Chromium has to be there.
+It uses the Chrome DevTools protocol over two pipes, so it needs a Chromium and no package.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, Self
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _OPTIONS = (
     "--headless",
-    "--no-sandbox",  # the pages are our own, and in a container it cannot have one
+    "--no-sandbox",  # a container cannot provide a sandbox, and the pages are ours
     "--disable-gpu",
     "--disable-dev-shm-usage",
     "--hide-scrollbars",
@@ -30,17 +30,17 @@ _OPTIONS = (
 
 
 def find_browser() -> str | None:
-    """Path of a Chromium; `DART_BROWSER` names another one. None where there is none."""
+    """Return the path of a Chromium, or of `DART_BROWSER` if set; None if none is installed."""
     named = os.environ.get("DART_BROWSER")
     return named or next((found for name in NAMES if (found := shutil.which(name))), None)
 
 
 class BrowserError(RuntimeError):
-    """The browser is gone, or refuses a command."""
+    """The browser has ended or has refused a command."""
 
 
 class Browser:
-    """One page of a browser of its own.
+    """A browser process with one page.
 
     Args:
         executable: from `find_browser`.
@@ -51,15 +51,15 @@ class Browser:
         to_browser, self._write = os.pipe()
         self._read, from_browser = os.pipe()
 
-        def as_three_and_four() -> None:
-            """The browser reads from descriptor 3 and writes to 4."""
+        def move_descriptors() -> None:
+            """Move the pipes to descriptor 3, which the browser reads, and to 4, which it writes."""
             first, second = os.dup(to_browser), os.dup(from_browser)
             os.dup2(first, 3)
             os.dup2(second, 4)
 
         self._process = subprocess.Popen(
             [executable, *_OPTIONS, f"--user-data-dir={self._folder.name}", "about:blank"],
-            preexec_fn=as_three_and_four,  # noqa: PLW1509  (no threads here)
+            preexec_fn=move_descriptors,  # noqa: PLW1509  (no threads here)
             pass_fds=(3, 4),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -101,10 +101,10 @@ class Browser:
     # -- protocol --
 
     def send(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """A command of the protocol; returns its result.
+        """Send a command of the protocol and return its result.
 
         Raises:
-            BrowserError: it was refused, or the browser has ended.
+            BrowserError: the browser has refused the command or has ended.
         """
         number = next(self._numbers)
         message: dict[str, Any] = {"id": number, "method": method, "params": parameters}
@@ -142,7 +142,7 @@ class Browser:
         touch: bool = False,
         scripts: bool = True,
     ) -> None:
-        """What kind of reader the page has from now on; sizes in CSS pixels."""
+        """Emulate a screen size in CSS pixels, user preferences, touch input and disabled scripts."""
         self.send(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -162,17 +162,17 @@ class Browser:
         self.send("Emulation.setScriptExecutionDisabled", value=not scripts)
 
     def open(self, page: Path) -> None:
-        """Load a file, and wait until it is there."""
+        """Load a file and wait for its load event."""
         self.events.clear()
         self.send("Page.navigate", url=page.resolve().as_uri())
         while not any(event["method"] == "Page.loadEventFired" for event in self.events):
             self.events.append(self._receive())
 
     def evaluate(self, expression: str) -> Any:
-        """The value of a JavaScript expression; a promise is waited for.
+        """Return the value of a JavaScript expression, or of its promise.
 
         Raises:
-            BrowserError: it threw.
+            BrowserError: the expression threw an exception.
         """
         answer = self.send("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in answer:
@@ -180,7 +180,7 @@ class Browser:
         return answer["result"].get("value")
 
     def press(self, key: str, code: int) -> None:
-        """A key of the keyboard, by its name and Windows code, as the page's focus takes it."""
+        """Press a key, given by its name and Windows code, in the focused element."""
         text = {"text": key} if len(key) == 1 else {}
         for kind in ("keyDown", "keyUp"):
             self.send(
@@ -189,7 +189,7 @@ class Browser:
             )  # fmt: skip
 
     def tap(self, selector: str) -> None:
-        """A finger on the middle of an element."""
+        """Tap the middle of an element."""
         x, y = self.evaluate(
             f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
             "e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
@@ -199,7 +199,7 @@ class Browser:
         self.send("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
     def requested(self) -> list[str]:
-        """Addresses that the page asked the network for, but for itself and what it carries."""
+        """Return the addresses that the page requested, without its own file and embedded data."""
         urls = [
             str(event["params"]["request"]["url"])
             for event in self.events
@@ -208,7 +208,7 @@ class Browser:
         return [url for url in urls if not url.startswith(("file:", "data:", "about:"))]
 
     def problems(self) -> list[str]:
-        """What the console says of errors."""
+        """Return the exceptions and the error lines of the console."""
         found = []
         for event in self.events:
             if event["method"] == "Runtime.exceptionThrown":
@@ -218,7 +218,7 @@ class Browser:
         return found
 
     def screenshot(self, path: Path, height: int | None = None, top: int = 0) -> None:
-        """The page as a PNG: all of it, or `height` pixels from `top` on."""
+        """Write the page as a PNG: the whole page, or `height` pixels from `top`."""
         layout = self.send("Page.getLayoutMetrics")["cssContentSize"]
         clip = {
             "x": 0, "y": top, "width": layout["width"],

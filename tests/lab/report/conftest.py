@@ -1,4 +1,4 @@
-"""Recorded flights for all tests of this folder."""
+"""Recorded flights and their pages for the tests of this folder."""
 
 from __future__ import annotations
 
@@ -22,13 +22,12 @@ def dual() -> Mission:
 
 @pytest.fixture(scope="session")
 def trials(flown: SharedFlights) -> list[Path]:
-    """Three flights of the dual collision."""
+    """Return the logs of three flights of the dual collision."""
     return [flown("paper_dual_collision", seed).log for seed in (1, 2, 3)]
 
 
 @pytest.fixture(scope="session")
 def flights(trials: list[Path]) -> list[RecordedFlight]:
-    """The three, read."""
     return [RecordedFlight.read(path) for path in trials]
 
 
@@ -37,27 +36,27 @@ def flight(flights: list[RecordedFlight]) -> RecordedFlight:
     return flights[0]
 
 
-def kept(flown: SharedFlights, name: str, make: Callable[[], str]) -> str:
-    """A page that is made once for all workers."""
-    folder = flown.once(name, lambda there: (there / "page.html").write_text(make(), encoding="utf-8"))
+def cached_page(flown: SharedFlights, name: str, make: Callable[[], str]) -> str:
+    """Return a page that is rendered once for all test workers."""
+    folder = flown.once(name, lambda cache: (cache / "page.html").write_text(make(), encoding="utf-8"))
     return (folder / "page.html").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")
 def page(flown: SharedFlights, request: pytest.FixtureRequest) -> str:
-    """The page of the first flight."""
-    return kept(flown, "page", lambda: flight_page(request.getfixturevalue("flight")))
+    """Return the page of the first flight."""
+    return cached_page(flown, "page", lambda: flight_page(request.getfixturevalue("flight")))
 
 
 @pytest.fixture(scope="session")
-def compared(flown: SharedFlights, request: pytest.FixtureRequest) -> str:
-    """The page that compares the three, given out of order."""
-    return kept(flown, "compared", lambda: comparison_page(request.getfixturevalue("flights")[::-1]))
+def comparison(flown: SharedFlights, request: pytest.FixtureRequest) -> str:
+    """Return the comparison page of the three flights, given in reverse order."""
+    return cached_page(flown, "compared", lambda: comparison_page(request.getfixturevalue("flights")[::-1]))
 
 
 @pytest.fixture(scope="session")
 def aborted(flown: SharedFlights) -> Path:
-    """A flight into a wall that is not there."""
+    """Return the log of an aborted flight to a missing wall."""
     verdict, log = flown("paper_dual_collision", 1, "wall-missing@approach")
     assert verdict.outcome == "aborted"
     return log

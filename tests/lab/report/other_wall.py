@@ -1,4 +1,4 @@
-"""Fast flights against walls that are not what the configuration says: plant and flight core disagree."""
+"""Fast flights against walls with other coefficients than configured, so plant and flight core disagree."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from dart_flight.sim.draws import DrawnWorld
 
 
 def with_walls(mission: Mission, **factors: float) -> Mission:
-    """The mission with every material's coefficients multiplied: `k=1.2`, `f=...`, `mu=...`, `nu=...`."""
+    """Return the mission with every material's coefficients multiplied: `k=1.2`, `f=`, `mu=`, `nu=`."""
 
-    def changed(c: Coefficients) -> Coefficients:
+    def scaled(c: Coefficients) -> Coefficients:
         return msgspec.structs.replace(c, **{n: getattr(c, n) * x for n, x in factors.items()})
 
     materials = {
         name: msgspec.structs.replace(
-            m, **{mode.value: changed(m.coefficients(mode)) for mode in mission.vehicle.modes}
+            m, **{mode.value: scaled(m.coefficients(mode)) for mode in mission.vehicle.modes}
         )
         for name, m in mission.vehicle.materials.items()
     }
@@ -32,7 +32,7 @@ def with_walls(mission: Mission, **factors: float) -> Mission:
 
 
 def fly_against(mission: Mission, real: Mission, seed: int, path: Path) -> Path:
-    """Fly a mission where the walls are those of `real`; returns the log, which knows only the mission."""
+    """Fly a mission against the walls of `real`; the returned log contains only the mission."""
     path.parent.mkdir(parents=True, exist_ok=True)
     log = FlightLog(path, describe_flight(mission, World.FAST, seed))
     FastFlight(mission, seed, observe=log.put, world=DrawnWorld(real, None, {})).run()

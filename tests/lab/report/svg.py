@@ -1,4 +1,4 @@
-"""What stands in a figure."""
+"""Text of SVG figures."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import re
 
 
 def texts_of(svg: str) -> list[str]:
-    """The words in a figure."""
+    """Return the texts of a figure."""
     return [t.strip() for t in re.findall(r"<text[^>]*>([^<]+)</text>", svg)]

@@ -1,4 +1,4 @@
-"""A mission with many hits in a small room: what pages and maps have to stay readable with."""
+"""A mission with many collisions in a small room, for the readability of pages and maps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _ALONG_M = (-0.9, 0.8, 0.2)
 
 
 def many_hits(count: int) -> Mission:
-    """A mission that goes around a room of four walls, rigid and flexible, each hit with its own run-up."""
+    """Return a mission around a room of four walls, with rigid and flexible collisions."""
     walls = "\n".join(
         f"  {name}: {{point_m: {list(point)}, normal: {list(normal)}, length_m: 3.4, material: {material}}}"
         for name, (point, normal, material) in _WALLS.items()

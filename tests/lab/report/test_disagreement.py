@@ -1,4 +1,4 @@
-"""Closing the loop: coefficients out of flights, and when the report says to identify them."""
+"""Disagreement of flights with the contact coefficients, and identification from flight logs."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ CONFIG = packaged("configs", "dart.yaml")
 
 @pytest.fixture(scope="module")
 def single() -> Mission:
-    # What is identified is the law of a point: only its flights agree with the truth in every coefficient.
+    # The identified law is a point's, so only a point's flights give the true value of every coefficient.
     return load_flyable(
         packaged("missions", "paper_single_wall.yaml"), CONFIG, ["simulation.contact.body=point"]
     )
 
 
 @pytest.fixture(scope="module")
-def stiffer(single: Mission, flown: SharedFlights) -> list[Path]:
-    """Two flights against a wall whose k is a fifth above the configuration's."""
+def stiffer_wall_logs(single: Mission, flown: SharedFlights) -> list[Path]:
+    """Return the logs of two flights against a wall whose k is 20 % above the configured value."""
 
     def fly(folder: Path) -> None:
         for seed in (1, 2):
@@ -44,30 +44,32 @@ def stiffer(single: Mission, flown: SharedFlights) -> list[Path]:
 
 
 def with_entry(text: str, path: Path) -> VehicleConfig:
-    """The shipped configuration with an identified entry in its place, loaded as a user would."""
+    """Load the shipped configuration with an identified entry in place of the material's own."""
     config = yaml.safe_load(Path(CONFIG).read_text(encoding="utf-8"))
     config["materials"].update(yaml.safe_load(text)["materials"])
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     return load_vehicle(path)
 
 
-def test_the_flights_know_only_the_mission(stiffer: list[Path], single: Mission) -> None:
-    """A core with the mission of the log, whose wall is the softer one, decides what was decided."""
-    log = read_log(stiffer[0])
-    again = replay(log)
-    assert again.exact
-    assert again.equal
+def test_a_log_of_a_stiffer_wall_replays_with_the_mission_alone(
+    stiffer_wall_logs: list[Path], single: Mission
+) -> None:
+    """The replaying core has only the log's mission with the softer wall and makes the same decisions."""
+    log = read_log(stiffer_wall_logs[0])
+    replayed = replay(log)
+    assert replayed.exact
+    assert replayed.equal
     assert flown_mission(log.about, log.source).vehicle.materials == single.vehicle.materials
     (contact,) = [e.record for e in log.entries if isinstance(e.record, TruthContact)]
-    (impact,) = RecordedFlight.read(stiffer[0]).impacts
+    (impact,) = RecordedFlight.read(stiffer_wall_logs[0]).impacts
     predicted_n = impact.predicted.peak_force_n
     assert predicted_n is not None
     assert contact.peak_normal_force_n > 1.05 * predicted_n
 
 
 @pytest.fixture(scope="module")
-def believed(single: Mission, flown: SharedFlights) -> list[RecordedFlight]:
-    """Flights against walls as the configuration has them."""
+def agreeing(single: Mission, flown: SharedFlights) -> list[RecordedFlight]:
+    """Return flights against walls with the configured coefficients."""
 
     def fly(folder: Path) -> None:
         for seed in (1, 2):
@@ -76,50 +78,54 @@ def believed(single: Mission, flown: SharedFlights) -> list[RecordedFlight]:
     return [RecordedFlight.read(path) for path in sorted(flown.once("believed", fly).glob("*/flight.mcap"))]
 
 
-def test_flights_that_agree_teach_nothing(believed: list[RecordedFlight]) -> None:
-    ((material, found),) = disagreements(believed).items()
+def test_flights_that_agree_with_the_prediction_show_no_disagreement(agreeing: list[RecordedFlight]) -> None:
+    ((material, found),) = disagreements(agreeing).items()
     assert material == "acrylic"
     assert set(found) == {"flexible, normal", "flexible, friction"}
     assert not beyond(found)
 
 
-def test_the_page_of_a_flight_that_agrees_asks_for_nothing(believed: list[RecordedFlight]) -> None:
-    page = flight_page(believed[0])
+def test_the_page_of_a_flight_that_agrees_recommends_no_identification(
+    agreeing: list[RecordedFlight],
+) -> None:
+    page = flight_page(agreeing[0])
     assert "Contact coefficients" in page
     assert page.count("Prediction and measurement agree.") == 1
     assert "dart-flight identify" not in page
 
 
-def test_a_stiffer_wall_is_noticed_and_the_page_says_what_to_run(stiffer: list[Path]) -> None:
-    flights = [RecordedFlight.read(path) for path in stiffer]
+def test_a_stiffer_wall_is_detected_and_the_page_shows_the_command_to_run(
+    stiffer_wall_logs: list[Path],
+) -> None:
+    flights = [RecordedFlight.read(path) for path in stiffer_wall_logs]
     found = disagreements(flights)["acrylic"]
     mean, _ = found["flexible, normal"]
-    assert mean == pytest.approx(1.2**0.5 - 1.0, abs=0.03)  # peaks grow with the root of k
+    assert mean == pytest.approx(1.2**0.5 - 1.0, abs=0.03)  # peaks are proportional to the square root of k
     assert beyond(found)
     page = comparison_page(flights)
     assert "<pre>dart-flight identify LOG... --surface acrylic -o acrylic.yaml</pre>" in page
 
 
-def test_identify_takes_flight_logs_and_writes_the_entry(
-    stiffer: list[Path], single: Mission, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_identify_writes_a_materials_entry_from_flight_logs(
+    stiffer_wall_logs: list[Path], single: Mission, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "acrylic.yaml"
-    logs = [str(path) for path in stiffer]
+    logs = [str(path) for path in stiffer_wall_logs]
     assert main(["identify", *logs, "--surface", "acrylic", "-o", str(out), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["coefficients"]
     assert set(found) == {"flexible"}
     for name, truth in (("k", 1500.0), ("f", 8.5), ("mu", 5.0), ("nu", 10.0)):
         assert found["flexible"][name]["low"] <= truth <= found["flexible"][name]["high"], name
-    # The configured value is refuted: the interval is narrow enough to tell.
+    # The interval excludes the configured value.
     assert found["flexible"]["k"]["low"] > 1250.0
     acrylic = with_entry(out.read_text(encoding="utf-8"), tmp_path / "dart.yaml").materials["acrylic"]
     assert acrylic.source
     assert acrylic.coefficients(Mode.FLEXIBLE).k == pytest.approx(1.2 * 1250.0, rel=0.03)
-    # The mode that was not flown stays.
+    # The mode that was not flown keeps its coefficients.
     assert acrylic.rigid == single.vehicle.materials["acrylic"].rigid
 
 
-def test_a_slippery_wall_is_noticed_by_its_friction(single: Mission, tmp_path: Path) -> None:
+def test_a_slippery_wall_is_detected_by_its_friction(single: Mission, tmp_path: Path) -> None:
     path = fly_against(single, with_walls(single, mu=0.5), 1, tmp_path / "flight.mcap")
     found = disagreements([RecordedFlight.read(path)])["acrylic"]
     assert abs(found["flexible, normal"][0]) < 0.05
@@ -127,7 +133,7 @@ def test_a_slippery_wall_is_noticed_by_its_friction(single: Mission, tmp_path: P
     assert beyond(found)
 
 
-def test_flights_at_two_walls_need_the_name_of_one(
+def test_identify_needs_a_surface_for_flights_against_two_walls(
     trials: list[Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["identify", str(trials[0]), "--json"]) == 2

@@ -1,4 +1,4 @@
-"""The picture of a mission before it flies: what it says is what the flight model says."""
+"""The figure of a mission before its flight shows the prediction of the flight model."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.lab.report.svg import texts_of
 DUAL = str(packaged("missions", "paper_dual_collision.yaml"))
 
 
-def test_every_hit_is_named_with_its_figures(dual: Mission) -> None:
+def test_every_collision_is_labelled_with_its_speed_and_force(dual: Mission) -> None:
     planned = predict_mission(dual)
     words = " ".join(texts_of(as_svg(mission_figure(dual, planned))))
     for index, hit in planned.hits.items():
@@ -37,52 +37,56 @@ def test_every_hit_is_named_with_its_figures(dual: Mission) -> None:
     assert f"Passes the goal at {planned.goal_miss_m:.2f} m" in words
 
 
-def test_draws_of_walls_without_spread_are_the_plan(dual: Mission) -> None:
+def test_draws_without_spread_equal_the_plan(dual: Mission) -> None:
     estimation = dual.vehicle.estimation
-    sure = msgspec.structs.replace(estimation, walls=msgspec.structs.replace(estimation.walls, spread=1e-9))
-    mission = msgspec.structs.replace(dual, vehicle=msgspec.structs.replace(dual.vehicle, estimation=sure))
+    without_spread = msgspec.structs.replace(
+        estimation, walls=msgspec.structs.replace(estimation.walls, spread=1e-9)
+    )
+    mission = msgspec.structs.replace(
+        dual, vehicle=msgspec.structs.replace(dual.vehicle, estimation=without_spread)
+    )
     nominal = predict_mission(mission).goal_miss_m
     assert [f.goal_miss_m for f in predict_with_draws(mission, 3)] == pytest.approx([nominal] * 3, abs=1e-6)
     spread = [f.goal_miss_m for f in predict_with_draws(dual, 20)]
     assert np.std([miss for miss in spread if miss is not None]) > 0.01
 
 
-def test_draws_have_their_walls_where_these_may_stand(dual: Mission) -> None:
+def test_draws_vary_the_position_and_direction_of_uncertain_walls(dual: Mission) -> None:
     known = predict_with_draws(dual, 60)
     assert all(not flight.walls for flight in known)
     for sd_m, yaw_deg in ((0.05, 0.0), (0.0, 3.0)):
-        unsure = dual.replace({"walls.wood.position_sd_m": sd_m, "walls.wood.yaw_sd_deg": yaw_deg})
-        drawn = predict_with_draws(unsure, 60)
+        uncertain_wall = dual.replace({"walls.wood.position_sd_m": sd_m, "walls.wood.yaw_sd_deg": yaw_deg})
+        drawn = predict_with_draws(uncertain_wall, 60)
         assert {wall.name for flight in drawn for wall in flight.walls} == {"wood"}
-        met = [(a, b) for a, b in zip(known, drawn, strict=True) if 1 in a.hits and 1 in b.hits]
-        assert len(met) > 40
-        # The same coefficients, so as far before or behind the plane: the drawn one, not the mission's.
+        pairs = [(a, b) for a, b in zip(known, drawn, strict=True) if 1 in a.hits and 1 in b.hits]
+        assert len(pairs) > 40
+        # With equal coefficients, the distance from the drawn plane equals that from the mission's plane.
         wood = next(wall for wall in dual.walls if wall.name == "wood")
-        before = [wood.signed_distance(a.hits[1].position) for a, _ in met]
-        really = [b.walls[0].signed_distance(b.hits[1].position) for _, b in met]
-        assert really == pytest.approx(before, abs=1e-6 if yaw_deg == 0.0 else 0.005)
-        assert np.std([b.hits[1].position[1] - a.hits[1].position[1] for a, b in met]) > 0.3 * sd_m
-        directions = [b.walls[0].normal[0] for _, b in met]
+        nominal_m = [wood.signed_distance(a.hits[1].position) for a, _ in pairs]
+        drawn_m = [b.walls[0].signed_distance(b.hits[1].position) for _, b in pairs]
+        assert drawn_m == pytest.approx(nominal_m, abs=1e-6 if yaw_deg == 0.0 else 0.005)
+        assert np.std([b.hits[1].position[1] - a.hits[1].position[1] for a, b in pairs]) > 0.3 * sd_m
+        directions = [b.walls[0].normal[0] for _, b in pairs]
         assert np.std(directions) == pytest.approx(np.radians(yaw_deg), rel=0.3, abs=1e-9)
-    told = dual.replace({"walls.wood.position_sd_m": 0.05})
-    words = prediction_lines(told, predict_mission(told), predict_with_draws(told, 20))
+    uncertain = dual.replace({"walls.wood.position_sd_m": 0.05})
+    words = prediction_lines(uncertain, predict_mission(uncertain), predict_with_draws(uncertain, 20))
     assert any("The positions of wood are varied" in line for line in words)
 
 
 def heights_in_the_side_view(mission: Mission) -> tuple[dict[str, float], list[float]]:
-    """Numbers of hits -> the height they are written at, and that of every star (the goal)."""
+    """Return the height of each collision's number, and of every star, which marks the goal."""
     side = mission_figure(mission, predict_mission(mission)).axes[1]
     stars = [float(line.get_ydata()[0]) for line in side.lines if line.get_marker() == "*"]
     return {text.get_text(): float(text.xy[1]) for text in side.texts}, stars
 
 
-def test_the_side_view_is_as_high_as_the_way_points_say(dual: Mission) -> None:
+def test_the_side_view_shows_the_altitude_of_the_waypoints(dual: Mission) -> None:
     higher = dual.replace({"waypoints": [{"position_m": [0.0, 0.0], "altitude_m": 1.5}]})
     assert heights_in_the_side_view(dual) == ({"1": 1.0, "2": 1.0}, [1.0])
     assert heights_in_the_side_view(higher) == ({"1": 1.5, "2": 1.5}, [1.5])
 
 
-def test_the_words_give_the_quantiles_of_the_draws(dual: Mission) -> None:
+def test_the_text_gives_the_quantiles_of_the_draws(dual: Mission) -> None:
     drawn = predict_with_draws(dual, 20)
     low, high = np.quantile([f.goal_miss_m for f in drawn if f.goal_miss_m is not None], (0.05, 0.95))
     line = prediction_lines(dual, predict_mission(dual), drawn)[-1]
@@ -90,20 +94,22 @@ def test_the_words_give_the_quantiles_of_the_draws(dual: Mission) -> None:
     assert "± 30 %" in line
 
 
-def test_a_mission_that_cannot_be_flown_has_its_room_drawn(dual: Mission) -> None:
+def test_the_room_of_an_unflyable_mission_is_drawn(dual: Mission) -> None:
     words = texts_of(as_svg(mission_figure(dual, None)))
     assert {"wood", "acrylic", "goal"} <= set(words)
     assert any("cannot be flown" in word for word in words)
 
 
-@pytest.mark.parametrize(("ending", "begin"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
-def test_check_draws_by_the_ending(ending: str, begin: bytes, tmp_path: Path) -> None:
-    path = tmp_path / f"mission.{ending}"
+@pytest.mark.parametrize(("extension", "begin"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_the_format_of_the_picture_follows_the_file_extension(
+    extension: str, begin: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / f"mission.{extension}"
     assert main(["check", DUAL, "--plot", str(path)]) == 0
     assert path.read_bytes().startswith(begin)
 
 
-def test_check_says_what_a_picture_needs(
+def test_an_unsupported_format_or_missing_matplotlib_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert main(["check", DUAL, "--plot", str(tmp_path / "mission.gif")]) == 2
@@ -115,7 +121,7 @@ def test_check_says_what_a_picture_needs(
     assert install_command("report") in error
 
 
-def test_a_mission_of_way_points_shows_its_ways() -> None:
+def test_a_mission_of_waypoints_shows_its_trajectories() -> None:
     mission = load_mission(packaged("missions", "square.yaml"))
     figure = mission_figure(mission, predict_mission(mission))
     assert {"1", "2, 6: 1 m high", "3: 1.4 m high"} <= set(texts_of(as_svg(figure)))

@@ -1,4 +1,4 @@
-"""The page of one flight and of several: complete, self-contained, and saying what the verdict says."""
+"""The page of one flight and of several flights: complete, self-contained and equal to the verdict."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ SECTIONS = [
 
 
 class Page(HTMLParser):
-    """Parses a page; notes tables, headings, links and tags that do not close."""
+    """A parsed page with its tables, headings and links; it fails on unclosed tags."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -84,7 +84,7 @@ class Page(HTMLParser):
             self.headings[-1] += data
 
     def row(self, name: str, after: str = "") -> list[str]:
-        """The first row with a name; after a row that is the heading `after`, and before the next heading."""
+        """Return the first row with a name, under the heading `after` if that is given."""
         under = ""
         for row in self.rows:
             if len(row) == 1:
@@ -111,7 +111,7 @@ def texts(figure: Any) -> set[str]:
 # --- one flight ----------------------------------------------------------------------------------------
 
 
-def test_a_page_has_every_section_and_needs_nothing_else(page: str) -> None:
+def test_a_page_has_every_section_and_needs_no_other_files(page: str) -> None:
     parsed = Page(page)
     assert parsed.headings == SECTIONS
     assert "does not contain the whole flight" not in page
@@ -123,7 +123,7 @@ def test_a_page_has_every_section_and_needs_nothing_else(page: str) -> None:
         assert not outside
 
 
-def test_the_table_says_what_the_verdict_says(flight: RecordedFlight, page: str) -> None:
+def test_the_table_shows_the_figures_of_the_verdict(flight: RecordedFlight, page: str) -> None:
     parsed = Page(page)
     for impact in flight.impacts:
         v = impact.verdict
@@ -150,10 +150,10 @@ def test_the_table_says_what_the_verdict_says(flight: RecordedFlight, page: str)
         assert number(contact[3]) == pytest.approx(v.contact_time_ms, rel=6e-3)
 
 
-def test_truth_and_prediction_of_a_contact(tmp_path: Path) -> None:
-    """The columns come from different sources that must meet: plant, contact law, flight model, estimate.
+def test_truth_prediction_and_estimate_of_a_contact_agree(tmp_path: Path) -> None:
+    """The columns come from the plant, the contact law, the flight model and the estimate.
 
-    Law and flight model are a point's, and so is the vehicle here.
+    The vehicle is a point here, as in the law and the flight model.
     """
     configuration = packaged("configs", "dart.yaml")
     mission = load_flyable(
@@ -166,21 +166,21 @@ def test_truth_and_prediction_of_a_contact(tmp_path: Path) -> None:
         assert rows["contact time"].true == (truth.end_us - truth.t_us) / 1000
         assert rows["normal velocity out"].true == truth.normal_out_m_s
         assert rows["peak friction force"].true == abs(truth.peak_friction_force_n)
-        for name, allowed in (
+        for name, tolerance in (
             ("contact time", 0.08),
             ("peak normal force", 0.05),
             ("normal velocity out", 0.12),
         ):
-            assert rows[name].predicted == pytest.approx(rows[name].true, rel=allowed)
-            assert rows[name].measured == pytest.approx(rows[name].true, rel=allowed)
-        # The mission says the first approach, the flight model what follows from it.
+            assert rows[name].predicted == pytest.approx(rows[name].true, rel=tolerance)
+            assert rows[name].measured == pytest.approx(rows[name].true, rel=tolerance)
+        # The mission gives the first approach; the flight model predicts the second.
         assert rows["normal velocity"].planned == pytest.approx(truth.normal_in_m_s, rel=0.05)
-        # The prediction lies on the contact in time as well.
+        # The predicted onset coincides with the contact.
         assert impact.onset_s == pytest.approx(flight.course.time_of(truth.t_us), abs=0.002)
 
 
-def test_the_estimated_force_lies_on_the_true_one(flight: RecordedFlight) -> None:
-    """A reading stands for the middle of its tick: half a tick of delay would miss by 2 N on the flanks."""
+def test_the_estimated_force_follows_the_true_force_without_delay(flight: RecordedFlight) -> None:
+    """A reading applies to the middle of its tick; half a tick of delay gives 2 N of error on the flanks."""
     course = flight.course
     for impact in flight.impacts:
         wall = impact.collision.wall
@@ -196,7 +196,7 @@ def test_the_estimated_force_lies_on_the_true_one(flight: RecordedFlight) -> Non
         assert error < np.abs(late - true).max() / true.max()
 
 
-def test_figures_show_what_they_name(flight: RecordedFlight) -> None:
+def test_figures_contain_their_labels_and_legends(flight: RecordedFlight) -> None:
     words = texts(flight_map([flight]))
     assert {"wood", "acrylic", "planned", "flown (true)", "flown (estimated)", "start", "goal"} <= words
     assert {"recovery setpoint", "every second"} <= words
@@ -207,7 +207,9 @@ def test_figures_show_what_they_name(flight: RecordedFlight) -> None:
     assert {"thrust, N", "motors, %", "highest", "lowest"} <= texts(motion.thrust_and_battery(flight))
 
 
-def test_a_flight_that_was_aborted(aborted: Path, tmp_path: Path) -> None:
+def test_the_page_of_an_aborted_flight_shows_the_reason_and_the_guards_action(
+    aborted: Path, tmp_path: Path
+) -> None:
     assert main(["report", str(aborted), "-o", str(tmp_path / "page.html")]) == 0
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     page = Page(text)
@@ -218,7 +220,7 @@ def test_a_flight_that_was_aborted(aborted: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("share", [0.02, 0.999])
-def test_a_cut_log_still_gives_a_page(share: float, trials: list[Path], tmp_path: Path) -> None:
+def test_a_truncated_log_gives_a_page(share: float, trials: list[Path], tmp_path: Path) -> None:
     whole = trials[0].read_bytes()
     path = tmp_path / "flight.mcap"
     path.write_bytes(whole[: int(share * len(whole))])
@@ -228,7 +230,7 @@ def test_a_cut_log_still_gives_a_page(share: float, trials: list[Path], tmp_path
     assert "cut short: the end of the flight is missing" in text
 
 
-def test_a_log_cut_before_its_mission_is_refused_in_words(
+def test_a_log_truncated_before_its_mission_is_refused(
     trials: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "flight.mcap"
@@ -239,21 +241,20 @@ def test_a_log_cut_before_its_mission_is_refused_in_words(
     assert "does not contain its mission" in error
 
 
-def test_text_of_the_flight_is_not_markup(flight: RecordedFlight) -> None:
-    """Names and reasons come from files and from the autopilot."""
-    evil = "<script>alert(1)</script>&\"'"
-    about = {**flight.log.about, "mission_text": evil, "software": evil, "host": evil}
-    mission = flight.mission  # whose name has letters only, or the log is refused
-    walls = {w.name: msgspec.structs.replace(w, name=evil + w.name) for w in mission.walls}
+def test_text_from_the_log_is_escaped(flight: RecordedFlight) -> None:
+    markup = "<script>alert(1)</script>&\"'"
+    about = {**flight.log.about, "mission_text": markup, "software": markup, "host": markup}
+    mission = flight.mission  # a mission's own name may contain only letters
+    walls = {w.name: msgspec.structs.replace(w, name=markup + w.name) for w in mission.walls}
     collisions = tuple(msgspec.structs.replace(c, wall=walls[c.wall.name]) for c in mission.collisions)
     mission = msgspec.structs.replace(mission, walls=tuple(walls.values()), collisions=collisions)
     about["flown"] = msgspec.json.encode(mission).decode()
     last = flight.log.entries[-1].number
-    entries = [*flight.log.entries, LogEntry(last, GuardEvent(1, evil, Override.LAND, evil))]
-    log = Log(f"/{evil}/flight.mcap", about, flight.log.end, entries, True)
+    entries = [*flight.log.entries, LogEntry(last, GuardEvent(1, markup, Override.LAND, markup))]
+    log = Log(f"/{markup}/flight.mcap", about, flight.log.end, entries, True)
     text = flight_page(RecordedFlight(log))
     Page(text)
-    # The page's own two: the numbers of the animation, and the program that shows them.
+    # The page has two scripts of its own: the data of the animation and its player.
     assert re.findall(r"<script[^>]*>", text) == [
         '<script type="application/json" id="flight-data">',
         "<script>",
@@ -275,9 +276,11 @@ def test_a_rehearsal_has_a_page(tmp_path: Path) -> None:
 # --- several flights -----------------------------------------------------------------------------------
 
 
-def test_the_comparison_counts_right(flights: list[RecordedFlight], compared: str) -> None:
-    page = Page(compared)
-    assert "dual-collision, fast: 3 of 3 completed" in compared
+def test_the_comparison_shows_the_statistics_of_its_flights(
+    flights: list[RecordedFlight], comparison: str
+) -> None:
+    page = Page(comparison)
+    assert "dual-collision, fast: 3 of 3 completed" in comparison
     seeds = [row[0].split("seed ")[1] for row in page.rows if "seed" in row[0]]
     assert sorted(seeds) == ["1)", "2)", "3)"]
     for index, title in ((1, "Collision 1: wood, flexible"), (2, "Collision 2: acrylic, rigid")):
@@ -288,7 +291,7 @@ def test_the_comparison_counts_right(flights: list[RecordedFlight], compared: st
         assert [float(s) for s in shown] == pytest.approx(expected, rel=6e-3, abs=6e-4)
 
 
-def test_students_t_against_scipy() -> None:
+def test_the_half_width_of_a_mean_matches_scipys_students_t() -> None:
     from scipy import stats
 
     for n in (2, 5, 11, 12, 20, 100):
@@ -298,7 +301,7 @@ def test_students_t_against_scipy() -> None:
     assert mean_half_width([1.0]) is None
 
 
-def test_an_error_needs_a_reference() -> None:
+def test_an_error_in_percent_needs_a_reference() -> None:
     assert Compared("v", "m/s", None, 2.0, 1.0, None).error_percent == -50.0
     assert Compared("v", "m/s", None, 2.0, 1.0, 4.0).error_percent == -75.0
     assert Compared("v", "m/s", None, None, 1.0, None).error_percent is None
@@ -320,22 +323,24 @@ def test_flights_of_different_missions_are_not_compared(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "another mission" in error
-    # The same mission with another ending is the same mission.
+    # An aborted flight of the same mission can be compared.
     assert main(["report", str(trials[0]), str(aborted), "-o", str(tmp_path / "page.html"), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["verdicts"]) == 2
     assert "1 of 2 completed" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
-def test_a_page_that_cannot_be_written(
+def test_a_page_that_cannot_be_written_is_reported_in_one_line(
     trials: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "flight.mcap"
     path.write_bytes(trials[0].read_bytes()[:20_000])  # a short page will do
-    assert main(["report", str(path), "-o", str(tmp_path / "none" / "page.html")]) == 2
+    assert main(["report", str(path), "-o", str(tmp_path / "none" / "page.html")]) == 2  # no such folder
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_figures_for_a_paper(trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figures_for_a_paper_have_column_width_and_editable_text(
+    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(
         "dart_flight.lab.report.page.flight_page", lambda *_, **__: "the same figures once more"
     )
@@ -354,7 +359,7 @@ def test_figures_for_a_paper(trials: list[Path], tmp_path: Path, monkeypatch: py
     assert b"/Type3" not in data
 
 
-def test_a_paper_that_cannot_be_written(
+def test_paper_figures_that_cannot_be_written_are_reported(
     trials: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "flight.mcap"

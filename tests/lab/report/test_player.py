@@ -1,4 +1,4 @@
-"""The animation of a page: its numbers, and its behaviour in a real browser where there is one."""
+"""The animation of a page: its data, and its behaviour in a browser if one is installed."""
 
 from __future__ import annotations
 
@@ -26,36 +26,38 @@ DATA = re.compile(r'<script type="application/json" id="flight-data">(.*?)</scri
 
 
 @pytest.fixture(scope="session")
-def ten(flown: SharedFlights) -> RecordedFlight:
-    """A flight with ten hits."""
+def ten_collisions(flown: SharedFlights) -> RecordedFlight:
+    """Return a flight with ten collisions."""
     mission = many_hits(10)
-    folder = flown.once("ten-hits", lambda there: fly_fast(mission, 1, there))
+    folder = flown.once("ten-hits", lambda cache: fly_fast(mission, 1, cache))
     return RecordedFlight.read(next(folder.glob("*/flight.mcap")))
 
 
 @pytest.fixture(scope="session")
-def ten_page(ten: RecordedFlight) -> str:
-    """Its page, not replayed."""
+def ten_collisions_page(ten_collisions: RecordedFlight) -> str:
+    """Return the page of the ten collisions without a replay, which takes long."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "dart_flight.lab.report.recorded_flight.replay",
             lambda _: Replay(0, 0, True, [], [], [], 0, "not in this test"),
         )
-        return flight_page(ten)
+        return flight_page(ten_collisions)
 
 
-# --- numbers -------------------------------------------------------------------------------------------
+# --- data ----------------------------------------------------------------------------------------------
 
 
-def numbers(page: str) -> dict[str, Any]:
+def animation_data(page: str) -> dict[str, Any]:
     found = DATA.search(page)
     assert found is not None
     data: dict[str, Any] = json.loads(found[1])
     return data
 
 
-def test_the_numbers_are_complete_and_in_order(flight: RecordedFlight, page: str) -> None:
-    data = numbers(page)
+def test_the_animation_data_are_complete_ordered_and_match_the_flight(
+    flight: RecordedFlight, page: str
+) -> None:
+    data = animation_data(page)
     times = np.array(data["t"])
     assert (np.diff(times) > 0).all()
     for name in ("x", "y", "z", "speed", "yaw", "pitch", "roll"):
@@ -72,16 +74,16 @@ def test_the_numbers_are_complete_and_in_order(flight: RecordedFlight, page: str
     for hit, impact in zip(data["hits"], flight.impacts, strict=True):
         assert hit["t"] == pytest.approx(1e3 * impact.at_s, abs=1.0)
         shown = [np.interp(hit["t"], times, data[axis]) * 1e-3 for axis in "xyz"]
-        there = [np.interp(impact.at_s, true.time_s, true.position[:, i]) for i in range(3)]
-        assert shown == pytest.approx(there, abs=0.005)
+        expected = [np.interp(impact.at_s, true.time_s, true.position[:, i]) for i in range(3)]
+        assert shown == pytest.approx(expected, abs=0.005)
         near = np.abs(np.array(data["force"]["t"]) - hit["t"]) < 150
         nx, ny = impact.collision.wall.normal
         force = 0.1 * (nx * np.array(data["force"]["x"]) + ny * np.array(data["force"]["y"]))[near].max()
         assert force == pytest.approx(impact.verdict.measured.peak_force_n, rel=0.15)
 
 
-def test_pictures_are_closer_together_at_a_hit(page: str) -> None:
-    data = numbers(page)
+def test_animation_frames_are_denser_around_an_impact(page: str) -> None:
+    data = animation_data(page)
     times = np.array(data["t"])
     at = data["hits"][0]["t"]
     near = np.diff(times[np.abs(times - at) < 150])
@@ -89,15 +91,17 @@ def test_pictures_are_closer_together_at_a_hit(page: str) -> None:
     assert np.diff(times).max() <= 40
 
 
-def test_the_page_of_ten_hits_is_small(ten: RecordedFlight, ten_page: str) -> None:
-    assert len(ten.impacts) == 10
-    assert len(ten_page.encode()) < 1_000_000
-    assert len(numbers(ten_page)["hits"]) == 10
+def test_the_page_of_ten_collisions_is_smaller_than_a_megabyte(
+    ten_collisions: RecordedFlight, ten_collisions_page: str
+) -> None:
+    assert len(ten_collisions.impacts) == 10
+    assert len(ten_collisions_page.encode()) < 1_000_000
+    assert len(animation_data(ten_collisions_page)["hits"]) == 10
 
 
 @pytest.mark.parametrize("count", [5, 10])
-def test_labels_of_many_hits_do_not_overlap(ten: RecordedFlight, count: int) -> None:
-    flight = ten if count == 10 else _first_hits(ten, count)
+def test_labels_of_many_collisions_do_not_overlap(ten_collisions: RecordedFlight, count: int) -> None:
+    flight = ten_collisions if count == 10 else _first_hits(ten_collisions, count)
     figure = flight_map([flight])
     figure.draw_without_rendering()
     axis = figure.axes[0]
@@ -118,13 +122,13 @@ def test_labels_of_many_hits_do_not_overlap(ten: RecordedFlight, count: int) -> 
 
 
 def _first_hits(flight: RecordedFlight, count: int) -> RecordedFlight:
-    """The same flight as if it had ended behind a hit."""
+    """Return the flight with only its first impacts."""
     other = RecordedFlight(flight.log)
     other.impacts = other.impacts[:count]
     return other
 
 
-def test_a_flight_that_never_flew_has_no_animation(trials: list[Path], tmp_path: Path) -> None:
+def test_a_log_without_flight_data_has_no_animation(trials: list[Path], tmp_path: Path) -> None:
     cut = tmp_path / "flight.mcap"
     whole = trials[0].read_bytes()
     cut.write_bytes(whole[: len(whole) // 50])
@@ -133,8 +137,8 @@ def test_a_flight_that_never_flew_has_no_animation(trials: list[Path], tmp_path:
     assert "<script" not in flight_page(flight)
 
 
-def test_the_page_forbids_itself_to_load_anything(page: str, compared: str) -> None:
-    for text, scripts in ((page, "'sha256-"), (compared, "'none'")):
+def test_the_content_security_policy_forbids_external_content(page: str, comparison: str) -> None:
+    for text, scripts in ((page, "'sha256-"), (comparison, "'none'")):
         policy = re.search(r'Content-Security-Policy" content="([^"]+)"', text)
         assert policy is not None
         rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
@@ -167,7 +171,7 @@ WHERE = "document.querySelector('.vehicle').getAttribute('transform')"
 NOW = "Number(document.getElementById('time').value)"
 
 
-def test_nothing_moves_before_it_is_asked_for(browser: Browser, file: Path) -> None:
+def test_the_animation_does_not_move_before_user_input(browser: Browser, file: Path) -> None:
     for reduced in (False, True):
         browser.emulate(1280, reduced_motion=reduced)
         browser.open(file)
@@ -183,7 +187,9 @@ def test_nothing_moves_before_it_is_asked_for(browser: Browser, file: Path) -> N
         assert browser.evaluate(WHERE) != begin
 
 
-def test_the_slider_and_its_keys(browser: Browser, file: Path, flight: RecordedFlight) -> None:
+def test_keys_move_the_slider_by_steps_and_between_impacts(
+    browser: Browser, file: Path, flight: RecordedFlight
+) -> None:
     browser.emulate(1280)
     browser.open(file)
     browser.evaluate("document.getElementById('time').focus()")
@@ -193,8 +199,8 @@ def test_the_slider_and_its_keys(browser: Browser, file: Path, flight: RecordedF
     for impact in flight.impacts:
         browser.press("PageDown", 34)
         assert browser.evaluate(NOW) == pytest.approx(impact.at_s, abs=0.006)
-        said = browser.evaluate("document.querySelector('.said').textContent")
-        assert said.startswith(f"hit {impact.verdict.index}: {impact.verdict.wall}, {impact.verdict.mode}")
+        caption = browser.evaluate("document.querySelector('.said').textContent")
+        assert caption.startswith(f"hit {impact.verdict.index}: {impact.verdict.wall}, {impact.verdict.mode}")
         lock = browser.evaluate("document.querySelector('.vehicle').getAttribute('class')")
         assert lock == f"vehicle {impact.verdict.mode}"
     browser.press("PageUp", 33)
@@ -203,7 +209,7 @@ def test_the_slider_and_its_keys(browser: Browser, file: Path, flight: RecordedF
     assert browser.evaluate(NOW) == begin
 
 
-def test_it_plays_at_the_chosen_speed_and_stops(browser: Browser, file: Path) -> None:
+def test_the_animation_plays_at_the_selected_rate_and_pauses(browser: Browser, file: Path) -> None:
     browser.emulate(1280)
     browser.open(file)
     browser.evaluate("document.getElementById('time').focus()")
@@ -218,13 +224,13 @@ def test_it_plays_at_the_chosen_speed_and_stops(browser: Browser, file: Path) ->
         )
         browser.press(" ", 32)
         assert went == pytest.approx(float(rate) * took, abs=0.04 + 0.1 * float(rate))
-        still = browser.evaluate(NOW)
+        paused = browser.evaluate(NOW)
         browser.evaluate(FRAMES % 5)
-        assert browser.evaluate(NOW) == still
+        assert browser.evaluate(NOW) == paused
         assert browser.evaluate("document.getElementById('play').getAttribute('aria-pressed')") == "false"
 
 
-def test_a_finger_on_a_phone(browser: Browser, file: Path, flight: RecordedFlight) -> None:
+def test_touch_controls_work_on_a_phone(browser: Browser, file: Path, flight: RecordedFlight) -> None:
     browser.emulate(390, 844, touch=True)
     browser.open(file)
     assert browser.evaluate("document.documentElement.scrollWidth") <= 390
@@ -247,7 +253,7 @@ def test_a_finger_on_a_phone(browser: Browser, file: Path, flight: RecordedFligh
     assert browser.evaluate(NOW) == pytest.approx(sum(span) / 2, rel=0.1)
 
 
-def test_light_and_dark(browser: Browser, file: Path) -> None:
+def test_colours_follow_the_light_or_dark_preference(browser: Browser, file: Path) -> None:
     def brightness(expression: str) -> float:
         colour = browser.evaluate(expression)
         return float(np.mean([float(v) for v in re.findall(r"[\d.]+", colour)][:3]))
@@ -261,7 +267,7 @@ def test_light_and_dark(browser: Browser, file: Path) -> None:
         assert (brightness(path) > 180) is dark
 
 
-def test_without_scripts_the_page_lacks_nothing_else(browser: Browser, file: Path) -> None:
+def test_only_the_player_is_missing_without_scripts(browser: Browser, file: Path) -> None:
     browser.emulate(1280, scripts=False)
     try:
         browser.open(file)

@@ -1,4 +1,4 @@
-"""Pages from templates: text stays text, what a template lacks is an error, and so is a missing package."""
+"""Rendering of templates: escaped text, missing values, number formats and a missing Jinja2."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from dart_flight.recording.reader import Log
 from tests.doubles.ulog_file import write_ulog
 from tests.lab.inspect.test_inspect import topics
 
-EVIL = "<b>[1] & \"two\"<i> 'three' {{ title }}"
+HTML = "<b>[1] & \"two\"<i> 'three' {{ title }}"
 
 
 def without_tags(page: str) -> str:
@@ -37,7 +37,7 @@ def without_tags(page: str) -> str:
 
 
 @given(st.text(min_size=1, max_size=40))
-def test_whatever_a_name_holds_is_shown_as_it_is(name: str) -> None:
+def test_names_with_any_characters_are_escaped(name: str) -> None:
     table = PageTable(["", name], [name, [name, {"command": name, "log": name}]])
     page = render(
         "comparison.html", name, missing=[(name, name)], flights=table, map="", errors="", forces=[],
@@ -51,38 +51,38 @@ def test_whatever_a_name_holds_is_shown_as_it_is(name: str) -> None:
     assert f'href="{shown}"' in written
 
 
-def test_names_of_a_comparison_are_text(flights: list[RecordedFlight]) -> None:
+def test_names_in_a_comparison_are_escaped(flights: list[RecordedFlight]) -> None:
     log = flights[0].log
-    about = {**log.about, "mission_text": EVIL}
-    named = Log(f"/{EVIL}/flight.mcap", about, {}, log.entries[:3000], complete=False)
+    about = {**log.about, "mission_text": HTML}
+    named = Log(f"/{HTML}/flight.mcap", about, {}, log.entries[:3000], complete=False)
     page = comparison_page([RecordedFlight(named), RecordedFlight(named)])
     assert "<b>[1]" not in page
-    assert without_tags(page).count(f"{EVIL} (seed 1)") >= 3
+    assert without_tags(page).count(f"{HTML} (seed 1)") >= 3
     assert page.count("&lt;b&gt;[1] &amp; ") >= 3
 
 
-def test_names_of_a_campaign_are_text() -> None:
-    settings, rate = {EVIL: EVIL}, share(1, 2)
+def test_names_in_a_campaign_page_are_escaped() -> None:
+    settings, rate = {HTML: HTML}, share(1, 2)
     summary = CampaignSummary(
         flights=2, asked=3, errors=0, completed=rate, plan_followed=share(0, 0), figures={},
-        points=[GridPoint(EVIL, settings, rate, rate)], rules=[], drawn=[], varied=[], tried={},
-        not_followed=[], failed=[FailedFlight(EVIL, settings, 1, "aborted", EVIL, f"{EVIL}.mcap", EVIL)],
-        unexplained_modes=[], vary={}, software=EVIL, vehicle=VehicleSource(None, None, 1.3),
+        points=[GridPoint(HTML, settings, rate, rate)], rules=[], drawn=[], varied=[], tried={},
+        not_followed=[], failed=[FailedFlight(HTML, settings, 1, "aborted", HTML, f"{HTML}.mcap", HTML)],
+        unexplained_modes=[], vary={}, software=HTML, vehicle=VehicleSource(None, None, 1.3),
     )  # fmt: skip
     page = campaign_page(summary)
     assert "<b>[1]" not in page
-    assert without_tags(page).count(EVIL) == 9  # software, three of the point, five of the failed flight
+    assert without_tags(page).count(HTML) == 9  # software, 3 of the point, 5 of the failed flight
     assert "1 of 3 flights are not flown yet" in page
 
 
-def test_the_name_of_an_inspected_log_is_text(tmp_path: Path) -> None:
+def test_the_name_of_an_inspected_log_is_escaped(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
-    page = inspection_page([inspect_file(write_ulog(tmp_path / f"{EVIL}.ulg", topics()), load_vehicle())])
+    page = inspection_page([inspect_file(write_ulog(tmp_path / f"{HTML}.ulg", topics()), load_vehicle())])
     assert "<b>[1]" not in page
-    assert f"{EVIL}.ulg" in without_tags(page)
+    assert f"{HTML}.ulg" in without_tags(page)
 
 
-def test_a_value_that_a_template_lacks_is_an_error() -> None:
+def test_a_missing_template_value_is_an_error() -> None:
     from jinja2 import UndefinedError
 
     with pytest.raises(UndefinedError, match="flights"):
@@ -101,7 +101,7 @@ def test_a_value_that_a_template_lacks_is_an_error() -> None:
         (Number("+0.1"), "+0.1"),
     ],
 )  # fmt: skip
-def test_numbers_have_three_digits(value: float | None, text: str) -> None:
+def test_numbers_are_written_with_three_digits(value: float | None, text: str) -> None:
     assert write_number(value) == text
 
 
@@ -109,7 +109,7 @@ def test_a_signed_number_near_zero_has_no_sign() -> None:
     assert [signed(v) for v in (None, 0.04, -0.04, 0.05, -1.26)] == [None, "0.0", "0.0", "+0.1", "-1.3"]
 
 
-def test_columns_of_numbers_are_known_by_their_first_row() -> None:
+def test_numeric_columns_are_recognised_by_their_first_row() -> None:
     command: Cell = {"command": "ls", "log": None}
     rows: list[Row] = ["a heading", ["name", 1.0, None, Number("+1.0"), command], [""] * 5]
     heads = ["", "value", "unknown", "signed", "command"]
@@ -118,7 +118,7 @@ def test_columns_of_numbers_are_known_by_their_first_row() -> None:
     assert [numbers for _, numbers in PageTable(heads, []).columns] == [True] * 5
 
 
-def test_without_jinja2_a_page_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_jinja2_is_reported_with_the_package_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rendering, "_environment", rendering._environment.__wrapped__)
     monkeypatch.setitem(sys.modules, "jinja2", None)
     with pytest.raises(InputError, match="a page needs jinja2") as error:

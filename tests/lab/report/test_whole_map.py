@@ -1,4 +1,4 @@
-"""The map of a mission shows all that is flown and all that stands there, each under its own name."""
+"""The map of a mission shows every leg and every wall, each with its own label."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def wall(x: float, y: float, normal: list[float], length_m: float = 3.0) -> dict
     return {"point_m": [x, y], "normal": normal, "length_m": length_m, "material": "acrylic"}
 
 
-def room(**other: Any) -> Mission:
-    """Touch a wall in the east, rest at the start after it, with a wall in the north that nobody goes to."""
+def mission_in_room(**other: Any) -> Mission:
+    """Return a mission that hits the east wall and returns to the start; no leg leads to the north wall."""
     tree = {
         "version": 1, "name": "room", "start": {"position_m": [0.0, 0.0], "altitude_m": 1.2},
         "goal": {"position_m": [0.0, 0.0]}, "bounds_m": {"x": [-3.0, 3.0], "y": [-3.0, 3.0], "z": [0.3, 2.5]},
@@ -36,35 +36,35 @@ def room(**other: Any) -> Mission:
     return dart_flight.load_mission(tree | other)
 
 
-def drawn(mission: Mission) -> Any:
+def drawn_map(mission: Mission) -> Any:
     return mission_figure(mission, predict_mission(mission)).axes[0]
 
 
-def test_the_way_back_from_a_touch_is_counted_and_drawn() -> None:
-    mission = room()
+def test_the_leg_after_a_contact_is_counted_and_drawn() -> None:
+    mission = mission_in_room()
     planned = predict_mission(mission)
-    (back, to_goal) = predicted_segments(mission, planned.hits)
-    assert back.begin is not None
-    assert back.begin[:2] == planned.hits[1].setpoint
-    way_m = math.dist(back.begin[:2], (0.0, 0.0))
-    assert way_m > 0.3
+    (after_contact, to_goal) = predicted_segments(mission, planned.hits)
+    assert after_contact.begin is not None
+    assert after_contact.begin[:2] == planned.hits[1].setpoint
+    leg_m = math.dist(after_contact.begin[:2], (0.0, 0.0))
+    assert leg_m > 0.3
     finding = next(f for f in check_mission(mission) if f.item == "waypoints")
-    assert f"the legs between stops are {way_m:.1f} m long" in finding.says
+    assert f"the legs between stops are {leg_m:.1f} m long" in finding.says
     assert to_goal.begin == (0.0, 0.0, 1.2)
-    lines = [line.get_xydata() for line in drawn(mission).lines]
-    assert any(len(xy) == 2 and np.allclose(xy, [back.begin[:2], (0.0, 0.0)]) for xy in lines)
+    lines = [line.get_xydata() for line in drawn_map(mission).lines]
+    assert any(len(xy) == 2 and np.allclose(xy, [after_contact.begin[:2], (0.0, 0.0)]) for xy in lines)
 
 
-def test_a_way_from_where_nothing_is_predicted_is_not_called_none() -> None:
-    rehearsal = room(standoff_m=0.5)
-    says = next(f for f in check_mission(rehearsal) if f.item == "waypoints").says
-    assert "1 legs after a contact, of unpredicted length" in says
+def test_legs_after_an_unpredicted_contact_are_reported_as_such() -> None:
+    rehearsal = mission_in_room(standoff_m=0.5)
+    finding = next(f for f in check_mission(rehearsal) if f.item == "waypoints")
+    assert "1 legs after a contact, of unpredicted length" in finding.says
 
 
 @pytest.mark.parametrize("place", [(0.0, 2.4, [0.0, -1.0]), (0.0, -2.4, [0.0, 1.0]), (-2.4, 0.5, [1.0, 0.0])])
-def test_a_wall_that_is_not_hit_is_in_the_picture(place: tuple[float, float, list[float]]) -> None:
-    mission = room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "third": wall(*place)})
-    plan = drawn(mission)
+def test_a_wall_without_a_collision_is_drawn(place: tuple[float, float, list[float]]) -> None:
+    mission = mission_in_room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "third": wall(*place)})
+    plan = drawn_map(mission)
     x, y = mission.vehicle.airframe.wall_surface(mission.walls[1]).point
     assert plan.get_xlim()[0] < x < plan.get_xlim()[1]
     assert plan.get_ylim()[0] < y < plan.get_ylim()[1]
@@ -72,16 +72,19 @@ def test_a_wall_that_is_not_hit_is_in_the_picture(place: tuple[float, float, lis
 
 
 def test_a_wall_far_outside_of_the_bounds_does_not_shrink_the_map() -> None:
-    near, far = room(), room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "far": wall(0.0, 90.0, [0.0, -1.0])})
+    near, far = (
+        mission_in_room(),
+        mission_in_room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "far": wall(0.0, 90.0, [0.0, -1.0])}),
+    )
     points = np.array([[0.0, 0.0], [1.5, 0.0]])
     assert view_of(far, points)[1, 1] <= view_of(near, points)[1, 1]
 
 
 @pytest.mark.parametrize("gap_m", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize("turned", [False, True])
-def test_each_face_of_a_partition_has_its_own_name(gap_m: float, turned: bool) -> None:
-    """Back to back the name of a face stands before it, not before the other one."""
-    off_m = 0.2 + 0.5 * gap_m  # the centre is 0.2 m from a surface
+def test_each_face_of_a_partition_is_labelled_on_its_own_side(gap_m: float, turned: bool) -> None:
+    """The label of a face is in front of it, also if two faces are back to back."""
+    off_m = 0.2 + 0.5 * gap_m  # the vehicle's centre is 0.2 m from a surface in contact
     faces = {"one": ([0.0, 1.0], off_m), "other": ([0.0, -1.0], -off_m)}
     if turned:
         faces = {name: ([-n[1], n[0]], at) for name, (n, at) in faces.items()}
@@ -89,8 +92,8 @@ def test_each_face_of_a_partition_has_its_own_name(gap_m: float, turned: bool) -
         name: wall(-abs(n[0]) * at - 1.5 * abs(n[1]), at * abs(n[1]) - 1.5 * abs(n[0]), n, 1.0)
         for name, (n, at) in faces.items()
     }
-    mission = room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0])} | walls)
-    written = {text.get_text(): text for text in drawn(mission).texts}
+    mission = mission_in_room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0])} | walls)
+    written = {text.get_text(): text for text in drawn_map(mission).texts}
     for one in mission.walls[1:]:
         assert one.signed_distance(written[f"{one.name} (acrylic)"].xy) > 0.0
 
@@ -100,8 +103,8 @@ def test_an_arrow_points_north(heading_deg: float) -> None:
     from matplotlib.offsetbox import AnchoredOffsetbox
     from matplotlib.patches import FancyArrow
 
-    mission = room(frame={"heading_deg": heading_deg})
-    (box,) = (one for one in drawn(mission).artists if isinstance(one, AnchoredOffsetbox))
+    mission = mission_in_room(frame={"heading_deg": heading_deg})
+    (box,) = (one for one in drawn_map(mission).artists if isinstance(one, AnchoredOffsetbox))
     arrow: Any
     (arrow,) = box.findobj(FancyArrow)
     north = mission.frame_at((0.0, 0.0, 0.0)).vector_from_ned((1.0, 0.0, 0.0))
@@ -109,12 +112,12 @@ def test_an_arrow_points_north(heading_deg: float) -> None:
     assert (arrow._dx / length, arrow._dy / length) == pytest.approx(north[:2], abs=1e-9)
 
 
-def test_start_and_goal_are_named_where_they_are_one_place() -> None:
-    words = texts_of(as_svg(mission_figure(room(), predict_mission(room()))))
+def test_start_and_goal_at_one_place_share_a_label() -> None:
+    words = texts_of(as_svg(mission_figure(mission_in_room(), predict_mission(mission_in_room()))))
     assert "start, goal, 1" in words
 
 
-def test_trajectories_are_not_said_to_end_at_their_goal_whatever_is_drawn() -> None:
+def test_missions_with_trajectories_claim_no_success_rate_over_draws() -> None:
     shuttle = dart_flight.load_mission(dart_flight.packaged("missions", "shuttle.yaml"))
     words = " ".join(prediction_lines(shuttle, predict_mission(shuttle), []))
     assert "in nine of ten draws" not in words

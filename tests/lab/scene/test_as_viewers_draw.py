@@ -1,4 +1,4 @@
-"""What viewers are told of the vehicle's attitude and of the rods."""
+"""The vehicle's attitude and the lock's position as published to viewers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.base.test_geometry import frames, rotations, vectors
 
 
 @given(frames, rotations(), vectors)
-def test_an_attitude_turns_a_body_vector_as_the_frames_do(
+def test_the_published_attitude_rotates_body_vectors_as_the_frames_do(
     frame: MissionFrame, q: Quaternion, forward_left_up: Vec3
 ) -> None:
     x, y, z = forward_left_up
@@ -20,7 +20,7 @@ def test_an_attitude_turns_a_body_vector_as_the_frames_do(
     assert rotate(attitude_in(frame, q), forward_left_up) == pytest.approx(by_ned, rel=1e-9, abs=1e-6)
 
 
-def test_how_far_the_rods_are_in() -> None:
+def test_the_locked_fraction_follows_the_servo_pulse_and_is_clamped() -> None:
     lock = load_vehicle(packaged("configs", "dart.yaml")).lock
     assert lock is not None
     assert [locked_fraction(lock.servo, p) for p in (900.0, 1020.0, 1500.0, 1980.0, 2100.0)] == [

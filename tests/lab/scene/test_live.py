@@ -1,4 +1,4 @@
-"""The live view: what an independent viewer sees, and what the flight does not feel of it."""
+"""The live view: the messages that an independent viewer receives, and no effect on the flight."""
 
 from __future__ import annotations
 
@@ -30,8 +30,7 @@ from tests.doubles.ports import free_udp_port
 from tests.doubles.viewer import Viewer
 from tests.shared_flights import SharedFlights
 
-# Over a socket, to a process of the idle class: it is not served where both processors are busy.
-pytestmark = [pytest.mark.mavlink, pytest.mark.realtime]  # the view runs in the idle class
+pytestmark = [pytest.mark.mavlink, pytest.mark.realtime]  # the view's idle class starves on a busy machine
 
 PATIENCE_S = 60.0
 _AHEAD_US = 2_000_000
@@ -50,44 +49,44 @@ def mission(log: Log) -> Mission:
 
 
 @pytest.fixture
-def said() -> list[str]:
+def messages_out() -> list[str]:
     return []
 
 
 @pytest.fixture
-def view(mission: Mission, said: list[str]) -> Iterator[LiveViewProcess]:
-    live = LiveViewProcess(LiveViewSpec(mission, "127.0.0.1", 0), said.append)
-    _let_compete(live.process.pid)
+def view(mission: Mission, messages_out: list[str]) -> Iterator[LiveViewProcess]:
+    live = LiveViewProcess(LiveViewSpec(mission, "127.0.0.1", 0), messages_out.append)
+    _leave_idle_class(live.process.pid)
     yield live
     if live.process.poll() is None:
         live.process.send_signal(signal.SIGCONT)
         live.close()
 
 
-def _let_compete(pid: int) -> None:
-    """Out of the idle class: what is shown is the subject here, on a machine that may be busy."""
+def _leave_idle_class(pid: int) -> None:
+    """Move the process out of the idle class, so that a busy machine still serves it."""
     for task in Path(f"/proc/{pid}/task").iterdir():
-        with contextlib.suppress(OSError):  # not every system allows it
+        with contextlib.suppress(OSError):  # some systems forbid this
             os.sched_setscheduler(int(task.name), os.SCHED_OTHER, os.sched_param(0))
 
 
-def watching(port: int, wanted: Callable[[Messages], bool]) -> tuple[Viewer, threading.Thread]:
-    """A viewer that has been told of the channels."""
-    viewer = Viewer(f"ws://127.0.0.1:{port}", wanted)
+def start_viewer(port: int, is_complete: Callable[[Messages], bool]) -> tuple[Viewer, threading.Thread]:
+    """Start a viewer and wait until it knows the channels."""
+    viewer = Viewer(f"ws://127.0.0.1:{port}", is_complete)
     thread = threading.Thread(target=viewer.watch, args=(PATIENCE_S,))
     thread.start()
-    until(lambda: viewer.capabilities is not None)
+    wait_until(lambda: viewer.capabilities is not None)
     return viewer, thread
 
 
-def until(there: Callable[[], bool]) -> None:
+def wait_until(condition: Callable[[], bool]) -> None:
     ends = time.monotonic() + PATIENCE_S
-    while not there():
+    while not condition():
         assert time.monotonic() < ends
         time.sleep(0.01)
 
 
-def places(messages: Messages) -> list[tuple[float, float, float]]:
+def positions(messages: Messages) -> list[tuple[float, float, float]]:
     moves = [m["transforms"][0]["translation"] for m in messages.get("/tf", [])]
     return [(m["x"], m["y"], m["z"]) for m in moves]
 
@@ -97,49 +96,49 @@ def arm_colours(messages: Messages) -> set[tuple[float, ...]]:
     return {tuple(e["cylinders"][-1]["color"].values()) for e in drawn}
 
 
-def flew_and_locked(messages: Messages) -> bool:
-    """Take-off, an approach, arms in three states, an impact: all that there is to see."""
-    way = places(messages)
+def shows_whole_flight(messages: Messages) -> bool:
+    """Whether the messages show take-off, arms in three states and an impact."""
+    path = positions(messages)
     return (
         bool(messages.get("/scene/room"))
         and len(arm_colours(messages)) >= 3
         and bool(messages.get("/scene/hits"))
         and any("impact" in line["message"] for line in messages.get("/log", []))
-        and max((z for _, _, z in way), default=0.0) > 0.9
+        and max((z for _, _, z in path), default=0.0) > 0.9
     )
 
 
-def flies(messages: Messages) -> bool:
-    """What a viewer sees at any load: what comes but once may be among what a slow one is not sent."""
-    way = places(messages)
-    return bool(messages.get("/scene/room")) and max((z for _, _, z in way), default=0.0) > 0.5
+def shows_flight(messages: Messages) -> bool:
+    """Whether the messages show a flight; single messages may be dropped for a slow viewer."""
+    path = positions(messages)
+    return bool(messages.get("/scene/room")) and max((z for _, _, z in path), default=0.0) > 0.5
 
 
-def test_a_viewer_sees_room_flight_and_arms_and_can_publish_nothing(log: Log, view: LiveViewProcess) -> None:
-    viewer, thread = watching(view.port, flew_and_locked)
+def test_a_viewer_receives_room_flight_and_arms_but_cannot_publish(log: Log, view: LiveViewProcess) -> None:
+    viewer, thread = start_viewer(view.port, shows_whole_flight)
     for entry in log.entries:
         view.feed(entry.record)
         t_us = getattr(entry.record, "t_us", 0)
-        if entry.number == 400:  # all of it could be over before the first message has come
-            until(lambda: bool(viewer.times_us) or not thread.is_alive())
+        if entry.number == 400:  # wait for the first message
+            wait_until(lambda: bool(viewer.times_us) or not thread.is_alive())
         if entry.number % 200 == 0 and viewer.times_us and t_us > viewer.times_us[0] + _AHEAD_US:
-            # What a viewer does not fetch in time is left out for it: not faster than this machine shows it.
-            until(lambda t_us=t_us: viewer.times_us[-1] > t_us - _AHEAD_US or not thread.is_alive())  # type: ignore[misc]
+            # The server drops messages for a slow viewer, so feed records no faster than it receives them.
+            wait_until(lambda t_us=t_us: viewer.times_us[-1] > t_us - _AHEAD_US or not thread.is_alive())  # type: ignore[misc]
     thread.join(PATIENCE_S)
-    assert flew_and_locked(viewer.messages)
+    assert shows_whole_flight(viewer.messages)
     assert viewer.capabilities == ["time"]
-    assert viewer.refused  # it tried to advertise a channel
+    assert viewer.refused  # the viewer tried to advertise a channel
     assert viewer.times_us == sorted(viewer.times_us)
     room = {e["id"] for update in viewer.messages["/scene/room"] for e in update["entities"]}
     assert {"wall wood", "wall acrylic"} <= room
     assert max(f["normal_n"] for f in viewer.messages["/flight/force"]) > 10.0
 
 
-def test_a_viewer_that_comes_later_sees_the_room_and_the_way(log: Log, view: LiveViewProcess) -> None:
+def test_a_viewer_that_joins_later_receives_room_and_vehicle(log: Log, view: LiveViewProcess) -> None:
     half = len(log.entries) // 2
     for entry in log.entries[:half]:
         view.feed(entry.record)
-    viewer, thread = watching(
+    viewer, thread = start_viewer(
         view.port, lambda m: all(f"/scene/{topic}" in m for topic in ("room", "path", "vehicle"))
     )
     for entry in log.entries[half:]:
@@ -149,19 +148,19 @@ def test_a_viewer_that_comes_later_sees_the_room_and_the_way(log: Log, view: Liv
     assert "/scene/vehicle" in viewer.messages
 
 
-def test_a_viewer_sees_the_room_after_the_last_record(log: Log, view: LiveViewProcess) -> None:
-    """A flight that is no longer heard of, or a log that is no longer written."""
+def test_a_viewer_that_joins_after_the_last_record_receives_the_room(log: Log, view: LiveViewProcess) -> None:
+    """The link may be lost, or the log no longer written."""
     for entry in log.entries[: len(log.entries) // 2]:
         view.feed(entry.record)
-    until(lambda: not view._waiting and not view._unsent)
-    time.sleep(1.0)  # the process has published what it has read
-    viewer, thread = watching(view.port, lambda m: "/scene/room" in m)
+    wait_until(lambda: not view._waiting and not view._unsent)
+    time.sleep(1.0)  # let the process publish the records
+    viewer, thread = start_viewer(view.port, lambda m: "/scene/room" in m)
     thread.join(PATIENCE_S)
     assert "/scene/room" in viewer.messages
 
 
-def test_a_process_that_hangs_costs_records_and_no_time(
-    log: Log, view: LiveViewProcess, said: list[str]
+def test_a_hanging_view_process_drops_records_without_delaying_the_flight(
+    log: Log, view: LiveViewProcess, messages_out: list[str]
 ) -> None:
     view.process.send_signal(signal.SIGSTOP)
     began = time.monotonic()
@@ -170,25 +169,25 @@ def test_a_process_that_hangs_costs_records_and_no_time(
             view(entry.record)
     spent = time.monotonic() - began
     assert view.dropped > 0
-    assert spent / (5 * len(log.entries)) < 100e-6  # on a machine that does other things, too
+    assert spent / (5 * len(log.entries)) < 100e-6  # a generous limit for a busy machine
     view.process.send_signal(signal.SIGCONT)
     view.close()
-    assert [line for line in said if str(view.dropped) in line]
+    assert [line for line in messages_out if str(view.dropped) in line]
 
 
-def test_its_death_is_one_line_and_the_flight_goes_on(
-    log: Log, view: LiveViewProcess, said: list[str]
+def test_the_death_of_the_view_process_is_reported_and_the_flight_continues(
+    log: Log, view: LiveViewProcess, messages_out: list[str]
 ) -> None:
     view.process.kill()
     view.process.wait()
-    until(lambda: bool(said))
+    wait_until(lambda: bool(messages_out))
     for entry in log.entries:
         view(entry.record)
     view.close()
-    assert said[0] == "live view failed; the flight continues without it"
+    assert messages_out[0] == "live view failed; the flight continues without it"
 
 
-def test_what_no_picture_needs_is_not_even_queued(view: LiveViewProcess) -> None:
+def test_records_that_the_view_does_not_use_are_not_queued(view: LiveViewProcess) -> None:
     for i in range(1000):
         view(ImuSample(4000 * i, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     assert not view._waiting
@@ -196,7 +195,7 @@ def test_what_no_picture_needs_is_not_even_queued(view: LiveViewProcess) -> None
     assert view.dropped == 0
 
 
-def test_a_taken_port_is_named_before_the_flight(
+def test_a_port_in_use_is_reported_before_the_flight(
     mission: Mission, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     with socket.socket() as other:
@@ -208,14 +207,14 @@ def test_a_taken_port_is_named_before_the_flight(
         flights = tmp_path / "flights"
         command = ["dry-run", SINGLE_WALL, "--live", "--live-port", str(port), "--log-dir", str(flights)]
         assert main(command) == 2
-        said = capsys.readouterr().err.strip().splitlines()[-1]
-        assert f"port {port} is in use" in said
-        assert "--live-port" in said
+        error = capsys.readouterr().err.strip().splitlines()[-1]
+        assert f"port {port} is in use" in error
+        assert "--live-port" in error
         assert not flights.exists()
 
 
 @pytest.mark.parametrize(
-    ("options", "why"),
+    ("options", "message"),
     [
         (["--fast", "--live"], "--live needs a single flight in real time"),
         (["--runs", "2", "--live"], "--live needs a single flight in real time"),
@@ -224,15 +223,15 @@ def test_a_taken_port_is_named_before_the_flight(
         (["--live", "--live-port", "70000"], "--live-port"),
     ],
 )
-def test_what_does_not_go_together_is_refused(
-    options: list[str], why: str, capsys: pytest.CaptureFixture[str]
+def test_incompatible_options_are_refused(
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
         status = main(["dry-run", SINGLE_WALL, *options])
     except SystemExit as exit_:
         status = int(exit_.code or 0)
     assert status == 2
-    assert why in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def free_port() -> int:
@@ -242,16 +241,16 @@ def free_port() -> int:
         return port
 
 
-def test_monitor_shows_a_flight_by_its_log(
+def test_monitor_shows_a_running_flight_from_its_log(
     log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Half of it is written, and no more comes; the flight is over once the viewer has seen it."""
+    """Half of the log exists and does not grow; the flight ends when the viewer has received it."""
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
     written = tmp_path / "flight.mcap"
     whole = Path(log.source).read_bytes()
     written.write_bytes(whole[: len(whole) // 2])
     port = free_port()
-    viewer = Viewer(f"ws://127.0.0.1:{port}", lambda m: "/scene/room" in m and bool(places(m)))
+    viewer = Viewer(f"ws://127.0.0.1:{port}", lambda m: "/scene/room" in m and bool(positions(m)))
     flight = LinkLease(f"udpin://127.0.0.1:{free_udp_port()}", "fly", written)
     flight.acquire()
 
@@ -266,41 +265,42 @@ def test_monitor_shows_a_flight_by_its_log(
     thread.join(PATIENCE_S)
     assert f"ws://127.0.0.1:{port}" in capsys.readouterr().err
     assert "/scene/room" in viewer.messages
-    assert places(viewer.messages)
+    assert positions(viewer.messages)
 
 
-def test_simulate_shows_what_is_and_monitor_what_is_told(tmp_path: Path) -> None:
+def test_simulate_shows_the_truth_and_monitor_the_telemetry(tmp_path: Path) -> None:
     environment = os.environ | {"DART_FLIGHT_STATE_DIR": str(tmp_path / "state")}
-    true, told, link = free_port(), free_port(), str(free_udp_port())
+    truth, telemetry, link = free_port(), free_port(), str(free_udp_port())
     program = [sys.executable, "-m", "dart_flight"]
     quiet = {
         "stdout": subprocess.DEVNULL,
         "stderr": subprocess.DEVNULL,
         "env": environment,
-        # Whatever runs the tests may ignore Ctrl-C, and its children would inherit that: the monitor would
-        # watch for all of its minute.
+        # A test runner that ignores SIGINT would pass that on, and the monitor would run its whole minute.
         "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     }
-    simulate = [*program, "simulate", SINGLE_WALL, "--port", link, "--live", "--live-port", str(true)]
+    simulate = [*program, "simulate", SINGLE_WALL, "--port", link, "--live", "--live-port", str(truth)]
     monitor = [*program, "monitor", "--connection", f"udpin://127.0.0.1:{link}", "--seconds", "60", "--json"]
-    monitor += ["--live", "--live-port", str(told)]
+    monitor += ["--live", "--live-port", str(telemetry)]
     with subprocess.Popen(simulate, **quiet) as vehicle, subprocess.Popen(monitor, **quiet) as watching_it:  # type: ignore[call-overload]
         try:
-            alone = Viewer(f"ws://127.0.0.1:{true}", lambda m: "/scene/room" in m and len(places(m)) > 5)
-            assert alone.watch(PATIENCE_S)
-            linked = Viewer(f"ws://127.0.0.1:{told}", lambda m: len(m.get("/flight/state", [])) > 5)
+            simulated = Viewer(
+                f"ws://127.0.0.1:{truth}", lambda m: "/scene/room" in m and len(positions(m)) > 5
+            )
+            assert simulated.watch(PATIENCE_S)
+            linked = Viewer(f"ws://127.0.0.1:{telemetry}", lambda m: len(m.get("/flight/state", [])) > 5)
             assert linked.watch(PATIENCE_S)
         finally:
             for process in (watching_it, vehicle):
                 process.send_signal(signal.SIGINT)
-    assert "/flight/true_force" in alone.messages
-    assert "/scene/room" not in linked.messages  # no mission was named: only the vehicle is meant
+    assert "/flight/true_force" in simulated.messages
+    assert "/scene/room" not in linked.messages  # monitor without a mission shows only the vehicle
     assert "/flight/true_force" not in linked.messages
     start = load_mission(SINGLE_WALL).start
-    assert places(alone.messages)[0][:2] == pytest.approx(start, abs=0.05)
+    assert positions(simulated.messages)[0][:2] == pytest.approx(start, abs=0.05)
 
 
-def test_a_dry_run_is_seen_while_it_goes_on(tmp_path: Path) -> None:
+def test_a_dry_run_is_shown_while_it_runs(tmp_path: Path) -> None:
     environment = os.environ | {"DART_FLIGHT_STATE_DIR": str(tmp_path / "state")}
     port = free_port()
     command = [sys.executable, "-m", "dart_flight", "dry-run", SINGLE_WALL, "--live"]
@@ -315,10 +315,10 @@ def test_a_dry_run_is_seen_while_it_goes_on(tmp_path: Path) -> None:
         assert url[0] == f"ws://127.0.0.1:{port}"
         layout = Path(first.rsplit("layout ", 1)[1].strip())
         assert layout.exists()
-        viewer = Viewer(url[0], flies)
-        seen = viewer.watch(PATIENCE_S)
+        viewer = Viewer(url[0], shows_flight)
+        received = viewer.watch(PATIENCE_S)
         rest = flight.stderr.read()
         assert flight.wait(PATIENCE_S) in (0, 1), rest
-    assert seen
+    assert received
     assert "/flight/true_force" in viewer.messages
     assert "live view failed" not in rest

@@ -1,4 +1,4 @@
-"""A flight in standard schemas: what a viewer that knows nothing of this program makes of it."""
+"""The export of a flight to Foxglove's schemas, decoded as an independent viewer decodes it."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ def log(flown: SharedFlights) -> Log:
 def exported(log: Log, tmp_path_factory: pytest.TempPathFactory) -> Messages:
     path = tmp_path_factory.mktemp("scene") / "flight.mcap"
     assert export_foxglove(log, path) > 1000
-    return read(path)
+    return read_messages(path)
 
 
-def read(path: Path) -> Messages:
-    """Topic -> (log time in us, message)."""
+def read_messages(path: Path) -> Messages:
+    """Return the messages of each topic, with their log times in microseconds."""
     messages: Messages = {}
     decoders: dict[int, Decoder] = {}
     with open(path, "rb") as file:
@@ -55,8 +55,8 @@ def read(path: Path) -> Messages:
             assert schema is not None
             if channel.id not in decoders:
                 decoders[channel.id] = Decoder(channel.message_encoding, schema.name, schema.data)
-            decoded = decoders[channel.id](message.data)
-            messages.setdefault(channel.topic, []).append((message.log_time // 1000, decoded))
+            values = decoders[channel.id](message.data)
+            messages.setdefault(channel.topic, []).append((message.log_time // 1000, values))
     return messages
 
 
@@ -72,7 +72,7 @@ def entities(messages: Messages, topic: str) -> list[dict[str, Any]]:
     return [entity for _, update in messages[topic] for entity in update["entities"]]
 
 
-def test_the_vehicle_moves_as_the_log_has_it(log: Log, exported: Messages) -> None:
+def test_the_published_motion_matches_the_log(log: Log, exported: Messages) -> None:
     arrays = FlightArrays(log, flown_mission(log.about, log.source))
     moves = exported["/tf"]
     assert len(moves) > 100
@@ -82,37 +82,36 @@ def test_the_vehicle_moves_as_the_log_has_it(log: Log, exported: Messages) -> No
         at_s = arrays.time_of(t_us)
         motion = arrays.estimated
         expected = [float(np.interp(at_s, motion.time_s, motion.position[:, i])) for i in range(3)]
-        if one["translation"]["z"] > 0.3:  # before, the frame is not anchored yet
+        if one["translation"]["z"] > 0.3:  # the frame is anchored by then
             assert vector(one["translation"]) == pytest.approx(expected, abs=1e-6)
     start = flown_mission(log.about, log.source).start
-    assert vector(moves[0][1]["transforms"][0]["translation"]) == (*start, 0.0)  # before anything is known
+    assert vector(moves[0][1]["transforms"][0]["translation"]) == (*start, 0.0)  # before the first estimate
     ground, air = moves[1][1]["transforms"][0], max(m["transforms"][0]["translation"]["z"] for _, m in moves)
     assert abs(ground["translation"]["z"]) < 0.05
     assert air == pytest.approx(1.0, abs=0.2)
 
 
-def test_the_vehicle_stands_upright_and_leans_into_its_acceleration(log: Log, exported: Messages) -> None:
-    """Up of the body is up of the mission, and horizontal thrust points where the estimate accelerates to."""
+def test_the_published_attitude_is_upright_and_matches_the_tilt(log: Log, exported: Messages) -> None:
     for _, message in exported["/tf"]:
         up = rotate(rotation(message["transforms"][0]["rotation"]), (0.0, 0.0, 1.0))
         assert up[2] > 0.5
     states = exported["/flight/state"]
     leaning = [
         (rotate(rotation(m["transforms"][0]["rotation"]), (0.0, 0.0, 1.0)), s["tilt_deg"])
-        for (_, m), (_, s) in zip(exported["/tf"][1:], states, strict=True)  # the first is the start
+        for (_, m), (_, s) in zip(exported["/tf"][1:], states, strict=True)  # the first message is the start
     ]
     assert max(tilt for _, tilt in leaning) > 10.0
     for up, tilt in leaning:
         assert math.degrees(math.acos(min(1.0, up[2]))) == pytest.approx(tilt, abs=1e-3)
 
 
-def test_the_rates_are_bounded(exported: Messages) -> None:
+def test_the_message_rates_are_bounded(exported: Messages) -> None:
     for topic, period in (("/tf", SCENE_US), ("/flight/state", SCENE_US), ("/flight/force", SCALARS_US)):
         times = [t for t, _ in exported[topic]]
         assert 0.8 * (times[-1] - times[0]) / period < len(times) < (times[-1] - times[0]) / period + 2
 
 
-def test_walls_stand_at_their_surface(log: Log, exported: Messages) -> None:
+def test_walls_are_drawn_at_their_surface(log: Log, exported: Messages) -> None:
     mission = flown_mission(log.about, log.source)
     reach = mission.vehicle.airframe.contact_distance_m
     room = {entity["id"]: entity for entity in entities(exported, "/scene/room")}
@@ -130,29 +129,29 @@ def test_walls_stand_at_their_surface(log: Log, exported: Messages) -> None:
     assert capture["size"]["x"] == 2.0 * mission.goal.capture_radius_m
 
 
-def decoded(entity: SceneEntity) -> dict[str, Any]:
-    """An entity as a viewer gets it."""
+def decode_entity(entity: SceneEntity) -> dict[str, Any]:
+    """Return an entity as a viewer receives it."""
     schema = SceneUpdate.get_schema()
     [one] = Decoder("protobuf", schema.name, schema.data)(SceneUpdate(entities=[entity]).encode())["entities"]
     found: dict[str, Any] = one
     return found
 
 
-def test_the_plan_and_the_goal_are_as_high_as_the_way_points_say() -> None:
+def test_the_plan_and_the_goal_have_the_altitude_of_the_waypoints() -> None:
     dual = load_mission(packaged("missions", "paper_dual_collision.yaml"))
     higher = dual.replace({"waypoints": [{"position_m": [0.0, 0.0], "altitude_m": 1.5}]})
     for mission, z in ((dual, 1.0), (higher, 1.5)):
         flight = predict_mission(mission)
-        way = decoded(drawing.planned(flight, mission, 0))
-        hits = way["spheres"][: len(flight.hits)]
+        path = decode_entity(drawing.planned(flight, mission, 0))
+        hits = path["spheres"][: len(flight.hits)]
         assert [ball["pose"]["position"]["z"] for ball in hits] == [z] * 2
-        assert {line["points"][-1]["z"] for line in way["lines"]} == {z}
-        marks = decoded(drawing.room(mission, 0)[-1])
-        said = {one["text"]: one["pose"]["position"]["z"] for one in marks["texts"]}
-        assert said["goal"] - said["start"] == pytest.approx(z - 1.0)
+        assert {line["points"][-1]["z"] for line in path["lines"]} == {z}
+        marks = decode_entity(drawing.room(mission, 0)[-1])
+        heights = {one["text"]: one["pose"]["position"]["z"] for one in marks["texts"]}
+        assert heights["goal"] - heights["start"] == pytest.approx(z - 1.0)
 
 
-def test_the_arms_are_drawn_by_the_state_of_the_lock(log: Log, exported: Messages) -> None:
+def test_the_arms_are_coloured_by_the_state_of_the_lock(log: Log, exported: Messages) -> None:
     states = [e.record for e in log.entries if isinstance(e.record, LockState)]
     known = ["unknown"] + [
         s.mode.value if s.phase is LockPhase.SETTLED and s.mode else s.phase.value for s in states
@@ -170,15 +169,15 @@ def test_the_arms_are_drawn_by_the_state_of_the_lock(log: Log, exported: Message
     assert len(set.union(*colours.values())) == len(colours)
 
 
-def test_a_motor_is_where_the_airframe_has_it(log: Log, exported: Messages) -> None:
+def test_propellers_are_drawn_at_the_motors_of_the_airframe(log: Log, exported: Messages) -> None:
     airframe = flown_mission(log.about, log.source).vehicle.airframe
     body = entities(exported, "/scene/vehicle")[-1]
     assert body["frame_id"] == "vehicle"
     propellers = [vector(one["pose"]["position"])[:2] for one in body["cylinders"][:4]]
-    assert propellers == [(m.x_m, -m.y_m) for m in airframe.motors]  # left of the vehicle is positive
+    assert propellers == [(m.x_m, -m.y_m) for m in airframe.motors]  # y points left in the viewer
 
 
-def test_forces_point_where_they_point_and_none_is_lost(log: Log, exported: Messages) -> None:
+def test_the_strongest_force_is_exported_with_its_direction_and_length(log: Log, exported: Messages) -> None:
     strongest = max(
         (e.record for e in log.entries if isinstance(e.record, ForceEstimate)),
         key=lambda f: sum(x * x for x in f.force_mission),
@@ -192,10 +191,11 @@ def test_forces_point_where_they_point_and_none_is_lost(log: Log, exported: Mess
     assert length == pytest.approx(FORCE_SCALE_M_PER_N * float(np.linalg.norm(force)))
     axis = rotate(rotation(longest["pose"]["orientation"]), (1.0, 0.0, 0.0))
     assert axis == pytest.approx(tuple(force / np.linalg.norm(force)), abs=1e-6)
-    assert any(not e["arrows"] for e in entities(exported, "/scene/forces"))  # gone once there is none
+    # The arrow is removed when the force ends.
+    assert any(not e["arrows"] for e in entities(exported, "/scene/forces"))
 
 
-def test_hits_and_events_are_told(log: Log, exported: Messages) -> None:
+def test_impacts_and_events_are_exported(log: Log, exported: Messages) -> None:
     peaks = [e.record for e in log.entries if isinstance(e.record, ImpactPeak)]
     marks = entities(exported, "/scene/hits")[-1]
     assert [t["text"] for t in marks["texts"]] == [
@@ -207,60 +207,62 @@ def test_hits_and_events_are_told(log: Log, exported: Messages) -> None:
     assert lines[-1]["message"].startswith("completed") or "done" in lines[-1]["message"]
 
 
-def test_a_guards_action_is_an_error_in_the_log(flown: SharedFlights, tmp_path: Path) -> None:
+def test_a_guards_action_is_logged_as_an_error(flown: SharedFlights, tmp_path: Path) -> None:
     path = tmp_path / "fault.mcap"
     export_foxglove(read_log(flown("paper_single_wall", 1, "imu-dropout@approach").log), path)
-    errors = [m["message"] for _, m in read(path)["/log"] if m["level"] in ("ERROR", "FATAL")]
+    errors = [m["message"] for _, m in read_messages(path)["/log"] if m["level"] in ("ERROR", "FATAL")]
     assert any(line.startswith("guard: ") for line in errors)
 
 
-def test_the_newest_message_of_every_scene_says_all(exported: Messages) -> None:
-    """A viewer that seeks, or comes later, is given the newest message of each topic and no more."""
+def test_the_newest_message_of_every_scene_is_complete(exported: Messages) -> None:
+    """A viewer that seeks or joins later receives only the newest message of each topic."""
     for topic, names in (
         ("/scene/room", {"bounds", "start and goal", "wall wood", "wall acrylic"}),
         ("/scene/vehicle", {"vehicle"}),
         ("/scene/path", {"flown"}),
     ):
         assert {entity["id"] for entity in exported[topic][-1][1]["entities"]} == names
-    way = exported["/scene/path"][-1][1]["entities"][0]["lines"][0]["points"]
-    assert len(way) > 50
+    path = exported["/scene/path"][-1][1]["entities"][0]["lines"][0]["points"]
+    assert len(path) > 50
 
 
-def test_viewers_without_scenes_get_points(exported: Messages) -> None:
+def test_point_clouds_are_exported_for_viewers_without_scenes(exported: Messages) -> None:
     [room] = [m for _, m in exported["/points/room"]]
     assert room["frame_id"] == "mission"
     assert room["point_stride"] == 16
     assert {m["frame_id"] for _, m in exported["/points/vehicle"]} == {"vehicle"}
 
 
-def test_a_peak_of_one_sample_gets_through_the_thinning() -> None:
-    thinning = Downsampler()
+def test_a_peak_of_one_sample_survives_downsampling() -> None:
+    downsampler = Downsampler()
     kept: list[Record] = []
     for i in range(200):
         force = 50.0 if i == 77 else 0.1
-        kept += thinning.select(ForceEstimate(4000 * i, (force, 0.0, 0.0), False))
+        kept += downsampler.select(ForceEstimate(4000 * i, (force, 0.0, 0.0), False))
     assert 38 <= len(kept) <= 40
     assert max(r.force_mission[0] for r in kept if isinstance(r, ForceEstimate)) == 50.0
 
 
-def test_the_command_writes_beside_the_log_or_where_told(
+def test_the_export_is_written_beside_the_log_or_to_the_given_folder(
     flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = flown("paper_single_wall", 1).log
-    there = tmp_path / "one" / "flight.mcap"
-    there.parent.mkdir()
-    there.write_bytes(source.read_bytes())
-    assert main(["export", str(there), "--foxglove", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["files"] == [str(there.with_name("foxglove.mcap"))]
-    assert sum(map(len, read(there.with_name("foxglove.mcap")).values())) == said["messages"]
-    assert main(["export", str(there), str(source), "--foxglove", "-o", str(tmp_path / "both")]) == 0
+    copied = tmp_path / "one" / "flight.mcap"
+    copied.parent.mkdir()
+    copied.write_bytes(source.read_bytes())
+    assert main(["export", str(copied), "--foxglove", "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["files"] == [str(copied.with_name("foxglove.mcap"))]
+    assert sum(map(len, read_messages(copied.with_name("foxglove.mcap")).values())) == summary["messages"]
+    assert main(["export", str(copied), str(source), "--foxglove", "-o", str(tmp_path / "both")]) == 0
     assert len(list((tmp_path / "both").glob("*.mcap"))) == 2
-    assert main(["export", str(there.with_name("foxglove.mcap")), "--foxglove"]) == 2
+    assert main(["export", str(copied.with_name("foxglove.mcap")), "--foxglove"]) == 2
     assert "not a flight log" in capsys.readouterr().err
 
 
-def test_without_the_library_one_line_says_what_to_install(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_foxglove_is_reported_with_the_command_to_install(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(InputError, match=r"make install"):
         export_foxglove(log, Path("never.mcap"))

@@ -1,4 +1,4 @@
-"""A hit at 3 m/s: the flight is planned, drawn and flown as the campaign does, and recovers."""
+"""Impacts at 3 m/s, planned, drawn and flown as in the campaign of faster hits."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from tests.shared_campaigns import campaign_rows
 MISSION = Path(__file__).parents[2] / "data" / "faster_hit.yaml"  # 3 m/s with flexible arms
 
 
-def test_a_hit_at_3_m_s_recovers_where_a_touch_came_first(tmp_path: Path) -> None:
+def test_a_vehicle_recovers_from_an_impact_at_3_m_s_after_a_touch(tmp_path: Path) -> None:
     options = ["--only", "mode=flexible", "--only", "normal_m_s=3.0", "--only", "touch_m_s=0.6"]
     options += ["--only", "incidence_deg=drawn", "--seed", "13001", "--runs", "1"]
     rows = campaign_rows(tmp_path / "out", "faster_hits", *options)
@@ -30,8 +30,8 @@ def test_a_hit_at_3_m_s_recovers_where_a_touch_came_first(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("height_m", [-0.03, 0.03])
-def test_a_touch_tells_how_high_the_guards_are(height_m: float) -> None:
-    """Without it guards 3 cm off the centre of mass turn the vehicle over at 3 m/s."""
+def test_a_touch_gives_the_height_of_the_guards(height_m: float) -> None:
+    """If the height is unknown, guards 3 cm off the centre of mass cause a rollover at 3 m/s."""
     requests: list[PlanRequest] = []
 
     def observe(record: Record, number: int) -> None:
@@ -58,9 +58,9 @@ def test_a_touch_tells_how_high_the_guards_are(height_m: float) -> None:
         request = msgspec.structs.replace(to_wall, contact_height_m=known_m)
         answer = replanner.answer(request, request.t_us)
         assert answer.problem == ""
-        way = Trajectory.from_plan(answer, mission.altitude_m)
-        end = way.at(way.duration_s - 1e-6)
+        trajectory = Trajectory.from_plan(answer, mission.altitude_m)
+        end = trajectory.at(trajectory.duration_s - 1e-6)
         assert wall.to_collision(end.velocity)[0] == pytest.approx(-3.0, abs=1e-3)
         pushes.append(wall.to_collision(end.acceleration)[0])
-    # Guards above the centre of mass: lean into the wall, 0.9 g h / d.
+    # With guards above the centre of mass, the vehicle leans into the wall by 0.9 g h / d.
     assert pushes[1] - pushes[0] == pytest.approx(-44.1 * to_wall.contact_height_m, abs=0.02)

@@ -1,4 +1,4 @@
-"""`plan` flies what it planned before it calls it a saving, and says why a plan is not offered."""
+"""`plan` verifies its plans in simulation before it offers them, and gives reasons if it does not."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from dart_flight.lab.search.quickest import QuickestResult, plan_quickest
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.prepare import with_driver
-from tests.lab.search.test_quickest import between
+from tests.lab.search.test_quickest import scenario_between_walls
 from tests.mission_findings import check_mission
 
-WRITTEN = """\
+SCENARIO = """\
 version: 1
 name: once-round
 start: {position_m: [0.0, 0.0], altitude_m: 1.2}
@@ -41,12 +41,12 @@ objective: quickest
 limits: {motion: position, speed_m_s: 2.0}
 """
 
-# How a flight of a mission ends, by seed: time in seconds, whether it completes, whether it is controlled.
+# The result of a flight by mission and seed: time in seconds, whether completed, whether controlled.
 Ends = Callable[[Mission, int], tuple[float, bool, bool]]
 
 
 class FakeFlights:
-    """Flights whose ends are given; counts the missions that were flown."""
+    """Flights with given results, and a record of the missions flown."""
 
     def __init__(self, ends: Ends) -> None:
         self.ends, self.flown = ends, list[tuple[str, int, bool]]()
@@ -75,38 +75,40 @@ def kind_of(mission: Mission) -> str:
     return "colliding" if mission.collisions[0].trajectory is not None else "touched"
 
 
-def by_kind(**times_s: float) -> Ends:
+def times_by_kind(**times_s: float) -> Ends:
     return lambda mission, seed: (times_s[kind_of(mission)], True, True)
 
 
 @pytest.fixture(scope="module")
 def planned() -> QuickestResult:
-    return plan_quickest(between())
+    return plan_quickest(scenario_between_walls())
 
 
-def chosen(result: QuickestResult, ends: Ends, free_only: bool = False) -> tuple[OfferedPlan, FakeFlights]:
+def choose(result: QuickestResult, ends: Ends, free_only: bool = False) -> tuple[OfferedPlan, FakeFlights]:
     flights = FakeFlights(ends)
     return choose_flown(result, free_only, fly=flights), flights
 
 
-def test_a_plan_that_flies_and_is_quicker_is_offered_with_what_was_flown(planned: QuickestResult) -> None:
-    offered, flights = chosen(planned, by_kind(free=20.0, colliding=18.5))
+def test_a_faster_plan_that_completes_is_offered_with_its_flight_record(planned: QuickestResult) -> None:
+    offered, flights = choose(planned, times_by_kind(free=20.0, colliding=18.5))
     assert offered.plan is planned.colliding
     assert offered.record is not None
     assert offered.record.saving_s == pytest.approx(1.5)
     assert offered.record.free_time_s == 20.0
     assert "20 of 20 drawn flights complete" in offered.says[-1]
     assert "saves 1.50 s" in offered.says[-1]
-    seeds = [(kind, FIRST_SEED + k, drawn) for kind in ("free", "colliding") for drawn, k in _once()]
+    seeds = [
+        (kind, FIRST_SEED + k, drawn) for kind in ("free", "colliding") for drawn, k in _nominal_and_drawn()
+    ]
     assert flights.flown == seeds
 
 
-def _once() -> list[tuple[bool, int]]:
+def _nominal_and_drawn() -> list[tuple[bool, int]]:
     return [(False, 0), *((True, k) for k in range(DRAWN))]
 
 
-def test_the_saving_is_that_of_the_same_worlds(planned: QuickestResult) -> None:
-    """Worlds that one of the two did not complete in do not count; a slow world slows both."""
+def test_the_saving_compares_flights_in_equal_worlds(planned: QuickestResult) -> None:
+    """Only worlds in which both flights complete count; a slow world slows both flights."""
 
     def ends(mission: Mission, seed: int) -> tuple[float, bool, bool]:
         k = seed - FIRST_SEED
@@ -114,7 +116,7 @@ def test_the_saving_is_that_of_the_same_worlds(planned: QuickestResult) -> None:
         gains_s = 1.0 if kind_of(mission) == "colliding" else 0.0
         return 20.0 + slow_s - gains_s, k != (3 if gains_s else 5), True
 
-    offered, _ = chosen(planned, ends)
+    offered, _ = choose(planned, ends)
     assert offered.record is not None
     assert offered.record.saving_s == pytest.approx(1.0)
     assert offered.record.drawn is not None
@@ -123,7 +125,9 @@ def test_the_saving_is_that_of_the_same_worlds(planned: QuickestResult) -> None:
 
 
 @pytest.mark.parametrize("fails", ["nominal", "three", "uncontrolled", "nominal uncontrolled"])
-def test_a_plan_that_does_not_fly_is_offered_with_touches_only(planned: QuickestResult, fails: str) -> None:
+def test_a_plan_that_fails_in_simulation_is_offered_only_with_touches(
+    planned: QuickestResult, fails: str
+) -> None:
     def ends(mission: Mission, seed: int) -> tuple[float, bool, bool]:
         k = seed - FIRST_SEED if seed else None
         if kind_of(mission) != "colliding":
@@ -132,7 +136,7 @@ def test_a_plan_that_does_not_fly_is_offered_with_touches_only(planned: Quickest
                "nominal uncontrolled": k is None}[fails]  # fmt: skip
         return 20.0, not bad or "uncontrolled" in fails, not bad or "uncontrolled" not in fails
 
-    offered, flights = chosen(planned, ends)
+    offered, flights = choose(planned, ends)
     assert "the colliding plan is not offered" in offered.says[0]
     assert "with a touch of each wall at 0.6 m/s succeeds" in offered.says[1]
     assert offered.plan is planned.colliding
@@ -140,19 +144,19 @@ def test_a_plan_that_does_not_fly_is_offered_with_touches_only(planned: Quickest
     assert offered.record is not None
     assert offered.record.saving_s == pytest.approx(2.0)
     alone = [one for one in flights.flown if one[0] == "colliding"]
-    assert len(alone) == (1 if "nominal" in fails else 1 + DRAWN), "nothing is drawn after a nominal failure"
+    assert len(alone) == (1 if "nominal" in fails else 1 + DRAWN), "a nominal failure skips the drawn flights"
 
 
-def test_two_drawn_flights_of_twenty_may_break_off(planned: QuickestResult) -> None:
+def test_two_of_twenty_drawn_flights_may_abort(planned: QuickestResult) -> None:
     def ends(mission: Mission, seed: int) -> tuple[float, bool, bool]:
         hits = kind_of(mission) == "colliding"
         return (18.0 if hits else 20.0), not hits or seed - FIRST_SEED not in (4, 9), True
 
-    offered, _ = chosen(planned, ends)
+    offered, _ = choose(planned, ends)
     assert offered.plan is planned.colliding
 
 
-def test_touches_that_cost_more_than_the_hits_save_leave_the_free_flight(planned: QuickestResult) -> None:
+def test_the_free_plan_is_offered_if_touches_cost_more_than_collisions_save(planned: QuickestResult) -> None:
     def ends(mission: Mission, seed: int) -> tuple[float, bool, bool]:
         return (
             {"free": 20.0, "colliding": 18.0, "touched": 33.0}[kind_of(mission)],
@@ -160,40 +164,40 @@ def test_touches_that_cost_more_than_the_hits_save_leave_the_free_flight(planned
             (kind_of(mission) != "colliding"),
         )
 
-    offered, _ = chosen(planned, ends)
+    offered, _ = choose(planned, ends)
     assert offered.plan is planned.free
     assert "loses 13.00 s" in offered.says[1]
     assert "the flight without a collision is offered" in offered.says[2]
 
 
-def test_hits_that_the_scenario_demands_are_offered_if_they_fly_and_else_nothing() -> None:
-    demanded = plan_quickest(between(sequence=["east"]))
-    offered, _ = chosen(demanded, by_kind(free=20.0, colliding=21.0))
-    assert offered.plan is demanded.colliding
-    nothing, _ = chosen(demanded, lambda mission, seed: (20.0, not mission.collisions, True))
+def test_required_collisions_are_offered_only_if_they_complete() -> None:
+    required = plan_quickest(scenario_between_walls(sequence=["east"]))
+    offered, _ = choose(required, times_by_kind(free=20.0, colliding=21.0))
+    assert offered.plan is required.colliding
+    nothing, _ = choose(required, lambda mission, seed: (20.0, not mission.collisions, True))
     assert nothing.plan is None
     assert nothing.says[-1] == "no plan is offered"
 
 
-def test_touches_that_the_scenario_asks_for_are_flown_and_counted() -> None:
-    asked = plan_quickest(between(touch_m_s=0.5))
-    offered, flights = chosen(asked, by_kind(free=20.0, touched=33.0))
-    assert offered.plan is asked.colliding
+def test_touches_of_the_scenario_are_flown_and_counted_in_the_time() -> None:
+    with_touches = plan_quickest(scenario_between_walls(touch_m_s=0.5))
+    offered, flights = choose(with_touches, times_by_kind(free=20.0, touched=33.0))
+    assert offered.plan is with_touches.colliding
     assert "loses 13.00 s" in offered.says[-1]
     assert {kind for kind, _, _ in flights.flown} == {"free", "touched"}
 
 
-def test_the_free_plan_is_flown_as_well(planned: QuickestResult) -> None:
-    offered, flights = chosen(planned, by_kind(free=20.0), free_only=True)
+def test_the_free_plan_is_flown_before_it_is_offered(planned: QuickestResult) -> None:
+    offered, flights = choose(planned, times_by_kind(free=20.0), free_only=True)
     assert offered.plan is planned.free
     assert len(flights.flown) == 1 + DRAWN
 
 
-# --- the record in the file, and what check makes of it ------------------------------------------------
+# --- the flight record in the mission file, and its check ----------------------------------------------
 
 
-def written(result: QuickestResult, ends: Ends, path: Path) -> Mission:
-    offered, _ = chosen(result, ends)
+def write_chosen(result: QuickestResult, ends: Ends, path: Path) -> Mission:
+    offered, _ = choose(result, ends)
     assert offered.plan is not None
     write_mission(offered.scenario, offered.plan, path, offered.record)
     return dart_flight.load_mission(path)
@@ -203,11 +207,11 @@ def flown_finding(mission: Mission) -> Any:
     return next(finding for finding in check_mission(mission) if finding.item == "flown")
 
 
-def test_check_shows_the_record_and_notices_that_the_mission_changed(
+def test_check_shows_the_flight_record_and_detects_a_changed_mission(
     planned: QuickestResult, tmp_path: Path
 ) -> None:
     path = tmp_path / "mission.yaml"
-    mission = written(planned, by_kind(free=20.0, colliding=18.5), path)
+    mission = write_chosen(planned, times_by_kind(free=20.0, colliding=18.5), path)
     finding = flown_finding(mission)
     assert (finding.go, finding.remark) == (True, False)
     assert mission.flown is not None
@@ -221,7 +225,9 @@ def test_check_shows_the_record_and_notices_that_the_mission_changed(
     )
     assert finding.figures == {"flights": 20, "completed": 20, "saving_s": 1.5}
     assert dart_flight.load_mission(mission.to_dict()).flown == mission.flown
-    assert not flown_finding(with_driver(mission, LockDriver.PX4)).remark, "the driver flies nothing else"
+    assert not flown_finding(with_driver(mission, LockDriver.PX4)).remark, (
+        "another driver does not change the flight"
+    )
     for changed in (
         dart_flight.load_mission(path, settings=["airframe.mass_kg=1.5"]),
         mission.replace({"goal.hold_s": 3.0}),
@@ -230,10 +236,10 @@ def test_check_shows_the_record_and_notices_that_the_mission_changed(
         assert flown_finding(changed).remark
 
 
-def test_check_refuses_a_mission_that_was_uncontrolled_in_simulation(
+def test_check_rejects_a_mission_that_lost_control_in_simulation(
     planned: QuickestResult, tmp_path: Path
 ) -> None:
-    mission = written(planned, by_kind(free=20.0, colliding=18.5), tmp_path / "mission.yaml")
+    mission = write_chosen(planned, times_by_kind(free=20.0, colliding=18.5), tmp_path / "mission.yaml")
     assert mission.flown is not None
     assert mission.flown.drawn is not None
     bad = msgspec.structs.replace(mission.flown.drawn, uncontrolled=1)
@@ -244,51 +250,53 @@ def test_check_refuses_a_mission_that_was_uncontrolled_in_simulation(
     assert msgspec.structs.replace(mission, flown=record).digest == mission.digest
 
 
-def test_check_remarks_that_a_mission_was_never_flown() -> None:
+def test_check_remarks_on_a_mission_without_a_flight_record() -> None:
     finding = flown_finding(dart_flight.load_mission(dart_flight.packaged("missions", "single_wall.yaml")))
     assert finding.go
     assert finding.remark
     assert "no simulated flight of this mission is on record" in finding.says
 
 
-def test_a_record_that_cannot_be_is_refused(planned: QuickestResult, tmp_path: Path) -> None:
+def test_an_invalid_flight_record_is_refused(planned: QuickestResult, tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
-    written(planned, by_kind(free=20.0, colliding=18.5), path)
+    write_chosen(planned, times_by_kind(free=20.0, colliding=18.5), path)
     path.write_text(path.read_text().replace("uncontrolled: 0", "uncontrolled: -1"))
     with pytest.raises(InputError, match="uncontrolled"):
         dart_flight.load_mission(path)
 
 
-# --- flown indeed --------------------------------------------------------------------------------------
+# --- the command ---------------------------------------------------------------------------------------
 
 
-def test_the_command_flies_its_plan(
+def test_the_command_flies_its_plan_and_records_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(flown_plan, "DRAWN", 2)
-    monkeypatch.setattr(flown_plan, "fly_fast_many", in_process)
+    monkeypatch.setattr(flown_plan, "fly_fast_many", fly_here)
     scenario, target = tmp_path / "scenario.yaml", tmp_path / "mission.yaml"
-    scenario.write_text(WRITTEN)
+    scenario.write_text(SCENARIO)
     assert main(["plan", str(scenario), "--json", "-o", str(target)]) == 0
-    said = json.loads(capsys.readouterr().out)
+    output = json.loads(capsys.readouterr().out)
     mission = dart_flight.load_mission(target)
     assert mission.flown is not None
     assert mission.flown.drawn is not None
     assert mission.flown.drawn.flights == 2
     assert mission.flown.digest == mission.digest
-    records = said["flown"]
+    records = output["flown"]
     assert records["free"]["nominal"]["outcome"] == "completed"
-    again = dart_flight.simulate(mission, seed=FIRST_SEED).verdict
-    assert again.flight_time_s == pytest.approx(mission.flown.nominal.time_s, abs=1e-3)
+    repeated = dart_flight.simulate(mission, seed=FIRST_SEED).verdict
+    assert repeated.flight_time_s == pytest.approx(mission.flown.nominal.time_s, abs=1e-3)
 
 
-def in_process(mission: Mission, seeds: Any, log_dir: Any, done: Any, spreads: Any) -> list[Verdict]:
+def fly_here(mission: Mission, seeds: Any, log_dir: Any, done: Any, spreads: Any) -> list[Verdict]:
     return flown_plan.fly_in_process(mission, list(seeds), spreads, done)
 
 
-def test_without_verification_the_command_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reports_a_skipped_verification(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     scenario, target = tmp_path / "scenario.yaml", tmp_path / "mission.yaml"
-    scenario.write_text(WRITTEN)
+    scenario.write_text(SCENARIO)
     assert main(["plan", str(scenario), "-o", str(target), "--no-verify"]) == 0
     assert "not flown in simulation (--no-verify)" in capsys.readouterr().out
     assert dart_flight.load_mission(target).flown is None

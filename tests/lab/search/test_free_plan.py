@@ -1,4 +1,4 @@
-"""The flight without a collision: the optimum where the way is straight, and beside every plan."""
+"""The flight without collisions: optimal on a straight path, and printed beside every plan."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LIMITS = st.builds(
 
 
 @given(st.floats(0.05, 20.0), st.floats(0.5, 5.0), st.floats(0.5, 10.0))
-def test_without_a_limit_of_jerk_a_straight_way_takes_what_textbooks_say(
+def test_the_time_without_a_jerk_limit_matches_the_closed_form(
     length: float, speed: float, acceleration: float
 ) -> None:
     reached = min(speed, math.sqrt(length * acceleration))
@@ -40,19 +40,19 @@ def test_without_a_limit_of_jerk_a_straight_way_takes_what_textbooks_say(
 
 
 @given(st.floats(0.05, 20.0), LIMITS)
-def test_no_smooth_transit_is_quicker(length: float, limits: MotionLimits) -> None:
+def test_no_smooth_transit_is_faster(length: float, limits: MotionLimits) -> None:
     smooth = transit_time_s(length, limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3)
     assert straight_time_s(length, limits) <= smooth * (1.0 + 1e-9)
 
 
 @given(st.floats(0.1, 10.0), LIMITS, st.sampled_from(["speed_m_s", "acceleration_m_s2", "jerk_m_s3"]))
-def test_a_wider_limit_never_costs_time(length: float, limits: MotionLimits, which: str) -> None:
+def test_a_wider_limit_never_lengthens_the_flight(length: float, limits: MotionLimits, which: str) -> None:
     wider = msgspec.structs.replace(limits, **{which: 1.5 * getattr(limits, which)})
     assert straight_time_s(length, wider) <= straight_time_s(length, limits) + 1e-9
 
 
-def between_walls(offset_m: float) -> Scenario:
-    """A wall of 2 m across the way from start to goal, its middle so far to the side."""
+def scenario_with_wall(offset_m: float) -> Scenario:
+    """Return a scenario with a wall of 2 m between start and goal, with its middle offset to the side."""
     text = {
         "version": 1,
         "start": {"position_m": [0.0, 0.0], "altitude_m": 1.0},
@@ -79,20 +79,20 @@ def between_walls(offset_m: float) -> Scenario:
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-1.0, 1.0))
-def test_round_a_wall_the_gap_is_stated_and_honest(offset: float) -> None:
-    free = plan_free(between_walls(offset))
+def test_the_gap_of_a_flight_around_a_wall_is_a_valid_bound(offset: float) -> None:
+    free = plan_free(scenario_with_wall(offset))
     assert free.time_s is not None
     assert free.via
     assert all(abs(y - offset) > 1.0 for _, y in free.via)  # past the wall's end
     assert 0.0 < free.gap_s < free.time_s
-    # What nothing beats: straight, past the wall's edge by half a vehicle and a margin.
-    scenario = between_walls(offset)
+    # The lower bound is the straight path past the wall's edge, by half a vehicle and a margin.
+    scenario = scenario_with_wall(offset)
     edge_y = offset + math.copysign(1.0 + 0.2 + 0.12, -offset if offset else 1.0)
     beyond = [(1.5 + 0.2, y) for y in (edge_y, 2.0 * offset - edge_y)]
     least_m = min(math.dist((0.0, 0.0), b) + math.dist(b, (3.0, 0.0)) for b in beyond)
     assert least_length_m((0.0, 0.0), (3.0, 0.0), Obstacles.from_scenario(scenario)) == pytest.approx(least_m)
     assert free.time_s - free.gap_s == pytest.approx(straight_time_s(least_m, free.limits))
-    # Stopping at the corner is a way, too, within the same split of the limits.
+    # A stop at the corner is feasible within the same split of the limits, so it is an upper bound.
     split = msgspec.structs.replace(
         free.limits,
         **{
@@ -105,12 +105,12 @@ def test_round_a_wall_the_gap_is_stated_and_honest(offset: float) -> None:
     assert free.time_s <= stopping * (1.0 + 1e-6)
 
 
-def test_a_wall_beside_the_way_is_none_in_it() -> None:
-    free = plan_free(between_walls(2.5))
+def test_a_wall_beside_the_straight_path_needs_no_detour() -> None:
+    free = plan_free(scenario_with_wall(2.5))
     assert (free.via, free.gap_s) == ((), 0.0)
 
 
-def test_limits_hold_for_the_flight_that_follows_them() -> None:
+def test_an_approach_respects_the_missions_limits() -> None:
     mission = load_mission(packaged("missions", "single_wall.yaml")).to_dict()
     slow, fast = (
         load_mission({**mission, "limits": {"acceleration_m_s2": a, "jerk_m_s3": j}})
@@ -128,7 +128,7 @@ def test_limits_hold_for_the_flight_that_follows_them() -> None:
     ("key", "reason"),
     [("closing_m_s", "closing"), ("sliding_m_s", "sliding"), ("friction_ratio", "friction")],
 )
-def test_a_hit_beyond_its_limit_is_refused(key: str, reason: str) -> None:
+def test_an_impact_beyond_its_limit_is_refused(key: str, reason: str) -> None:
     document = msgspec.yaml.decode(SCENARIO.read_text())
     document["vehicle"] = str(packaged("configs", "dart.yaml"))
     refused = {}
@@ -147,17 +147,19 @@ def test_a_hit_beyond_its_limit_is_refused(key: str, reason: str) -> None:
     assert reason not in refused[20.0]
 
 
-def test_plan_prints_both_and_their_difference(capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_prints_free_and_colliding_times_and_their_difference(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["plan", str(SCENARIO), "--json", "--top", "1"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    free, best = told["free"], told["plans"][0]
+    output = json.loads(capsys.readouterr().out)
+    free, best = output["free"], output["plans"][0]
     assert set(free["limits"]) == {"speed_m_s", "acceleration_m_s2", "jerk_m_s3", "tilt_deg"}
     assert best["saving_s"] == pytest.approx(free["time_s"] - best["time_to_rest_s"])
     assert main(["plan", str(SCENARIO), "--top", "1"]) == 0
     assert "without any collision" in capsys.readouterr().out
 
 
-def test_without_ruckig_the_plan_says_what_is_missing(
+def test_missing_ruckig_is_reported_by_plan(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("dart_flight.lab.search.search._free", lambda scenario: None)

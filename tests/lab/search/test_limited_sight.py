@@ -1,4 +1,4 @@
-"""Towards a wall that is seen late: the safe speed against Ruckig, both flights against their limits."""
+"""Plans to a wall that is detected late: the safe speed against Ruckig, and both plans against limits."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ WALL_M, SEEN_M, REACTION_S = 4.5, 1.0, 0.15
 
 
 @given(st.floats(1.0, 8.0), st.floats(3.0, 30.0), st.floats(0.3, 3.0), st.floats(0.0, 0.4))
-def test_from_the_safe_speed_the_stop_takes_all_of_the_room(
-    acceleration: float, jerk: float, room_m: float, reaction_s: float
+def test_stopping_from_the_safe_speed_uses_all_of_the_distance(
+    acceleration: float, jerk: float, distance_m: float, reaction_s: float
 ) -> None:
-    v = safe_speed_m_s(MotionLimits(10.0, acceleration, jerk, 45.0), room_m, reaction_s)
+    v = safe_speed_m_s(MotionLimits(10.0, acceleration, jerk, 45.0), distance_m, reaction_s)
     stop = ruckig.InputParameter(1)
     stop.control_interface = ruckig.ControlInterface.Velocity
     stop.current_velocity, stop.target_velocity = [v], [0.0]
@@ -44,32 +44,32 @@ def test_from_the_safe_speed_the_stop_takes_all_of_the_room(
     ruckig.Ruckig(1).calculate(stop, braking)
     place, _, _ = braking.at_time(braking.duration)
     assert v < 10.0
-    assert reaction_s * v + place[0] == pytest.approx(room_m, rel=1e-2)
+    assert reaction_s * v + place[0] == pytest.approx(distance_m, rel=1e-2)
 
 
-def speeds(plan: QuickestPlan) -> tuple[np.ndarray, np.ndarray]:
-    """Place and velocity towards the wall along the first leg."""
-    way = Trajectory.from_mission(plan.trajectory.legs[0], 1.0)
-    states = [way.at(t) for t in np.linspace(0.0, way.duration_s, 3000)]
+def first_leg_states(plan: QuickestPlan) -> tuple[np.ndarray, np.ndarray]:
+    """Return position and velocity towards the wall along the first leg."""
+    trajectory = Trajectory.from_mission(plan.trajectory.legs[0], 1.0)
+    states = [trajectory.at(t) for t in np.linspace(0.0, trajectory.duration_s, 3000)]
     return np.array([s.position[0] for s in states]), np.array([s.velocity[0] for s in states])
 
 
 @pytest.fixture(scope="module")
 def planned(flown: SharedFlights) -> QuickestResult:
-    """The shipped scenario's plan."""
+    """Return the plan of the shipped scenario."""
     return limited_sight_plan(flown, load_scenario(SHIPPED))
 
 
-def test_both_cruise_until_the_reaction_to_the_wall_is_over(planned: QuickestResult) -> None:
+def test_both_plans_cruise_until_the_reaction_time_has_passed(planned: QuickestResult) -> None:
     result = planned
     assert result.best is result.colliding
     for plan in (result.free, result.colliding):
         assert plan is not None
         assert plan.cruise_m_s is not None
-        x, v = speeds(plan)
+        x, v = first_leg_states(plan)
         reacted_m = WALL_M - SEEN_M + REACTION_S * plan.cruise_m_s
-        on_the_way = (x > WALL_M - SEEN_M - 0.1) & (x < reacted_m) & (v > 0.0)
-        assert v[on_the_way] == pytest.approx(plan.cruise_m_s, rel=3e-3)
+        cruising = (x > WALL_M - SEEN_M - 0.1) & (x < reacted_m) & (v > 0.0)
+        assert v[cruising] == pytest.approx(plan.cruise_m_s, rel=3e-3)
         assert v.max() <= plan.cruise_m_s * 1.005
         assert x.max() < WALL_M
     assert result.free is not None
@@ -80,7 +80,7 @@ def test_both_cruise_until_the_reaction_to_the_wall_is_over(planned: QuickestRes
     assert hit.normal_m_s >= -3.0 - 1e-6
 
 
-def test_the_free_plan_is_written_and_flown(
+def test_the_free_plan_completes_without_a_collision(
     planned: QuickestResult,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -89,8 +89,8 @@ def test_the_free_plan_is_written_and_flown(
     monkeypatch.setattr(plan_command, "plan_limited_sight", lambda scenario, progress: planned)
     target = tmp_path / "free.yaml"
     assert main(["plan", str(SHIPPED), "--free", "--json", "--no-verify", "-o", str(target)]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["free"]["cruise_m_s"] == pytest.approx(1.63, abs=0.01)
+    output = json.loads(capsys.readouterr().out)
+    assert output["free"]["cruise_m_s"] == pytest.approx(1.63, abs=0.01)
     mission = dart_flight.load_mission(target)
     flown = dart_flight.simulate(mission, seed=1)
     assert (flown.verdict.outcome, flown.verdict.collisions) == ("completed", [])
@@ -98,19 +98,19 @@ def test_the_free_plan_is_written_and_flown(
     assert flown.log is not None
     arrival = arrival_of(flown.log, mission, [((WALL_M - SEEN_M, 0.0), 0.05), ((2.5, 0.0), 0.05)])
     assert arrival is not None
-    there, back = arrival.visits_us
-    assert arrival.begin_us < there < back
-    assert arrival.there_s == pytest.approx(said["free"]["time_s"], rel=0.1)
+    arrived, back = arrival.visits_us
+    assert arrival.begin_us < arrived < back
+    assert arrival.there_s == pytest.approx(output["free"]["time_s"], rel=0.1)
 
 
-def test_only_quickest_plans_have_a_free_one(capsys: pytest.CaptureFixture[str]) -> None:
+def test_free_is_refused_for_other_objectives(capsys: pytest.CaptureFixture[str]) -> None:
     grid = packaged("missions", "scenarios", "one_wall.yaml")
     assert main(["plan", str(grid), "--free"]) == 2
     assert "objective quickest" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"visits": [{"position_m": [1.0, 0.0], "within_m": 0.1}]}, "no visits"),
         ({"start": {"position_m": [3.6, 0.0], "altitude_m": 1.0}}, "must be out of sight at start"),
@@ -121,7 +121,7 @@ def test_only_quickest_plans_have_a_free_one(capsys: pytest.CaptureFixture[str])
         ),
     ],
 )
-def test_what_cannot_be_planned_is_named(change: dict[str, Any], says: str) -> None:
+def test_an_infeasible_scenario_is_refused_with_the_reason(change: dict[str, Any], message: str) -> None:
     tree = yaml.safe_load(SHIPPED.read_text("utf-8")) | {"vehicle": str(packaged("configs", "dart.yaml"))}
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         plan_limited_sight(load_scenario(tree | change))

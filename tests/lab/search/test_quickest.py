@@ -1,4 +1,4 @@
-"""The quickest flights with hits and without: against Ruckig, a grid, the bounds, and themselves flown."""
+"""The fastest flights with and without collisions, against Ruckig, a grid, bounds and simulated flights."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ MAPS = Path(__file__).parents[2] / "data" / "scenarios"
 LIMITS = {"speed_m_s": 3.0, "acceleration_m_s2": 5.0, "jerk_m_s3": 8.0, "peak_force_n": 150.0}
 
 
-def between(
+def scenario_between_walls(
     east_m: float = 2.0, visits: list[Any] | None = None, sequence: Any = "any", **other: Any
 ) -> Scenario:
-    """A room with a wall to the east and one to the west of start and goal."""
+    """Return a scenario with one wall to the east and one to the west of start and goal."""
     wall = {"length_m": 4.0, "material": "acrylic"}
     tree = {
         "version": 1,
@@ -75,55 +75,55 @@ def assert_within(found: OptimalTrajectory, limits: MotionLimits) -> None:
             assert math.hypot(*state.acceleration) <= limits.acceleration_m_s2 + 1e-3
 
 
-def test_a_hit_turns_back_quicker_than_braking_does() -> None:
-    result = plan_quickest(between())
+def test_a_collision_reverses_the_vehicle_faster_than_braking() -> None:
+    result = plan_quickest(scenario_between_walls())
     assert result.free is not None
     assert result.best is result.colliding
     assert result.best.sequence == ("east",)
     assert result.saving_s is not None
-    # By optimal control elsewhere: 15 to 19 % with one reversal, places within 5 cm.
+    # An independent optimal control saves 15 to 19 %, with one reversal and places within 5 cm.
     assert 0.12 < result.saving_s / result.free.time_s < 0.22
     assert result.gap_s == 0.0
     limits = MotionLimits(3.0, 5.0, 8.0, 45.0)
     assert_within(result.best.trajectory, limits)
     assert_within(result.free.trajectory, limits)
-    way = Trajectory.from_mission(result.free.trajectory.legs[0], 1.0)
-    passed = [way.at(t).position[0] for t in np.linspace(0.0, way.duration_s, 2000)]
-    assert max(passed) == pytest.approx(2.0 - 0.04, abs=2e-3)
+    leg = Trajectory.from_mission(result.free.trajectory.legs[0], 1.0)
+    positions = [leg.at(t).position[0] for t in np.linspace(0.0, leg.duration_s, 2000)]
+    assert max(positions) == pytest.approx(2.0 - 0.04, abs=2e-3)
 
 
-def test_a_hit_follows_the_contact_law() -> None:
-    scenario = between()
+def test_a_planned_collision_follows_the_contact_law() -> None:
+    scenario = scenario_between_walls()
     found = plan_quickest(scenario).best.trajectory
     (hit,), (into, out) = found.hits, found.legs
     response = ContactResponse.at_wall(scenario.vehicle, scenario.walls["east"], hit.mode)
-    met, begun = into.states()[-1], out.states()[0]
-    assert met.velocity[0] == pytest.approx(-hit.normal_m_s, abs=1e-3)
+    before, after = into.states()[-1], out.states()[0]
+    assert before.velocity[0] == pytest.approx(-hit.normal_m_s, abs=1e-3)
     dead_s = scenario.vehicle.flying.replan_within_s
-    left = begun.velocity[0] - dead_s * begun.acceleration[0]
-    assert left == pytest.approx(-response.restitution * met.velocity[0], abs=1e-3)
-    # The thrust stays; the drag is that of the velocity.
+    left = after.velocity[0] - dead_s * after.acceleration[0]
+    assert left == pytest.approx(-response.restitution * before.velocity[0], abs=1e-3)
+    # The thrust is unchanged by the contact; the drag follows the velocity.
     drag = scenario.vehicle.airframe.drag_per_s[0]
-    released_m_s = -response.restitution * met.velocity[0]
-    thrust_m_s2 = met.acceleration[0] + drag * met.velocity[0]
-    assert begun.acceleration[0] == pytest.approx(thrust_m_s2 - drag * released_m_s, abs=1e-3)
-    assert begun.acceleration[1] == pytest.approx(met.acceleration[1], abs=1e-3)
-    # The force begins before the plane, by lead times speed.
-    assert met.position[0] == pytest.approx(2.0 - response.lead_s * met.velocity[0], abs=1e-3)
+    released_m_s = -response.restitution * before.velocity[0]
+    thrust_m_s2 = before.acceleration[0] + drag * before.velocity[0]
+    assert after.acceleration[0] == pytest.approx(thrust_m_s2 - drag * released_m_s, abs=1e-3)
+    assert after.acceleration[1] == pytest.approx(before.acceleration[1], abs=1e-3)
+    # The contact force begins before the plane, by the lead time times the speed.
+    assert before.position[0] == pytest.approx(2.0 - response.lead_s * before.velocity[0], abs=1e-3)
     assert out.states()[-1].position == pytest.approx((0.0, 0.0), abs=1e-3)
     total_s = into.duration_s + response.contact_s + dead_s + out.duration_s
     assert found.time_s == pytest.approx(total_s, abs=1e-3)
 
 
 @pytest.mark.parametrize("sequence", [["far"], ["near", "far"]])
-def test_the_far_side_of_a_partition_is_hit_from_round_its_end(sequence: list[str]) -> None:
-    """Walls of one side each, back to back: neither is come to through the other."""
+def test_the_far_side_of_a_partition_is_reached_around_its_end(sequence: list[str]) -> None:
+    """The partition is two walls back to back; neither can be reached through the other."""
     wall = {"length_m": 1.0, "material": "acrylic"}
     walls = {
         "near": wall | {"point_m": [1.0, 0.0], "normal": [-1.0, 0.0]},
         "far": wall | {"point_m": [1.5, 0.0], "normal": [1.0, 0.0]},
     }
-    found = plan_quickest(between(visits=[], walls=walls, sequence=sequence)).best.trajectory
+    found = plan_quickest(scenario_between_walls(visits=[], walls=walls, sequence=sequence)).best.trajectory
     assert [hit.wall for hit in found.hits] == sequence
     assert found.hits[-1].normal_m_s < 0.0
     places = np.array([state.position for leg in found.legs for state in leg.states()])
@@ -136,9 +136,9 @@ def visits_at(*x_m: float) -> list[Any]:
     return [{"position_m": [x, 0.0], "within_m": 0.05} for x in x_m]
 
 
-@pytest.mark.parametrize("count", [6])  # 8 take a quarter of a minute
-def test_as_many_visits_as_there_are_may_be_served_by_hits(count: int) -> None:
-    room = between(1.25, visits_at(*([1.25, -2.0] * 4)[:count]))
+@pytest.mark.parametrize("count", [6])  # 8 visits take 15 s
+def test_every_visit_may_be_a_collision(count: int) -> None:
+    room = scenario_between_walls(1.25, visits_at(*([1.25, -2.0] * 4)[:count]))
     result = plan_quickest(room)
     assert result.best.sequence == (("east", "west") * 4)[:count]
     assert result.most_hits is None
@@ -146,26 +146,28 @@ def test_as_many_visits_as_there_are_may_be_served_by_hits(count: int) -> None:
     assert "hits were not computed" not in describe_quickest(result)
 
 
-def test_sequences_with_too_many_hits_count_as_not_computed(monkeypatch: pytest.MonkeyPatch) -> None:
-    room = between(1.25, visits_at(1.25, -2.0, 1.25))
+def test_sequences_with_too_many_collisions_are_reported_as_not_computed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    room = scenario_between_walls(1.25, visits_at(1.25, -2.0, 1.25))
     whole = plan_quickest(room)
     monkeypatch.setattr(quickest, "MOST_HITS", 2)
-    cut = plan_quickest(room)
-    assert len(cut.best.sequence) <= 2
-    assert cut.most_hits == 2
-    assert cut.gap_s >= cut.best.time_s - whole.best.time_s > 0.1
-    assert "sequences of more than 2 hits were not computed" in describe_quickest(cut)
+    limited = plan_quickest(room)
+    assert len(limited.best.sequence) <= 2
+    assert limited.most_hits == 2
+    assert limited.gap_s >= limited.best.time_s - whole.best.time_s > 0.1
+    assert "sequences of more than 2 hits were not computed" in describe_quickest(limited)
 
 
-def test_a_demanded_sequence_may_be_long() -> None:
-    result = plan_quickest(between(1.25, [], ["east", "west"] * 3))
+def test_a_required_sequence_may_have_up_to_sixteen_walls() -> None:
+    result = plan_quickest(scenario_between_walls(1.25, [], ["east", "west"] * 3))
     assert result.best.sequence == ("east", "west") * 3
     with pytest.raises(InputError, match="expected 1 to 16 walls or any, not 18"):
-        between(1.25, [], ["east", "west"] * 9)
+        scenario_between_walls(1.25, [], ["east", "west"] * 9)
 
 
-def test_another_mode_may_make_the_last_sequence_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Flexible, a partition's sides are hit more quickly than the end wall; rigid, which may lean, it is."""
+def test_the_choice_of_mode_may_change_the_best_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The partition is faster in flexible mode; the end wall is faster in rigid mode, which allows a lean."""
     monkeypatch.setattr(quickest, "MOST_HITS", 1)
     result = plan_quickest(load_scenario(MAPS / "hairpin_3.yaml"))
     assert result.colliding is not None
@@ -173,22 +175,22 @@ def test_another_mode_may_make_the_last_sequence_the_first(monkeypatch: pytest.M
     assert result.best is result.colliding
 
 
-def test_where_a_hit_loses_the_free_plan_is_returned() -> None:
-    """To rest beside a wall: restitution 0.7 leaves too much to brake."""
+def test_the_free_plan_is_returned_if_a_collision_costs_time() -> None:
+    """With a goal beside the wall, a restitution of 0.7 leaves too much speed to brake."""
     goal = {"position_m": [1.7, 0.0]}
-    result = plan_quickest(between(visits=[], goal=goal))
+    result = plan_quickest(scenario_between_walls(visits=[], goal=goal))
     assert result.best is result.free
     assert result.free is not None
     assert result.free.trajectory.hits == ()
-    demanded = plan_quickest(between(visits=[], goal=goal, sequence=["east"]))
-    assert demanded.best.sequence == ("east",)
-    assert demanded.saving_s is not None
-    assert demanded.saving_s < 0.0
+    required = plan_quickest(scenario_between_walls(visits=[], goal=goal, sequence=["east"]))
+    assert required.best.sequence == ("east",)
+    assert required.saving_s is not None
+    assert required.saving_s < 0.0
 
 
-def test_it_is_as_good_as_a_grid_of_hits_with_the_quickest_legs_between_them() -> None:
-    """Exhaustive: velocity and acceleration of the hit in steps, both legs by Ruckig, along the normal."""
-    scenario = between()
+def test_the_plan_matches_an_exhaustive_grid_of_impacts_with_time_optimal_legs() -> None:
+    """The grid has steps of impact velocity and thrust; Ruckig computes both legs along the normal."""
+    scenario = scenario_between_walls()
     found = plan_quickest(scenario).best
     hit = found.trajectory.hits[0]
     response = ContactResponse.at_wall(scenario.vehicle, scenario.walls["east"], hit.mode)
@@ -199,30 +201,32 @@ def test_it_is_as_good_as_a_grid_of_hits_with_the_quickest_legs_between_them() -
         x = 2.0 - response.lead_s * v
         out = -response.restitution * v
         released = 2.0 + response.lead_s * out
-        begun = released + out * dead_s + 0.5 * a * dead_s**2
-        leg_s = _leg_s((0.0, 0.0, 0.0), (x, v, a)) + _leg_s((begun, out + a * dead_s, a), (0.0, 0.0, 0.0))
+        after = released + out * dead_s + 0.5 * a * dead_s**2
+        leg_s = _leg_s((0.0, 0.0, 0.0), (x, v, a)) + _leg_s((after, out + a * dead_s, a), (0.0, 0.0, 0.0))
         best = min(best, leg_s + response.contact_s + dead_s)
     assert found.time_s <= 1.02 * best
-    assert found.time_s >= 0.97 * best  # and no better than can be
+    assert found.time_s >= 0.97 * best  # a plan much faster than the grid would be infeasible
 
 
 def _leg_s(begin: tuple[float, float, float], end: tuple[float, float, float]) -> float:
-    wanted = ruckig.InputParameter(1)
+    parameters = ruckig.InputParameter(1)
     for name, value in zip(("position", "velocity", "acceleration"), begin, strict=True):
-        setattr(wanted, f"current_{name}", [float(value)])
+        setattr(parameters, f"current_{name}", [float(value)])
     for name, value in zip(("position", "velocity", "acceleration"), end, strict=True):
-        setattr(wanted, f"target_{name}", [float(value)])
-    wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = [3.0], [5.0], [8.0]
+        setattr(parameters, f"target_{name}", [float(value)])
+    parameters.max_velocity, parameters.max_acceleration, parameters.max_jerk = [3.0], [5.0], [8.0]
     found = ruckig.Trajectory(1)
     try:
-        result = ruckig.Ruckig(1).calculate(wanted, found)
+        result = ruckig.Ruckig(1).calculate(parameters, found)
     except ruckig.RuckigError:
         return math.inf
     return float(found.duration) if result in (ruckig.Result.Working, ruckig.Result.Finished) else math.inf
 
 
 @given(st.floats(0.05, 8.0), st.floats(1.0, 4.0), st.floats(2.0, 8.0), st.floats(4.0, 40.0))
-def test_no_leg_is_quicker_than_its_bound(length: float, speed: float, a: float, jerk: float) -> None:
+def test_the_bounds_of_a_leg_are_ordered_and_above_its_length_over_speed(
+    length: float, speed: float, a: float, jerk: float
+) -> None:
     limits = MotionLimits(speed, a, jerk, 45.0)
     least = LeastTimes(limits, 0.8 * speed)
     assert least.leg_s(length, LegEnd.REST, LegEnd.REST) <= straight_time_s(length, limits) + 1e-9
@@ -233,24 +237,26 @@ def test_no_leg_is_quicker_than_its_bound(length: float, speed: float, a: float,
 
 @settings(max_examples=5, deadline=None)
 @given(st.floats(1.0, 3.0), st.floats(0.05, 0.5))
-def test_the_free_choice_is_never_worse_than_either(east_m: float, within_m: float) -> None:
-    result = plan_quickest(between(east_m, [{"position_m": [east_m, 0.0], "within_m": within_m}]))
+def test_the_best_plan_is_the_faster_of_free_and_colliding(east_m: float, within_m: float) -> None:
+    result = plan_quickest(
+        scenario_between_walls(east_m, [{"position_m": [east_m, 0.0], "within_m": within_m}])
+    )
     times = [plan.time_s for plan in (result.free, result.colliding) if plan is not None]
     assert result.best.time_s == min(times)
 
 
-def test_modes_follow_force_and_servo() -> None:
-    """Rigid contacts are shorter, but at 3 m/s too hard; the servo needs its time between two hits."""
+def test_the_chosen_modes_respect_the_peak_force() -> None:
+    """Rigid contacts are shorter but too hard at 3 m/s, and the lock needs time between collisions."""
     visits = [{"position_m": [x, 0.0], "within_m": 0.05} for x in (2.0, -2.0)]
-    result = plan_quickest(between(visits=visits))
+    result = plan_quickest(scenario_between_walls(visits=visits))
     assert result.best.sequence == ("east", "west")
     for hit in result.best.trajectory.hits:
         assert hit.peak_force_n <= 150.0 + 1e-3
         assert hit.mode in (Mode.RIGID, Mode.FLEXIBLE)
 
 
-def test_a_plan_is_a_mission_that_flies(tmp_path: Path) -> None:
-    scenario = between()
+def test_a_colliding_plan_completes_as_a_mission(tmp_path: Path) -> None:
+    scenario = scenario_between_walls()
     result = plan_quickest(scenario)
     write_mission(scenario, result.best, tmp_path / "turn.yaml")
     mission = dart_flight.load_mission(tmp_path / "turn.yaml")
@@ -267,8 +273,8 @@ def test_a_plan_is_a_mission_that_flies(tmp_path: Path) -> None:
     assert (goal - began) * 1e-6 == pytest.approx(result.best.time_s, rel=0.1)
 
 
-def test_the_free_plan_is_flown_by_the_same_app(tmp_path: Path) -> None:
-    scenario = between()
+def test_the_free_plan_completes_as_a_mission(tmp_path: Path) -> None:
+    scenario = scenario_between_walls()
     result = plan_quickest(scenario)
     assert result.free is not None
     write_mission(scenario, result.free, tmp_path / "free.yaml")
@@ -285,18 +291,18 @@ SEARCH = {
 POST = {"centre_m": [1.0, 0.05], "radius_m": 0.1, "material": "acrylic"}
 
 
-@pytest.mark.parametrize("way", ["free", "colliding"])
-def test_a_post_is_passed_as_far_off_as_a_vehicle_turned_as_it_likes_needs(way: str, tmp_path: Path) -> None:
-    scenario = between(posts={"mast": POST})
-    plan = getattr(plan_quickest(scenario), way)
+@pytest.mark.parametrize("kind", ["free", "colliding"])
+def test_a_post_is_passed_with_clearance_for_any_heading(kind: str, tmp_path: Path) -> None:
+    scenario = scenario_between_walls(posts={"mast": POST})
+    plan = getattr(plan_quickest(scenario), kind)
     assert plan is not None
     airframe = scenario.vehicle.airframe
-    kept_m = 0.1 + math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
+    clearance_m = 0.1 + math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
     for leg in plan.trajectory.legs:
         flown = Trajectory.from_mission(leg, 1.0)
         for t in np.arange(0.0, flown.duration_s, 0.01):
-            assert math.dist(flown.at(float(t)).position[:2], (1.0, 0.05)) >= kept_m + 0.1
-    unhindered = getattr(plan_quickest(between()), way)
+            assert math.dist(flown.at(float(t)).position[:2], (1.0, 0.05)) >= clearance_m + 0.1
+    unhindered = getattr(plan_quickest(scenario_between_walls()), kind)
     assert plan.time_s > unhindered.time_s
     write_mission(scenario, plan, tmp_path / "post.yaml")
     mission = dart_flight.load_mission(tmp_path / "post.yaml")
@@ -304,10 +310,10 @@ def test_a_post_is_passed_as_far_off_as_a_vehicle_turned_as_it_likes_needs(way: 
     assert dart_flight.simulate(mission, seed=2).verdict.outcome == "completed"
 
 
-def test_a_wall_s_end_is_passed_round_its_edge() -> None:
-    """From before it to behind it, half a vehicle and a margin from the edge all the way, and no further."""
+def test_the_end_of_a_wall_is_passed_at_the_minimum_clearance() -> None:
+    """The minimum clearance from the edge is half a vehicle plus a margin."""
     panel = {"point_m": [1.0, 1.0], "normal": [-1.0, 0.0], "length_m": 2.0, "material": "acrylic"}
-    scenario = between(
+    scenario = scenario_between_walls(
         goal={"position_m": [2.5, 1.0]},
         start={"position_m": [0.0, 1.0], "altitude_m": 1.0},
         walls={"panel": panel},
@@ -322,10 +328,10 @@ def test_a_wall_s_end_is_passed_round_its_edge() -> None:
     assert nearest == pytest.approx(0.2 + 0.13, abs=0.01)
 
 
-def test_walls_are_touched_before_they_are_hit(tmp_path: Path) -> None:
-    """Each once, in the mode of its first hit, with a rest at the start after it."""
+def test_every_wall_is_touched_before_its_first_collision(tmp_path: Path) -> None:
+    """Each wall is touched once, in the mode of its first collision, with a rest at the start after it."""
     visits = [{"position_m": [x, 0.0], "within_m": 0.05} for x in (2.0, -2.0, 2.0)]
-    scenario = between(visits=visits, touch_m_s=0.5)
+    scenario = scenario_between_walls(visits=visits, touch_m_s=0.5)
     plan = plan_quickest(scenario).colliding
     assert plan is not None
     write_mission(scenario, plan, tmp_path / "touch.yaml")
@@ -343,20 +349,22 @@ def test_walls_are_touched_before_they_are_hit(tmp_path: Path) -> None:
     ]
 
 
-def test_plan_says_what_the_hit_is_worth(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_plan_reports_the_time_that_the_collision_saves(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     shipped = packaged("missions", "scenarios", "touch_and_return.yaml")
     assert main(["plan", str(shipped), "--json", "--no-verify", "-o", str(tmp_path / "m.yaml")]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["plans"][0]["saving_s"] == pytest.approx(
-        said["free"]["time_s"] - said["plans"][0]["time_to_goal_s"]
+    output = json.loads(capsys.readouterr().out)
+    assert output["plans"][0]["saving_s"] == pytest.approx(
+        output["free"]["time_s"] - output["plans"][0]["time_to_goal_s"]
     )
-    assert said["plans"][0]["saving_s"] > 0.5
-    assert said["free"]["limits"]["jerk_m_s3"] == 8.0
+    assert output["plans"][0]["saving_s"] > 0.5
+    assert output["free"]["limits"]["jerk_m_s3"] == 8.0
     assert dart_flight.load_mission(tmp_path / "m.yaml").goal_trajectory is not None
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"objective": "nearest"}, "missing key search"),
         (
@@ -376,13 +384,13 @@ def test_plan_says_what_the_hit_is_worth(capsys: pytest.CaptureFixture[str], tmp
         ),
     ],
 )
-def test_what_cannot_be_planned_is_named(change: dict[str, Any], says: str) -> None:
-    with pytest.raises(InputError, match=says):
-        plan_quickest(between(**change))
+def test_an_infeasible_scenario_is_refused_with_the_reason(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        plan_quickest(scenario_between_walls(**change))
 
 
-def test_a_trajectory_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
-    scenario = between()
+def test_a_trajectory_with_other_end_states_is_refused(tmp_path: Path) -> None:
+    scenario = scenario_between_walls()
     result: QuickestResult = plan_quickest(scenario)
     write_mission(scenario, result.best, tmp_path / "m.yaml")
     tree = dart_flight.load_mission(tmp_path / "m.yaml").to_dict()
@@ -393,21 +401,21 @@ def test_a_trajectory_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
         ({"after_impact": "setpoint"}, "needs after_impact: replan"),
     ]
     mission = dart_flight.load_mission(tree)
-    for change, says in changes:
-        with pytest.raises(InputError, match=says):
+    for change, message in changes:
+        with pytest.raises(InputError, match=message):
             mission.replace(change)
 
 
-def test_hits_save_a_sixth_of_a_shuttle() -> None:
+def test_collisions_save_about_a_sixth_of_the_time_of_a_shuttle() -> None:
     result = plan_quickest(load_scenario(MAPS / "shuttle_4.yaml"), 20.0)
     assert result.free is not None
     assert result.colliding is not None
     assert 0.1 < 1.0 - result.colliding.time_s / result.free.time_s < 0.25
 
 
-def test_two_hits_that_are_guessed_at_one_place_give_the_solver_a_first_point() -> None:
-    """In the corner between two walls: the part between them is guessed without a length."""
-    scenario = between()
+def test_two_collisions_guessed_at_one_place_give_a_valid_initial_point() -> None:
+    """In a corner of two walls, the initial guess of the leg between them has no length."""
+    scenario = scenario_between_walls()
     east, corner = scenario.walls["east"], (2.0, -1.0)
     south = msgspec.structs.replace(east, name="south", point=(0.0, -1.0), normal=(0.0, 1.0))
     hits = [Hit(wall, Mode.FLEXIBLE, guess=corner, velocity_m_s=(-1.0, 0.3)) for wall in (east, south)]

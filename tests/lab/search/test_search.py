@@ -1,4 +1,4 @@
-"""The search: what it finds for the paper's cases, what it counts, what the objectives choose."""
+"""The grid search: the paper's cases, counts of refused candidates, objectives and the written mission."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def test_every_candidate_is_counted_once(dual: SearchResult) -> None:
     assert dual.feasible > 1000
 
 
-def test_the_papers_plan_is_among_the_good_ones(dual: SearchResult) -> None:
-    """Flexible at (-0.6, 0.5), then rigid: the published optimum."""
+def test_the_published_plan_is_feasible_and_misses_the_goal_as_published(dual: SearchResult) -> None:
+    """The published optimum is flexible at (-0.6, 0.5) m/s, then rigid."""
     paper = next(m for m in dual.maps if m.modes == (Mode.FLEXIBLE, Mode.RIGID))
     row = np.flatnonzero((paper.normal_m_s == -0.6) & (paper.tangential_m_s == 0.5))
     assert row.size == 1
@@ -50,7 +50,7 @@ def test_the_papers_plan_is_among_the_good_ones(dual: SearchResult) -> None:
     assert np.searchsorted(best_here, paper.miss_m[row[0]]) < 0.9 * best_here.size
 
 
-def test_plans_are_in_order_and_keep_the_limits(dual: SearchResult) -> None:
+def test_plans_are_sorted_and_respect_the_limits(dual: SearchResult) -> None:
     scores = [plan.score for plan in dual.plans]
     assert scores == sorted(scores)
     limits = dual.scenario.limits
@@ -64,7 +64,7 @@ def test_plans_are_in_order_and_keep_the_limits(dual: SearchResult) -> None:
             assert c.peak_force_n >= dual.scenario.vehicle.detection.force_threshold_n
 
 
-def test_objectives() -> None:
+def test_each_objective_selects_its_own_optimum() -> None:
     scenario = load("dual_collision")
     best = {o: search(with_objective(scenario, o), top=1).plans[0] for o in Objective if o != "robust"}
     fastest, gentlest = best[Objective.FASTEST], best[Objective.GENTLEST]
@@ -74,18 +74,18 @@ def test_objectives() -> None:
     assert best[Objective.NEAREST].goal_miss_m <= 0.005
 
 
-def small(name: str, objective: Objective) -> Scenario:
+def coarse(name: str, objective: Objective) -> Scenario:
     scenario = with_objective(load(name), objective)
     return msgspec.structs.replace(
         scenario, normal_m_s=scenario.normal_m_s[::4], tangential_m_s=scenario.tangential_m_s[::3]
     )
 
 
-def test_robust_prefers_what_misses_little_whatever_is_drawn() -> None:
-    scenario = small("dual_collision", Objective.ROBUST)
+def test_robust_minimises_expected_and_worst_miss_over_the_draws() -> None:
+    scenario = coarse("dual_collision", Objective.ROBUST)
     result = search(scenario, top=1000, seed=3)
-    again = search(scenario, top=1000, seed=3)
-    assert [p.score for p in again.plans] == [p.score for p in result.plans]
+    repeated = search(scenario, top=1000, seed=3)
+    assert [p.score for p in repeated.plans] == [p.score for p in result.plans]
     best = result.plans[0]
     nearest = min(result.plans, key=lambda p: p.goal_miss_m)
     assert best.expected_miss_m is not None
@@ -97,8 +97,8 @@ def test_robust_prefers_what_misses_little_whatever_is_drawn() -> None:
     assert result.trajectories > 64 * len(result.plans)
 
 
-def test_any_chooses_walls_and_names_the_flight_without_a_collision() -> None:
-    scenario = small("any_walls", Objective.NEAREST)
+def test_sequence_any_includes_several_sequences_and_the_free_flight() -> None:
+    scenario = coarse("any_walls", Objective.NEAREST)
     result = search(scenario, top=5)
     assert {len(m.sequence) for m in result.maps} >= {1, 2}
     assert result.free is not None
@@ -107,8 +107,8 @@ def test_any_chooses_walls_and_names_the_flight_without_a_collision() -> None:
     assert result.free.time_s > 1.0
 
 
-def test_no_run_up_is_blocked_by_the_wall_it_leads_to() -> None:
-    """The impact lies on the plane but for rounding, at any velocity and any direction of the wall."""
+def test_no_run_up_is_blocked_by_its_own_wall() -> None:
+    """The impact is on the plane up to rounding, for any velocity and wall direction."""
     for heading in np.linspace(0.0, 2.0 * math.pi, 40):
         normal = (-math.cos(heading), -math.sin(heading))
         scenario = load_scenario(SCENARIOS / "one_wall.yaml")
@@ -130,7 +130,7 @@ def test_no_run_up_is_blocked_by_the_wall_it_leads_to() -> None:
         assert not (grid.codes == CODE[Refusal.RUN_UP_BLOCKED]).any(), heading
 
 
-def test_a_wall_in_the_way_is_an_obstacle(tmp_path: Path) -> None:
+def test_a_wall_between_the_collisions_is_an_obstacle(tmp_path: Path) -> None:
     text = (SCENARIOS / "dual_collision.yaml").read_text()
     text = text.replace("../../configs", str(SCENARIOS.parents[1] / "configs"))
     text = text.replace(
@@ -143,19 +143,19 @@ def test_a_wall_in_the_way_is_an_obstacle(tmp_path: Path) -> None:
     assert result.feasible < 1554
 
 
-def test_a_wall_on_the_last_straight_to_the_goal_is_an_obstacle() -> None:
+def test_a_wall_on_the_final_leg_to_the_goal_is_an_obstacle() -> None:
     scenario = load_scenario(SCENARIOS / "one_wall.yaml")  # acrylic at x = 1.65 from y = -1 to 2
     constraints = Constraints(scenario)
     x, y = np.array([1.0, 1.66, 2.3, 2.3]), np.array([0.0, 1.0, 1.0, 40.0])
     obstacle = CODE[Refusal.OBSTACLE]
-    # In front; just released, a little behind the plane; from behind the wall; from behind, past its end.
+    # Begin in front, just behind the plane after a release, behind the wall, and behind but past its end.
     assert constraints.to_goal(x, y, (0.6, 1.0)).tolist() == [0, 0, obstacle, 0]
     assert constraints.to_goal(x, y, (3.0, 1.0)).tolist() == [obstacle, 0, 0, 0]
 
 
 @pytest.mark.parametrize("name", ["dual_collision", "one_wall", "any_walls"])
-def test_the_mission_file_flies_unchanged(name: str, tmp_path: Path) -> None:
-    scenario = small(name, Objective.NEAREST) if name == "any_walls" else load(name)
+def test_the_written_mission_predicts_the_planned_flight(name: str, tmp_path: Path) -> None:
+    scenario = coarse(name, Objective.NEAREST) if name == "any_walls" else load(name)
     plan = search(scenario, top=1).plans[0]
     target = tmp_path / "sub" / "mission.yaml"
     target.parent.mkdir()
@@ -171,7 +171,9 @@ def test_the_mission_file_flies_unchanged(name: str, tmp_path: Path) -> None:
         assert flown.mode is planned.mode
 
 
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_plans_mission_and_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     target, picture = tmp_path / "mission.yaml", tmp_path / "mission.png"
     arguments = [
         "plan",
@@ -192,9 +194,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_command_refuses_a_picture_format_it_does_not_know(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_picture_format_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["plan", str(SCENARIOS / "one_wall.yaml"), "--plot", str(tmp_path / "map.abc")]
     assert main(arguments) == 2
     assert ".png, .svg or .pdf" in capsys.readouterr().err
