@@ -110,9 +110,9 @@ class WallSpec(Section, frozen=True):
         given_at: centre: point_m is the position of the vehicle's centre at first touch, as in the paper;
             surface: point_m is on the wall itself, and airframe.contact_distance_m is added.
         position_sd_m: standard deviation of the position along the normal; null: the position is known to a
-            few centimetres, and the tolerances in the vehicle's section guard cover this error.
+            few centimetres, and the guard thresholds of the vehicle configuration cover this error.
         yaw_sd_deg: standard deviation of the wall's direction, as a rotation about the wall's middle; null:
-            the tolerances in the vehicle's section guard cover the error.
+            the guard thresholds of the vehicle configuration cover the error.
     """
 
     point_m: Point2

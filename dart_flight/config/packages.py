@@ -20,7 +20,7 @@ def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -
 
     Args:
         what: the missing package and its use, such as "a picture needs matplotlib".
-        extra: the extra of pyproject.toml that installs the package, by name.
+        extra: name of the extra in pyproject.toml that installs the package.
         source, key: the input that requires the package.
     """
     error = sys.exception()

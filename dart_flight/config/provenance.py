@@ -87,8 +87,8 @@ def unused_configurations(source: VehicleSource) -> list[str]:
     """Return configurations that the operator may have meant although the packaged one is used.
 
     Candidates are the file that $DART_FLIGHT_CONFIG names, and the files in the working folder and in its
-    subfolder `configs/`. The result consists of paths. The result is empty unless the packaged configuration
-    is used.
+    subfolder `configs/`. The result is a list of paths. It is empty unless the packaged configuration is
+    used.
     """
     if not source.packaged:
         return []

@@ -2,9 +2,9 @@
 
 The paths are preserved because the files refer to each other by relative paths: a mission to its
 configuration, and the first line of each file to its schema. A file named after a vehicle
-(`configs/rigid_cage.yaml`, the folder `missions/rigid_cage`) belongs to that vehicle. If
-`configs/rigid_cage.yaml` extends another configuration, the vehicle's files include that configuration too.
-Other files belong to DART; PX4's parameters and the schemas are common.
+(`configs/rigid_cage.yaml`, the folder `missions/rigid_cage`) belongs to that vehicle. If the vehicle's
+configuration extends another configuration, that configuration is copied too. Other files belong to DART;
+PX4's parameters and the schemas are common.
 """
 
 from __future__ import annotations

@@ -343,7 +343,7 @@ class WallWithEnds:
         return _press(points, q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)[0]
 
     def _foot_points(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
-        """Yield each guard's number, its height over the surface, and its `along` from the wall's middle."""
+        """Yield each guard's number, height over the surface, and offset from the middle along the wall."""
         o = self.plane.point
         offset = (position[0] - o[0], position[1] - o[1], position[2] - o[2])
         n, t = rotate_back(q, self.plane.normal), rotate_back(q, self.plane.tangent)
@@ -404,7 +404,7 @@ def _press(
 
 
 def _bar_load(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tuple[int, float], ...]]:
-    """Return stiffness at a point of a bar as a share of k, and the deflection of each guard per depth."""
+    """Return the share of k and f at a point of a bar, and each guard's deflection per metre of depth."""
     loads = [(first, 1.0 - s), (second, s)]
     share = 0.5 / sum(load * load / len(corner.numbers) for corner, load in loads)
     return share, tuple(

@@ -108,7 +108,7 @@ class Airframe(Section, frozen=True, kw_only=True):
         return half + [(-x, -y) for x, y in half]
 
     def wall_surface(self, wall: Wall) -> Wall:
-        """Return the wall moved back by the contact distance: from the vehicle's centre to the surface."""
+        """Return a wall's surface: the wall's plane, moved by the contact distance against the normal."""
         return wall.displaced(-self.contact_distance_m)
 
 

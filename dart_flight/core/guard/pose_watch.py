@@ -129,7 +129,7 @@ class PoseWatch:
         return text
 
     def blind(self, estimate_steps: bool, phase: Phase) -> str | None:
-        """Return a text why PX4's position is unusable, or None if it is usable.
+        """Return the reason why PX4's position is unusable, or None if it is usable.
 
         Args:
             estimate_steps: whether PX4's estimate has just jumped.

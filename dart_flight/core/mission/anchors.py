@@ -32,7 +32,7 @@ class Anchor(NamedTuple):
 
 
 def has_same_normal(a: Vec2, b: Vec2) -> bool:
-    """Return whether two unit normals are nearly parallel or opposite, so that their anchors are one."""
+    """Return whether two unit normals are nearly parallel or opposite, and so share one anchor."""
     return abs(a[0] * b[0] + a[1] * b[1]) >= _SAME_NORMAL
 
 

@@ -526,7 +526,7 @@ class Executive:
     def _check_lock_in_time(
         self, following: Collision, state: FlightState, sensed: Sensed, p: Proposal
     ) -> None:
-        """Report a finding if a hold can no longer stop the vehicle with margin, and the lock is late."""
+        """Report a finding if the lock is late and a hold can no longer stop the vehicle with margin."""
         if sensed.in_contact or state.lock_is_in(following.mode):
             return
         closing = -following.wall.to_collision(state.velocity)[0]

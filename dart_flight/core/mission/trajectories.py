@@ -1,7 +1,7 @@
 """The type of all trajectories: a position, with three derivatives, as a function of time.
 
 Trajectories are fed forward to PX4, so its P-PID cascade only corrects errors. Executive, planner and report
-use trajectories. The names of the constructors say what a trajectory is made from.
+use trajectories. The name of each constructor states the source of the trajectory.
 """
 
 from __future__ import annotations
