@@ -230,7 +230,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def digest(self) -> str:
-        """Fingerprint of mission and vehicle, without file names, link and lock driver.
+        """Fingerprint of mission and vehicle, without file names, autopilot connection and lock driver.
 
         Keys at their defaults do not count, so a later version can add keys without changing the fingerprint.
         """
@@ -241,9 +241,9 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return hashlib.sha256(msgspec.json.encode(tree, order="sorted")).hexdigest()[:32]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the resolved mission with its vehicle as in a file; `load_mission` restores the mission.
+        """Return the resolved mission and its vehicle with the keys of a file; `load_mission` can read them.
 
-        Walls are given with `given_at: centre`, gains in the wall's axes. An impact point that follows from
+        Walls have `given_at: centre`, and gains are in the wall's axes. An impact point that follows from
         start and approach is omitted. The file that the vehicle came from is not included.
         """
         return {**self._own_keys(), "vehicle": self.vehicle.to_dict()}

@@ -39,8 +39,8 @@ class FrameSpec(Section, frozen=True):
 
     Attributes:
         origin: local: PX4's local origin, displaced by north_m and east_m (motion capture, surveyed room);
-            takeoff: the origin for which start is directly above the take-off point, displaced in the same
-            way.
+            takeoff: the origin is chosen so that start is directly above the take-off point, then displaced
+            in the same way.
         anchored_by: none: PX4's position is used as it is; touch: the position drifts, and every contact with
             a wall of the mission corrects the frame along the wall's normal.
         north_m, east_m: displacement of the frame's origin, m.
@@ -84,7 +84,8 @@ class BoundsSpec(Section, frozen=True):
     """The flight space, mission frame: [low, high] per axis.
 
     Attributes:
-        x, y: limits of the measured position and of the position where the vehicle would stop, m.
+        x, y: limits of the measured position, and of the position at which the vehicle would stop if it
+            braked now, m.
         z: limits above the take-off point, m; take-off and landing are exempt.
     """
 
@@ -101,16 +102,17 @@ class WallSpec(Section, frozen=True):
     """A finite, upright wall.
 
     Attributes:
-        point_m: [x, y] of its middle, mission frame; given_at defines the reference point.
+        point_m: [x, y] of the wall's middle, mission frame; given_at defines whether this point is on the
+            wall itself.
         normal: [x, y], points into free space; any length.
         length_m: length along the wall, half of it to each side of the middle.
         material: a key of materials in the vehicle configuration.
         given_at: centre: point_m is the position of the vehicle's centre at first touch, as in the paper;
             surface: point_m is on the wall itself, and airframe.contact_distance_m is added.
         position_sd_m: standard deviation of the position along the normal; null: the position is known to a
-            few centimetres, and the tolerances of guard cover this error.
-        yaw_sd_deg: standard deviation of the direction, about the middle; null: the tolerances of guard cover
-            the error.
+            few centimetres, and the guard thresholds of the vehicle configuration cover this error.
+        yaw_sd_deg: standard deviation of the wall's direction, as a rotation about the wall's middle; null:
+            the guard thresholds of the vehicle configuration cover the error.
     """
 
     point_m: Point2
@@ -145,22 +147,25 @@ class Limits(Section, frozen=True):
     """Limits of the mission, checked before and during the flight.
 
     The default peak force stays below the accelerometer's full scale, 204 N, on every surface that was flown
-    with a real PX4 (docs/px4.md). A rigid impact on acrylic at the default speed limit, 3 m/s, has 191 N.
+    with a real PX4 (docs/px4.md). At the default speed limit, 3 m/s, a rigid impact on acrylic has a peak
+    force of 191 N.
 
     Attributes:
         speed_m_s: largest speed of an approach and of the flight.
-        motion: sets acceleration and jerk as in PX4's automatic modes (3 m/s2, 4 m/s3), in its position mode
-            (5, 8), or in replanning after an impact (5.9, 25); acceleration_m_s2 and jerk_m_s3 override it.
-        acceleration_m_s2: largest acceleration of transits and run-ups. If it is given, their speed may reach
-            speed_m_s; otherwise flying.acceleration_m_s2 and flying.transit_speed_m_s apply.
+        motion: preset of acceleration and jerk. automatic: 3 m/s2 and 4 m/s3, as in PX4's automatic modes;
+            position: 5 and 8, as in PX4's position mode; replanning: 5.9 and 25, as in replanning after an
+            impact. acceleration_m_s2 and jerk_m_s3 override the preset.
+        acceleration_m_s2: largest acceleration of transits and run-ups. If this key is given, the speed of
+            transits and run-ups may reach speed_m_s; otherwise flying.acceleration_m_s2 and
+            flying.transit_speed_m_s apply.
         jerk_m_s3: largest jerk; without it flying.jerk_m_s3 applies.
         closing_m_s: largest velocity along a wall's normal at an impact.
         sliding_m_s: largest velocity along a wall at an impact.
         friction_ratio: largest ratio of friction to normal force at an impact; a friction coefficient
             measured at low sliding speed is valid up to about 0.5.
         peak_force_n: largest contact force, normal and friction together.
-        collision_timeout_s: longest duration of a recovery; when it has passed, the vehicle flies to the
-            goal, or gives up the next wall.
+        collision_timeout_s: longest duration of a recovery. After this time the vehicle flies to the goal; if
+            the recovery leads to another wall, the vehicle breaks off instead.
     """
 
     speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 3.0
@@ -211,14 +216,14 @@ class ProbeSpec(Section, frozen=True):
 
     Attributes:
         from_m: [x, y] of its start, mission frame.
-        from_here: whether the leg starts at the vehicle's resting place, which is assumed to be near from_m,
-            instead of at from_m. Direction and length stay the same. If the frame drifts, this saves a
-            transit.
+        from_here: true: the leg starts at the vehicle's resting place, which is assumed to be near from_m;
+            false: the leg starts at from_m. Direction and length are the same in both cases. If the frame
+            drifts, true saves a transit.
         direction: [x, y], any length; may be omitted for a wall of the mission, which is then approached
             along its normal.
         length_m: length of the leg, flown by the vehicle's centre.
-        speed_m_s: speed of the leg. The vehicle need not be able to stop before a wall from this speed, but
-            an impact at this speed must stay within the limits.
+        speed_m_s: speed of the leg. At this speed the vehicle may be unable to stop before a wall, but an
+            impact must stay within the limits.
         back_m: distance from the point of contact at which the vehicle waits afterwards.
         material: material of a wall that is not in walls, if known; if not given, the contact identifies it.
     """
@@ -248,7 +253,7 @@ class PlaceAtWall(Section, frozen=True):
 
 
 class CollisionPrediction(Section, frozen=True):
-    """The planner's prediction for a collision; written by `plan`, compared by flight and report.
+    """The planner's prediction for a collision; flight and report compare the measured impact with it.
 
     Attributes:
         t_s: time from the start of the run-up to the onset of the contact.
@@ -328,11 +333,13 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
     """Keys of a collision that the flight uses as written.
 
     Attributes:
-        mode: state of the arms at the impact; optional only for a vehicle without a lock, which is rigid.
+        mode: state of the arms at the impact. If the vehicle has no lock, its arms are rigid and the key is
+            optional.
         predicted: written by plan.
         trajectory: trajectory to this wall. If the collision has an approach, the trajectory starts at rest.
-            If not, the trajectory starts at the predicted end of the previous collision and is replanned from
-            the real end (after_impact: replan). Without a trajectory the approach is straight, with a run-up.
+            Without an approach, the trajectory starts at the predicted end of the previous collision; with
+            after_impact: replan, a new trajectory from the actual end replaces it in flight. Without a
+            trajectory the approach is straight, with a run-up.
         if_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
             touched.
         if_not_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
@@ -354,13 +361,14 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
         approach: velocity at the impact; required for the first collision. Without it the recovery of the
             previous collision leads to this wall.
         probe: search for the wall; a collision with a probe has neither an approach nor gains.
-        impact_point_m: [x, y] on the wall's plane; default: where the ray from start along the approach
-            crosses the plane. For a post it is required: the position of the vehicle's centre at first touch.
+        impact_point_m: [x, y] on the wall's plane; default: the point of the plane that a straight line from
+            start in the direction of the approach reaches. For a post it is required: the position of the
+            vehicle's centre at first touch.
         impact_along_m: the impact point as a distance along the wall from its middle, positive to the right
             when looking along the normal; give at most one of impact_point_m and impact_along_m. At a wall
             that a probe has found, 0 is the point of contact.
         alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of setpoint per N
-            of peak force; for walls along an axis, or with equal gains.
+            of peak force. The wall must be parallel to an axis, or the two gains must be equal.
         alpha_wall_m_per_n: recovery gains [normal, tangential] of the wall, in the same unit, for any wall;
             give exactly one of alpha_m_per_n and alpha_wall_m_per_n.
     """
@@ -452,14 +460,14 @@ class NominalFlight(Section, frozen=True):
 
 
 class DrawnFlights(Section, frozen=True):
-    """Simulated flights in worlds in which every quantity differs at random (`--vary all`).
+    """Simulated flights in random worlds, in which every quantity is drawn at random (`--vary all`).
 
     Attributes:
         flights: number of flights.
         first_seed: first of the consecutive seeds.
         completed: number of completed flights.
         uncontrolled: number of uncontrolled flights, completed or not.
-        ended_by: number of flights that did not complete, by guard rule or other cause.
+        ended_by: number of incomplete flights for each cause; a cause is a guard rule or another reason.
         median_time_s: median duration of completed flights from take-off to landing, touches included.
         max_tilt_deg: largest tilt in any flight.
     """
@@ -481,8 +489,8 @@ class FlownRecord(Section, frozen=True):
         digest: fingerprint of mission and vehicle at that time; `check` compares it.
         nominal, drawn: the flight in the nominal world, and the flights with random differences; drawn is
             null if the nominal flight failed.
-        free_time_s: median duration of flights without a collision in the same random worlds; null if not
-            flown.
+        free_time_s: median duration of flights without collisions, simulated in the same random worlds; null
+            if not flown.
         saving_s: median time that this mission saves against those flights; negative if the mission is
             slower.
     """
@@ -496,7 +504,11 @@ class FlownRecord(Section, frozen=True):
 
     @property
     def danger(self) -> str | None:
-        """Reason not to fly the mission, or None if it was controlled and its nominal flight completed."""
+        """Reason not to fly the mission, or None.
+
+        Reasons are a nominal flight that is uncontrolled or does not complete, and an uncontrolled drawn
+        flight.
+        """
         nominal = self.nominal
         if nominal.uncontrolled:
             return f"its nominal flight is uncontrolled ({nominal.reason or nominal.outcome.value})"
@@ -508,7 +520,11 @@ class FlownRecord(Section, frozen=True):
 
     @property
     def failure(self) -> str | None:
-        """Reason not to offer the plan (`danger`, or too few of the `drawn` flights complete), or None."""
+        """Reason not to offer the plan, or None.
+
+        Reasons are `danger`, a drawn flight that tilts too far, and too many drawn flights that do not
+        complete.
+        """
         if self.danger is not None or self.drawn is None:
             return self.danger
         if (self.drawn.max_tilt_deg or 0.0) > _MOST_TILT_DEG:
@@ -547,8 +563,8 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
         flown: written by plan.
         goal_trajectory: trajectory to the goal, from the predicted end of the last collision, or from rest at
             start.
-        after_impact: setpoint: fly the paper's recovery setpoint; replan: fly this setpoint only until a
-            trajectory is ready that is planned in flight from the measured impact.
+        after_impact: setpoint: fly the paper's recovery setpoint; replan: fly this setpoint, plan a
+            trajectory from the measured impact in flight, and switch to the trajectory once it is ready.
         tolerance: allowed differences between flight and plan; for the goal, goal.capture_radius_m applies.
         mode_mismatch: response to a contact that indicates another mode than the lock reports; go_on:
             record it in log and verdict; land: the guard lands.

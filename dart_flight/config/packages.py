@@ -15,12 +15,12 @@ IN_FULL: Final = ("sim", "identify", "report", "live", "plan", "mocap")  # what 
 def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -> InputError:
     """Return the error that names a missing package and the command that installs it.
 
-    Call it while the import error is handled. If the package is installed but does not load, the message
-    contains that error.
+    Call this function while the import error is handled. If the package is installed but does not load, the
+    message contains the import error.
 
     Args:
         what: the missing package and its use, such as "a picture needs matplotlib".
-        extra: name in pyproject.toml of the extra that has the package.
+        extra: name of the extra in pyproject.toml that installs the package.
         source, key: the input that requires the package.
     """
     error = sys.exception()

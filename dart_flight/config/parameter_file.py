@@ -1,8 +1,8 @@
 """PX4 parameter files in QGroundControl's format, and their comparison with a vehicle's parameters.
 
 A line is `vehicle-id component-id name value type`, separated by tabs, with type 6 for INT32 and 9 for
-REAL32. Lines that start with # are comments. In the packaged files the comment above each parameter gives its
-reason. If builds of PX4 differ, the comment has a separate line:
+REAL32. Lines that start with # are comments. In the packaged files, a comment above each parameter gives the
+reason for the parameter's value. If builds of PX4 differ, the comment has a separate line:
 
 - `#? absent before v1.16` or `#? absent after v1.17`: these versions do not need the parameter.
 - `#? absent without gyro_fft`: builds without that module do not need the parameter.
@@ -170,7 +170,7 @@ def parse_listing(listing: str) -> dict[str, float]:
 
 
 def format_parameters(values: Mapping[str, Value], head: Iterable[str]) -> str:
-    """Return a parameter file of one vehicle's values, as QGroundControl loads it; an int is an INT32."""
+    """Return one vehicle's values as a parameter file for QGroundControl; an int is written as INT32."""
     lines = [
         f"# {line}" for line in (*head, "vehicle-id\tcomponent-id\tname\tvalue\ttype (6 INT32, 9 REAL32)")
     ]

@@ -49,7 +49,7 @@ class Probe(msgspec.Struct, frozen=True):
 def unknown_walls(
     spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
 ) -> dict[str, Wall]:
-    """Return the walls at unknown positions, each placed across the end of its probe, by name.
+    """Return the walls at unknown positions, by name; each is placed across the end of its probe's leg.
 
     Raises:
         InputError: the probe has no direction, an unknown material or a name in use; a collision at such a
@@ -147,8 +147,8 @@ def resolve_probe(
     The nominal values hold for the assumed position of the wall; the point is in the mission frame.
 
     Raises:
-        InputError: the probe has keys of another collision, leads out of the bounds or away from its wall, or
-            is too fast.
+        InputError: the probe has keys that only collisions without a probe may have, leads out of the bounds
+            or away from its wall, or is too fast.
     """
     key: Key = ("collisions", i)
     probe = spec.probe
@@ -193,6 +193,6 @@ def resolve_probe(
 
 
 def resolve_place(wall: Wall, place: PlaceAtWall) -> Vec2:
-    """Return the position of a place at a wall in its assumed position, mission frame."""
+    """Return the position of a place at a wall, mission frame; the wall is at its assumed position."""
     (x, y), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     return (x + place.away_m * nx + place.along_m * tx, y + place.away_m * ny + place.along_m * ty)

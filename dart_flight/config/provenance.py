@@ -1,4 +1,4 @@
-"""The origin of a vehicle's configuration, which every command that uses one reports."""
+"""The origin of a vehicle's configuration; every command that uses a configuration reports its origin."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
     """Identification of the vehicle in `--json`.
 
     Attributes:
-        source: path of the configuration, relative to the working directory if below it; None if built in
-            Python.
+        source: path of the configuration; None if built in Python. A path inside the working directory is
+            relative.
         packaged: whether the configuration is the packaged file and not a file of the user.
         mass_kg: mass, on which most other results depend.
         set: keys changed by `--set` for this call, `KEY=VALUE`; omitted if there are none.
@@ -66,7 +66,7 @@ def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -
 
 
 def display_path(path: str | Path) -> str:
-    """Return a path for display, relative to the working directory if below it."""
+    """Return a path for display; a path inside the working directory becomes relative to it."""
     shown = path
     with contextlib.suppress(OSError):  # the working directory was removed
         whole = Path(path).resolve()
@@ -86,8 +86,9 @@ def _is_packaged(path: Path) -> bool:
 def unused_configurations(source: VehicleSource) -> list[str]:
     """Return configurations that the operator may have meant although the packaged one is used.
 
-    Candidates are the file in $DART_FLIGHT_CONFIG and those in the working folder and its `configs/`, as
-    paths. The result is empty unless the packaged configuration is used.
+    Candidates are the file that $DART_FLIGHT_CONFIG names, and the files in the working folder and in its
+    subfolder `configs/`. The result is a list of paths. It is empty unless the packaged configuration is
+    used.
     """
     if not source.packaged:
         return []

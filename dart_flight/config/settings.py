@@ -79,7 +79,7 @@ def _key(name: str) -> Key:
 
 
 def _set(document: Document, key: Key, value: Any, setting: str) -> None:
-    """Set a value in a document; errors name the change by `setting`."""
+    """Set a value in a document; error messages contain the text `setting`."""
     document.set_by[key] = setting
     node: Any = document.tree
     for part in key[:-1]:

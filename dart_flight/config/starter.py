@@ -2,8 +2,9 @@
 
 The paths are preserved because the files refer to each other by relative paths: a mission to its
 configuration, and the first line of each file to its schema. A file named after a vehicle
-(`configs/rigid_cage.yaml`, the folder `missions/rigid_cage`) belongs to that vehicle, with the configuration
-that it extends. Other files belong to DART; PX4's parameters and the schemas are common.
+(`configs/rigid_cage.yaml`, the folder `missions/rigid_cage`) belongs to that vehicle. If the vehicle's
+configuration extends another configuration, that configuration is copied too. Other files belong to DART;
+PX4's parameters and the schemas are common.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _SHARED = (".params", ".json")
 
 
 def starter_files(vehicle: str = DART) -> dict[Path, Path]:
-    """Return the packaged file of each relative path in the new folder, in order.
+    """Return the packaged files to copy, in order, by their relative path in the new folder.
 
     Raises:
         InputError: there is no such vehicle.

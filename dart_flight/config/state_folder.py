@@ -55,7 +55,7 @@ def lock_file(descriptor: int, path: Path, remedy: str, *, shared: bool = False)
         shared: whether the lock tolerates other shared locks.
 
     Raises:
-        InputError: the file system cannot lock files, such as NFS without a lock daemon.
+        InputError: the file system cannot lock files; an example is NFS without a lock daemon.
     """
     kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     try:
@@ -71,7 +71,7 @@ class HeldError(Exception):
     """Another process or part of this one holds the file.
 
     Attributes:
-        content: content written by the holder; empty if it has not written yet.
+        content: content that the holder has written; empty if the holder has not written anything yet.
     """
 
     def __init__(self, content: bytes) -> None:

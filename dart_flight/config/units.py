@@ -1,4 +1,4 @@
-"""Units from names: of a key, of a record's field, of a figure."""
+"""Units of numbers, derived from the name of a key, of a record's field or of a figure."""
 
 from __future__ import annotations
 

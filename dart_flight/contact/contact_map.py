@@ -1,9 +1,10 @@
 """The collision map in closed form, vectorised: from approach velocity to rebound, times, forces and impulse.
 
 In contact the law (paper, Sec. IV-B) is a damped oscillator with a one-sided force. The plane of first touch
-is the plane on which the vehicle's centre lies when the vehicle first touches the wall. With x the centre's
-signed distance to this plane, a the acceleration along the normal by other forces (gravity in a drop, the
-controller's push in flight), and
+is the plane on which the vehicle's centre lies when the vehicle first touches the wall. x is the centre's
+signed distance to this plane. a is the acceleration along the normal by other forces: gravity in a drop, the
+controller's push in flight. V is the speed scale, |v| + |a|/omega for the normal velocity v at the onset.
+With
 
     omega = sqrt(k/m),  zeta = f / (2 sqrt(k m)),  x = m a / k + (V/omega) xi(tau),  tau = omega t,
 
@@ -164,12 +165,12 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
 def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
     """Return the largest phi exp(-mu V (1 + xi')) of a contact, to machine precision.
 
-    The stationary point is r = c phi with r = phi'/phi and c = mu V. The unknown is r, because r falls
-    monotonically in time, and phi and xi' are elementary in r:
+    The maximum is at r = c phi, with r = phi'/phi and c = mu V. The equation is solved for r, because r falls
+    monotonically in time, and phi and xi' are elementary functions of r:
         tau = acot((zeta + r)/w)/w,   Q = 1 + 2 zeta r + r^2,   phi = exp(-zeta tau)/sqrt(Q),
         xi' = -phi (r + 2 zeta).
-    Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. `touch` is the same solution at c *
-    scale, cut off at its entry.
+    Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. A `touch` contact follows the same
+    solution at c * scale, but begins later. Its r is at most `entry`, the value of r at that onset.
     """
     two_zeta = 2.0 * s.zeta
     rate = -s.zeta / s.w
@@ -273,7 +274,10 @@ def _solve_with_push(
 
 
 def _pushed_friction_peak(c: Oscillation, events: ContactTimes, rub: Array) -> Array:
-    """Return the largest l exp(-rub P), l = phi - alpha, P its integral; it is stationary at l' = rub l^2."""
+    """Return the largest l exp(-rub P).
+
+    Here l is phi - alpha, and P is the integral of l. At the maximum l' = rub l^2.
+    """
 
     def excess(tau: Array) -> tuple[Array, Array]:
         phi, slope, _ = motion(c, tau)
@@ -320,7 +324,7 @@ class _Batch:
 
     @property
     def is_table(self) -> bool:
-        """Whether to compute, once per set, the quantities that depend on the coefficients alone."""
+        """Whether several collisions may share a set, so that its quantities (`_Shape`) are computed once."""
         return self.rows is not None or self.mass.size == 1
 
     def parts(self) -> list[slice]:
@@ -395,7 +399,7 @@ def contact_map(
 def friction_per_speed(
     coefficients: CoefficientArrays, mass_kg: float, onset: Onset
 ) -> Callable[[Array], Array]:
-    """Return a fast function for the peak of the friction force alone, for one set of coefficients.
+    """Return a fast function that computes only the peak friction force, for one set of coefficients.
 
     Returns:
         A function of the normal velocity (m/s, any shape, < 0 approaches). It returns the peak friction force
@@ -429,7 +433,7 @@ def collide(
 def fall(
     coefficients: CoefficientArrays, mass_kg: ArrayLike, height_m: ArrayLike, onset: Onset
 ) -> tuple[Array, Array]:
-    """Return the time (s) from the release at rest to the onset of contact, and the speed (m/s, > 0) then.
+    """Return the time (s) from the release at rest to the onset, and the speed (m/s, > 0) at the onset.
 
     With `lcp` the force begins above the plane, where k x = f |v|.
     """
@@ -453,7 +457,8 @@ def drop_map(
     Args:
         coefficients: one set, or one per drop (broadcasts with the heights).
         mass_kg: vehicle mass.
-        height_m: height of the vehicle's centre above its plane of first touch at the release, at rest; > 0.
+        height_m: height from which the resting vehicle is released, > 0: height of its centre above the plane
+            of first touch.
         onset: onset rule.
 
     Raises:

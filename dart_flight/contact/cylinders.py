@@ -1,10 +1,11 @@
 """The contact law at upright cylinders: posts, and the edges at the ends of a wall.
 
-A wall's surface acts on each guard separately. A guard whose foot lies beyond the wall's end does not touch
-the surface. The end itself is an edge: a cylinder of small radius whose face is tangent to the surface. A
-cylinder acts on the vehicle's outline, which consists of the guards and the bars between them. The force acts
-at the outline's nearest point to the axis, along the horizontal normal from the axis. Friction acts along the
-horizontal tangent, at the same reduced lever as at the guards (`propeller_guards`).
+A wall's surface acts on each guard separately. The foot of a guard is the guard's projection onto the
+surface. A guard whose foot lies beyond the wall's end does not touch the surface. The end itself is an edge:
+a cylinder of small radius whose face is tangent to the surface. A cylinder acts on the vehicle's outline,
+which consists of the guards and the bars between them. The force acts at the outline's nearest point to the
+axis, along the horizontal normal from the axis. Friction acts along the horizontal tangent. Its lever arm is
+reduced as for guards (`propeller_guards`).
 
 A bar rests on the springs of its two guards, k/2 and f/2 each. At the fraction s of its length the stiffness
 is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall that touches both guards. This
@@ -12,9 +13,9 @@ is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall th
 cylinder's axis enters the outline. Sliding therefore adds no energy: the stored energy, 1/2 share k x^2,
 depends on the depth alone.
 
-For the same reason only points that come from outside are pressed. A guard that moved behind the surface past
-the wall's end touches nothing until it is in front of the surface again. While the surface presses one of a
-bar's guards, this guard carries the load, and the bar touches no edge.
+For the same reason, a surface presses only points that reach it from outside. A guard may move past the
+wall's end and then behind the surface. This guard touches nothing until it is in front of the surface again.
+While the surface presses one of a bar's guards, this guard carries the load, and the bar touches no edge.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class NearestPoint(NamedTuple):
         x_m: distance to the cylinder's face; negative inside the cylinder.
         normal: NED, horizontal, from the cylinder into the vehicle.
         guard: the point itself as a guard, body FRD.
-        share: share of the whole side's k and f that carries the point.
+        share: stiffness and damping at this point, as a share of the whole side's k and f.
         deflections: number of each guard that carries the point, and its deflection per metre of depth.
     """
 
@@ -172,7 +173,7 @@ class CylinderContact:
         return ContactPoint(near.guard, near.normal, (-ny, nx, 0.0), near.x_m, own)
 
     def settle(self, near: NearestPoint, force_n: float) -> None:
-        """Fix the share of the side's coefficients at the first force; reset it when the outline is clear."""
+        """Fix `share` when the first force acts; reset it when the outline is clear of the cylinder."""
         if force_n > 0.0:
             self.share = near.share if self.share is None else self.share
         elif near.x_m > 0.0:
@@ -243,7 +244,7 @@ class WallWithEnds:
 
     @property
     def is_plain(self) -> bool:
-        """Whether no contact state is stored; away from its ends the wall then acts like its surface."""
+        """Whether no contact state is stored. Away from its ends, such a wall acts like its surface alone."""
         return not self.beside and all(one.share is None and not one.stood_in for one in self.edges)
 
     @property
@@ -264,7 +265,7 @@ class WallWithEnds:
             edge.share, edge.stood_in = None, near.x_m < 0.0
 
     def may_touch(self, q: Quaternion, position: Vec3, within_m: float) -> bool:
-        """Return whether any point can be pressed before a point of the vehicle has moved `within_m`.
+        """Return whether the wall can press any point while the vehicle's points move by at most `within_m`.
 
         If none can, update the stored contact state as `touch` would.
         """
@@ -342,7 +343,7 @@ class WallWithEnds:
         return _press(points, q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)[0]
 
     def _foot_points(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
-        """Yield each guard's number, its height over the surface, and its place along it from the middle."""
+        """Yield each guard's number, height over the surface, and offset from the middle along the wall."""
         o = self.plane.point
         offset = (position[0] - o[0], position[1] - o[1], position[2] - o[2])
         n, t = rotate_back(q, self.plane.normal), rotate_back(q, self.plane.tangent)
@@ -403,7 +404,7 @@ def _press(
 
 
 def _bar_load(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tuple[int, float], ...]]:
-    """Return the share of k and f that carries a point of a bar, and its guards' deflections per depth."""
+    """Return the share of k and f at a point of a bar, and each guard's deflection per metre of depth."""
     loads = [(first, 1.0 - s), (second, s)]
     share = 0.5 / sum(load * load / len(corner.numbers) for corner, load in loads)
     return share, tuple(

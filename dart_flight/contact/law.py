@@ -1,4 +1,4 @@
-"""The contact law (paper, Sec. IV-B) as a force: the only definition, shared by plant and predictions.
+"""The contact law (paper, Sec. IV-B) as a force; the simulated vehicle and all predictions use it.
 
 All quantities are in the wall's collision frame (`base/walls.py`). x is the signed distance of the vehicle's
 centre to the plane of first touch, negative in compression. The centre lies on this plane when the vehicle

@@ -1,8 +1,8 @@
 """A contact as a damped oscillator: initial state, motion in time, and times of its events.
 
-The terms are those of `dart_flight.contact.contact_map`, the only user. With V the speed scale, the force is
-lx = m V omega (phi - alpha) and the normal velocity V xi'. phi, xi and xi' all solve z'' + 2 zeta z' + z = 0
-in tau = omega t. Any damping is covered, from none to far above critical.
+The symbols are those of `dart_flight.contact.contact_map`, the only module that uses this one. With V the
+speed scale, the force is lx = m V omega (phi - alpha) and the normal velocity V xi'. phi, xi and xi' all
+solve z'' + 2 zeta z' + z = 0 in tau = omega t. Any damping is covered, from none to far above critical.
 
 All arguments and results are float64 arrays of one shape (or shapes that broadcast).
 """
@@ -173,7 +173,7 @@ class ContactTimes(NamedTuple):
 
 
 def find_contact_times(c: Oscillation) -> ContactTimes:
-    """Return peak, turn and end of a contact, exact to rounding."""
+    """Return the times of peak, turn and end of a contact (see `ContactTimes`), exact to rounding."""
     curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
     falls = (c.slope0 < 0.0) | ((c.slope0 == 0.0) & (c.phi0 > 0.0))
     peak = np.where(falls, 0.0, first_zero(c, c.slope0, curve0))

@@ -2,15 +2,15 @@
 
 A vehicle touches a wall with guard points, two on each of its four sides. They are `guard_out_m` from the
 centre of mass, `guard_along_m` to either side of the middle, and `guard_height_m` above the centre of mass.
-Each guard is a point of the published law with its share of the coefficients. If both guards of a side are at
-the same depth, their k/2 and f/2 sum to the k and f of the point law. A symmetric hit therefore has the
-normal force, contact time and exit velocity of the point law. Friction is -mu lambda ydot with the guard's
-own sliding velocity. The vertical force keeps its sum -nu L/(1 + L), where L is the sum of the normal forces
-on the wall.
+The published law for a point applies to each guard, with that guard's share of the coefficients. If both
+guards of a side are at the same depth, their k/2 and f/2 sum to the k and f of the point law. A symmetric hit
+therefore has the normal force, contact time and exit velocity of the point law. Friction is -mu lambda ydot
+with the guard's own sliding velocity. The vertical force of all guards together is -nu L/(1 + L), where L is
+the sum of the normal forces on the wall.
 
-The paper does not specify the share of the friction's lever that rotates the vehicle, nor the lever of the
-vertical force. Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at the
-reduced lever, and its sliding velocity is computed there, so friction only removes energy.
+The paper does not specify how much friction rotates the vehicle, nor the lever arm of the vertical force.
+Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at the reduced lever,
+and its sliding velocity is computed there, so friction only removes energy.
 
 Unlocked arms fold: each arm rotates in the horizontal plane about a bearing in the vehicle's middle. Its
 guard thereby yields by a share of the penetration (`fold_angles`). The law already accounts for this yield by
@@ -80,7 +80,7 @@ UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, (0.0, 0.0, 0.0))
 def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
     """Return the eight guards of a four-fold symmetric vehicle: front, right, back, left, two each.
 
-    A point model has two guards in the centre of mass, which is the point law.
+    A point model has two guards, both in the centre of mass; their sum is the point law.
     """
     if body.body is BodyModel.POINT:
         return (PropellerGuard(_CENTRE, _CENTRE),) * 2
@@ -114,13 +114,13 @@ def touch(
     Args:
         guards: guards of the vehicle.
         q: attitude, body FRD to world.
-        c: coefficients of the whole side (the point law's).
+        c: coefficients of the whole side, as in the point law.
         onset: onset rule.
         plane: the surface.
         position, velocity: m and m/s, of the centre of mass, world frame.
         rate_frd: angular velocity, rad/s.
-        vertical_sign: sign of the vertical force along Z of the collision frame, which points down at a wall:
-            -1 (up) as the paper writes lz, or 1 (down).
+        vertical_sign: sign of the vertical force along Z of the collision frame; at a wall, Z points down.
+            -1: up, as the paper writes lz; 1: down.
         vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
     """
     world = plane.normal

@@ -125,5 +125,5 @@ class FlightCore:
 
 
 def _fault() -> MissionFinding:
-    """Return the active exception as a finding, with its origin."""
+    """Return the active exception as a finding of the mission, with the exception's place in the code."""
     return MissionFinding("mission_fault", traceback.format_exc(limit=-2).strip().replace("\n", " | "))

@@ -47,14 +47,15 @@ class Airframe(Section, frozen=True, kw_only=True):
     Attributes:
         mass_kg: take-off mass, battery included.
         contact_distance_m: distance from the centre of mass to the wall's plane at the first contact.
-        incidence_rigid_deg: smallest angle of incidence at which unlocked arms do not fold. From this angle
-            on, the rigid coefficients hold in both modes. Unused without a lock.
+        incidence_rigid_deg: smallest angle of incidence at which unlocked arms do not fold. At this angle and
+            above, the rigid coefficients hold in both modes. Unused without a lock.
         drag_per_s: [b_x, b_y, b_z] along the mission's axes: acceleration by air drag = -b * air speed.
         inertia_kg_m2: moments of inertia about [forward, right, down]; `calibrate inertia` fits it.
         arm_x_m: distance of a motor from the centre of mass, forward.
         arm_y_m: distance of a motor from the centre of mass, sideways.
         yaw_torque_per_thrust_m: drag torque of a propeller over its thrust, N m per N.
-        guard_along_m: distance from the middle of a side to either of its two points that touch a wall first.
+        guard_along_m: each side has two guard points that touch a wall first; this is the distance from the
+            middle of the side to one of them.
         listed: 4 to 8 motors in PX4's order, for an airframe other than a quadrotor in X (arm_x_m and arm_y_m
             are then null); `calibrate airframe` prints them.
     """
@@ -107,12 +108,12 @@ class Airframe(Section, frozen=True, kw_only=True):
         return half + [(-x, -y) for x, y in half]
 
     def wall_surface(self, wall: Wall) -> Wall:
-        """Return a wall's surface, at the contact distance behind the plane of the vehicle's centre."""
+        """Return a wall's surface: the wall's plane, moved by the contact distance against the normal."""
         return wall.displaced(-self.contact_distance_m)
 
 
 def effectiveness(motors: Sequence[Motor]) -> list[list[float]]:
-    """Return four rows: roll, pitch and yaw torque (FRD) and lift per newton of each motor."""
+    """Return roll, pitch and yaw torque (FRD) and lift per newton of thrust, one column per motor."""
     return [
         [-motor.y_m for motor in motors],
         [motor.x_m for motor in motors],
@@ -132,7 +133,7 @@ class Thrust(Section, frozen=True):
 
     Attributes:
         motor_lag_s: time constant of motor and propeller.
-        full_n: thrust at full command, at the voltage estimation.battery.reference_v.
+        full_n: thrust at full command and at the battery voltage estimation.battery.reference_v.
         model_factor: share of the square term, PX4's THR_MDL_FAC.
         table: measured [[command, newton], ...], both increasing, up to the command 1, interpolated linearly
             (full_n and model_factor are then null).
@@ -165,7 +166,7 @@ class Thrust(Section, frozen=True):
             raise ValueError(f"table: ends at the command {points[-1][0]:g}: add the thrust at the command 1")
 
     def _points(self) -> tuple[tuple[float, float], ...]:
-        """Return the table, starting at zero thrust without a command."""
+        """Return the table, with a first row of zero command and zero thrust."""
         table = self.table or ()
         return table if table and table[0] == (0.0, 0.0) else ((0.0, 0.0), *table)
 
@@ -211,7 +212,7 @@ class Thrust(Section, frozen=True):
         return [_interpolate(points, max(0.0, min(1.0, command)), 0) for command in commands]
 
     def command_for(self, force_n: float) -> float:
-        """Return the command, 0 to 1, for a steady thrust; it saturates."""
+        """Return the command, 0 to 1, for a steady thrust; commands outside this range are clipped."""
         return self.commands_for((force_n,))[0]
 
     def commands_for(self, forces_n: Iterable[float]) -> list[float]:
@@ -224,7 +225,7 @@ class Thrust(Section, frozen=True):
 
 
 def _interpolate(points: tuple[tuple[float, float], ...], x: float, given: int) -> float:
-    """Interpolate a rising polyline: return the other coordinate where the coordinate `given` is `x`."""
+    """Interpolate a rising polyline: `x` is coordinate 0 or 1 (`given`); return the other coordinate."""
     i = max(1, bisect_left(points, x, key=itemgetter(given)))
     before, after = points[i - 1], points[i]
     share = (x - before[given]) / (after[given] - before[given])
@@ -239,8 +240,8 @@ class Imu(Section, frozen=True):
         rate_hz: rate of the samples that PX4 sends.
         tick_s: time over which one sample is averaged.
         antialias_hz: -3 dB frequency of the accelerometer's own low-pass, first order.
-        position_m: position of the IMU, [forward, right, down] of the centre of mass; accelerations from
-            rotation are removed.
+        position_m: position of the IMU, [forward, right, down] of the centre of mass; with it the force
+            estimate removes the accelerations that the vehicle's rotation causes at the IMU.
     """
 
     full_scale_m_s2: Annotated[float, Meta(ge=10.0, le=5000.0)]
@@ -292,7 +293,7 @@ class Material(Section, frozen=True):
     """Contact coefficients of one material.
 
     Attributes:
-        rigid: coefficients with the arms locked, or of a vehicle without a lock in its only state.
+        rigid: coefficients with the arms locked; a vehicle without a lock uses only these.
         flexible: coefficients with the arms unlocked; required for a vehicle with a lock.
         source: source of the numbers, measured or assumed.
     """
@@ -302,7 +303,7 @@ class Material(Section, frozen=True):
     source: str = ""
 
     def coefficients(self, mode: Mode) -> Coefficients:
-        """Return the coefficients of a mode that the vehicle has; the loader has checked that they exist."""
+        """Return the coefficients of a mode; the vehicle must have this mode, as the loader has checked."""
         if mode is Mode.RIGID:
             return self.rigid
         assert self.flexible is not None

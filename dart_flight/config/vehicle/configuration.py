@@ -34,8 +34,8 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
     Attributes:
         version: version of the file format.
         materials: contact coefficients by name, for every mode of the vehicle: k N/m, f N s/m, mu s/m, nu N.
-        onset: lcp: the contact begins by the complementarity condition, as in the paper; touch: it begins at
-            the wall's plane.
+        onset: lcp: the complementarity condition of the paper defines the beginning of the contact; touch:
+            the contact begins at the wall's plane.
         vertical_force_sign: sign of the vertical contact force along Z of the collision frame; -1: up at a
             wall.
     """
@@ -65,12 +65,12 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Modes of the vehicle; the only mode without a lock is called rigid."""
+        """Modes of the vehicle; a vehicle without a lock has only the mode rigid."""
         return tuple(Mode) if self.has_lock else (Mode.RIGID,)
 
     @property
     def lock_driver(self) -> LockDriver | None:
-        """Driver of the lock, or None without a lock."""
+        """Driver of the lock, or None if the vehicle has no lock."""
         return None if self.lock is None else self.lock.driver
 
     def mode_problem(self, mode: Mode) -> str | None:
@@ -150,7 +150,7 @@ def default_config_path() -> Path:
 
 
 def _is_unchanged(path: Path) -> bool:
-    """Return whether a file is an unchanged packaged file or no vehicle configuration at all."""
+    """Return whether a file equals the packaged file of its name, or is not a vehicle configuration."""
     try:
         text = read_text(path)
         if re.search(rf"^({EXTENDS}|airframe):", text, re.MULTILINE) is None:
@@ -161,7 +161,7 @@ def _is_unchanged(path: Path) -> bool:
 
 
 def extended_file(path: Path) -> str | None:
-    """Return the name of the configuration that a file extends, or None if none or unreadable."""
+    """Return the name of the configuration that a file extends; None if unreadable or without `extends`."""
     try:
         found = re.search(rf"^{EXTENDS}:\s*([^\s#]+)", read_text(path), re.MULTILINE)
     except InputError:
@@ -179,7 +179,8 @@ def load_vehicle(
             configuration.
         settings: `KEY=VALUE` with a dotted key, set before the validation (`config.settings`).
 
-    A file with `extends: FILE` contains only its differences from that file, relative to its own folder.
+    A file with `extends: FILE` contains only its differences from FILE. The path FILE is relative to the
+    folder of the extending file.
 
     Raises:
         InputError: as in `Document` and `parse_vehicle`.
@@ -250,7 +251,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
 
 
 def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
-    """Return a configuration's document, merged over the file that it extends."""
+    """Return a configuration's document; missing keys are added from the file that `extends` names."""
     if EXTENDS not in document.tree:
         return document
     base = document.tree.pop(EXTENDS)

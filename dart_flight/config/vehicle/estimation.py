@@ -19,7 +19,7 @@ class ThrustSource(StrEnum):
 
 
 class BatteryModel(Section, frozen=True):
-    """Thrust at a command against battery voltage: thrust = curve * (voltage / reference_v) ** exponent.
+    """Dependence of the thrust on the battery voltage: thrust = curve * (voltage / reference_v) ** exponent.
 
     Attributes:
         reference_v: battery voltage at which thrust.full_n was calibrated.
@@ -60,14 +60,15 @@ class Estimation(Section, frozen=True, kw_only=True):
     Attributes:
         thrust_source: source of the thrust; auto: esc if motor speeds arrive often enough, else actuator.
         thrust_error_n: standard deviation of the total thrust after calibration.
-        esc_thrust_n_per_rpm2: one motor's thrust over its speed squared, m g / (sum of rpm^2) at hover; null:
-            motor speeds are not used.
+        esc_thrust_n_per_rpm2: one motor's thrust divided by the square of its speed, m g / (sum of rpm^2) at
+            hover; null: motor speeds are not used.
         imu_noise_m_s2: initial standard deviation of one sample, until it is measured in flight.
-        baseline_limit_n: largest force that the baseline removes.
+        baseline_limit_n: largest horizontal baseline force. The baseline follows the force between contacts
+            and is subtracted before detection.
         arm_vibration: vibration of the unlocked arms in the IMU; null: not removed.
         walls: prior of a wall's coefficients.
-        position_drift_m_s: standard deviation of the drift velocity of PX4's position when it relies on GPS
-            velocity; it determines how well the mission frame is known between two contacts
+        position_drift_m_s: standard deviation of the drift velocity of PX4's position when PX4 relies on GPS
+            velocity. The error of the mission frame between two contacts follows from this value
             (docs/anchors.md).
     """
 
@@ -105,12 +106,14 @@ class Detection(Section, frozen=True):
     """Criteria for an impact.
 
     Attributes:
-        force_threshold_n: horizontal force minus baseline above which an impact is detected.
+        force_threshold_n: an impact is detected if the horizontal force minus its baseline exceeds this
+            threshold.
         threshold_test: the force that is compared with the threshold. magnitude: the horizontal force;
             per_axis: the larger of its two components along the mission's axes.
         peak_wait_s: longest wait for the peak after the onset.
         refractory_s: time after a contact in which no new impact is registered.
-        noise_sigma: the threshold is at least this multiple of the measured noise of the compared force.
+        noise_sigma: the threshold is at least this multiple of the measured noise of the force that is
+            compared with it.
     """
 
     force_threshold_n: Annotated[float, Meta(gt=0.0, le=1000.0)]

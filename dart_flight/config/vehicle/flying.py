@@ -23,13 +23,14 @@ class GuardThresholds(Section, frozen=True):
         kill_after_s: if the vehicle is still armed in PX4's land mode after this time, the motors are
             stopped; null: never.
         wall_late_s: if there is no contact this long after the planned impact, the vehicle breaks off.
-        wall_early_m: if a contact is more than this in front of the wall's plane, it is not with the planned
-            wall, and the vehicle breaks off.
+        wall_early_m: a contact farther than this in front of the wall's plane is not a contact with the
+            planned wall, and the vehicle breaks off.
         deadman_s: if the core thread or the event loop is blocked for longer than this, the program is
             killed.
-        telemetry_late_s: if samples are delayed by more than this, the vehicle does not take off, or lands.
+        telemetry_late_s: if samples are delayed by more than this, the vehicle does not take off; in flight
+            it lands.
         position_sd_m: largest standard deviation of the horizontal position reported by PX4. Above this value
-            a mission with walls does not take off, or lands.
+            the vehicle does not take off for a mission with walls; in flight it lands.
         position_delay_s: largest time by which the position estimate may lead or lag the IMU. Above this
             value the vehicle breaks off; null: not checked.
     """
@@ -61,11 +62,11 @@ class Flying(Section, frozen=True):
         yaw_rate_deg_s: largest yaw rate of the reference.
         steady_run_s: time at constant speed before the wall, so that the impact velocity is reached.
         setpoint_delay_s: delay from the stamp of an odometry sample until the autopilot executes the setpoint
-            computed from this sample. The setpoint is therefore taken from the reference this much ahead of
-            time. null: 0.024 with PX4, none in the embedded simulator.
-        attitude_delay_s: further time, in addition to setpoint_delay_s, by which acceleration and jerk are
-            taken ahead, because the attitude's rate loop responds late. null: 0.05 with PX4, none in the
-            embedded simulator.
+            computed from this sample. The setpoint is therefore the reference at a time that is later by this
+            delay. null: 0.024 with PX4, none in the embedded simulator.
+        attitude_delay_s: further delay, in addition to setpoint_delay_s, because the attitude's rate loop
+            responds late. Acceleration and jerk are the reference's at a time that is later by both delays.
+            null: 0.05 with PX4, none in the embedded simulator.
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
         replan_within_s: time from the end of a contact to the start of a trajectory planned in flight; the
             planner must finish within it.

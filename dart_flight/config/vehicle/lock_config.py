@@ -43,8 +43,8 @@ class Servo(Section, frozen=True):
         direction: 1: the cam angle increases with the pulse width; -1: it decreases.
         min_pulse_us: shortest allowed pulse.
         max_pulse_us: longest allowed pulse.
-        tolerance_us: largest difference from the pulse width of an end at which the servo counts as at this
-            end.
+        tolerance_us: the servo counts as at an end if its pulse width differs from that of the end by at most
+            this value.
         supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
         s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
@@ -95,12 +95,12 @@ class Servo(Section, frozen=True):
 
     @property
     def us_per_deg(self) -> float:
-        """Pulse width per degree of cam angle, positive; from the two ends."""
+        """Pulse width per degree of cam angle, positive, computed from the calibration of the two ends."""
         return abs(self.rigid_pulse_us - self.flexible_pulse_us) / abs(self.rigid_deg - self.flexible_deg)
 
     @property
     def s_per_deg(self) -> float:
-        """Seconds per degree: from the measured travel, or from the catalogue by supply voltage."""
+        """Seconds per degree, from the measured travel, or from the catalogue's times at this voltage."""
         if self.travel_s is not None:
             return self.travel_s / abs(self.rigid_deg - self.flexible_deg)
         share = (self.supply_v - 4.8) / (6.0 - 4.8)
@@ -259,11 +259,13 @@ class LockConfig(Section, frozen=True):
             back.
         timeout_s: longest travel, and longest time without a reading of a limit switch. If one of the two is
             exceeded, the lock is in fault.
-        debounce_s: a change of a limit switch, or a loss of the pulse, counts after it has lasted for this
-            time.
-        limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, with one
-            or both lines; null: no switch, and a travel ends by time.
-        rc_channel: RC channel of a switch that moves the lock in standby, high is rigid; null: none.
+        debounce_s: time for which a change of a limit switch or a loss of the pulse must last before it
+            counts.
+        limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, with one or
+            both lines; null: there is no switch, and a movement of the lock counts as complete after the
+            travel time.
+        rc_channel: RC channel of a switch that moves the lock while the program is in standby; a high value
+            selects rigid; null: none.
     """
 
     driver: LockDriver

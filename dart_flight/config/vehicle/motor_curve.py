@@ -1,4 +1,4 @@
-"""The thrust curve of one motor, defined by two numbers: thrust over command, and its inverse.
+"""The thrust curve of one motor, defined by two numbers: thrust from command, and command from thrust.
 
 It is a separate module because it is compiled (docs/speed.md): the simulated vehicle evaluates it for every
 motor, every millisecond.
@@ -28,7 +28,7 @@ class MotorCurve:
         return self._full_n * (self._square * u * u + self._linear * u)
 
     def command_for(self, force_n: float) -> float:
-        """Return the command for a steady thrust; it saturates."""
+        """Return the command for a steady thrust; commands outside 0 to 1 are clipped."""
         share = max(0.0, min(1.0, force_n / self._full_n))
         a, b = self._square, self._linear
         if a < _LINEAR:

@@ -29,11 +29,11 @@ class ContactBody(Section, frozen=True):
         guard_out_m: distance from the centre of mass to the guards' plane.
         guard_along_m: distance from the middle of a side to either of its guards.
         guard_height_m: height of the guards above the centre of mass.
-        friction_lever_share: share of the guards' lever at which friction acts; 0: through the centre of
-            mass, 1: at the guards.
+        friction_lever_share: lever arm of friction about the centre of mass, as a share of the guards' lever
+            arm; 0: friction acts at the centre of mass, 1: at the guards.
         vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
-        fold_share: if the arms are unlocked, an arm swings back with its motor by this share of its guard's
-            penetration; 0: motors do not move.
+        fold_share: movement of an unlocked arm, as a share of the penetration of its guard; the motor moves
+            with the arm; 0: motors do not move.
         scatter: relative standard deviation of the coefficients between impacts.
         half_engaged: whether the rods stop half-way, so that the arms are neither locked nor unlocked.
     """
@@ -50,7 +50,7 @@ class ContactBody(Section, frozen=True):
 
 
 class ImuRinging(Section, frozen=True):
-    """Vibration of motors and frame in the accelerometer, per axis of the reported sample, RMS.
+    """Vibration of motors and frame in the accelerometer's samples, as RMS values per axis.
 
     Attributes:
         white_m_s2: white noise, in addition to imu_noise_m_s2.
@@ -87,7 +87,8 @@ class Simulation(Section, frozen=True, kw_only=True):
         imu_position_m: true position of the IMU, [forward, right, down] of the centre of mass.
         replan_latency_s: time from a replanning request to its answer, in simulated time.
         position_from: position source of the embedded autopilot: mocap: motion capture; rtk, plain: a GPS
-            receiver with or without corrections. For a real PX4, options select it.
+            receiver with or without corrections. If a real PX4 flies the simulated vehicle, command-line
+            options select its position source.
         operator_s: time from the beginning of a pause until the operator continues, in simulated time; null:
             no response, the pause times out.
     """

@@ -1,4 +1,4 @@
-"""Resets of PX4's estimator, from ODOMETRY's counter and the steps of position, velocity and heading.
+"""Resets of PX4's estimator, from ODOMETRY's reset counter and the jumps of position, velocity, heading.
 
 The guard evaluates the newest reset; the verdict lists all resets.
 """

@@ -1,6 +1,6 @@
 """PX4's announcements of a failsafe or a termination, remembered for 3 s.
 
-Texts and events arrive at once; the heartbeat with the new mode and status follows up to 1 s later.
+Texts and events arrive immediately; the heartbeat with the new mode and status follows up to 1 s later.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class FailsafeEvidence:
         return self._words if self._rank_at(now_us) >= _ANNOUNCED else None
 
     def hands_to_sticks(self, now_us: int) -> bool:
-        """Return whether the announced failsafe ends in a mode flown by stick."""
+        """Return whether the announced failsafe switches to a mode in which a pilot flies with the sticks."""
         words = self.announcement(now_us)
         return words is not None and _TO_STICKS.search(words.lower()) is not None
 

@@ -1,8 +1,8 @@
 """The conditions that the guard's rules evaluate: the flight state, and the history that they need.
 
-`observe` is called once per step, before the rules. Durations use the autopilot's stamps where a stream has
-them, so a simulator at several times real time is treated like real time. Only silence is measured in host
-time.
+`observe` is called once per step, before the rules. If a stream has the autopilot's stamps, durations use
+these stamps. A simulator that runs faster than real time therefore gives the same durations. Only silence is
+measured in host time.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class FlightConditions:
 
     @property
     def just_after_impact(self) -> bool:
-        """Whether an impact is recent; its effects on estimator and altitude then count as no fault."""
+        """Whether an impact is recent; its effects on estimator and altitude are then not faults."""
         return self.impact is not None and self.state.now_us - self.impact.t_us < IMPACT_WINDOW_S * 1e6
 
     @property
@@ -165,7 +165,7 @@ class FlightConditions:
 
     @property
     def failsafe_hands_to_sticks(self) -> bool:
-        """Whether the announced failsafe ends in a mode flown by stick."""
+        """Whether the announced failsafe switches to a mode in which a pilot flies with the sticks."""
         return self._failsafe.hands_to_sticks(self.state.now_us)
 
     @property
@@ -204,8 +204,8 @@ class FlightConditions:
     def mode_change_unexplained(self) -> bool:
         """Whether PX4 seems to have left offboard a moment ago, by itself or by a pilot's switch.
 
-        The reported mode may belong to another vehicle, of which no other sample has arrived yet. For this
-        moment nothing is decided and nothing is sent. If PX4 has announced the mode change, or a gap explains
+        The reported mode may be that of another vehicle that has sent nothing else so far. During this moment
+        the guard makes no decision and sends nothing. If PX4 has announced the mode change, or a gap explains
         it, the mode change is certain.
         """
         if self._left_since_us is None or self.failsafe_reported or self.streams.was_cut_off:
@@ -224,7 +224,7 @@ class FlightConditions:
 
     @property
     def status_unreliable(self) -> bool:
-        """Whether the slow state may be another vehicle's, because another is detected or suspected."""
+        """Whether another vehicle is detected or suspected, and may have sent the slow state."""
         return self.others.is_suspected(self.streams.host_us)
 
     def duration_s(self, since_us: int | None) -> float:
@@ -264,7 +264,7 @@ class FlightConditions:
         self.others.add_sample(name, item)
 
     def _record_pause(self, host_us: int) -> None:
-        """Record the time since the previous step if this program did not run meanwhile: no tick arrived."""
+        """Record the time since the previous step as a pause of this program: no tick has arrived since."""
         pause_us = host_us - self._stepped_us
         if pause_us > self._pause_us or host_us - self._paused_us > _PAUSE_MEMORY_US:
             self._pause_us, self._paused_us = pause_us, host_us

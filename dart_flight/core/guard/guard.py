@@ -58,7 +58,7 @@ _LANDING_US: Final = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
 
 
 class _PhaseRules(NamedTuple):
-    """The rules of a phase: `all` for every tick, and `at_once` for each other input that a rule names."""
+    """The rules of a phase: `all` are evaluated at every tick, `at_once[T]` after each input of type T."""
 
     all: Causes
     at_once: dict[type, Causes]
@@ -178,7 +178,7 @@ class Guard:
     def _apply_explanation(
         self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
     ) -> None:
-        """Put `rule` in force, with its reason, if it explains why the present rule has fired."""
+        """Replace the rule in force by `rule` and its reason, if `rule` explains why the former fired."""
         if detail is not None and self._rule is not None and self._rule.name in rule.explains:
             if rule.of_streams:
                 detail += self._watch.circumstances

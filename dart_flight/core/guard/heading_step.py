@@ -31,7 +31,7 @@ _GAP_US: Final = 20_000  # a longer gap between rates invalidates the integral
 
 
 class HeadingStep:
-    """Recent rotations of the heading estimate that the gyro did not measure, by autopilot stamp."""
+    """Recent rotations of the heading estimate that the gyro did not measure, each with its stamp."""
 
     def __init__(self) -> None:
         self._gyro: Quaternion = IDENTITY

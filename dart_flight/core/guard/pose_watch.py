@@ -2,8 +2,8 @@
 
 Without poses PX4 uses only its IMU. A bias of 0.05 m/s2 and a tilt error of half a degree then move the
 estimate by 0.02 m in 0.5 s. Every phase tolerates this error. A contact adds a velocity error of up to 1 m/s.
-The vehicle must therefore not hit a wall without poses, and the limit is shorter in an approach. A contact
-and its recovery are finished first, because the recovery works with the IMU alone.
+The vehicle must therefore not hit a wall without poses, and an approach allows a shorter time without poses.
+A contact and its recovery are finished first, because the recovery works with the IMU alone.
 
 Poses that jump belong to another body and are withheld from PX4 at once. PX4 would reject such poses for a
 second and then reset its position to them. Without poses, PX4 dead-reckons long enough to land. If only the
@@ -129,7 +129,7 @@ class PoseWatch:
         return text
 
     def blind(self, estimate_steps: bool, phase: Phase) -> str | None:
-        """Return why PX4's position is unusable as text, or None.
+        """Return the reason why PX4's position is unusable, or None if it is usable.
 
         Args:
             estimate_steps: whether PX4's estimate has just jumped.
@@ -142,10 +142,10 @@ class PoseWatch:
         return self._lost(LOST_LAND_S)
 
     def waits(self, phase: Phase) -> bool:
-        """Return whether a fault of the poses must wait until the present contact or recovery is finished.
+        """Return whether to finish the present contact or recovery before responding to a fault of the poses.
 
-        If poses are withheld, a fault waits only for the first part of a recovery. Withheld poses do not
-        return, and the vehicle must not continue to another wall without poses.
+        If poses are withheld, the guard's response to a fault waits only for the first part of a recovery.
+        Withheld poses do not return, and the vehicle must not continue to another wall without poses.
         """
         if phase is Phase.RECOVERY and self._wrong:
             return (self._now_us - self._not_recovering_us) * 1e-6 < _RECOVERED_S

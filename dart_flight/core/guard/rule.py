@@ -33,8 +33,8 @@ class RuleCondition(NamedTuple):
     Attributes:
         description: description of the problem for the manual's table.
         threshold: compared values: keys of the vehicle's configuration or of the mission, and constants.
-        cause: function that returns the present problem as text. If `cause` is None, the rule fires by a
-            finding of the mission.
+        cause: function that returns the present problem as text. If `cause` is None, a finding of the mission
+            fires the rule.
     """
 
     description: str
@@ -43,7 +43,7 @@ class RuleCondition(NamedTuple):
 
 
 def condition(description: str, threshold: str = "") -> Callable[[Cause], RuleCondition]:
-    """Return a decorator that makes a `RuleCondition` of a cause function."""
+    """Return a decorator that turns a cause function into a `RuleCondition`."""
 
     def wrap(cause: Cause) -> RuleCondition:
         return RuleCondition(description, threshold, cause)
@@ -60,13 +60,13 @@ class Rule(NamedTuple):
         scope: part of the flight in which it is evaluated.
         condition: condition that fires it.
         at_once: inputs after which the rule is evaluated immediately. Modes, arming and requests are urgent;
-            some other conditions can be seen only at one sample.
+            some other conditions hold during a single sample only.
         by_person: whether the rule means that a person took over. The flight then counts as released, not as
             aborted.
         explains: rules that may fire earlier for the same cause. If one of them is in force, this rule
             replaces it and gives the reason.
-        of_streams: whether the rule concerns failing telemetry; its detail then includes the state of link
-            and computer.
+        of_streams: whether the rule concerns failing telemetry. The rule's detail then also describes the
+            state of link and computer.
         noted: whether log and verdict record the rule, once per flight, even if an equally strong action is
             already active.
     """

@@ -1,8 +1,9 @@
 """The table of the guard's rules: name, action, scope and condition.
 
 `guard` iterates over it; `docs/guard.md` is generated from it (`make docs`). A rule with a cause function is
-evaluated every 20 ms in its scope, and immediately after the inputs that it names. A rule without a cause
-function fires by a finding in the mission's proposal. Only rules of this table can overrule the mission.
+evaluated every 20 ms in its scope, and immediately after the inputs that it names. If a rule has no cause
+function, a finding in the mission's proposal fires the rule. Only rules of this table can overrule the
+mission.
 """
 
 from __future__ import annotations
@@ -249,7 +250,7 @@ _OPERATOR_RELEASES = RuleCondition(
 def _found(
     name: str, action: Override, description: str, threshold: str = "", of_streams: bool = False
 ) -> Rule:
-    """Return a rule that fires by a finding of the mission, because only the mission knows the plan."""
+    """Return a rule that a finding of the mission fires, because only the mission knows the plan."""
     return Rule(name, action, Scope.ALWAYS, RuleCondition(description, threshold), of_streams=of_streams)
 
 

@@ -47,8 +47,8 @@ class TelemetryDelay:
 
     A constant delay does not show in stamps, because the clock offset hides it. A round trip bounds this
     delay. The autopilot answers at some time between request and receipt, so the clock offset from a round
-    trip is wrong by at most half the duration of the round trip. The best offset so far relates the stamp of
-    an IMU sample to its receipt.
+    trip is wrong by at most half the duration of the round trip. The age of an IMU sample is computed from
+    its stamp, its receipt, and the most accurate offset so far.
 
     Args:
         limit_s: samples older than this are late.
@@ -172,9 +172,10 @@ def _silence(
         description: description for the manual's table.
         streams: names of the streams.
         limit: seconds, or the key of the guard's threshold.
-        words: format of the message; `s` and `ms` are the duration.
-        alone: key of the limit that applies while other streams continue, because then neither link nor host
-            is the cause.
+        words: format of the message; the fields `s` and `ms` are replaced by the duration in seconds and
+            milliseconds.
+        alone: key of a further limit that applies while other streams continue. Link and host are then not
+            the cause.
     """
     message = BY_NAME[streams[0]].message if streams[0] in BY_NAME else ""
 

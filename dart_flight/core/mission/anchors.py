@@ -1,7 +1,7 @@
 """Accuracy of the mission frame when PX4's position drifts, and its correction by contacts with walls.
 
-A contact measures the place of its wall to a centimetre or two, along the wall's normal only. Afterwards PX4
-integrates its velocity, so the position drifts. The velocity error is nearly constant, so the standard
+A contact measures the place of its wall along the wall's normal only, with an error of 1 to 2 cm. Afterwards
+PX4 integrates its velocity, so the position drifts. The velocity error is nearly constant, so the standard
 deviation of the drift grows in proportion to the age of the contact (docs/anchors.md).
 
     information = sum over anchors n n' / (s^2 + (drift age)^2),    sd along n = sqrt(n' information^-1 n)
@@ -32,7 +32,7 @@ class Anchor(NamedTuple):
 
 
 def has_same_normal(a: Vec2, b: Vec2) -> bool:
-    """Return whether two unit normals are nearly parallel or opposite: both anchor the same direction."""
+    """Return whether two unit normals are nearly parallel or opposite, and so share one anchor."""
     return abs(a[0] * b[0] + a[1] * b[1]) >= _SAME_NORMAL
 
 

@@ -54,7 +54,8 @@ def run_up(
 
     The approach follows a ray that ends at the impact. If the mission's start lies on this ray and far enough
     from the wall, the run-up begins there. Otherwise the run-up begins on the ray at the distance that the
-    acceleration and the steady run need. The distance counts from the nearest possible position of the wall.
+    acceleration and the steady run need. This distance is measured from the nearest position that the wall's
+    standard deviations allow.
 
     Args:
         start: start of the mission.
@@ -96,7 +97,7 @@ def is_blocked(
 ) -> Number:
     """Return whether a wall blocks a segment, or the segment begins too close behind the wall.
 
-    A segment that passes the wall's end must keep `end_margin_m` from it.
+    A segment that passes the wall's end must keep the distance `end_margin_m` from this end.
 
     Args:
         wall: the obstacle.
@@ -122,7 +123,7 @@ def is_blocked_by_post(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
 def segments_to_impact(
     start: Vec2, begin: tuple[Number, Number], impact: tuple[Number, Number], wall: Wall, first: bool
 ) -> Callable[[Wall], list[tuple[tuple[Number, Number], tuple[Number, Number], float]]]:
-    """Return a function that lists the segments before an impact that an obstacle must not block.
+    """Return a function that lists the segments before an impact; no obstacle may block these segments.
 
     The function's argument is the obstacle, a wall. Each segment is (a, b, required clearance at b).
 
@@ -167,7 +168,7 @@ def plan_approach(mission: Mission, collision: Collision) -> Trajectory:
 
 
 def _probe_trajectory(mission: Mission, probe: Probe, altitude_m: float) -> Trajectory:
-    """Return a leg from rest to rest at the probe's speed, with the ramp of an approach at both ends."""
+    """Return a leg from rest to rest at the probe's speed; both ends have the speed ramp of a run-up."""
     way_m = distance2(probe.begin, probe.end)
     a_m_s2 = mission.vehicle.flying.acceleration_m_s2
     speed = min(probe.speed_m_s, math.sqrt(way_m * a_m_s2 / PEAK_OVER_MEAN))
@@ -295,7 +296,7 @@ def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_t
 def standoff_point(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:
     """Return the stopping point of a rehearsal: on the line to the impact, `standoff_m` before the plane.
 
-    The distance counts from the nearest position that the wall's standard deviations allow.
+    The distance is measured from the nearest position that the wall's standard deviations allow.
     """
     standoff = (mission.standoff_m or 0.0) + float(position_margin_m(collision.wall, impact))
     here, there = collision.wall.signed_distance(begin), collision.wall.signed_distance(impact)

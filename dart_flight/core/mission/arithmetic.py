@@ -1,8 +1,9 @@
 """Elementary functions of numbers and of arrays, for rules that are written once for both.
 
 The core decides with `float` and `math` (deterministic, bit-equal in replay); the planner evaluates thousands
-of candidates with NumPy. A rule that both use accepts either: floats give floats, and arrays give arrays.
-Conditions are joined with `&` and `|`, which have the same meaning for `bool` and arrays.
+of candidates with NumPy. A rule that core and planner share accepts floats and arrays: floats give floats,
+and arrays give arrays. Conditions are joined with `&` and `|`, which have the same meaning for `bool` and
+arrays.
 """
 
 from __future__ import annotations

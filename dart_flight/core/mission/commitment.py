@@ -1,6 +1,6 @@
 """The last moment for stopping: whether to fly on towards a wall while the lock is still moving.
 
-As long as a hold would still stop the vehicle short of the wall, an approach continues. Beyond that point the
+While a hold would still stop the vehicle before the wall, an approach continues. After that moment the
 approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the impact, and
 the impact must be acceptable in *either* mode. If a servo without feedback is stuck, the impact occurs in the
 other mode. Executive, planner and `check` use this rule.

@@ -129,7 +129,7 @@ class Executive:
             self._propose_setpoint(item, state, p)
 
     def _has_begun(self, state: FlightState) -> bool:
-        """Record when the phase began; return whether any time is known."""
+        """Record when the phase began; return False while no stamped sample has given the time."""
         progress = self.progress
         if progress.entered_us is None:
             if not state.now_us:
@@ -206,7 +206,7 @@ class Executive:
             p.outputs.append(VehicleCommand(state.now_us, action))
 
     def _move_lock(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
-        """Command the lock if it is not in the mode and may move; return whether it is settled there."""
+        """Command the lock to a mode if needed and permitted; return whether it is settled in the mode."""
         order = self._lock.command(self.progress.lock, mode, state)
         if order is not None:
             self.progress.lock = self.progress.lock._replace(commanded=mode, commanded_us=state.now_us)
@@ -299,7 +299,7 @@ class Executive:
             p.add_finding("climb_timeout", "the altitude was not reached in time")
 
     def _start_next(self, cue: PhaseTrigger, state: FlightState, p: Proposal) -> None:
-        """Continue from rest at the target; `cue` is the trigger if a collision is next."""
+        """Begin the next leg from rest at the target; if this leg is a collision, `cue` is the trigger."""
         self._skip_legs(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:
@@ -375,7 +375,7 @@ class Executive:
         self.progress.course = self.progress.course.fly_to(begin[:2], self._flying)
 
     def _replan_approach(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """Plan the approach to a wall's estimated position; a probe at a fixed place keeps its line."""
+        """Plan the approach to a wall's estimated position; a probe without `from_here` keeps its line."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
@@ -526,7 +526,7 @@ class Executive:
     def _check_lock_in_time(
         self, following: Collision, state: FlightState, sensed: Sensed, p: Proposal
     ) -> None:
-        """Break off if the lock is late when a hold can only just stop the vehicle short of the wall."""
+        """Report a finding if the lock is late and a hold can no longer stop the vehicle with margin."""
         if sensed.in_contact or state.lock_is_in(following.mode):
             return
         closing = -following.wall.to_collision(state.velocity)[0]

@@ -1,10 +1,11 @@
-"""The return to the wanted heading after a contact, as fast as PX4's yaw control permits, and its duration.
+"""The return to the wanted heading after a contact, as fast as PX4's yaw control permits; also its duration.
 
-An oblique wall rotates the vehicle, and the motors correct the yaw only by their drag, slowly. If the heading
-command is a large step, PX4 overshoots, because its integrator winds up while the torque is at its limit. The
-next contact is then oblique again. The commanded heading is therefore limited in two ways. It is ahead of the
-actual heading only as far as the torque can follow. The resulting rotation is only as fast as the same torque
-can stop in time.
+An oblique wall rotates the vehicle. The motors correct the yaw slowly, because only their drag torque acts
+about the vertical axis. If the heading command is a large step, PX4 overshoots, because its integrator winds
+up while the torque is at its limit. The next contact is then oblique again. The commanded heading is
+therefore limited in two ways. First, the commanded heading leads the actual heading by no more than the
+torque can follow. Second, the resulting rotation is never so fast that the same torque cannot stop it in
+time.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ class HeadingControl:
         self._per_s, self._p, self._i = px4.mc_yaw_p, px4.mc_yawrate_p, px4.mc_yawrate_i
 
     def lead(self, heading: Heading, yaw: float, rate: float, now_us: int) -> Heading:
-        """Return the heading with its present command, compensated for PX4's integrator.
+        """Return the heading with an updated command, which compensates for PX4's integrator.
 
         Args:
             heading: the wanted heading and the integral so far.
@@ -99,7 +100,7 @@ class HeadingControl:
         return last * _STEP_S
 
     def _torque(self, to: float, rate: float) -> float:
-        """Return the normalised torque towards a heading offset; less torque suffices to stop in time."""
+        """Return the normalised torque that rotates by `to` (rad), reduced early enough to stop there."""
         braking = _BRAKING * self._most_rad_s2
         linear = braking / self._per_s**2
         wanted = self._per_s * to

@@ -1,4 +1,4 @@
-"""Responses to contacts: the planned one, a bounce, any other, and a mismatch of the lock's mode."""
+"""Responses to a planned contact, a bounce, any other contact, and a mismatch of the lock's mode."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class ImpactResponse:
         return ExpectedContact(watching, wall.normal, wall.material, wall)
 
     def _is_due(self, progress: MissionState, collision: Collision) -> bool:
-        """Return whether an onset now is planned; a second onset before the peak is not."""
+        """Return whether an onset now would be planned; a second onset before the peak is unplanned."""
         rehearsed = self._mission.standoff_m is not None
         return not rehearsed and progress.phase is not Phase.CONTACT and _is_expected(progress, collision)
 
@@ -122,7 +122,7 @@ class ImpactResponse:
     def on_peak(
         self, event: ImpactPeak, progress: MissionState, state: FlightState, added: Vec3 | None
     ) -> Change:
-        """Recover from the planned contact at its peak, by the paper's setpoint.
+        """Begin the recovery with the paper's setpoint when the planned contact reaches its peak force.
 
         Args:
             event: the peak.

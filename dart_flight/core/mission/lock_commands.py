@@ -17,7 +17,7 @@ _OVERDUE_US: Final = 50_000  # two polls of the lock
 
 
 class LockCommandState(NamedTuple):
-    """State of the lock commands, in addition to the lock's own state; autopilot time.
+    """State of the commands to the lock; the lock's own state is separate. Times are autopilot time.
 
     Attributes:
         contact_begin_us: beginning of the last contact.
@@ -41,7 +41,7 @@ class LockCommandState(NamedTuple):
         return self._replace(contact_end_us=t_us)
 
     def phase_begins(self) -> LockCommandState:
-        """Allow the next command at once, without waiting for a retry."""
+        """Allow the next command immediately, without the delay before a retry."""
         return self._replace(commanded_us=None)
 
 

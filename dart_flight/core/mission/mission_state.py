@@ -33,7 +33,8 @@ class MissionState:
         phase: phase of the mission.
         entered_us, entered_host_us: beginning of the phase, autopilot and host time.
         asked_us: time of the last vehicle command in this phase, or None.
-        collisions: collisions of the mission; a wall found by a probe replaces that of the mission file.
+        collisions: collisions of the mission; if a probe has found a wall, the found wall replaces the wall
+            of the mission file.
         index: index of the next or present collision.
         stops: number of completed waypoints and pauses.
         approaches: trajectories of the approaches, by the index of their collision.
@@ -47,7 +48,7 @@ class MissionState:
         contact_height_m: height above the centre of mass at which the walls' force acts; None if unknown.
         arrived_us, reached_us, captured_us: time of arrival at the target, at the waypoint, at the goal.
         least_miss_m: smallest distance to the goal after the last contact.
-        final_error_m: distance from the goal at the end of its hold, or None.
+        final_error_m: distance from the goal at the end of the hold at the goal, or None.
         stood_at_ned: position of the vehicle when the mission frame was set.
         down_us: time since which the vehicle has been landed and disarmed.
     """
@@ -113,8 +114,8 @@ class MissionState:
     def is_late(self, state: FlightState, travel_s: float = 0.0) -> bool:
         """Return whether the phase has exceeded its timeout, allowing for the planned travel time.
 
-        If the autopilot's clock has jumped back, the host's clock decides, with a factor for slow
-        simulations.
+        The timeout is also checked by the host's clock, in case the autopilot's clock has jumped back. This
+        second limit is longer by a factor that allows for slow simulations.
         """
         limit_s = self.mission.vehicle.flying.ready_timeout_s + travel_s
         host_us = state.host_us - (self.entered_host_us or state.host_us)
@@ -125,7 +126,8 @@ class Change(NamedTuple):
     """Changes requested by a helper of the executive; None leaves a value unchanged.
 
     Attributes:
-        cue, reason: trigger of a transition, which is applied last, and the reason for the record.
+        cue, reason: trigger of a phase transition, and the reason to record for this transition. The
+            transition is applied after all other changes.
         outputs: records, in order.
         finding: finding for the guard.
         action: vehicle command, repeated until telemetry confirms it.

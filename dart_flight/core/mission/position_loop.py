@@ -6,7 +6,7 @@ Per axis, with p the position, v the velocity, and a the acceleration at the pre
 
 kp, kv, kd are MPC_XY_P, MPC_XY_VEL_P_ACC, MPC_XY_VEL_D_ACC; tau is the lag of attitude loop and motors.
 `least_distance_m` omits the velocity integral and drag, which have little effect within the half second of a
-braking. The planner (`flight_model`) has both.
+braking. The planner's model (`flight_model`) includes velocity integral and drag.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _BEHIND_M = 0.3  # beyond this distance behind the plane the vehicle is on the o
 def stop_share(
     walls: Iterable[Wall], position: tuple[Number, Number], velocity: tuple[Number, Number]
 ) -> Number:
-    """Return the vehicle's stopping distance as a share of `STOP_TIME_S` times its velocity.
+    """Return the stopping distance, divided by the distance that the vehicle flies in `STOP_TIME_S`.
 
     The share is 1 in the open. It is smaller if a wall ahead stops the vehicle earlier.
 
@@ -89,7 +89,7 @@ def predict_impact(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> PlaneImpact | None:
-    """Predict when the vehicle meets a plane on its way to a setpoint; return None if not within the horizon.
+    """Predict when a vehicle on its way to a setpoint meets a plane; None if not within the horizon.
 
     Args: as in `least_distance_m`.
     """
@@ -114,7 +114,7 @@ def least_distance_m(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> float:
-    """Predict the smallest distance from a plane on the way to a setpoint.
+    """Predict the smallest distance between a plane and the vehicle, which flies to a setpoint.
 
     Args:
         distance_m: present signed distance to the plane.
@@ -125,7 +125,8 @@ def least_distance_m(
         horizon_s: length of the prediction.
 
     Returns:
-        The smallest signed distance within the horizon, metres; the present one if it only increases.
+        The smallest signed distance within the horizon, metres; if the distance only increases, the present
+            one.
     """
     nearest = distance_m
     for x, v in _course(

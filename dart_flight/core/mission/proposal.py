@@ -12,7 +12,7 @@ _NO_WALL: Final = ExpectedContact()
 
 
 class MissionFinding(NamedTuple):
-    """A finding that only the mission can make, because it knows the plan; named after its guard rule.
+    """A finding that fires a guard rule; only the mission can make it, because the mission knows the plan.
 
     Attributes:
         rule: name of the rule in `core.guard.rules`.

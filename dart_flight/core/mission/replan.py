@@ -21,8 +21,8 @@ class Replan(NamedTuple):
         answer: accepted answer that is not flown yet.
         from_rest: whether the request was for an approach from rest.
         trajectory, begin_us: the active trajectory and its beginning.
-        ends_leaning: whether the trajectory ends with the lean that the impact needs, as a trajectory of the
-            mission does.
+        ends_leaning: whether the trajectory ends with the lean that the impact needs, like the mission's own
+            trajectories.
         must_not_be_later: whether a new trajectory must not end much later than the active one.
         impact_us: time at which the trajectory meets the next wall.
     """

@@ -2,8 +2,8 @@
 
 The planner (`dart_flight.planning.replanner`) runs outside the core's step. A `PlanRequest` leaves with the
 other outputs, and a `PlanAnswer` arrives like any other input, or never. The paper's setpoint is active until
-an answered trajectory begins. It stays active if the answer is late, reports that there is no trajectory, or
-begins away from the vehicle.
+a trajectory from an answer begins. This setpoint stays active if the answer is late, if the answer reports
+that there is no trajectory, or if the vehicle is not at the beginning of the trajectory.
 """
 
 from __future__ import annotations
@@ -50,15 +50,16 @@ class ReplanRequests:
     ) -> Change:
         """Request a plan for the next leg, once after each contact.
 
-        If the vehicle flies a trajectory of the mission, repeat the request. The errors of PX4's loop take
-        longer to decay than such a trajectory lasts.
+        If the vehicle flies a trajectory of the mission, repeat the request: such a trajectory is too short
+        for the errors of PX4's loop to decay.
 
         Args:
             progress: state of the mission.
             state: state of the vehicle.
             sensed: results of the last input.
             square_us: time at which the vehicle, rotated by the contact, is square to the wall again.
-            coasts: whether the setpoint commands only thrust, so that no position ahead pulls the vehicle.
+            coasts: whether the setpoint commands only thrust. A position setpoint ahead then does not pull
+                the vehicle.
         """
         replan = progress.replan
         again = self._should_repeat(replan, state.now_us)
@@ -141,7 +142,7 @@ class ReplanRequests:
     # -- accepted answers --
 
     def approach(self, progress: MissionState, now_us: int) -> Change:
-        """Return the approach from rest at the answered velocity, if there is room for it."""
+        """Return the approach from rest at the impact velocity of the planner's answer, if there is room."""
         answer, following = progress.replan.answer, progress.collision
         if answer is None or not progress.replan.from_rest or following is None:
             return NO_CHANGE
@@ -158,7 +159,7 @@ class ReplanRequests:
         return Change(outputs=(taken,), replan=replan, approach=approach)
 
     def trajectory(self, progress: MissionState, state: FlightState) -> Change:
-        """Return the answered trajectory when it begins, if the vehicle is at its beginning."""
+        """Return the trajectory of an answer at its begin time, if the vehicle is at its beginning."""
         replan, answer = progress.replan, progress.replan.answer
         if answer is None or replan.from_rest or state.now_us < answer.begin_us:
             return NO_CHANGE

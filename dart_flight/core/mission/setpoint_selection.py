@@ -139,7 +139,7 @@ class SetpointSelection:
         return end_us is None or state.now_us - end_us < _COASTS_US
 
     def _trajectory_since_us(self, progress: MissionState) -> int | None:
-        """Return the beginning of the trajectory that is flown; None if the target is a step."""
+        """Return the begin time of the flown trajectory; None if the target is commanded as a step."""
         if progress.phase in self._underway:
             return progress.entered_us
         return progress.replan.since_us if progress.phase is Phase.RECOVERY else None
@@ -190,7 +190,7 @@ class SetpointSelection:
         return balancing_acceleration_m_s2(progress.contact_height_m, out_m, collision.mode)
 
     def _timing_correction_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
-        """Return the change of the thrust across a wall for a vehicle ahead of or behind its trajectory.
+        """Return the thrust to add along a wall's normal if the vehicle is ahead of or behind its trajectory.
 
         The change is the trajectory's thrust at the time that corresponds to the vehicle's own time to
         impact, minus the trajectory's thrust now. Without this change, a vehicle ahead of its trajectory
@@ -215,7 +215,7 @@ class SetpointSelection:
     # -- references --
 
     def _reference(self, progress: MissionState, t_us: int, since_us: int | None) -> Reference:
-        """Return the command at a time: from the trajectory, or the target as a step."""
+        """Return the command at a time: a point of the trajectory, or the target, commanded as a step."""
         course = progress.course
         if course.trajectory is None or since_us is None:
             return Reference(course.target)

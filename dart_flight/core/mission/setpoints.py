@@ -1,7 +1,7 @@
 """Construction of setpoints from a reference, the horizontal axes left free, and an added acceleration.
 
 On a free axis the setpoint is the measured motion, so that PX4 does not push along this axis. Only the
-acceleration is still that of the reference.
+acceleration still comes from the reference.
 """
 
 from __future__ import annotations

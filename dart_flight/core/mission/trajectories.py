@@ -1,7 +1,7 @@
 """The type of all trajectories: a position, with three derivatives, as a function of time.
 
 Trajectories are fed forward to PX4, so its P-PID cascade only corrects errors. Executive, planner and report
-use them; the constructors name the sources of a trajectory.
+use trajectories. The name of each constructor states the source of the trajectory.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class Trajectory(msgspec.Struct, frozen=True):
     """Polynomials of fifth order per axis, in consecutive pieces.
 
     Attributes:
-        x, y, z: coefficients in the seconds since the beginning of a piece, constant term first, six for each
-            piece; mission frame, metres.
+        x, y, z: six polynomial coefficients for each piece, constant term first; mission frame, metres. The
+            variable of the polynomials is the time since the beginning of the piece, s.
         pieces_s: duration of each piece.
         duration_s: total duration.
         after: motion after the end.
