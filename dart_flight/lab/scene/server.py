@@ -32,7 +32,7 @@ _JUMP_US = 1_000_000
 
 
 class SubscriptionListener(ServerListener):
-    """A listener that notes new subscriptions to channels with messages that are published only on changes."""
+    """A listener that notes new subscriptions to channels whose messages are published only on changes."""
 
     def __init__(self) -> None:
         self.waiting = threading.Event()

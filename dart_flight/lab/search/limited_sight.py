@@ -87,7 +87,10 @@ def plan_limited_sight(
 
 
 def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | None) -> QuickestPlan | None:
-    """Return the fastest flight that cruises at `speed_m_s` until the reaction ends; None without solution."""
+    """Return the fastest flight that cruises at `speed_m_s` until the reaction ends.
+
+    The result is None if the solver fails.
+    """
     (wall,) = scenario.walls.values()
     (nx, ny), (x, y) = wall.normal, wall.foot(scenario.start)
     begins_m = sight.distance_m - sight.reaction_s * speed_m_s  # before the wall

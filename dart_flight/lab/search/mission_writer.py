@@ -136,9 +136,9 @@ def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Ve
     """Return the gains (A_n, A_t) of a hit's recovery setpoint, m/N.
 
     The recovery setpoint is active from the peak of the hit until the replanned trajectory begins. The gains
-    keep the thrust per mass at its value at the hit, u = a + drag v_in, with the incoming velocity v_in. PX4's
-    position loop commands kv (kp A F - v_out), with the gain A, the peak force F and the outgoing velocity
-    v_out. kp is MPC_XY_P, and kv is MPC_XY_VEL_P_ACC. The gains make this command equal to u.
+    keep the thrust per mass at its value at the hit, u = a + drag v_in, with the incoming velocity v_in.
+    PX4's position loop commands kv (kp A F - v_out), with the gain A, the peak force F and the outgoing
+    velocity v_out. kp is MPC_XY_P, and kv is MPC_XY_VEL_P_ACC. The gains make this command equal to u.
     """
     response, px4 = ContactResponse.at_wall(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)

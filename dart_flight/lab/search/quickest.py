@@ -289,7 +289,7 @@ class _Search:
     def run(self, enough: Callable[[], bool], progress: Progress) -> None:
         """Compute sequences, the lowest bound first.
 
-        The search ends if no remaining sequence can be faster than the best plan, or if `enough` returns True.
+        The search ends when no remaining sequence can be faster than the best plan, or `enough` returns True.
         """
         self.free = self._solved(tuple(self._visits()))
         tie, found = itertools.count(), list[QuickestPlan]()
@@ -371,7 +371,7 @@ class _Search:
         return bool(walls) and (not self._demanded or walls == self._demanded)
 
     def _may_be_wanted(self, events: Sequence[Event]) -> bool:
-        """Return whether the events, possibly with additional hits, can contain every demanded hit in order."""
+        """Return whether additional hits can turn the hits of the events into the demanded sequence."""
         rest = iter(self._demanded)
         return not self._demanded or all(name in rest for name in _walls_hit(events))
 
@@ -407,8 +407,8 @@ class _Search:
     def _largest_speed_after_hit_m_s(self) -> float:
         """Return an upper bound on the speed after any hit.
 
-        The bound combines the largest velocity along the wall, which the hit leaves unchanged, and the largest
-        remaining normal velocity, reduced by the restitution.
+        The bound assumes the largest velocity along the wall and no friction. It assumes the largest normal
+        velocity that the speed limit then permits, reduced by the restitution.
         """
         fastest, hits, left = self.limits.speed_m_s, self.hits, 0.0
         for wall, mode in itertools.product(self.walls, self.scenario.modes):

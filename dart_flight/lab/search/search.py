@@ -358,14 +358,17 @@ class ScenarioSearch:
         return msgspec.structs.replace(plan, time_to_rest_s=at_rest_s, saving_s=free.time_s - at_rest_s)
 
     def trace(self, c: Candidates, chosen: NDArray[np.intp]) -> Arrivals:
-        """Roll out the candidates of `c` with the indices `chosen` again, and keep their collisions and legs."""
+        """Roll out the candidates `chosen` (indices into `c`) again, and keep their collisions and legs."""
         rollout = Rollout(self.scenario, c.sequence, self.flight, Constraints(self.scenario), keep_hits=True)
         vn, vt = c.normal_m_s[chosen], c.tangential_m_s[chosen]
         arrivals = rollout.fly(self.nominal, vn, vt, rollout.approach(vn, vt))
         return next(a for a in arrivals if a.modes == c.modes)
 
     def why_infeasible(self) -> str:
-        """Return a sentence with the reasons for rejection, the most frequent first, and with what to relax."""
+        """Return a sentence that lists the reasons for rejection, the most frequent first.
+
+        The sentence also says what to relax.
+        """
         counts = sorted(
             ((int(n), r) for r, n in zip(REFUSALS, self.refused[1:], strict=True) if n), reverse=True
         )
