@@ -132,7 +132,7 @@ class SteppedSimulation:
         """Return the vehicle to hovering at the mission's start; the same seed gives the same simulation.
 
         Args:
-            seed: new seed; by default the seed of the previous run.
+            seed: new seed; by default the present seed.
         """
         self._seed = self._seed if seed is None else seed
         mission = self.mission

@@ -164,7 +164,10 @@ def calibration_series_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> T
 
 
 def _ground(log: ULogFile) -> list[tuple[float, float]]:
-    """Return the intervals in which PX4's land detector reports ground contact, maybe landed or landed."""
+    """Return the intervals in which PX4's land detector reports a landed vehicle or a stage of landing.
+
+    The stages are `ground_contact` and `maybe_landed`.
+    """
     landed = log.first("vehicle_land_detected")
     if landed is None:
         return []

@@ -67,7 +67,10 @@ class LockSession:
         return self._execute(self.machine.release(self._clock_us()))
 
     def poll(self) -> LockState:
-        """Read the driver and update the state. Call this every 20 to 50 ms, even if the servo is at rest."""
+        """Read the driver and update the state.
+
+        A caller must call `poll` every 20 to 50 ms, even if the servo is at rest.
+        """
         asked_us = self._clock_us()
         try:
             reading = self.driver.read()

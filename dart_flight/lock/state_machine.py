@@ -170,8 +170,9 @@ class LockStateMachine:
 
         If a limit switch is closed, the lock adopts the end with this switch. If no switch is closed but the
         hardware outputs the pulse of an end, the lock adopts the end of this pulse. The travel time begins
-        now, because the command may be recent. Without such a switch or pulse, the lock stays `unknown`: a
-        command stored by the last run does not prove the position of the horn.
+        now, because the command may be recent. If there is no such switch or pulse, or if the inputs
+        contradict each other, the lock stays `unknown`. A command stored by the last run does not prove the
+        position of the horn.
         """
         if self.config.startup is LockStartup.HOME:
             return self.command(t_us, self.config.home_mode)
@@ -214,8 +215,7 @@ class LockStateMachine:
         """Set whether locking is permitted, because the arms are clear of contact and back in place.
 
         Initially locking is not permitted. If the permission ends while the lock moves to rigid, the machine
-        unlocks again: the rods must not
-        move into the slots during a contact.
+        unlocks again: the rods must not move into the slots during a contact.
         """
         self._permitted = permitted
         locking = self._state.phase is LockPhase.TRAVELLING and self._target is Mode.RIGID

@@ -98,7 +98,7 @@ class _Integral:
     def _outside(self, t: Array) -> tuple[Array, Array]:
         """Return two arrays: the time relative to the onset, and the time since the end of the contact.
 
-        The first array is negative before the onset and 0 from the onset. The second array is 0 until the
+        The first array is negative before the onset and 0 after the onset. The second array is 0 until the
         end of the contact.
         """
         return np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)

@@ -77,7 +77,7 @@ def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
 
 
 def _lock(flight: RecordedFlight, span: tuple[float, float]) -> list[list[Any]]:
-    """Return the states of the arms, each with its begin. The arms of a vehicle without a lock are rigid."""
+    """Return [begin, state] for each state of the arms; the arms of a vehicle without a lock are rigid."""
     if not flight.mission.vehicle.has_lock:
         return [[_ms(span[0]), Mode.RIGID.value]]
     return [[_ms(since), name] for since, _, name in lock_stretches(flight.course, span[1])]

@@ -265,15 +265,15 @@ class RecordedFlight:
         return found
 
     def armed_utc(self) -> str | None:
-        """Return the UTC time of arming by the host's clock. PX4 names its own log by the time of arming."""
+        """Return the UTC time of arming by the host's clock. PX4 names its own log after the arming time."""
         span = armed_span(self.log)
         return None if span is None else f"{span[0]:%Y-%m-%d %H:%M:%S} UTC"
 
     def replanned(self) -> list[tuple[PlanRequest, PlanAnswer | None, PlanTaken | None]]:
         """Return (request, answer, decision) for each request to the planner in flight.
 
-        The answer is None if the planner did not answer. The decision states whether the plan was used; it
-        is None if none was recorded.
+        The answer is None if the planner did not answer. The decision states whether the plan was used. The
+        decision is None if the log contains no decision.
         """
         answers = {a.number: a for a in self.course.all(PlanAnswer)}
         taken = {t.number: t for t in self.course.all(PlanTaken)}

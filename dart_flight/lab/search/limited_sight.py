@@ -58,7 +58,8 @@ def plan_limited_sight(
 ) -> QuickestResult:
     """Plan the flights with and without a hit for a scenario with `sight`.
 
-    The faster flight is the best plan. If the scenario demands the hit, the flight with the hit is the best.
+    If the scenario demands the hit, the flight with the hit is the best plan. If the scenario does not demand
+    the hit, the faster flight is the best plan.
 
     Args:
         scenario: a scenario with one wall, in front of the start.

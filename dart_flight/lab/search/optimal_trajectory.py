@@ -5,10 +5,10 @@ Between two events the jerk is constant over each of several equal intervals. Po
 acceleration are therefore polynomials of the time, and the states at the ends of an interval are exact
 (direct multiple shooting). The duration of each part is free. A hit changes the velocity by the contact law
 in closed form (`ContactResponse`) and lasts as long as the contact. For `dead_s` after the hit the thrust
-stays constant, because the attitude cannot
-jump and the next leg is planned meanwhile. The drag is proportional to the velocity. CasADi states the
-problem and its derivatives, and IPOPT solves it (extra `plan`). To keep clear of walls and posts, each part
-of a path stays inside half-planes and outside discs.
+stays constant, because the attitude cannot jump and the next leg is planned meanwhile. The drag is
+proportional to the velocity. CasADi states the problem and its derivatives, and IPOPT solves the problem
+(extra `plan`). To keep clear of walls and posts, each part of a path stays inside half-planes and outside
+discs.
 """
 
 from __future__ import annotations
@@ -68,10 +68,10 @@ class HitLimits(NamedTuple):
         sliding_m_s: largest velocity along the wall.
         friction_ratio: largest ratio of friction to normal force.
         detectable_n: smallest normal force that is detected.
-        thrust_m_s2: mode -> (smallest, largest) thrust per mass at the hit, along the wall's normal. A
-            contact rotates a tilted vehicle, and a longer contact rotates it further. A vehicle with
-            flexible arms must be nearly level at the hit. Otherwise it turns over and loses its velocity
-            (docs/results/faster_hits.md).
+        thrust_m_s2: mode -> (smallest, largest) thrust per mass at the hit, positive away from the wall. A
+            contact rotates a tilted vehicle, and a longer contact rotates it further. With flexible arms the
+            vehicle must therefore be nearly level at the hit. Otherwise the vehicle turns over and loses its
+            velocity (docs/results/faster_hits.md).
         thrust_along_m_s2: largest thrust per mass along the wall at the hit.
     """
 

@@ -124,7 +124,7 @@ def plan_quickest(
     """Search a scenario with the objective `quickest`.
 
     Args:
-        scenario: supplies visits, walls and limits. If the scenario names a sequence, its hits are demanded.
+        scenario: supplies visits, walls and limits. If it names a sequence, the plan must hit these walls.
         within_s: time limit of the search, seconds; the best plan found until then is refined and returned.
         progress: called with the number of computed sequences and the number of known sequences.
 
@@ -388,7 +388,7 @@ class _Search:
         return total + sum(self._least_contact_s(e.wall) for e in events if isinstance(e, Hit))
 
     def _end_of_leg(self, events: Sequence[Event], places: Sequence[Vec2], k: int) -> LegEnd:
-        """Return the constraint that event `k` sets for the two legs that meet there.
+        """Return the constraint that event `k` sets for the two legs that meet at this event.
 
         `k` = -1 is the start, and `k` = len(events) is the goal.
         """

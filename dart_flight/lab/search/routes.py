@@ -47,8 +47,8 @@ class Obstacles(NamedTuple):
 def shortest_path(begin: Vec2, end: Vec2, obstacles: Obstacles) -> list[Vec2] | None:
     """Return the shortest path past posts and walls as a polyline, or None if there is no path.
 
-    The polyline includes both ends. If an end is nearer to a wall than `CLEARANCE_M`, the clearance from this
-    wall is not required there.
+    The polyline includes both ends. If an end is nearer to a wall than `CLEARANCE_M`, no clearance from this
+    wall is required at that end.
     """
     walls, discs, bounds = obstacles
 

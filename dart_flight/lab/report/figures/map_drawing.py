@@ -163,8 +163,8 @@ def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
     """Return the limits of a view that contains the points (n, 2) and a margin around the points.
 
     The limits are [[low x, low y], [high x, high y]], metres. The view includes the nearest part of every
-    wall, unless that part is outside of the bounds. The view does not extend beyond the
-    room, which consists of the bounds and the walls with their names.
+    wall, unless that part is outside of the bounds. The view does not extend beyond the room, which consists
+    of the bounds and the walls with their names.
     """
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     room = [np.array([[x0, y0], [x1, y1]])]

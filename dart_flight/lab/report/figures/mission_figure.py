@@ -170,7 +170,7 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
 
 
 def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
-    """Draw each probe from its begin to its end; return the label and the line of each probe."""
+    """Draw the line of each probe to the probe's end; return the label and the line of each probe."""
     found = []
     for collision in mission.collisions:
         if collision.probe is None:
@@ -304,7 +304,7 @@ def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
 def _side_by_side(mission: Mission, planned: PredictedFlight) -> list[tuple[Vec2, str]]:
     """Return the positions (x, z) of the hits with the numbers of the hits.
 
-    Neighbouring hits that are close to each other at the same altitude share one position.
+    Hits that are close together at the same altitude share one position.
     """
     found: list[tuple[Vec2, str]] = []
     for index, hit in sorted(planned.hits.items(), key=lambda item: item[1].position[0]):
