@@ -30,7 +30,7 @@ class Share(msgspec.Struct, frozen=True):
     high: float | None
 
     def words(self, unknown: str) -> tuple[str, str]:
-        """Return the rate and its interval as text, in percent, or `unknown` for both without flights."""
+        """Return the rate and its interval as two texts, in percent. Without flights both are `unknown`."""
         if self.share is None or self.low is None or self.high is None:
             return unknown, unknown
         return f"{100.0 * self.share:.1f} %", f"{100.0 * self.low:.1f} to {100.0 * self.high:.1f} %"
@@ -71,7 +71,8 @@ class Separation(NamedTuple):
     Attributes:
         chance: probability that a value of the first group exceeds one of the second, with ties counted half;
             0.5 is no separation.
-        z: deviation of `chance` from 0.5, in the standard deviations of two groups that do not differ.
+        z: deviation of `chance` from 0.5, divided by the standard deviation that `chance` has if the groups
+            do not differ.
     """
 
     chance: float
@@ -88,7 +89,10 @@ def separation(first: Sequence[float], second: Sequence[float]) -> Separation:
 
 
 def rank_correlation(pairs: Sequence[tuple[float, float]]) -> float:
-    """Return Spearman's rank correlation; equal values share a rank, and both columns must vary."""
+    """Return Spearman's rank correlation. Equal values share a rank.
+
+    The first values of the pairs must not all be equal, and neither must the second values.
+    """
 
     def ranks(values: Sequence[float]) -> list[float]:
         ordered = sorted(values)
@@ -113,7 +117,8 @@ def rank_correlation_chance(correlation: float, pairs: int) -> float:
 def student_t(freedom: int) -> float:
     """Return the 97.5 % point of Student's t for a number of degrees of freedom.
 
-    Few degrees of freedom use a table, because the expansion about the normal quantile is inaccurate there.
+    For up to ten degrees of freedom the value comes from a table, because the expansion about the normal
+    quantile is inaccurate there.
     """
     if freedom <= len(_T_FEW):
         return _T_FEW[freedom - 1]

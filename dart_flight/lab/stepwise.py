@@ -1,7 +1,7 @@
 """A simulation that a script steps with its own setpoints: `dart_flight.Simulation` (docs/python.md).
 
-It is the vehicle of the fast world without mission and guard: plant, sensors, embedded autopilot, lock servo
-and the force estimator of the flight core.
+The simulation contains the vehicle of the fast world, but neither a mission nor the guard. The vehicle
+consists of plant, sensors, embedded autopilot, lock servo and the force estimator of the flight core.
 """
 
 from __future__ import annotations
@@ -39,12 +39,13 @@ _DOWN_RAD: Final = 0.5 * math.pi  # tilt from which the vehicle counts as turned
 class FlightSetpoint(NamedTuple):
     """A setpoint of PX4's position controller, mission frame.
 
-    A vector that is None is not controlled. If x and y of a vector, or z, are NaN, they are not controlled.
+    A vector that is None is not controlled. NaN in x or y of a vector frees both horizontal components, and
+    NaN in z frees the vertical component. PX4 does not control free components.
 
     Attributes:
         position_mission, velocity_mission, acceleration_mission: m, m/s, m/s2.
         yaw_rad: heading, counter-clockwise from the mission's x axis.
-        mode: mode to which the lock moves, or None to leave it.
+        mode: mode to which the lock moves; None leaves the lock as it is.
     """
 
     position_mission: Vec3 | None = None
@@ -55,7 +56,7 @@ class FlightSetpoint(NamedTuple):
 
 
 class SteppedObservation(NamedTuple):
-    """The state of the vehicle that its companion computer knows.
+    """The state of the vehicle, as far as the vehicle's companion computer knows this state.
 
     Attributes:
         time_s: simulated time since `reset`.
@@ -63,9 +64,10 @@ class SteppedObservation(NamedTuple):
         attitude: estimated quaternion (w, x, y, z), body FRD to NED, shape (4,).
         force: estimated external force, mission frame, N, shape (3,); zeros before the first estimate.
         mode: mode of the lock's horn; None while it moves.
-        walls: walls nearer than `view_m`, nearest first, shape (n, 5): point x, y and normal x, y (mission
-            frame, m), and the distance along the normal that the vehicle's centre can move before the vehicle
-            touches the wall (m).
+        walls: walls nearer than `view_m`, nearest first, shape (n, 5). Columns: x and y of the wall's point
+            (m), x and y of the wall's normal, and the free distance (m). The free distance is the distance
+            along the normal that the vehicle's centre can move before the vehicle touches the wall. Point
+            and normal are in the mission frame.
         contacts: number of contacts that have ended since `reset`.
         is_down: whether the vehicle has landed, or has tilted by more than 90 degrees.
     """
@@ -82,7 +84,7 @@ class SteppedObservation(NamedTuple):
 
 
 def _to_ned(vector_mission: Vec3 | None, convert: Callable[[Vec3], Vec3]) -> Vec3:
-    """Return a vector of a setpoint in NED, with NaN for its free parts."""
+    """Return a vector of a setpoint in NED. Components that are not controlled are NaN."""
     if vector_mission is None:
         return _FREE
     x, y, z = vector_mission
@@ -99,10 +101,11 @@ class SteppedSimulation:
     """A simulated vehicle in the air that advances by one period for each setpoint.
 
     Args:
-        mission: vehicle, walls and start, or the file of a mission; its collisions are not flown.
+        mission: a mission or its file, which supplies vehicle, walls and start. The mission's collisions are
+            not flown.
         seed: seed of the sensors' noise.
         period_s: simulated time of one step; a multiple of 4 ms.
-        view_m: distance up to which a wall appears in the observations; default: every wall does.
+        view_m: distance up to which a wall appears in the observations; by default every wall appears.
 
     Raises:
         InputError: the period is not a positive multiple of 4 ms, or the mission is invalid.
@@ -129,7 +132,7 @@ class SteppedSimulation:
         """Return the vehicle to hovering at the mission's start; the same seed gives the same simulation.
 
         Args:
-            seed: new seed; default: the one in use.
+            seed: new seed; by default the present seed.
         """
         self._seed = self._seed if seed is None else seed
         mission = self.mission

@@ -46,7 +46,9 @@ NO_MOTORS = MotorCommands(_NONE, _NO_FOURS, "")
 
 
 class Track(msgspec.Struct):
-    """Measurements of one flight over the autopilot's time in seconds. An array is empty if not recorded.
+    """Measurements of one flight. Stamps are the autopilot's time in seconds.
+
+    If the log lacks a measurement, its array is empty.
 
     Attributes:
         source: the file, for messages.
@@ -128,7 +130,7 @@ def _own_track(log: Log) -> Track:
 
 
 def calibration_series_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> Track:
-    """Return the measurements of an open ULog, with motor commands already read from it."""
+    """Return the measurements of an open ULog. `motors` are the motor commands read from the same log."""
     imu, attitude = log.first("sensor_combined"), log.first("vehicle_attitude")
     moved, volts = log.first("vehicle_local_position"), battery(log)
     notes = [motors.description, volts.problem]
@@ -162,7 +164,10 @@ def calibration_series_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> T
 
 
 def _ground(log: ULogFile) -> list[tuple[float, float]]:
-    """Return the intervals in which PX4's land detector reports the vehicle landed or close to it."""
+    """Return the intervals in which PX4's land detector reports a landed vehicle or a stage of landing.
+
+    The stages are `ground_contact` and `maybe_landed`.
+    """
     landed = log.first("vehicle_land_detected")
     if landed is None:
         return []
@@ -171,6 +176,9 @@ def _ground(log: ULogFile) -> list[tuple[float, float]]:
 
 
 def _intervals(times: Array, holds: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return (begin, end) in s for each sample that holds a state; each ends at the next sample."""
+    """Return (begin, end) in s for each sample for which `holds` is True.
+
+    Each interval ends at the time of the next sample. The interval of the last sample has no end (infinity).
+    """
     ends = np.append(times, np.inf)[1:]
     return list(zip(times[holds].tolist(), ends[holds].tolist(), strict=True))

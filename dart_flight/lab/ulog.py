@@ -1,10 +1,10 @@
 """Reader of PX4's own logs (ULog, PX4 1.9 and later): topics as arrays, decoded motor commands, and
 battery voltage.
 
-The content of `actuator_outputs` depends on version and output type. Pulse widths lie between `PWM_MIN` and
-`PWM_MAX` (until 1.11), `PWM_MAIN_MIN` and `_MAX` (1.12) or the values of each pin (since 1.13). DShot uses 0
-to 1999, UAVCAN 0 to 8191 and the simulation 0 to 1. A log may have several instances: motors on one, servos
-or nothing on the other.
+The content of `actuator_outputs` depends on PX4's version and on the output type. Parameters limit the pulse
+widths: `PWM_MIN` and `PWM_MAX` until 1.11, `PWM_MAIN_MIN` and `PWM_MAIN_MAX` in 1.12, and parameters of each
+pin since 1.13. DShot uses 0 to 1999, UAVCAN 0 to 8191 and the simulation 0 to 1. A log may have several
+instances of this topic. Then one instance contains the motors; the others contain servos or nothing.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class ULogFile(msgspec.Struct):
 
     Attributes:
         source: the file, for messages.
-        topics: name -> instance -> field -> array, as PX4 wrote it; only topics with samples.
+        topics: name -> instance -> field -> array as PX4 wrote the array. Topics without samples are absent.
         parameters: PX4's parameters at the start of the log.
         version: PX4's version, or None if it is not logged or PX4 was built between releases.
         gaps_s: total duration that the logger lost, seconds.
@@ -205,7 +205,7 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 def seconds(data: dict[str, Any]) -> Array:
     """Return a topic's stamps, s on the autopilot's clock.
 
-    The stamps are the times of measurement; if these are missing, they are the times of logging.
+    The stamps are the times of measurement. If the log lacks them, the stamps are the times of logging.
     """
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
@@ -243,7 +243,7 @@ def motor_commands(log: ULogFile) -> MotorCommands:
 
 
 def _motor_count(log: ULogFile) -> int:
-    """Return the number of motors according to the parameters, or four if they do not contain it."""
+    """Return the number of motors according to the parameters; four if the parameters do not specify it."""
     count = log.parameters.get(COUNT, 0.0) or _MOTORS_OF_TYPE.get(int(log.parameters.get("MAV_TYPE", 0.0)), 4)
     return int(min(count, _LONGEST_COUNT))
 
@@ -272,7 +272,8 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
 def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tuple[Array, Array]:
     """Return the shortest and longest pulse of each output.
 
-    They come from the first parameter that has a value: that of the pin, of the port, or of all ports.
+    Up to three parameters can set such a limit: for the pin, for the port, or for all ports. The limit comes
+    from the first of these parameters that has a value.
     """
     bank = "MAIN" if instance == 0 else "AUX"
     ends = []

@@ -1,7 +1,7 @@
-"""Calibration of the two end stops by hand, in small steps. It reaches the driver only through a callable.
+"""Calibration of the two end stops by hand, in small steps. A callable is the only access to the driver.
 
-The cam's own end angles are theta_0 (flexible) and theta_0 + 90 degrees (rigid). Each end therefore needs
-only its pulse width, and the two widths define the direction.
+The angles of the cam at its ends are known: theta_0 (flexible) and theta_0 + 90 degrees (rigid). The operator
+therefore calibrates only the pulse width of each end. The direction follows from the two pulse widths.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ class Calibration:
 
     @property
     def current_end(self) -> Mode | None:
-        """End that is being calibrated, or None if both are stored."""
+        """End that is being calibrated; None if the pulse widths of both ends are stored."""
         return next((mode for mode in self.ORDER if mode not in self.found), None)
 
     def execute(self, line: str) -> None:
         """Execute one line of the operator: any command of `HELP` except quit.
 
         Raises:
-            CalibrationError: the line is invalid, outside the servo's range, or the ends are no valid
-                calibration.
+            CalibrationError: the line is not a command, the pulse is outside the servo's range, or the two
+                ends are not a valid calibration.
         """
         word = line.strip().lower()
         if word == "ok":

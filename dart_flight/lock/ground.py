@@ -1,7 +1,7 @@
-"""Operation of the lock on the ground, in real time: the functions of `dart-flight lock`, without its output.
+"""Operation of the lock on the ground, in real time, for the command `dart-flight lock`.
 
-The operator stands beside the vehicle and sees the arms. Locking is therefore permitted, and the first
-command replaces homing.
+The operator stands beside the vehicle and sees the arms. Locking is therefore permitted. The lock is not
+homed at the start: it adopts its present position until the first command.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ def clock_us() -> int:
 def ground_driver(
     config: LockConfig, last: LastCommand | None, set_actuator: SetActuator | None = None
 ) -> Driver:
-    """Return the configured driver; the mock's horn starts at the end of its last command.
+    """Return the configured driver.
+
+    The horn of a mock starts at the end (flexible or rigid) to which the mock was last commanded.
 
     Raises:
         DriverError: as in `make_driver`.

@@ -1,7 +1,7 @@
-"""A driver and its state machine, for a thread that may block: each call executes the resulting actions.
+"""A driver and its state machine, for a thread that may block.
 
-The lock command, the campaign and the tests use it. The flight app may use it in the lock's thread, or step
-the machine itself.
+Each call also executes the actions that the state machine returns. The lock command, the campaign and the
+tests use `LockSession`. The flight app may use it in the lock's thread, or step the state machine itself.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from dart_flight.lock.state_machine import Action, CommandRefused, LockStateMach
 
 
 class LockSession:
-    """Steps a lock on `clock_us`, the core's time base in microseconds.
+    """Steps the state machine of a lock and executes the actions with the driver.
 
-    `on_change` is called with every new lock state, in order. No method raises `DriverError`: a failing
-    driver becomes a fault of the state.
+    `clock_us` returns the core's time in microseconds. `on_change` is called with every new lock state, in
+    order. No method raises `DriverError`: if the driver fails, the phase of the lock becomes `fault`.
     """
 
     def __init__(
@@ -40,7 +40,10 @@ class LockSession:
         return self.machine.state
 
     def start(self) -> CommandRefused | None:
-        """Start by homing or by adopting the present position, as configured; return the refusal, if any."""
+        """Start by homing or by adopting the present position, as configured.
+
+        Return a `CommandRefused` if the state machine refuses the homing.
+        """
         asked_us = self._clock_us()
         try:
             self.driver.open()
@@ -52,7 +55,7 @@ class LockSession:
         return self._execute(self.machine.start(asked_us, reading))
 
     def command(self, mode: Mode) -> CommandRefused | None:
-        """Move to a mode; return the refusal, if any."""
+        """Move to a mode; return a `CommandRefused` if the state machine refuses the command."""
         return self._execute(self.machine.command(self._clock_us(), mode))
 
     def permit(self, permitted: bool) -> None:
@@ -60,11 +63,14 @@ class LockSession:
         self._execute(self.machine.permit(self._clock_us(), permitted))
 
     def release(self) -> CommandRefused | None:
-        """Switch the pulses off; return the refusal, if any."""
+        """Switch the pulses off; return a `CommandRefused` if the state machine refuses this."""
         return self._execute(self.machine.release(self._clock_us()))
 
     def poll(self) -> LockState:
-        """Read the driver and update the state; to be called every 20 to 50 ms, even without a travel."""
+        """Read the driver and update the state.
+
+        A caller must call `poll` every 20 to 50 ms, even if the servo is at rest.
+        """
         asked_us = self._clock_us()
         try:
             reading = self.driver.read()

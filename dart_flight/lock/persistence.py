@@ -125,7 +125,7 @@ class ServoInUseError(Exception):
     """Another process owns the servo.
 
     Attributes:
-        pid: of the other process, or None if unknown.
+        pid: process number of the other process, or None if unknown.
     """
 
     def __init__(self, pid: int | None) -> None:
@@ -144,7 +144,7 @@ class ServoOwnership(Lease):
         """Acquire the servo.
 
         Raises:
-            ServoInUseError: another process, or another part of this one, owns it.
+            ServoInUseError: another process owns the servo, or another object in this process does.
             InputError: the state folder cannot be used.
         """
         try:

@@ -1,9 +1,9 @@
 """The servo: pulse width for a horn angle, travel time, and a model of the horn's motion.
 
-All code here is pure: simulated time is an argument, integer microseconds. The data of the HiTec HS-322HD
-(manufacturer's catalogue) are configuration: 0.19 s/60 degrees at 4.8 V, 0.15 at 6 V, 50 Hz frame, 900 to
-2100 us. The servo has no position feedback: the software knows the command and the travel time, not the
-position of the horn.
+All code here is pure: the simulated time, an integer in microseconds, is an argument. The data of the HiTec
+HS-322HD (manufacturer's catalogue) are configuration: 0.19 s per 60 degrees at 4.8 V, 0.15 s at 6 V, 50 Hz
+frame, 900 to 2100 us. The servo has no position feedback: the software knows the command and the travel time,
+not the position of the horn.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class ServoFaults(msgspec.Struct, frozen=True):
     Attributes:
         stuck: the horn does not move at all.
         slow: factor on the duration of every travel.
-        stall_fraction: point that the horn cannot pass, from 0 (flexible end) to 1 (rigid end). The horn
-            cannot move to the other side of this point.
+        stall_fraction: point of the travel that the horn cannot cross in either direction; 0 is the flexible
+            end, 1 the rigid end.
     """
 
     stuck: bool = False
@@ -99,7 +99,10 @@ class ServoModel:
         self._horn_us += max(-step, min(step, goal - self._horn_us))
 
     def _reachable(self) -> tuple[float, float]:
-        """Return the lowest and highest pulse width that the horn can reach; a stall bounds its own side."""
+        """Return the lowest and highest pulse width that the horn can reach.
+
+        If the servo stalls at a point, the horn can reach only the side of this point on which it is.
+        """
         low, high = self.servo.min_pulse_us, self.servo.max_pulse_us
         if self._faults.stall_fraction is None:
             return low, high

@@ -1,17 +1,18 @@
 """The lock's state machine: its known state, and the commands that it permits.
 
-This file performs no I/O and reads no clock: every input carries its time, integer microseconds of the core's
-time base. Only `_transition` changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the table as
-a diagram.
+This file performs no I/O and reads no clock. Every input carries its time, an integer in microseconds on the
+core's time base. Only `_transition` changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the
+table as a diagram.
 
 The servo has no position feedback. `settled` means three things: the driver accepted the command, the travel
 time with its margin is over, and a later reading still shows the commanded pulse. Only a limit switch sets
 `feedback=True`. If an end has a switch, the lock settles at that end only when the switch closes.
 
-A shell calls `start` once, then `command` and `permit` as the core requests. It executes the returned actions
-in order. It answers each `SetPulse` with `confirm_sent` after `Driver.set_pulse` returns, or with
-`driver_failed`. It supplies a `reading` at least every 20 to 50 ms, stamped with the time *before* the
-reading, and calls `step` as often. `state` is a new object after every change.
+A shell calls `start` once, then `command` and `permit` as the core requests. The shell executes the returned
+actions in order. After `Driver.set_pulse` has returned, the shell answers a `SetPulse` with `confirm_sent`.
+If the driver failed, the shell answers with `driver_failed`. At least every 20 to 50 ms the shell supplies a
+`reading`, stamped with the time *before* the reading, and calls `step`. `state` is a new object after every
+change.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ class DriverReading(msgspec.Struct, frozen=True):
     """State that a driver reports.
 
     Attributes:
-        pulse_us: present output pulse width, read from the hardware if possible. None if the pulses are off.
-            Also None if the hardware cannot be read and nothing was commanded yet.
-        rigid_switch: whether the limit switch at the rigid end is closed; None if not fitted.
-        flexible_switch: the same at the flexible end.
+        pulse_us: present output pulse width, read from the hardware if possible. The value is None if the
+            pulses are off, or if the hardware cannot be read and nothing was commanded yet.
+        rigid_switch: whether the limit switch at the rigid end is closed; None if this end has no switch.
+        flexible_switch: whether the limit switch at the flexible end is closed; None if this end has none.
         errors: error messages of the hardware.
     """
 
@@ -60,7 +61,7 @@ class PulsesOff(msgspec.Struct, frozen=True):
 
 
 class CommandRefused(msgspec.Struct, frozen=True):
-    """Notice that a command was refused, with the reason; not for the driver."""
+    """Notice to the caller that a command was refused, with the reason. The driver does not receive it."""
 
     what: str
     reason: str
@@ -127,7 +128,7 @@ def status_text(state: LockState) -> str:
 
 
 def _run_start(before_us: int | None, t_us: int) -> int:
-    """Return the start of an unbroken run of readings: the stored start, or now."""
+    """Return the start of an unbroken run of readings: `before_us` if a run has begun, otherwise `t_us`."""
     return t_us if before_us is None else before_us
 
 
@@ -135,7 +136,7 @@ def _run_start(before_us: int | None, t_us: int) -> int:
 
 
 class LockStateMachine:
-    """State of the locking mechanism; the module describes how a shell uses it."""
+    """State machine of the locking mechanism; the module's docstring describes how a shell uses the class."""
 
     def __init__(self, config: LockConfig, t_us: int = 0) -> None:
         self.config = config
@@ -167,10 +168,11 @@ class LockStateMachine:
     def start(self, t_us: int, reading: DriverReading | None) -> list[Action]:
         """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
-        If a limit switch is closed, the lock adopts that end. If not, but the hardware still outputs the
-        pulse of one end, the lock adopts this end. The travel time begins now, because the command may be
-        recent. If neither is the case, the lock stays `unknown`: a command stored by the last run does not
-        prove the position of the horn.
+        If a limit switch is closed, the lock adopts the end with this switch. If no switch is closed but the
+        hardware outputs the pulse of an end, the lock adopts the end of this pulse. The travel time begins
+        now, because the command may be recent. If there is no such switch or pulse, or if the inputs
+        contradict each other, the lock stays `unknown`. A command stored by the last run does not prove the
+        position of the horn.
         """
         if self.config.startup is LockStartup.HOME:
             return self.command(t_us, self.config.home_mode)
@@ -210,10 +212,10 @@ class LockStateMachine:
         return [PulsesOff()]
 
     def permit(self, t_us: int, permitted: bool) -> list[Action]:
-        """Set whether the arms are clear of contact and back in place; initially they are not.
+        """Set whether locking is permitted, because the arms are clear of contact and back in place.
 
-        If the permission ends while the lock moves to rigid, the machine unlocks again: the rods must not
-        move into the slots during a contact.
+        Initially locking is not permitted. If the permission ends while the lock moves to rigid, the machine
+        unlocks again: the rods must not move into the slots during a contact.
         """
         self._permitted = permitted
         locking = self._state.phase is LockPhase.TRAVELLING and self._target is Mode.RIGID

@@ -271,13 +271,13 @@ class Constraints:
 
 
 def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:
-    """Return whether a setpoint is behind a wall and the vehicle in front; coordinates may be arrays."""
+    """Return whether `target` is behind a wall while `place` is in front of it; coordinates may be arrays."""
     crosses = (wall.signed_distance(place) > 0.0) & (wall.signed_distance(target) <= 0.0)
     return crosses & (wall.end_distance_m(target) >= -end_margin_m(wall, target))
 
 
 def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return whether a coordinate is outside its limits, now or where the vehicle would stop."""
+    """Return whether a coordinate is outside its limits now, or will be outside if the vehicle brakes now."""
     stop = x + np.float32(STOP_TIME_S) * v
     outside: NDArray[np.bool_] = np.minimum(x, stop) < np.float32(limits[0])
     outside |= np.maximum(x, stop) > np.float32(limits[1])
@@ -317,11 +317,11 @@ def _hits_post(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
 
 
 def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
-    """Return tables of the braking distance by the executive's rule, for `lock_in_time`.
+    """Return tables of the braking distance for `lock_in_time`, computed by the executive's rule.
 
-    The first table is the distance with an acceleration towards the wall. The second is the distance with an
-    acceleration away from the wall. The third is the argument of both: the share of the speed in the sum of
-    speed and scaled acceleration. The distance is proportional to this sum.
+    The braking distance is proportional to the sum of the speed and the scaled acceleration. The tables give
+    the distance for a sum of 1 m/s. The first table holds for an acceleration towards the wall, the second
+    for an acceleration away from the wall. The third array is the argument of both tables: speed / sum.
     """
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0

@@ -151,7 +151,13 @@ def _drop_errors(
 
 
 class DualRow(NamedTuple):
-    """An impact of the dual collision (Sec. V-B): published velocities and the flight model's, m/s."""
+    """One of the two impacts of the paper's dual collision (Sec. V-B).
+
+    Attributes:
+        published_m_s: published (normal, tangential) velocity.
+        model_m_s: velocity that the flight model predicts; None if the model does not reach the wall.
+        model_peak_n: peak normal force that the flight model predicts, or None.
+    """
 
     wall: str
     mode: Mode
@@ -193,7 +199,7 @@ class FlightRow(NamedTuple):
 
 
 def flight_rows(vehicle: VehicleConfig) -> Iterator[FlightRow]:
-    """Yield the collision in flight of Sec. V-A for both modes and onset rules.
+    """Yield the paper's collision in flight (Sec. V-A), once for each mode and onset rule.
 
     Raises:
         KeyError: the configuration has no material `acrylic`.

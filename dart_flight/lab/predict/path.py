@@ -2,7 +2,8 @@
 
 `contact_map` returns the outcome of a contact; this module returns the quantities over time. Normal position,
 velocity and force are elementary functions (`dart_flight.contact.oscillator`). The displacement along the
-wall and the vertical impulse are integrals of smooth functions, computed by quadrature to the stated bounds.
+wall and the vertical impulse are integrals of smooth functions, computed by quadrature. The comment above
+`_TERMS` states the relative error.
 """
 
 from __future__ import annotations
@@ -49,7 +50,10 @@ def _nodes() -> _Nodes:
 
 
 class _Integral:
-    """The running integral and double integral of a function on [0, end], constant before and after it."""
+    """The integral and the double integral of a function, from time 0 to any time.
+
+    The function is integrated numerically on [0, end]. Before 0 and after `end` the function is constant.
+    """
 
     def __init__(self, function: Callable[[Array], Array], end: float, before: float, after: float) -> None:
         nodes = _nodes()
@@ -79,9 +83,9 @@ class _Integral:
         return at_nodes, self._primitive(at_nodes)
 
     def _inside(self, series: Array, t: Array) -> Array:
-        """Return the value of a series at some times.
+        """Return the values of a series at the times `t`.
 
-        Before the contact the value is 0; after the contact it keeps its last value.
+        Before the contact a series is 0. After the contact it keeps its last value.
         """
         value = np.where(t > 0.0, series.sum(), 0.0)
         inside = (t > 0.0) & (t < self._end)
@@ -92,7 +96,11 @@ class _Integral:
         return value
 
     def _outside(self, t: Array) -> tuple[Array, Array]:
-        """Return the time before the onset (negative, else 0) and the time after the contact (else 0)."""
+        """Return two arrays: the time relative to the onset, and the time since the end of the contact.
+
+        The first array is negative before the onset and 0 after the onset. The second array is 0 until the
+        end of the contact.
+        """
         return np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)
 
 
@@ -100,12 +108,12 @@ class ContactMotion:
     """One hit that can be evaluated at any time; times count from the onset.
 
     Args:
-        coefficients: coefficients of material and mode.
+        coefficients: contact coefficients of the wall's material in the vehicle's mode.
         mass_kg: vehicle mass.
         normal_m_s: normal velocity at the onset, collision frame; negative or 0.
         onset: onset rule.
-        acceleration_m_s2: constant acceleration along the normal by other causes, such as gravity in a drop.
-            It also acts before and after the contact.
+        acceleration_m_s2: constant acceleration along the normal that the contact does not cause, such as
+            gravity in a drop. This acceleration also acts before and after the contact.
 
     Attributes:
         has_contact: whether there is a contact.
@@ -182,12 +190,18 @@ class ContactMotion:
         return self._slipped.once(t) if self.has_contact else t.copy()
 
     def rise(self, time_s: ArrayLike) -> Array:
-        """Return the velocity in m/s that the vertical force causes, along that force, for nu = 1 N."""
+        """Return the velocity in m/s that the vertical force causes.
+
+        The velocity is positive along the force. It holds for a coefficient nu of 1 N and scales with nu.
+        """
         t = np.asarray(time_s, dtype=float)
         return self._raised.once(t) if self.has_contact else np.zeros_like(t)
 
     def lift(self, time_s: ArrayLike) -> Array:
-        """Return the displacement in m that the vertical force causes, along that force, for nu = 1 N."""
+        """Return the displacement in m that the vertical force causes.
+
+        The displacement is positive along the force. It holds for a coefficient nu of 1 N and scales with nu.
+        """
         t = np.asarray(time_s, dtype=float)
         return self._raised.twice(t) if self.has_contact else np.zeros_like(t)
 
@@ -203,7 +217,7 @@ class ContactMotion:
         return _Integral(self._share, self._horizon, 0.0, held)
 
     def _share(self, time_s: Array) -> Array:
-        """Return the acceleration in m/s2 that the vertical force causes for nu = 1 N."""
+        """Return the acceleration in m/s2 that the vertical force causes if its coefficient nu is 1 N."""
         force = self.normal(time_s)[2]
         return force / (1.0 + force) / self.mass_kg
 
@@ -213,8 +227,8 @@ class HitHistory(NamedTuple):
 
     Attributes:
         time_s: time since the onset of the contact.
-        normal_m: signed distance of the vehicle's centre from its position at first touch.
-        tangential_m, vertical_m: displacement along Y and Z since the onset (Z points down at a wall).
+        normal_m: signed distance of the vehicle's centre from the plane of first touch.
+        tangential_m, vertical_m: displacement along Y and Z since the onset. Z points down at a wall.
         normal_m_s, tangential_m_s, vertical_m_s: velocity.
         normal_force_n, tangential_force_n, vertical_force_n: contact force.
     """
@@ -234,14 +248,13 @@ class HitHistory(NamedTuple):
 def trajectory(
     contact: ContactMotion, time_s: ArrayLike, tangential_m_s: float = 0.0, vertical_sign: int = -1
 ) -> HitHistory:
-    """Return the quantities of a hit at some times.
+    """Return the quantities of a hit at the given times.
 
     Args:
         contact: the hit.
         time_s: times since the onset (n,), s; negative before it.
         tangential_m_s: velocity along the wall at the onset.
-        vertical_sign: direction of the vertical force along Z of the collision frame: -1 as the paper writes
-            lz, or 1.
+        vertical_sign: sign of the vertical force along Z of the collision frame. -1 is the paper's sign.
     """
     t = np.asarray(time_s, dtype=float)
     x, vx, force = contact.normal(t)

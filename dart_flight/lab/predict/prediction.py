@@ -78,7 +78,7 @@ def condition(
 
 
 def onset_rule(vehicle: VehicleConfig, onset: str | None) -> Onset:
-    """Return the named onset rule, or the vehicle's.
+    """Return the onset rule `onset`; if `onset` is None, return the rule of the vehicle's configuration.
 
     Raises:
         InputError: the rule is unknown.
@@ -90,7 +90,7 @@ def onset_rule(vehicle: VehicleConfig, onset: str | None) -> Onset:
 
 
 def hit_problem(normal_m_s: float, tangential_m_s: float) -> tuple[str, str] | None:
-    """Return the name of an invalid velocity of a wall hit and the reason, or None."""
+    """Return (component, reason) if a velocity component cannot occur in a wall hit; None if both can."""
     for name, value in (("normal", normal_m_s), ("tangential", tangential_m_s)):
         if not abs(value) <= _FASTEST_M_S:
             return name, f"{value:g} m/s, expected at most {_FASTEST_M_S:g}"
@@ -143,7 +143,8 @@ class Ratios(NamedTuple):
         """Return these ratios if they are valid.
 
         Raises:
-            InputError: a ratio creates energy or reverses the motion.
+            InputError: a ratio is above 1, which would create energy, or below 0, which would reverse the
+                motion.
         """
         for key, value in (("restitution", self.restitution), ("tangential-ratio", self.tangential_ratio)):
             if value is not None and not 0.0 <= value <= 1.0:
@@ -216,7 +217,7 @@ def predict_batch_rows(
     """Predict the wall hits of a CSV file with the columns mode, normal_m_s and tangential_m_s.
 
     Returns:
-        One dictionary per row, with these columns and `WALL_COLUMNS`.
+        One dictionary per row of the file. Its keys are the three input columns and `WALL_COLUMNS`.
 
     Raises:
         InputError: the file cannot be read, a column is missing, or a value is invalid; the error names the
@@ -298,7 +299,7 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
 
 
 def described(name: str, value: float | None) -> tuple[str, str, str]:
-    """Return quantity, value and unit as text, from a name that ends in the unit."""
+    """Return three texts for a number: quantity, value and unit. The `name` must end in the unit."""
     stem, unit = split_unit(name)
     words = stem.replace("_", " ")
     if value is None or math.isnan(value):

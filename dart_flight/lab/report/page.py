@@ -1,7 +1,7 @@
 """The pages of one flight, and of several flights of one mission: the values that the templates print.
 
-The page of one flight contains a script that animates the flight. Without scripts only the animation is
-missing.
+The page of one flight contains a script that animates the flight. If the browser runs no scripts, the page
+lacks the animation and nothing else.
 """
 
 from __future__ import annotations
@@ -146,7 +146,10 @@ def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
 
 
 def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
-    """Return as text the first key that differs between two missions of one name, or an empty string."""
+    """Return a text that names the first key in which two missions of the same name differ.
+
+    The text is empty if the missions have different names or if no key differs.
+    """
     if first.verdict.mission != other.verdict.mission:
         return ""
     there, here = (
@@ -201,7 +204,7 @@ def _facts(flight: RecordedFlight) -> list[tuple[str, str]]:
 
 
 def _missing_parts(named: Iterable[tuple[RecordedFlight, str]]) -> list[tuple[str, str]]:
-    """Return names of the logs that were cut or have holes, each with its missing parts."""
+    """Return (name, missing parts) for each log that was cut or has holes."""
     lines = [(name, "; ".join(describe_missing_parts(flight.log))) for flight, name in named]
     return [(name, line) for name, line in lines if line]
 
@@ -256,7 +259,7 @@ def _where_px4_log(flight: RecordedFlight) -> str:
 
 
 def _compared_table(flight: RecordedFlight, names: Sequence[str] = ()) -> PageTable:
-    """Return the rows of every collision, or only those with the given names."""
+    """Return the table of the quantities of every collision; with `names`, only these quantities."""
     rows: list[Row] = []
     for impact in flight.impacts:
         rows.append(impact.title + (", clipped: lower bounds" if impact.verdict.clipped else ""))
@@ -333,7 +336,10 @@ def _timing_table(flight: RecordedFlight) -> PageTable:
 
 
 def _noise_table(flight: RecordedFlight) -> PageTable:
-    """Return the detection limits at the begin of each approach; empty for logs without them."""
+    """Return the table of the detection limits at the start of each approach.
+
+    The table is empty if the log does not contain detection limits.
+    """
     time_of = flight.course.time_of
     rows: list[Row] = [
         [time_of(f.t_us), f.threshold_n, f.noise_short_n, f.noise_long_n, f.rigid_n, f.flexible_n]
@@ -351,8 +357,8 @@ def disagreements(flights: Sequence[RecordedFlight]) -> dict[str, dict[str, tupl
         flights: flights of vehicles with the same materials.
 
     Returns:
-        Material -> mode and force (such as `rigid, normal`) -> mean of measured over predicted peak minus
-            one, and half the width of its 95 % interval.
+        Material -> mode and force (such as `rigid, normal`) -> (mean disagreement, half the width of the
+            mean's 95 % interval). The disagreement of a hit is measured peak / predicted peak - 1.
     """
     found: dict[str, dict[str, list[float]]] = {}
     for impact in (impact for flight in flights for impact in flight.impacts):
@@ -372,7 +378,10 @@ def _mean(values: Sequence[float]) -> tuple[float, float]:
 
 
 def beyond(disagreement: dict[str, tuple[float, float]]) -> bool:
-    """Return whether a material's peak forces differ from the law by more than chance and errors explain."""
+    """Return whether the measured peak forces of a material contradict the contact law.
+
+    They do if the magnitude of a mean disagreement exceeds `AGREES` and half the width of its 95 % interval.
+    """
     return any(abs(mean) > max(half, AGREES) for mean, half in disagreement.values())
 
 
@@ -442,7 +451,10 @@ def _percent(share: float | None) -> float | None:
 
 
 def _spread(name: str, values: Iterable[float | None]) -> list[Cell]:
-    """Return name, count, mean, half its 95 % interval, standard deviation, minimum and maximum."""
+    """Return a table row: name, count, mean, half width of the mean's 95 % interval, and further figures.
+
+    The further figures are standard deviation, minimum and maximum.
+    """
     known = [v for v in values if v is not None]
     if not known:
         return [name, 0, *(None,) * 5]

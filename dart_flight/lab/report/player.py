@@ -35,9 +35,9 @@ _PLANNED_STEP_M = 0.03
 
 
 def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
-    """Return the data of the animation, or None without motion in the air.
+    """Return the data of the animation; None if the log contains no motion in the air.
 
-    Units are ms, mm, mrad, cm/s and 0.1 N, in the mission frame.
+    Units are ms, mm, mrad, cm/s and 0.1 N. Vectors are in the mission frame.
     """
     course, mission = flight.course, flight.mission
     span = flight.shown_span
@@ -77,7 +77,7 @@ def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
 
 
 def _lock(flight: RecordedFlight, span: tuple[float, float]) -> list[list[Any]]:
-    """Return each state of the arms with the time at which it begins; without a lock they are rigid."""
+    """Return [begin, state] for each state of the arms; the arms of a vehicle without a lock are rigid."""
     if not flight.mission.vehicle.has_lock:
         return [[_ms(span[0]), Mode.RIGID.value]]
     return [[_ms(since), name] for since, _, name in lock_stretches(flight.course, span[1])]
@@ -106,7 +106,7 @@ def _motion(motion: MotionArrays, times: Array, attitude: Angles) -> dict[str, l
 
 
 def _setpoints(flight: RecordedFlight, times: Array) -> list[list[int]]:
-    """Return [time, x, y, z] of the active setpoint whenever it differs from the previous frame."""
+    """Return [time, x, y, z] of the active setpoint at each frame at which the setpoint has changed."""
     sent = setpoint_series(flight.course)
     if not sent.time_s.size:
         return []

@@ -65,9 +65,10 @@ class Compared(msgspec.Struct):
     def error_percent(self) -> float | None:
         """The error of the measured value relative to the true value, in percent.
 
-        Without a true value it is relative to the predicted value, and without that to the planned value.
+        If the true value is unknown, the predicted value replaces it. If the predicted value is unknown too,
+        the planned value replaces it.
 
-        It is None for a velocity near 0, where a ratio is meaningless.
+        The error is None for a velocity near 0, because a ratio is meaningless there.
         """
         sources = (self.true, self.predicted, self.planned)
         reference = next((v for v in sources if v is not None), None)
@@ -78,17 +79,17 @@ class Compared(msgspec.Struct):
 
 
 class Impact:
-    """One impact of a flight, with the prediction of the contact law at its measured velocity.
+    """One impact of a flight, with the contact law's prediction for the measured velocity.
 
     Attributes:
         verdict: the impact, with planned, measured and true figures.
-        collision, material: the planned collision, and its wall's material.
-        at_s: time of detection in seconds of the flight's `FlightArrays`.
-        prediction: the hit by the contact law at the measured velocity, over the time since its onset.
+        collision, material: the planned collision, and the material of its wall.
+        at_s: time of detection, s, counted as in `FlightArrays`.
+        prediction: the predicted hit over time; its times count from the predicted onset.
         predicted: figures of the predicted hit.
-        onset_s: time at which the predicted contact begins, s. It is chosen so that the predicted and
-            measured peaks coincide. Without a measured peak, the predicted force reaches the threshold at
-            `at_s`.
+        onset_s: time of the predicted onset, s, counted as in `FlightArrays`. It is chosen so that the
+            predicted and the measured peak coincide. If no peak was measured, it is chosen so that the
+            predicted force reaches the detection threshold at `at_s`.
         compared: planned, predicted, measured and true figures.
     """
 
@@ -182,11 +183,11 @@ class Timing(msgspec.Struct):
     """Latencies and jitter of a flight, milliseconds; arrays (n,).
 
     Attributes:
-        setpoint_interval_ms: intervals between the receipts of the samples that triggered successive
-            setpoints.
+        setpoint_interval_ms: intervals between successive setpoints. The time of a setpoint is here the time
+            at which the sample that triggered the setpoint was received.
         imu_delay_ms: delays from the stamp of an IMU sample to its receipt, minus the smallest delay.
-        recovery_ms: times from the receipt of the sample that triggered a recovery to the sending of its
-            setpoint.
+        recovery_ms: latencies of recoveries. Each begins when the sample that triggers the recovery is
+            received, and ends when the recovery setpoint is sent.
     """
 
     setpoint_interval_ms: Array
@@ -232,7 +233,7 @@ class RecordedFlight:
 
     @cached_property
     def heading(self) -> Angles:
-        """The estimated attitude."""
+        """The estimated attitude, which includes the heading (`yaw`)."""
         return angles(self.course)
 
     @cached_property
@@ -264,12 +265,16 @@ class RecordedFlight:
         return found
 
     def armed_utc(self) -> str | None:
-        """Return the UTC time of arming by the host's clock, from which PX4 names its own log."""
+        """Return the UTC time of arming by the host's clock. PX4 names its own log after the arming time."""
         span = armed_span(self.log)
         return None if span is None else f"{span[0]:%Y-%m-%d %H:%M:%S} UTC"
 
     def replanned(self) -> list[tuple[PlanRequest, PlanAnswer | None, PlanTaken | None]]:
-        """Return the requests to the planner in flight, with the answers and whether they were used."""
+        """Return (request, answer, decision) for each request to the planner in flight.
+
+        The answer is None if the planner did not answer. The decision states whether the plan was used. The
+        decision is None if the log contains no decision.
+        """
         answers = {a.number: a for a in self.course.all(PlanAnswer)}
         taken = {t.number: t for t in self.course.all(PlanTaken)}
         return [
@@ -278,7 +283,10 @@ class RecordedFlight:
         ]
 
     def answered_ms(self, request: PlanRequest, answer: PlanAnswer) -> float | None:
-        """Return the time to an answer, from the receipt of the sample that triggered the request."""
+        """Return the planner's response time, ms; None if the sample that triggered the request is unknown.
+
+        The time begins when that sample was received and ends when the answer was received.
+        """
         before = [s.received_us for s in self.course.all(ImuSample) if s.t_us <= request.t_us]
         return (answer.received_us - before[-1]) * 1e-3 if before else None
 
@@ -323,5 +331,5 @@ def _timing(course: FlightArrays) -> Timing:
 
 
 def percentile(values: Array, share: float) -> float:
-    """Return a percentile, or NaN of no values."""
+    """Return a percentile; NaN if there are no values."""
     return float(np.percentile(values, share)) if values.size else math.nan

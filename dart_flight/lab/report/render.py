@@ -39,7 +39,7 @@ class PageTable(NamedTuple):
 
     @property
     def columns(self) -> list[tuple[str, bool]]:
-        """The heads, and whether each column contains numbers."""
+        """(heading, whether the column contains numbers) for each column."""
         first = next((row for row in self.rows if not isinstance(row, str)), [])
         return [(head or "", is_number(cell)) for head, cell in zip_longest(self.heads, first)]
 
@@ -76,8 +76,8 @@ def picture(figure: Any) -> str:
 def render(template: str, title: str, *, script: str = "", **values: Any) -> str:
     """Return a complete HTML file.
 
-    The file loads nothing. Its content security policy allows embedded pictures and the given script, which
-    it identifies by a hash, and nothing else.
+    The file loads nothing. Its content security policy allows only embedded pictures and the given script.
+    The policy identifies the script by a hash.
 
     Args:
         template: file name in `templates/`.

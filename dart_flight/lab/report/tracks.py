@@ -1,6 +1,6 @@
 """Further arrays of a recorded flight in the mission frame: attitude, setpoints, tracking, power, lock.
 
-Times are seconds of the flight's `FlightArrays`; a signal missing in the log is an array of length 0.
+Times count in seconds as in `FlightArrays`. If the log lacks a signal, the array has length 0.
 """
 
 from __future__ import annotations
@@ -104,9 +104,9 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the index in `times` that is current at each of `at_s`, and whether there is one.
+    """Return, for each time in `at_s`, the index of the latest entry of `times` that is not later.
 
-    The current index is that of the latest time that is not after the given time.
+    The second array states whether there is such an entry.
     """
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0

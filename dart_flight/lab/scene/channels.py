@@ -14,7 +14,7 @@ from dart_flight.recording.schema import schema
 
 
 class Channels:
-    """Every channel of a flight, in its own context.
+    """Every channel of a flight, in a separate foxglove context.
 
     Attributes:
         context: the context for opening a file or a server.

@@ -22,9 +22,10 @@ _NUMBERED = frozenset({"motors", "rpm", "blocking", "others"})  # lists whose it
 def export_csv(log: Log, folder: Path) -> list[Path]:
     """Write `<record>.csv` for every kind of record in the log, `about.json`, and `columns.csv`.
 
-    The columns are `time_s` (autopilot clock, since the flight's zero, `flight_time`), `number` of the input,
-    and the record's fields. Vectors are spread over columns (`position_ned_x`). `columns.csv` lists unit and
-    frame of every column. Floats keep their full precision; a missing value is an empty cell.
+    The columns are `time_s`, `number` and the record's fields. `time_s` is the autopilot's time since the
+    flight's zero (`recording.flight_time`). `number` is the sequence number of the input, or of the input
+    that caused the record. Each component of a vector has its own column (`position_ned_x`). `columns.csv`
+    lists unit and frame of every column. Floats keep their full precision; a missing value is an empty cell.
 
     Raises:
         InputError: a file cannot be written.

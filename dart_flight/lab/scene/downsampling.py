@@ -59,8 +59,8 @@ WANTED: frozenset[type[Record]] = frozenset({*_ALL, *_EVERY, *_STRONGEST})
 class Downsampler:
     """A filter that receives the records of a flight in order and passes on those that a display needs.
 
-    Periods refer to the autopilot's time. The strongest sample of a period is passed on at the period's
-    end, after other records that are newer than the sample.
+    Periods are measured in the autopilot's time. The filter passes on a period's strongest sample when the
+    period ends. Other records that are newer than this sample may therefore precede it.
     """
 
     def __init__(self) -> None:

@@ -210,12 +210,12 @@ def _goal(mission: Mission, t_us: int) -> SceneEntity:
 
 
 def goal_altitude_m(mission: Mission) -> float:
-    """Return the altitude at the end of the flight; waypoints may change the altitude before."""
+    """Return the altitude at the end of the flight, after every change of altitude by waypoints."""
     return mission.altitude_at(len(mission.collisions))
 
 
 def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity:
-    """Return the planned path by mission and flight model, with balls at hits, small at waypoints."""
+    """Return the planned path by mission and flight model: lines, balls at hits, small balls at waypoints."""
     lines = [[leg.begin, leg.end] for leg in transit_segments(mission) if leg.begin is not None]
     for index, approach in flight.approaches.items():
         z = mission.altitude_at(index - 1)

@@ -41,7 +41,8 @@ class LiveViewSpec(msgspec.Struct):
         mission: the mission with its room and vehicle.
         host, port: address to listen at.
         show_room: whether to show the mission's room.
-        frame_known: whether the mission frame is at its specified place from the beginning of the flight.
+        frame_known: whether the origin of the mission frame is known from the beginning of the flight. If
+            not, the flight's anchor record provides the origin.
         from_truth: whether to show only a simulated vehicle, at its true pose.
     """
 
@@ -61,7 +62,7 @@ class PortStatus(msgspec.Struct):
 
 
 class LiveViewProcess:
-    """A live view of one flight; call it with every record.
+    """A live view of one flight; call the object with every record.
 
     Args:
         show: content and address.
@@ -69,7 +70,7 @@ class LiveViewProcess:
 
     Attributes:
         port: port for viewers.
-        dropped: number of records dropped because the process was too slow.
+        dropped: number of records dropped because the process of the view was too slow.
 
     Raises:
         InputError: foxglove-sdk is missing, or the port cannot be opened.
@@ -140,7 +141,7 @@ class LiveViewProcess:
         self._pass_on()
 
     def _pass_on(self) -> bool:
-        """Write waiting records as far as the pipe accepts them; return False if the process has ended."""
+        """Write waiting records until the pipe is full; return False if the process has ended."""
         while self._waiting and len(self._unsent) < _MAX_BYTES:
             for record in self._thinning.select(self._waiting.popleft()):
                 self._unsent += record.topic.encode() + b" " + encode(record) + b"\n"
@@ -163,5 +164,5 @@ def open_live_view(
     from_truth: bool,
     print_line: Callable[[str], None],
 ) -> LiveViewProcess:
-    """Open a live view (`LiveViewSpec`), with the errors of `LiveViewProcess`."""
+    """Open a live view (`LiveViewSpec`); raises the same errors as `LiveViewProcess`."""
     return LiveViewProcess(LiveViewSpec(mission, host, port, show_room, frame_known, from_truth), print_line)

@@ -1,5 +1,6 @@
-"""Records for the plots of a flight: small sets of numbers, published as JSON with a schema as in the flight
-log.
+"""Records for the plots of a flight: small sets of numbers.
+
+The records are published as JSON. Their schemas are made in the same way as those of the flight log.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class VehicleState(Record, frozen=True, gc=False):
 
 
 class ForceState(Record, frozen=True, gc=False):
-    """Strongest estimated external force on the vehicle in 20 ms, newton."""
+    """Estimated external force on the vehicle, newton: the strongest estimate in a period of 20 ms."""
 
     topic: ClassVar[str] = "/flight/force"
     t_us: int
@@ -39,7 +40,7 @@ class ForceState(Record, frozen=True, gc=False):
 
 
 class TrueForce(Record, frozen=True, gc=False):
-    """Strongest true force of the walls on the simulated vehicle in 20 ms, newton."""
+    """True force of the walls on the simulated vehicle, newton: the strongest in a period of 20 ms."""
 
     topic: ClassVar[str] = "/flight/true_force"
     t_us: int

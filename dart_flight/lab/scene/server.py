@@ -2,8 +2,8 @@
 
 The first line is a `LiveViewSpec`. Each further line is one record: its topic, a blank, and its JSON as in
 the flight log. When the port is open, or cannot be opened, the process prints one line of JSON (`PortStatus`)
-and nothing after it. It runs with idle priority and ends with its input. Viewers cannot publish: the only
-capability offered to them is the time of the flight.
+and nothing after that line. The process runs with idle priority and ends when its standard input ends.
+Viewers cannot publish: the server only offers them the time of the flight.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _JUMP_US = 1_000_000
 
 
 class SubscriptionListener(ServerListener):
-    """A listener that notes subscriptions to channels that are published only on changes."""
+    """A listener that notes new subscriptions to channels whose messages are published only on changes."""
 
     def __init__(self) -> None:
         self.waiting = threading.Event()
@@ -89,7 +89,10 @@ class Broadcast:
         self._server.stop()
 
     def _welcome(self) -> None:
-        """Publish the lasting messages again for each new viewer, also while no records arrive."""
+        """Publish the lasting messages again for each new viewer.
+
+        This loop has its own thread, because a viewer may connect while no records arrive.
+        """
         while self._newcomers.waiting.wait():
             self._newcomers.waiting.clear()
             with self._lock:

@@ -1,7 +1,7 @@
 """Translation of our records to standard schemas, for the live view and for the export of a log.
 
-The frames are `mission` (x along its heading, y left, z up) and in it `vehicle` (forward, left, up). PX4's
-NED and FRD are converted by `MissionFrame` here and nowhere else in `lab.scene`.
+The frames are `mission` (x along its heading, y left, z up) and its child `vehicle` (forward, left, up). In
+`lab.scene` only this module converts PX4's NED and FRD, with `MissionFrame`.
 """
 
 from __future__ import annotations
@@ -78,7 +78,10 @@ _LEVELS = {
 
 
 class Message(NamedTuple):
-    """A message for a channel, of foxglove.messages or of `scalars`, with the autopilot's time."""
+    """A message for a channel, with the autopilot's time.
+
+    `content` is a message of foxglove.messages or a record of `scalars`.
+    """
 
     topic: str
     t_us: int
@@ -105,14 +108,15 @@ class FlownTrajectory:
 
 
 class SceneTranslator:
-    """A translator from the records of a flight, in order, to messages.
+    """A translator that receives the records of a flight in order and returns messages for them.
 
     Args:
         mission: the mission.
-        frame: the mission frame in local NED, if known beforehand. Otherwise the frame comes from the
-            flight's anchor record; before that record, the vehicle is assumed at its take-off point.
+        frame: the mission frame in local NED, if known beforehand. If not, the frame comes from the flight's
+            anchor record. Until that record, each reported position counts as the take-off point.
         show_room: whether to show the mission's room and plan.
-        from_truth: whether to show the true motion of a simulated vehicle that no program flies.
+        from_truth: whether to show the true motion of the vehicle. This is for a vehicle that this software
+            simulates but does not fly.
     """
 
     def __init__(
@@ -171,7 +175,7 @@ class SceneTranslator:
         return self._given or self._anchor.frame or self._provisional
 
     def _begin(self, t_us: int) -> list[Message]:
-        """Return the messages for everything constant."""
+        """Return the first messages: the vehicle at its start and, with `show_room`, room and plan."""
         self._begun = True
         # Viewers need a transform before anything else, so begin level at the start.
         (x, y) = self._mission.start if self._show_room else (0.0, 0.0)
@@ -264,9 +268,10 @@ class SceneTranslator:
         return [Message(ForceState.topic, t_us, ForceState(t_us, *parts, estimate.clipped))]
 
     def _along_wall(self, force: Vec3, position: Vec3 | None) -> tuple[float, float, float, float]:
-        """Return a force as magnitude, normal, tangential (of the nearest wall) and upward component.
+        """Return a force as (magnitude, normal, tangential, upward component).
 
-        Without a wall, the components along x and y replace the normal and tangential ones.
+        Normal and tangential components refer to the nearest wall. If there is no wall, they are the
+        components along x and y.
         """
         walls = self._mission.walls if self._show_room and position is not None else ()
         if not walls or position is None:
@@ -276,8 +281,9 @@ class SceneTranslator:
         return (norm(force), normal, along, -down)
 
     def _forces(self, t_us: int, position: Vec3) -> list[Message]:
-        """Return arrows of the strongest forces since the last update, or one empty update after the last
-        force.
+        """Return arrows for the strongest forces since the last update.
+
+        When the force has ended, return one update without arrows, which clears the display.
         """
         pairs = ((self._true_n, drawing.GREY), (self._estimated_n, drawing.RED))
         self._true_n = self._estimated_n = (0.0, 0.0, 0.0)
@@ -380,10 +386,10 @@ def _log(t_us: int, event: Event) -> Message:
 
 
 def attitude_in(frame: MissionFrame, q_frd_to_ned: Rotation) -> Rotation:
-    """Return the attitude for viewers: body forward, left, up to the mission frame.
+    """Return the attitude for viewers: the rotation from the vehicle frame to the mission frame.
 
-    The changes of the body's axes and of the world's axes are half turns about x. The heading is a rotation
-    about z.
+    The vehicle frame is forward, left, up. A half turn about x converts FRD to this frame, and another half
+    turn converts NED to a frame with z up. The heading is a rotation about z.
     """
     half = 0.5 * frame.heading_rad
     flip = (0.0, 1.0, 0.0, 0.0)

@@ -11,11 +11,11 @@ from dart_flight.planning.rollout import MIN_FACTOR, UncertaintyDraw, draw_wall
 
 
 def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list[PredictedFlight]:
-    """Predict the path of a mission for many sets of walls that differ at random from the mission's.
+    """Predict the path of a mission for many sets of walls that differ at random from the mission's walls.
 
-    k, f and mu of every wall and mode differ from the configuration's by the relative standard deviation
-    `estimation.walls.spread` (the prior of a wall). If the mission gives a wall an uncertainty, its position
-    and direction differ too. Approaches stay as planned.
+    The contact coefficients k, f and mu are drawn for every wall and mode. Their relative standard deviation
+    is `estimation.walls.spread` (the prior of a wall). If the mission gives a wall an uncertainty, the
+    position and direction of this wall are drawn too. Approaches stay as planned.
 
     Args:
         mission: supplies approaches, modes and gains.

@@ -1,8 +1,8 @@
 """Simulated flights of plans in the fast world, and the choice of the plan to offer; used by `plan`.
 
 `fly_mission` flies a mission once nominally, and twenty times in worlds that differ from it at random
-(docs/draws.md); these are called drawn worlds. `choose_flown` compares the times with and without hits from
-take-off to landing. The times therefore include the touches that a mission needs.
+(docs/draws.md); these are called drawn worlds. `choose_flown` compares the flight times with and without
+hits. The times count from take-off to landing, so they include touches of the walls before the hits.
 """
 
 from __future__ import annotations
@@ -108,9 +108,9 @@ def fly_mission(
 
 
 def compare(colliding: FlownMission, free: FlownMission) -> FlownRecord:
-    """Return the record of the mission with hits, and in it the median time that the hits save.
+    """Return the record of the mission with hits, completed with the median time that the hits save.
 
-    The median is over the drawn worlds in which both missions were completed.
+    The median is taken over the drawn worlds in which both missions were completed.
     """
     both = colliding.times_s.keys() & free.times_s.keys()
     saving_s = statistics.median(free.times_s[k] - colliding.times_s[k] for k in both) if both else None
@@ -126,7 +126,7 @@ class OfferedPlan(NamedTuple):
     """The plan chosen after the flights.
 
     Attributes:
-        plan: the plan to write, or None if no plan flies.
+        plan: the plan to write, or None if no plan is offered.
         scenario: scenario of the plan, with the touches that the plan needs.
         record: record of the plan's flights.
         says: lines that report the flights and the reason for the choice.
@@ -149,8 +149,8 @@ def choose_flown(
     """Fly the plans of a search in simulation and choose the one to offer.
 
     A plan with hits must succeed in simulation. It is then offered if it saves time from take-off to landing,
-    or if the scenario demands its hits or touches. If the plan succeeds only after touching its walls, it is
-    offered with touches.
+    or if the scenario demands its hits or touches. If the plan succeeds only with touches before the hits, it
+    is offered with these touches.
 
     Args:
         result: result of the search.
@@ -196,7 +196,7 @@ def choose_flown(
 
 
 def _colliding_variants(scenario: Scenario) -> dict[str, Scenario]:
-    """Return the scenario and, if it asks for no touches, a copy with touches, by name."""
+    """Return name -> scenario: the scenario itself and, if it has no touches, also a copy with touches."""
     variants = {"colliding": scenario}
     if scenario.spec.touch_m_s is None:
         spec = msgspec.structs.replace(scenario.spec, touch_m_s=TOUCH_M_S)
@@ -205,7 +205,11 @@ def _colliding_variants(scenario: Scenario) -> dict[str, Scenario]:
 
 
 def _is_offered(record: FlownRecord, free: FlownMission | None, scenario: Scenario) -> bool:
-    """Return whether to offer a colliding plan that succeeds: the scenario demands it, or it saves time."""
+    """Return whether to offer a colliding plan that succeeds in simulation.
+
+    The plan is offered if the scenario demands it, if it saves time, or if no flight without a collision
+    succeeds.
+    """
     demanded = not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
     saves = record.saving_s is not None and record.saving_s > 0.0
     return demanded or saves or free is None or free.record.failure is not None

@@ -1,4 +1,4 @@
-"""The fastest flight without a collision within the same limits, as the reference for colliding plans.
+"""The fastest flight without a collision. It has the limits of the colliding plans and is their reference.
 
 Along a straight line the time is the optimum from Ruckig (time-optimal with bounded speed, acceleration and
 jerk). Around walls it is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).
@@ -121,7 +121,10 @@ def _leg_s(
     limits: MotionLimits,
     share: float,
 ) -> float:
-    """Return the shortest time between two states without acceleration, seconds, or infinity."""
+    """Return the shortest time between two states whose acceleration is zero, seconds.
+
+    The result is infinite if no motion within the limits is found.
+    """
     try:
         import ruckig  # noqa: PLC0415  (an extra)
     except ImportError:

@@ -1,6 +1,6 @@
-"""Plans for a wall that is detected late: the cruise is as fast as a later stop or a hit permits.
+"""Plans for a wall that the vehicle detects only when the wall is near.
 
-Until the wall is detected, and during the reaction time, the flight cruises straight towards it. A flight
+Until the detection, and during the reaction time, the vehicle cruises straight towards the wall. A flight
 without a hit cruises at the highest speed from which it can stop (`safe_speed_m_s`). A colliding flight
 cruises as fast as an allowed hit permits. Both then continue to the goal as fast as possible.
 """
@@ -42,7 +42,7 @@ _AT_LIMIT = 0.998  # share of a limit for cruising, because the solver needs som
 
 
 def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> float:
-    """Return the speed at which reaction and braking together take the distance `room_m`."""
+    """Return the highest speed at which the vehicle needs at most the distance `room_m` to react and stop."""
     a, j = limits.acceleration_m_s2, limits.jerk_m_s3 or math.inf
 
     def needs_m(v: float) -> float:
@@ -58,7 +58,8 @@ def plan_limited_sight(
 ) -> QuickestResult:
     """Plan the flights with and without a hit for a scenario with `sight`.
 
-    If the scenario demands the hit, the flight with the hit is the best plan; otherwise the faster flight is.
+    If the scenario demands the hit, the flight with the hit is the best plan. If the scenario does not demand
+    the hit, the faster flight is the best plan.
 
     Args:
         scenario: a scenario with one wall, in front of the start.
@@ -87,7 +88,10 @@ def plan_limited_sight(
 
 
 def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | None) -> QuickestPlan | None:
-    """Return the fastest flight that cruises at a speed until the end of the reaction, or None."""
+    """Return the fastest flight that cruises at `speed_m_s` until the reaction ends.
+
+    The result is None if the solver fails.
+    """
     (wall,) = scenario.walls.values()
     (nx, ny), (x, y) = wall.normal, wall.foot(scenario.start)
     begins_m = sight.distance_m - sight.reaction_s * speed_m_s  # before the wall

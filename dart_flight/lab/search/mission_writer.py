@@ -38,7 +38,7 @@ def mission_text(
     Args:
         scenario: the planned scenario.
         plan: the chosen plan.
-        target: path of the file, to which paths in it are relative.
+        target: path of the mission file. Paths in the file are relative to its folder.
         flown: record of the mission's simulated flights.
     """
     spec = scenario.spec
@@ -109,7 +109,7 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
     Each wall to be hit is touched once, and the vehicle rests at the start after each touch.
 
     The touches measure each wall's direction and vertical force. Without touches, a first hit succeeds only
-    up to 2 m/s (docs/results/faster_hits.md), and a hit of a rotated wall turns the vehicle.
+    at up to 2 m/s (docs/results/faster_hits.md). If the wall is rotated, the hit turns the vehicle.
     """
     modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # a wall's first hit decides
     touches = [
@@ -133,10 +133,12 @@ def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
 
 
 def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Vec2:
-    """Return the gains (A_n, A_t) of the setpoint between a hit's peak and the replanned trajectory, m/N.
+    """Return the gains (A_n, A_t) of a hit's recovery setpoint, m/N.
 
-    The thrust per mass shall stay as it is at the hit, u = a + drag v. With the gain A, the peak force F and
-    the outgoing velocity v, PX4's position loop commands kv (kp A F - v). The gains make both equal.
+    The recovery setpoint is active from the peak of the hit until the replanned trajectory begins. The gains
+    keep the thrust per mass at its value at the hit, u = a + drag v_in, with the incoming velocity v_in.
+    PX4's position loop commands kv (kp A F - v_out), with the gain A, the peak force F and the outgoing
+    velocity v_out. kp is MPC_XY_P, and kv is MPC_XY_VEL_P_ACC. The gains make this command equal to u.
     """
     response, px4 = ContactResponse.at_wall(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
@@ -176,7 +178,7 @@ def _predicted(hit: PlannedCollision | TrajectoryHit, t_s: float, contact_s: flo
 
 
 def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | None = None) -> Mission:
-    """Return the mission of a plan as it will be read from its file.
+    """Return the mission of a plan, parsed from the text of its mission file.
 
     Args:
         scenario: the planned scenario.

@@ -2,12 +2,13 @@
 problem.
 
 Between two events the jerk is constant over each of several equal intervals. Position, velocity and
-acceleration are therefore polynomials, exact at the intervals' ends (direct multiple shooting). The duration
-of each part is free. A hit changes the velocity by the contact law in closed form (`ContactResponse`) and
-takes the contact's time. For `dead_s` after the hit the thrust stays constant, because the attitude cannot
-jump and the next leg is planned meanwhile. The drag is proportional to the velocity. CasADi states the
-problem and its derivatives, and IPOPT solves it (extra `plan`). To keep clear of walls and posts, each part
-of a path stays inside half-planes and outside discs.
+acceleration are therefore polynomials of the time, and the states at the ends of an interval are exact
+(direct multiple shooting). The duration of each part is free. A hit changes the velocity by the contact law
+in closed form (`ContactResponse`) and lasts as long as the contact. For `dead_s` after the hit the thrust
+stays constant, because the attitude cannot jump and the next leg is planned meanwhile. The drag is
+proportional to the velocity. CasADi states the problem and its derivatives, and IPOPT solves the problem
+(extra `plan`). To keep clear of walls and posts, each part of a path stays inside half-planes and outside
+discs.
 """
 
 from __future__ import annotations
@@ -67,10 +68,10 @@ class HitLimits(NamedTuple):
         sliding_m_s: largest velocity along the wall.
         friction_ratio: largest ratio of friction to normal force.
         detectable_n: smallest normal force that is detected.
-        thrust_m_s2: (smallest, largest) thrust per mass away from the wall at the hit, by mode. If the
-            vehicle is tilted, the contact rotates it, and a longer contact rotates it further. If the arms
-            are flexible and the vehicle is not nearly level, it turns over and loses its velocity
-            (docs/results/faster_hits.md).
+        thrust_m_s2: mode -> (smallest, largest) thrust per mass at the hit, positive away from the wall. A
+            contact rotates a tilted vehicle, and a longer contact rotates it further. With flexible arms the
+            vehicle must therefore be nearly level at the hit. Otherwise the vehicle turns over and loses its
+            velocity (docs/results/faster_hits.md).
         thrust_along_m_s2: largest thrust per mass along the wall at the hit.
     """
 
@@ -89,12 +90,13 @@ class ContactResponse(NamedTuple):
     Attributes:
         restitution: outgoing over incoming normal velocity.
         contact_s: duration of the contact.
-        lead_s: with `onset: lcp`, the force begins and ends at a distance before the plane; `lead_s` is this
-            distance, divided by the speed.
+        lead_s: with `onset: lcp`, the force begins before the vehicle reaches the plane of first touch, and
+            ends before the vehicle is back at the plane. The distance to the plane is then `lead_s` times
+            the normal speed.
         peak_n_per_m_s: peak of the normal force, divided by the incoming velocity.
         friction_s_per_m: decay of the velocity along the wall. A hit multiplies this velocity by
             exp(-friction_s_per_m * incoming velocity).
-        mu_s_per_m: friction over normal force, divided by the velocity along the wall.
+        mu_s_per_m: ratio of friction to normal force, divided by the velocity along the wall.
     """
 
     restitution: float
@@ -142,7 +144,7 @@ class Hit(NamedTuple):
     """A wall to hit.
 
     Attributes:
-        visit: place to be passed that the hit passes; None if the hit passes no such place.
+        visit: the visit that the vehicle passes at the moment of the hit; None if there is no such visit.
         guess: initial guess of the position.
         velocity_m_s: (normal, tangential) velocity of the hit; None: the solver chooses it.
     """
@@ -155,7 +157,10 @@ class Hit(NamedTuple):
 
 
 class RouteCorner(NamedTuple):
-    """The transition between two half-planes on a path past a wall's end; `place` is an initial guess."""
+    """The corner of a path past a wall's end, at which the path enters another half-plane.
+
+    `place` is an initial guess of the corner.
+    """
 
     place: Vec2
 
@@ -208,7 +213,7 @@ class TrajectoryHit(msgspec.Struct, frozen=True):
     """A hit of a trajectory; velocities are in the wall's collision frame.
 
     Attributes:
-        t_s: time from the begin of the trajectory to the onset.
+        t_s: time from the start of the trajectory to the onset.
         position_m: position of the vehicle's centre at the onset, mission frame.
         acceleration_m_s2: acceleration at the onset, along normal and tangent.
     """
@@ -253,7 +258,7 @@ class _Transcription:
     # -- building blocks --
 
     def variable(self, name: str, guess: Array, low: float, high: float) -> Any:
-        """Add unknowns in the shape of their guess."""
+        """Add an array of unknowns with the shape of `guess`, and return the unknowns."""
         symbol = self.ca.SX.sym(name, *guess.shape)
         self.variables.append(self.ca.vec(symbol))
         self.guess += guess.ravel(order="F").tolist()
@@ -311,7 +316,7 @@ class _Transcription:
         self.jerks.append(jerks)
 
     def join(self, i: int, event: Event) -> None:
-        """Connect the end of part `i` through an event to the next part."""
+        """Connect the end of part `i` to the start of the next part, as the event between them requires."""
         before, after = self.states[i][:, -1], self.states[i + 1][:, 0]
         if isinstance(event, Hit):
             self.add_hit(event, before, after)
@@ -324,12 +329,12 @@ class _Transcription:
             self.require(before - pinned, 0.0, 0.0)
 
     def require_near(self, state: Any, visit: Visit) -> None:
-        """Require a position within the tolerance of a place."""
+        """Require that the position in a state is at most `within_m` from the place of a visit."""
         away = self.ca.sumsqr(state[:2] - self.ca.DM(visit.place))
         self.require(away / visit.within_m**2, -math.inf, 1.0)
 
     def add_hit(self, event: Hit, before: Any, after: Any) -> None:
-        """Connect the onset of a hit to the begin of the next leg, through release and dead time."""
+        """Connect the onset of a hit to the start of the next leg; release and dead time lie between them."""
         ca, wall, limits = self.ca, event.wall, self.problem.hits
         response = ContactResponse.at_wall(self.problem.vehicle, wall, event.mode)
         n, t = ca.DM(wall.normal), ca.DM(wall.tangent)
@@ -368,7 +373,10 @@ class _GuessedEnd(NamedTuple):
 
 
 def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
-    """Return the guessed begin and end of every part, at rest except for hits."""
+    """Return the guessed begin and end of every part.
+
+    The guessed velocity is 0, except at hits and cruises.
+    """
     found = []
     here = _GuessedEnd(problem.start, (0.0, 0.0))
     for part in problem.parts:

@@ -141,7 +141,7 @@ def _in_order(result: QuickestResult) -> list[QuickestPlan]:
 
 
 def quickest_table(result: QuickestResult) -> Table:
-    """Return a table of the hits of the best plan and of the plan that it was compared with."""
+    """Return a table of the hits of the best plan and of the other plan, if there is another plan."""
     table = Table(title=f"{result.scenario.name}: quickest", title_justify="left", box=None, pad_edge=False)
     for column in ("", "wall", "mode"):
         table.add_column(column, overflow="fold")

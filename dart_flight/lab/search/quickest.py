@@ -1,10 +1,11 @@
-"""The fastest flight from start over the visits to the goal, with any number of hits that save time.
+"""The fastest flight from the start through the visits to the goal, with any number of hits that save time.
 
-The planner searches sequences of events, the best bound first. The bound is the time of straight flight along
-the shortest path through the events, at the same limits, plus the time of the contacts. A sequence whose
-bound exceeds the best flight found is not computed. Each sequence is solved for places, velocities and times
-by optimal control (`optimal_trajectory`). Flexible arms are tried first; then each hit becomes rigid if that
-is faster and the servo has enough time.
+The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time: the
+time of straight flight along the shortest path through the events, at the same limits, plus the time of the
+contacts. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of the
+best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds
+places, velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is faster
+and the servo has enough time.
 """
 
 from __future__ import annotations
@@ -64,7 +65,10 @@ _OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
 
 
 class QuickestPlan(msgspec.Struct, frozen=True):
-    """A flight with or without hits. `cruise_m_s` is the speed until a late-detected wall is detected."""
+    """A flight with or without hits.
+
+    In a scenario with `sight`, `cruise_m_s` is the speed until the vehicle reacts to the detected wall.
+    """
 
     time_s: float
     trajectory: OptimalTrajectory
@@ -89,9 +93,10 @@ class QuickestResult(msgspec.Struct, frozen=True):
         best: the fastest plan that the scenario allows.
         free: the fastest plan without a hit; None if there is no path or a place is reachable only by a hit.
         colliding: the fastest plan with hits; None if no plan with hits can be faster than the free plan.
-        computed, pruned: numbers of sequences that were computed and that were ruled out by their bound.
+        computed, pruned: number of computed sequences, and number of sequences excluded by their bounds.
         gap_s: largest time by which a sequence that was not computed could be faster than the best plan.
-        most_hits: number of hits above which sequences were omitted; None: no sequence was omitted.
+        most_hits: limit on the number of hits, if the search omitted longer sequences that could be faster;
+            otherwise None.
         elapsed_s: duration of the search.
     """
 
@@ -119,7 +124,7 @@ def plan_quickest(
     """Search a scenario with the objective `quickest`.
 
     Args:
-        scenario: visits, walls, limits, and the demanded hits if it names a sequence.
+        scenario: supplies visits, walls and limits. If it names a sequence, the plan must hit these walls.
         within_s: time limit of the search, seconds; the best plan found until then is refined and returned.
         progress: called with the number of computed sequences and the number of known sequences.
 
@@ -204,11 +209,11 @@ class LegEnd(Enum):
 
 
 class LeastTimes:
-    """Lower bounds on the time over straight legs within limits.
+    """Lower bounds on the flight times of straight legs.
 
     Args:
         limits: limits of the motion.
-        left_m_s: largest speed after a hit.
+        left_m_s: largest speed at which the vehicle leaves a wall after a hit.
     """
 
     def __init__(self, limits: MotionLimits, left_m_s: float) -> None:
@@ -230,9 +235,10 @@ class LeastTimes:
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
-        """Return the time and the distance that the motion from an end of a leg needs to reach each speed.
+        """Return the time and the distance between an end of a leg and the point at which a speed is reached.
 
-        If `levels`, the acceleration is zero when the speed is reached.
+        Both are arrays with one entry per speed of the grid. If `levels` is True, the acceleration must be
+        zero when the speed is reached.
         """
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)
@@ -281,7 +287,10 @@ class _Search:
         self._room, self._demanded = room_of(scenario), _demanded(scenario)
 
     def run(self, enough: Callable[[], bool], progress: Progress) -> None:
-        """Compute sequences, best bound first, until no other can be faster or `enough` returns True."""
+        """Compute sequences, the lowest bound first.
+
+        The search ends when no remaining sequence can be faster than the best plan, or `enough` returns True.
+        """
         self.free = self._solved(tuple(self._visits()))
         tie, found = itertools.count(), list[QuickestPlan]()
         open_ = list[tuple[float, int, tuple[Event, ...]]]()
@@ -336,7 +345,10 @@ class _Search:
         return [Visit(v.position_m, _TOLERANCE_USED * v.within_m) for v in self.scenario.visits]
 
     def _serving_sequences(self) -> Iterator[tuple[Event, ...]]:
-        """Yield the visits in order, each in flight or by a hit at a wall on which it lies."""
+        """Yield each way to pass the visits in order.
+
+        The vehicle passes a visit in flight, or by a hit if the visit lies at a wall.
+        """
         mode = first_mode(self.scenario)
         choices: list[list[Event]] = [
             [visit, *(Hit(wall, mode, visit) for wall in self.walls if _serves(wall, visit))]
@@ -359,7 +371,7 @@ class _Search:
         return bool(walls) and (not self._demanded or walls == self._demanded)
 
     def _may_be_wanted(self, events: Sequence[Event]) -> bool:
-        """Return whether more hits can satisfy the demand."""
+        """Return whether additional hits can turn the hits of the events into the demanded sequence."""
         rest = iter(self._demanded)
         return not self._demanded or all(name in rest for name in _walls_hit(events))
 
@@ -376,7 +388,10 @@ class _Search:
         return total + sum(self._least_contact_s(e.wall) for e in events if isinstance(e, Hit))
 
     def _end_of_leg(self, events: Sequence[Event], places: Sequence[Vec2], k: int) -> LegEnd:
-        """Return the constraint of event `k` on its adjacent legs; -1 is the start, the last `k` the goal."""
+        """Return the constraint that event `k` sets for the two legs that meet at this event.
+
+        `k` = -1 is the start, and `k` = len(events) is the goal.
+        """
         if not 0 <= k < len(events):
             return LegEnd.REST
         event = events[k]
@@ -390,7 +405,11 @@ class _Search:
         return LegEnd.REVERSAL if dot < _REVERSAL_COSINE * into * out else LegEnd.ANY
 
     def _largest_speed_after_hit_m_s(self) -> float:
-        """Return the largest speed after any hit, from full sliding speed and reduced closing speed."""
+        """Return an upper bound on the speed after any hit.
+
+        The bound assumes the largest velocity along the wall and no friction. It assumes the largest normal
+        velocity that the speed limit then permits, reduced by the restitution.
+        """
         fastest, hits, left = self.limits.speed_m_s, self.hits, 0.0
         for wall, mode in itertools.product(self.walls, self.scenario.modes):
             response = self._responses[wall.name, mode]
@@ -431,7 +450,10 @@ class _Search:
         return QuickestPlan(found.time_s, found, events)
 
     def _problem(self, events: Sequence[Event]) -> Problem | None:
-        """Return the optimal control problem of the events, with the corners between them, or None."""
+        """Return the optimal control problem of the events and of the path's corners between the events.
+
+        The result is None if there is no path from one event to the next.
+        """
         parts: list[Part] = []
         touched: tuple[Wall, ...] = ()
         places = _shortest_path_through(self.scenario.start, events, self._goal)
@@ -463,7 +485,7 @@ class _Search:
         )
 
     def _with_best_modes(self, plan: QuickestPlan) -> QuickestPlan:
-        """Return the plan with the better mode of each hit, chosen one after the other."""
+        """Return the plan with the faster mode for each hit. The hits are examined one after the other."""
         for k, mode in itertools.product(range(len(plan.events)), self.scenario.modes):
             event = plan.events[k]
             if isinstance(event, Hit) and event.mode is not mode:
@@ -489,7 +511,7 @@ def _count_hits(events: Sequence[Event]) -> int:
 
 
 def _serves(wall: Wall, visit: Visit) -> bool:
-    """Return whether a vehicle that hits a wall can pass a place in the same moment."""
+    """Return whether the vehicle can pass the place of a visit at the moment at which it hits a wall."""
     off_m = math.hypot(wall.signed_distance(visit.place), min(0.0, wall.end_distance_m(visit.place)))
     return off_m <= visit.within_m
 
@@ -515,7 +537,10 @@ def _place_of(event: Event, before: Vec2) -> Vec2:
 
 
 def _shortest_path_through(start: Vec2, events: Sequence[Event], goal: Vec2) -> list[Vec2]:
-    """Return the shortest path through all events, optimising each place between its neighbours in turn."""
+    """Return a nearly shortest path through all events.
+
+    Each of several sweeps moves every place to its best position between the two neighbouring places.
+    """
     places = [start]
     for event in events:
         places.append(_place_of(event, places[-1]))

@@ -1,8 +1,8 @@
-"""Shortest polylines past walls and posts, and the regions that keep each of their parts clear.
+"""Shortest polylines past walls and posts, and regions that keep the parts of a polyline clear of them.
 
 Each part of a path stays on one side of every wall: in a half-plane in front of the wall or behind it. If a
-part leads past a wall's end, it stays beyond the end, and keeps half a vehicle plus a margin away from the
-edge, as from a post.
+part leads past a wall's end, the part stays beyond this end. Its distance from the wall's edge is at least
+half a vehicle plus a margin, as at a post.
 """
 
 from __future__ import annotations
@@ -45,9 +45,10 @@ class Obstacles(NamedTuple):
 
 
 def shortest_path(begin: Vec2, end: Vec2, obstacles: Obstacles) -> list[Vec2] | None:
-    """Return the corners of the shortest path past posts and walls, with both ends, or None.
+    """Return the shortest path past posts and walls as a polyline, or None if there is no path.
 
-    A wall nearer than `CLEARANCE_M` to one of the ends is ignored at that end.
+    The polyline includes both ends. If an end is nearer to a wall than `CLEARANCE_M`, no clearance from this
+    wall is required at that end.
     """
     walls, discs, bounds = obstacles
 
@@ -115,7 +116,7 @@ def _moved_along(wall: Wall, place: Vec2, by_m: float) -> Vec2:
 
 
 def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:
-    """Return whether a straight path crosses a wall's face, or passes its end too closely."""
+    """Return whether a straight path crosses a wall's face, or passes an end of the face too closely."""
     here, there = (wall.signed_distance(p) + wall.half_vehicle_m for p in (a, b))
     if here * there >= 0.0:
         return False
@@ -147,7 +148,10 @@ def _within_bounds(places: Sequence[Vec2], bounds: BoundsSpec) -> list[Vec2]:
 
 
 def _cuts(disc: Disc, a: Vec2, b: Vec2) -> bool:
-    """Return whether a straight path enters a disc and comes nearer to the centre than both of its ends."""
+    """Return whether a straight path enters a disc.
+
+    If an end of the path is in the disc, the path must also come nearer to the centre than both path ends.
+    """
     nearest_m = distance_to_segment(disc.centre, a, b)
     return nearest_m < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))
 

@@ -93,7 +93,7 @@ class VisitSpec(Section, frozen=True):
 
     Attributes:
         position_m: place [x, y] for the vehicle's centre, mission frame.
-        within_m: largest distance from the place at which the vehicle's centre passes it.
+        within_m: tolerance; the vehicle's centre passes the place at a distance of at most this value.
     """
 
     position_m: Point2
@@ -101,7 +101,7 @@ class VisitSpec(Section, frozen=True):
 
 
 class SightSpec(Section, frozen=True):
-    """The wall is detected only when it is near; the flight cruises until it has reacted to the detection.
+    """The vehicle detects the wall only when the wall is near, and cruises until it reacts to the detection.
 
     Attributes:
         distance_m: distance from the vehicle's centre to the wall's plane at which the wall is detected.
@@ -140,8 +140,8 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
         touch_m_s: speed of touches before the hits; only with the objective quickest. Each wall to be hit is
             first touched at this speed, from the start and back to the start. The touches measure the
             direction of the walls and their vertical force. Without this key there are no touches.
-        sequence: walls in the order of the hits: up to four, or up to 16 with the objective quickest. `any`:
-            the planner chooses walls and order, and with the objective quickest possibly no wall.
+        sequence: walls in the order of the hits: up to four, or up to 16 with the objective quickest. With
+            `any` the planner chooses walls and order. With `any` and quickest it may also choose no wall.
         search: the approaches to try; the objective quickest does not use this key.
         name: name of the written mission; by default the name of this file.
         vehicle: vehicle configuration, relative to this file; by default the default configuration.
@@ -149,8 +149,8 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
         alpha_wall_m_per_n: wall -> recovery gains [normal, tangential], as in a mission.
         objective: criterion of the best plan. nearest: smallest miss of the goal; fastest: shortest time to
             the goal; gentlest: smallest peak force; robust: smallest miss under the uncertainty; quickest:
-            shortest time from rest to rest over the visits, with hits that save time or that `sequence`
-            demands.
+            shortest time from rest at the start through the visits to rest at the goal. Plans with quickest
+            contain only hits that save time or that `sequence` demands.
         visits: places to pass, in this order; only with the objective quickest.
         sight: late detection of the only wall, in front of the start; only with the objective quickest.
         uncertainty: standard deviations for the objective robust.
@@ -180,10 +180,11 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
     Attributes:
         spec: the file's content; keys that a mission shares, such as walls, are copied into the mission file.
         vehicle_path: file of the configuration, or None for the default one.
-        vehicle_source: source of the configuration; None if it was given as an object.
+        vehicle_source: source of the configuration; None if the caller passed the configuration as an object.
         walls: walls by name. The plane of a wall is where the vehicle's centre is when the vehicle touches
             the wall.
-        sequences: walls in the order of the hits; several if the file contains `any`.
+        sequences: sequences to search, each with its walls in the order of the hits. There is one sequence,
+            or several if the file contains `any`.
         chosen_by_planner: whether the planner chooses the sequence.
         normal_m_s, tangential_m_s: the grid of approach velocities, collision frame of the first wall.
         alphas: gains (A_n, A_t) of the recovery setpoint per wall, m/N.
@@ -242,7 +243,7 @@ def load_scenario(
 
 
 def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
-    """Return the scenario with the PX4 parameters read from the vehicle at a connection.
+    """Return the scenario with the PX4 parameters of the vehicle that is connected at `url`.
 
     Raises:
         VehicleError: the vehicle does not answer, or has none of the parameters.

@@ -92,21 +92,22 @@ class Plan(msgspec.Struct, frozen=True):
 
     Attributes:
         rank: 1 is the best.
-        score: the ranking criterion, smaller is better: m (nearest, robust), s (fastest) or N (gentlest).
+        score: value of the ranking criterion; smaller is better. The unit is m (nearest, robust), s (fastest)
+            or N (gentlest).
         normal_m_s, tangential_m_s: approach of the first collision.
         goal_miss_m: closest approach to the goal after the last contact, at nominal values.
-        time_to_goal_s: time from `start` over transit, run-up and flight to the closest approach, plus the
-            time for the remaining distance to the goal at transit speed.
+        time_to_goal_s: time from `start` to the closest approach, including transit and run-up, plus the time
+            for the remaining distance to the goal at transit speed.
         peak_force_n: largest force of any contact, normal and friction together.
         closest_m: position of the closest approach, mission frame.
         expected_miss_m, worst_miss_m: mean and largest miss of the goal over the random sets of values
             (draws), only for `robust`. If the plan fails in a draw, the miss counts as the distance from
-            start to goal, or as 1 m if that is larger.
+            start to goal, but at least as 1 m.
         failed_draws: share of the draws in which the plan fails because it violates a constraint.
         time_to_rest_s: time from `start` until the vehicle rests at the goal, within the limits of the free
             plan.
-        saving_s: the free plan's time minus `time_to_rest_s`, negative if the hit is slower. Both times are
-            None without a free plan.
+        saving_s: the free plan's time minus `time_to_rest_s`; negative if the plan with hits is slower.
+            Without a free plan, `saving_s` and `time_to_rest_s` are None.
     """
 
     rank: int
@@ -190,8 +191,8 @@ def search(
         progress: called with the number of finished trajectories and the number of all trajectories.
 
     Raises:
-        InputError: no candidate is feasible; the message names the most frequent obstacle and how to relax
-            it.
+        InputError: no candidate is feasible. The message lists the reasons for rejection, the most frequent
+            reason first, and says what to relax.
     """
     began = time.perf_counter()
     planner = ScenarioSearch(scenario, seed, progress or (lambda done, of: None))
@@ -316,7 +317,7 @@ class ScenarioSearch:
         return out
 
     def _rollout_of_draw(self, planned: Rollout, sequence: tuple[str, ...], draw: UncertaintyDraw) -> Rollout:
-        """Return the rollout with the walls of a draw; if the draw moves no wall, the planned rollout."""
+        """Return the rollout with the walls of a draw. If the draw moves no wall, return `planned`."""
         if not draw.walls:
             return planned
         there = msgspec.structs.replace(self.scenario, walls=self.scenario.walls | draw.walls)
@@ -333,7 +334,7 @@ class ScenarioSearch:
     # -- plans and explanations --
 
     def explain(self, chosen: list[tuple[Candidates, int]], free: FreePlan | None = None) -> tuple[Plan, ...]:
-        """Return candidates, in order of their rank, as plans with their collisions."""
+        """Return a plan for each chosen candidate, in the order given. Each plan contains its collisions."""
         plans: dict[int, Plan] = {}
         groups: dict[int, list[tuple[int, Candidates, int]]] = {}
         for rank, (c, i) in enumerate(chosen, start=1):
@@ -357,14 +358,17 @@ class ScenarioSearch:
         return msgspec.structs.replace(plan, time_to_rest_s=at_rest_s, saving_s=free.time_s - at_rest_s)
 
     def trace(self, c: Candidates, chosen: NDArray[np.intp]) -> Arrivals:
-        """Roll out some candidates of a map again, keeping their collisions and legs."""
+        """Roll out the candidates `chosen` (indices into `c`) again, and keep their collisions and legs."""
         rollout = Rollout(self.scenario, c.sequence, self.flight, Constraints(self.scenario), keep_hits=True)
         vn, vt = c.normal_m_s[chosen], c.tangential_m_s[chosen]
         arrivals = rollout.fly(self.nominal, vn, vt, rollout.approach(vn, vt))
         return next(a for a in arrivals if a.modes == c.modes)
 
     def why_infeasible(self) -> str:
-        """Return the reasons for rejection, most frequent first, and what to relax, as a sentence."""
+        """Return a sentence that lists the reasons for rejection, the most frequent first.
+
+        The sentence also says what to relax.
+        """
         counts = sorted(
             ((int(n), r) for r, n in zip(REFUSALS, self.refused[1:], strict=True) if n), reverse=True
         )
@@ -382,7 +386,7 @@ class ScenarioSearch:
 
 
 def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
-    """Return candidate `i` of a map as a plan, with the collisions from row `k` of the arrivals."""
+    """Return candidate `i` of `c` as a plan. The plan's collisions come from row `k` of the arrivals."""
     collisions = tuple(
         PlannedCollision(
             wall=h.wall.name,

@@ -1,8 +1,9 @@
-"""Drivers of the lock's servo: one interface, one file per driver, and a table of all (docs/extending.md).
+"""Drivers of the lock's servo: one interface, one file per driver, and a table of the drivers.
 
 Calls may block for some tens of milliseconds, so a shell makes them in a separate thread. A driver raises
 only `DriverError`, for any failure of the hardware. The driver stays usable afterwards: the next call tries
-to reach the hardware again, so a cable may be unplugged and reconnected.
+to reach the hardware again, so a cable may be unplugged and reconnected. docs/extending.md describes how to
+add a driver.
 """
 
 from __future__ import annotations
@@ -57,15 +58,15 @@ class DriverEntry(NamedTuple):
     """One kind of driver.
 
     Attributes:
-        path: `module:class` beside this file, imported only when the driver is made, because some drivers
-            need an optional package, pyserial.
+        path: `module:class`, with the module in this package. The module is imported only when the driver is
+            made, because a driver may need an optional package (pyserial).
         words: description of the driver for people.
         needs: names of the required arguments of `make_driver`, besides the configuration.
         takes: names of the optional arguments.
-        simulated: whether it works in simulated time.
-        moves: whether anything real moves.
-        reads_switches: whether its readings contain the limit switches; if not, they are read from GPIO
-            lines.
+        simulated: whether the driver works in simulated time.
+        moves: whether the driver moves real hardware.
+        reads_switches: whether the driver's readings contain the limit switches. If not, the switches are
+            read from GPIO lines.
     """
 
     path: str
@@ -112,14 +113,15 @@ def make_driver(
     faults: MockFaults | None = None,
     gpio: bool = True,
 ) -> Driver:
-    """Return a driver of this kind (default: the configured kind), with the configured limit switch, if any.
+    """Return a driver of the lock's servo. If a limit switch is configured, the driver also reads the switch.
 
     Args:
         config: the lock's configuration.
-        kind: kind of driver.
+        kind: kind of driver; by default the configured kind.
         clock_us: time base of the mock, microseconds; required for the mock only.
-        set_actuator: `set_actuator(index, value)` with value from -1 to 1, for the px4 driver. The shell
-            provides it with its connection. It blocks until sent and may raise any exception.
+        set_actuator: function `set_actuator(index, value)` with value from -1 to 1, for the px4 driver. The
+            shell supplies this function, because the shell has the connection to PX4. The function blocks
+            until the value is sent, and may raise any exception.
         faults: initial faults of the mock's servo.
         gpio: whether GPIO limit switches are read; False without hardware.
 

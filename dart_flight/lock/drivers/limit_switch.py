@@ -19,7 +19,7 @@ class SwitchReader(Protocol):
     """Reader of the limit switches."""
 
     def read(self) -> tuple[bool | None, bool | None]:
-        """Return whether the switches at the rigid and at the flexible end are closed; None if not fitted.
+        """Return (rigid, flexible): True if the end's switch is closed, None if the end has no switch.
 
         Raises:
             DriverError: a switch cannot be read.
@@ -55,7 +55,7 @@ class GpioLimitSwitch:
             )
 
     def read(self) -> tuple[bool | None, bool | None]:
-        """Return whether the switches at the rigid and at the flexible end are closed; None if not fitted.
+        """Return (rigid, flexible): True if the end's switch is closed, None if the end has no switch.
 
         Raises:
             DriverError: the chip or a line is not available or cannot be read.

@@ -5,9 +5,9 @@
     Get Position 0x90 channel                -> two bytes, little-endian, quarter-microseconds; 0: no pulses
     Get Errors   0xA1                        -> two bytes, little-endian; reading clears them
 
-The protocol without checksum has no protection against noise. Every query is therefore sent twice, and the
-answer counts only if both answers are equal and no further bytes arrive. A command counts only if the
-controller reports no serial error after it. This is the only file that imports pyserial.
+The protocol without checksum has no protection against noise. Every query is therefore sent twice. The driver
+accepts an answer only if the two answers match and no further bytes arrive. A command counts as executed if
+the controller reports no serial error after the command. This is the only file that imports pyserial.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class MaestroDriver:
 
         Raises:
             DriverError: no Maestro answers, or the port does not exist, is not writable, is not a serial port
-                or is in use. If the port is the problem, the error has the port's configuration key.
+                or is in use. If the port cannot be opened, `key` of the error is the port's key.
         """
         if self._port is not None:
             return
@@ -139,7 +139,11 @@ class MaestroDriver:
         raise self._connection_error("the controller gave no valid answer to the position query")
 
     def _query_errors(self) -> int:
-        """Return the error bits; query twice, because the first answer clears the bits for the second."""
+        """Return the error bits.
+
+        The query is sent twice. The first answer clears the bits, so only the first answer is returned. The
+        second answer must not contain bits that the first answer lacks.
+        """
         for _ in range(_ATTEMPTS):
             answer = self._query(bytes((GET_ERRORS,)) * 2, 4)
             if answer is None:

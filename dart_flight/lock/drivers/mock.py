@@ -20,10 +20,10 @@ class MockFaults(msgspec.Struct, frozen=True):
     """Faults of the modelled lock.
 
     Attributes:
-        servo: the servo itself: stuck, slow, stalled.
+        servo: faults of the servo itself: stuck, slow or stalled.
         unplugged: the controller does not answer; the servo keeps the last pulse.
-        brown_out: every travel causes a voltage drop after `BROWN_OUT_S`: the controller restarts, and its
-            pulses are off until the next command.
+        brown_out: every travel causes a voltage drop `BROWN_OUT_S` after the start of the travel. The
+            controller then restarts, and outputs no pulses until the next command.
         switch_silent: the limit switches never close.
     """
 
@@ -67,7 +67,10 @@ class MockDriver:
         self._servo.set_faults(now, faults.servo)
 
     def horn_pulse_us(self, t_us: int) -> float:
-        """Return the true position of the horn at `t_us` of the mock's time base, as a pulse width in us."""
+        """Return the true position of the horn at time `t_us`, as a pulse width in us.
+
+        `t_us` is a time of the mock's clock, microseconds.
+        """
         if self._reset_at_us is not None:
             self._advance(t_us)
         return self._servo.pulse_at(t_us)

@@ -26,7 +26,7 @@ from dart_flight.lock.state_machine import DriverReading
 
 
 class _BoardPwm(NamedTuple):
-    """A board, and the channel of its PWM chip that is connected to GPIO 18."""
+    """The name of a board, and the PWM channel that drives GPIO 18 on this board."""
 
     board: str
     gpio18: int
@@ -41,7 +41,7 @@ _APPEAR_S = 1.0  # udev needs a moment to give the new files to their group
 
 
 def write_attribute(path: Path, text: str) -> None:
-    """Write a sysfs attribute: one write of its whole text, to a file that must exist already.
+    """Write the whole text of a sysfs attribute in one system call. The file must exist already.
 
     Raises:
         OSError: the kernel refuses the write.
@@ -63,11 +63,11 @@ class PwmDriver:
         self._period_ns = round(config.pwm.period_us * 1000.0)
 
     def open(self) -> None:
-        """Export the channel and set the frame's period; if the period is right, change nothing.
+        """Export the channel, and set the frame's period and the polarity where they differ from the setting.
 
         Raises:
-            DriverError: the chip or the channel does not exist, is not writable, or rejects a value. The
-                error has the configuration key.
+            DriverError: the chip or the channel does not exist, is not writable, or rejects a value. `key` of
+                the error is the configuration key of the chip or of the channel.
         """
         if not (self._channel / "enable").exists():
             self._find()

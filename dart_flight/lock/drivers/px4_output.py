@@ -1,8 +1,8 @@
 """PX4's own servo output: MAV_CMD_DO_SET_ACTUATOR through a callable of the shell.
 
-PX4 acknowledges the command whether or not a servo is connected. PX4 moves the output only when armed, unless
-COM_PREARM_MODE permits it before arming. `required_parameters` lists the necessary parameters, and
-`parameter_problems` compares them with the vehicle's.
+PX4 acknowledges the command whether or not a servo is connected. Before arming, PX4 moves the output only if
+COM_PREARM_MODE permits this. `required_parameters` lists the parameters and values that the servo needs.
+`parameter_problems` compares them with the values on the vehicle.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
 
 
 def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[str]:
-    """Return the problems of a vehicle's parameters for this output, one line each; empty if there are none.
+    """Return one line for each PX4 parameter with which this output would not work.
 
     Args:
         config: the lock's configuration.
-        actual: parameters as read from the vehicle; a missing one counts as wrong.
+        actual: parameters as read from the vehicle; a missing parameter counts as wrong.
     """
     problems = []
     for required in required_parameters(config):

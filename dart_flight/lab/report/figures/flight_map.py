@@ -47,8 +47,8 @@ _ARROW_EVERY_M = 0.9
 def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
     """Draw walls, plan and flown paths from above; the paths of several flights overlap.
 
-    For one flight it also shows seconds, direction, the vehicle at each hit with the state of its arms, the
-    peak force, the recovery setpoint, and the guard's actions.
+    The map of a single flight also shows the direction, a dot at every second, and the guard's actions. At
+    each hit it shows the vehicle, the state of the arms, the peak force and the recovery setpoint.
     """
     mission = flights[0].mission
     figure, axis = new_figure(look, 5.0)
@@ -78,9 +78,9 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
 
 
 def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Array]]:
-    """Draw everything but the labels; return the labels, and the lines that they should not cover.
+    """Draw everything but the labels; return the labels, and the lines that the labels should not cover.
 
-    The labels are ordered by importance: hits, guard, seconds. Important labels are placed first.
+    The labels are ordered by importance: hits, guard, seconds. `place_labels` places the first labels first.
     """
     paths = _paths(flight)
     for line in flight.planned_lines():
@@ -124,7 +124,7 @@ def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Arra
 
 
 def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], dict[str, Any], str]]:
-    """Return ((time, place), style, name) of each known path in the air, the true one first."""
+    """Return ((times, places), style, name) of each known path in the air; a true path comes first."""
     air = flight.airborne
     found = []
     for motion, style, label in (

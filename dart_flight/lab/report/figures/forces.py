@@ -1,4 +1,4 @@
-"""Figures of contact forces: of each hit, over trials, and of other vehicles' logs."""
+"""Figures of contact forces: one hit, one hit over several trials, and a whole log of any vehicle."""
 
 from __future__ import annotations
 
@@ -123,7 +123,10 @@ def errors_over_trials(flights: Sequence[RecordedFlight], *, look: Look = PAGE) 
 def force_over_flight(
     time_s: Array, force_m_s2: Array, threshold_m_s2: Array, impacts_s: Sequence[float], look: Look = PAGE
 ) -> Any:
-    """Draw the horizontal force over mass of a whole flight, as maxima over a twentieth of a second."""
+    """Draw the horizontal force, divided by the vehicle's mass, over a whole flight.
+
+    Each drawn point is the maximum over 0.05 s.
+    """
     figure, axis = new_figure(look, 2.6)
     step = max(1, round(0.05 / max(float(np.median(np.diff(time_s))), 1e-3))) if len(time_s) > 1 else 1
     count = max(1, len(time_s) // step)

@@ -1,4 +1,4 @@
-"""Placement of labels near their points without covering each other or the points."""
+"""Placement of labels near their points; labels should cover neither other labels nor points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Label(NamedTuple):
     Attributes:
         text: one or more lines.
         at: the point, in the axis' data.
-        away: preferred direction from the point in the data's axes; (0, 0): none.
+        away: preferred direction from the point to the label, in the data's axes. (0, 0): no preference.
         colour: colour of the text.
     """
 
@@ -54,11 +54,11 @@ class _Box(NamedTuple):
 def place_labels(
     axis: Any, labels: Sequence[Label], lines: Iterable[Array], taken: Iterable[Array], font_pt: float
 ) -> None:
-    """Write every label where it covers the least; if its point is distant, a thin line leads to the point.
+    """Write every label at the position near its point where the label covers the least.
 
-    Each label takes the best position of several rings around its point. The cost counts first the overlap
-    with existing text, then the covered lines, then the distance. Set the limits and
-    the aspect of the axis before the call.
+    If a label is far from its point, a thin line connects the two. Each label takes the best position on
+    several rings around its point. The cost of a position counts first the overlap with existing text, then
+    the covered lines, then the distance. Set the limits and the aspect of the axis before the call.
 
     Args:
         axis: an axis with an equal aspect.
@@ -101,7 +101,11 @@ def place_labels(
 def _places(
     anchor: tuple[float, float], half: tuple[float, float], away: tuple[float, float]
 ) -> Iterable[tuple[tuple[float, float], float, float]]:
-    """Yield centres of a text around its point, the distance of its edge from the point, and a cost."""
+    """Yield candidate positions of a text around its point.
+
+    Yields:
+        Centre of the text, distance from the point to the edge of the text, and cost of the position.
+    """
     for reach in _REACHES_PT:
         for i in range(_DIRECTIONS):
             angle = 2.0 * math.pi * i / _DIRECTIONS

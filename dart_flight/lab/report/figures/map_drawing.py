@@ -94,7 +94,10 @@ def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = TH
 
 
 def _gap_behind_m(mission: Mission, wall: Wall) -> float:
-    """Return the distance from a wall's surface to an opposite surface behind it, or infinity."""
+    """Return the distance from a wall's surface to the nearest opposite surface behind the wall.
+
+    If there is no such surface, the distance is infinite.
+    """
     surface_of = mission.vehicle.airframe.wall_surface
     own, gaps = surface_of(wall), [math.inf]
     for other in mission.flat_walls:
@@ -111,7 +114,7 @@ def _gap_behind_m(mission: Mission, wall: Wall) -> float:
 def _thickness_m(mission: Mission, wall: Wall) -> float:
     """Return the thickness with which to draw a wall.
 
-    If the wall is one face of a partition, the thickness is at most half of the partition's.
+    If the wall is one face of a partition, the result is at most half of the partition's thickness.
     """
     return min(THICKNESS_M, 0.5 * _gap_behind_m(mission, wall))
 
@@ -157,10 +160,11 @@ def set_view(axis: Any, view: Array) -> None:
 
 
 def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
-    """Return [[low x, low y], [high x, high y]], the part of the room around points (n, 2) with a margin.
+    """Return the limits of a view that contains the points (n, 2) and a margin around the points.
 
-    The view includes the nearest part of every wall within the bounds. The view does not extend beyond the
-    room, which consists of the bounds and the walls with their names.
+    The limits are [[low x, low y], [high x, high y]], metres. The view includes the nearest part of every
+    wall, unless that part is outside of the bounds. The view does not extend beyond the room, which consists
+    of the bounds and the walls with their names.
     """
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     room = [np.array([[x0, y0], [x1, y1]])]
@@ -179,7 +183,10 @@ def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
 
 
 def _nearest_part(mission: Mission, wall: Wall, points: Array) -> Array:
-    """Return the part of a wall's surface nearest to the box around points (n, 2); empty out of bounds."""
+    """Return the part of a wall's surface that is nearest to the box around the points (n, 2).
+
+    If this part is outside of the mission's bounds, the result is empty.
+    """
     ends = np.array(mission.vehicle.airframe.wall_surface(wall).ends)
     line = ends[0] + np.linspace(0.0, 1.0, 101)[:, None] * (ends[1] - ends[0])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -190,7 +197,7 @@ def _nearest_part(mission: Mission, wall: Wall, points: Array) -> Array:
 
 
 def points_per_unit(axis: Any) -> float:
-    """Return points on paper per metre, for an axis with equal aspect in the current layout."""
+    """Return the scale of an axis with equal aspect in the current layout: typographic points per metre."""
     figure = axis.figure
     figure.get_layout_engine().execute(figure)
     axis.apply_aspect()
@@ -222,7 +229,8 @@ def draw_vehicle(
         airframe: supplies the sizes.
         at: position of the centre, mission frame.
         yaw_rad: yaw in the mission frame.
-        mode: rigid: thick solid arms; flexible: thin dashed arms; None: unknown, dotted arms.
+        mode: state of the arms, which sets their line. Rigid arms are thick and solid, flexible arms are
+            thin and dashed, and arms in an unknown state (None) are dotted.
         colour: colour of the lines.
     """
     outline = placed(airframe.outline_m, at, yaw_rad)
@@ -272,7 +280,7 @@ def draw_hit(
 
 
 def name_hits(axis: Any, largest_n: float) -> None:
-    """Add legend entries for force arrows with their scale, and for the setpoints of `draw_hit`."""
+    """Add legend entries for the force arrows, with the scale of the arrows, and for recovery setpoints."""
     words = f"peak force, 0.1 m: {0.1 * largest_n / LONGEST_ARROW_M:.0f} N"
     axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=words)
     axis.plot([], [], "x--", color=SET_POINT, linewidth=1.0, markersize=5, label="recovery setpoint")

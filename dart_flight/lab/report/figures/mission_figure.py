@@ -57,8 +57,8 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
 
     Args:
         mission: the mission.
-        planned: prediction of the flight model; None if an approach cannot be flown; the figure then shows
-            only the room.
+        planned: prediction of the flight model, or None if an approach cannot be flown. With None the figure
+            shows only the room.
         look: size of the figure.
     """
     # Trajectories end at their goal in every draw, but uncertain walls still move.
@@ -170,7 +170,7 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
 
 
 def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
-    """Draw the probes to their ends, and return each one's label and line."""
+    """Draw the line of each probe to the probe's end; return the label and the line of each probe."""
     found = []
     for collision in mission.collisions:
         if collision.probe is None:
@@ -192,7 +192,7 @@ def _from_rest(mission: Mission, planned: PredictedFlight) -> list[Array]:
 
 
 def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -> None:
-    """Draw the wall surfaces and the paths after the hits for many random differences of the walls."""
+    """Draw the wall surfaces and the paths after the hits for every set of randomly varied walls."""
     label = f"{len(drawn)} draws of the walls"
     for flight in drawn:
         surfaces = [np.array(mission.vehicle.airframe.wall_surface(wall).ends) for wall in flight.walls]
@@ -302,7 +302,10 @@ def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
 
 
 def _side_by_side(mission: Mission, planned: PredictedFlight) -> list[tuple[Vec2, str]]:
-    """Return the positions of hits (x, z), with their numbers; near hits share a position."""
+    """Return the positions (x, z) of the hits with the numbers of the hits.
+
+    Hits that are close together at the same altitude share one position.
+    """
     found: list[tuple[Vec2, str]] = []
     for index, hit in sorted(planned.hits.items(), key=lambda item: item[1].position[0]):
         x, z = hit.position[0], mission.altitude_at(index - 1)
@@ -314,5 +317,5 @@ def _side_by_side(mission: Mission, planned: PredictedFlight) -> list[tuple[Vec2
 
 
 def write_mission_picture(mission: Mission, planned: PredictedFlight | None, path: Path) -> None:
-    """Write `mission_figure` to a file, with the errors of `save_figure`."""
+    """Write `mission_figure` to a file; raises the same errors as `save_figure`."""
     save_figure(mission_figure(mission, planned), path)

@@ -29,7 +29,11 @@ def mark_impacts(axis: Any, flight: RecordedFlight) -> None:
 
 
 def _plot(axis: Any, flight: RecordedFlight, time_s: Any, values: Any, **style: Any) -> None:
-    """Plot a line over the shown span; a line of too many points is reduced to the extremes of intervals."""
+    """Plot a line over the flight's `shown_span`.
+
+    A line of more than `_MAX_POINTS` points is divided into intervals, and only the lowest and the highest
+    point of each interval are kept.
+    """
     begin, end = flight.shown_span
     inside = (time_s >= begin) & (time_s <= end)
     t, v = time_s[inside], np.asarray(values)[inside]
@@ -77,7 +81,7 @@ def motion(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 @in_style
 def poses(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Draw the horizontal position by motion capture and by PX4's estimate, and their distance."""
+    """Draw the horizontal position from motion capture and from PX4's estimate, and their 3D distance."""
     figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
     raw, estimated = flight.course.posed, flight.course.estimated
     for j in (0, 1):

@@ -15,7 +15,10 @@ from dart_flight.lab.report.recorded_flight import RecordedFlight
 
 
 def figures_of(flights: Sequence[RecordedFlight]) -> Iterator[tuple[str, Any]]:
-    """Yield (name, figure) of a report's figures, `COLUMN` wide, for one flight or several of one mission."""
+    """Yield (name, figure) for each figure of a report, `COLUMN` wide.
+
+    Several flights must be of one mission.
+    """
     yield "map", flight_map(flights, look=COLUMN)
     if len(flights) > 1:
         yield "errors", forces.errors_over_trials(flights, look=COLUMN)
@@ -33,7 +36,7 @@ def figures_of(flights: Sequence[RecordedFlight]) -> Iterator[tuple[str, Any]]:
 
 
 def write_svgs(flights: Sequence[RecordedFlight], folder: Path) -> list[Path]:
-    """Write one SVG file for each figure, with text kept as text.
+    """Write one SVG file for each figure; text in the figures stays text and is not converted to outlines.
 
     Raises:
         InputError: the folder cannot be made or written to, or matplotlib is missing.

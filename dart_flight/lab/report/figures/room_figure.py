@@ -63,7 +63,11 @@ def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *,
 def _draw_wall(
     axis: Any, wall: RoomWall, before: Vec2 | None, after: Vec2 | None, name: str, look: Look
 ) -> None:
-    """Draw a wall between its corners, or slightly beyond its contacts, with its uncertainty band."""
+    """Draw a wall and its uncertainty band.
+
+    The wall is drawn from corner to corner. If a corner is missing, the wall is drawn `_OPEN_M` beyond its
+    outermost contacts.
+    """
     normal, tangent = np.array(wall.normal), np.array([-wall.normal[1], wall.normal[0]])
     touched = np.array([touch.place for touch in wall.touches]) @ tangent
     corners = [float(np.array(corner) @ tangent) for corner in (before, after) if corner is not None]
@@ -80,5 +84,5 @@ def _draw_wall(
 
 
 def write_room_picture(mission: Mission, room: Room, touches: Sequence[RoomContact], path: Path) -> None:
-    """Write `room_figure` to a file, with the errors of `save_figure`."""
+    """Write `room_figure` to a file; raises the same errors as `save_figure`."""
     save_figure(room_figure(mission, room, touches), path)
