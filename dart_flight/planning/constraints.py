@@ -124,10 +124,10 @@ class Constraints:
         return codes
 
     def command(self, leg: SetpointResponse, loop: tuple[float, float, float, float, float]) -> Codes:
-        """Return a refusal code (0: accepted) for each recovery, from its setpoint and first command.
+        """Check each recovery by its setpoint and first command; return refusal codes (0: accepted).
 
-        The recovery setpoint may lie at most `SETPOINT_OUTSIDE_M` outside the bounds. The command must be within
-        PX4's tilt limit, because the model is linear only there.
+        The recovery setpoint may lie at most `SETPOINT_OUTSIDE_M` outside the bounds. The command must be
+        within PX4's tilt limit, because beyond this limit the model is not linear.
         """
         kp, kv, _, kd, _ = loop
         ax = kv * (-kp * leg.x[0] - leg.x[1]) + leg.x[3] - kd * leg.x[2]

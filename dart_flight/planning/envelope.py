@@ -1,8 +1,8 @@
 """Impacts that a mission may plan: the mission's own force limit, and the range that flights have covered.
 
 The limits of speed and force come from the flights in docs/px4.md. These flights are a sweep (acrylic and
-wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come from the flights in
-docs/results/body.md.
+wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come
+from the flights in docs/results/body.md.
 """
 
 from __future__ import annotations

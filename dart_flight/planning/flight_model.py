@@ -136,7 +136,7 @@ class FreeFlight:
         return SetpointResponse(x, y, leg.goal_x, leg.goal_y)
 
     def along(self, leg: SetpointResponse, times_s: Array) -> tuple[Array, Array]:
-        """Return two arrays (n, 4): the states along x and along y of the first candidate at n times of the leg."""
+        """Return two arrays (n, 4): the first candidate's states along x and y at n times of the leg."""
         x, y = (
             expm(axis.matrix * times_s[:, None, None]) @ z[:, 0]
             for axis, z in zip(self.axes, (leg.x, leg.y), strict=True)

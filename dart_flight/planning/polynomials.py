@@ -14,7 +14,7 @@ def quintic(begin: Array | Sequence[Array | float], end: Sequence[Array | float]
     """Return coefficients (6, n) of the polynomials between pairs of states.
 
     Args:
-        begin, end: states, each a position, a velocity and an acceleration. Each is a number or an array (n,).
+        begin, end: states, each a position, velocity and acceleration; numbers or arrays (n,).
         duration_s: durations, array (n,).
     """
     p, v, a = begin

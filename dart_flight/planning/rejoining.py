@@ -3,8 +3,8 @@
 Each rejoining trajectory is the sum of the planned trajectory and a fifth-order polynomial per axis. It may
 join the planned trajectory at a later point and fly it more slowly. The polynomial starts with the deviation
 of the vehicle's state from the plan. Some time before the trajectory's end, the polynomial and its first two
-derivatives reach zero. The trajectory therefore keeps the optimised shape, the end and the final velocity of the plan,
-with small additional accelerations.
+derivatives reach zero. The trajectory therefore keeps the optimised shape, the end and the final velocity of
+the plan, with small additional accelerations.
 
 In the last tenths of a second before a wall, only two differences from the plan remain. The end is shifted to
 the estimated wall, and the final acceleration gives the wanted lean. If the correction lasted until the

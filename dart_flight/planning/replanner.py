@@ -253,7 +253,7 @@ class Replanner:
         return None
 
     def _thrust_off(self, wall: Wall, written: Trajectory) -> float:
-        """Return the thrust's acceleration away from the wall when the mission's trajectory ends there, m/s2."""
+        """Return the thrust's acceleration away from a wall, m/s2, where the mission's trajectory ends."""
         end = written.at(written.duration_s)
         drag_n, _ = drag_along(wall, self._mission.vehicle.airframe.drag_per_s)
         return wall.to_collision(end.acceleration)[0] + drag_n * wall.to_collision(end.velocity)[0]

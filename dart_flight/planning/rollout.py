@@ -151,7 +151,7 @@ def _concatenate_legs(legs: list[SetpointResponse]) -> SetpointResponse:
 
 
 class UncertaintyDraw(NamedTuple):
-    """Random values of the uncertain quantities: coefficients, approach velocity, detection delay and walls."""
+    """Random values of the uncertain quantities: coefficients, approach velocity, setpoint delay, walls."""
 
     factors: dict[tuple[str, Mode], tuple[float, float, float]]  # of k, f, mu
     normal_m_s: float
@@ -246,7 +246,7 @@ class Rollout:
         return self._arrive(_merge(fronts)) if fronts else []
 
     def _weight(self, collision: int) -> int:
-        """Return the number of mode sequences per approach that share the modes of the first `collision` walls."""
+        """Return the number of mode sequences that agree in the modes of the first `collision` walls."""
         return int(len(self.task.modes) ** (len(self.walls) - collision))
 
     def _refuse(self, codes: NDArray[np.int8], collision: int) -> NDArray[np.bool_]:

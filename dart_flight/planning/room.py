@@ -6,10 +6,10 @@ with the normal n if
 
     c_i . n - h_i(n) = offset        for all of them
 
-This holds for any incidence. The fit uses as few walls as possible. Every contact belongs to one wall, and the
-contacts of a wall are neighbours in direction. Consecutive walls intersect in the corners. If a wall has only
-one contact, more probes are needed beside this contact. If a corner does not lie between the contacts of its
-two walls, another probe is needed in the direction between these contacts.
+This holds for any incidence. The fit uses as few walls as possible. Every contact belongs to one wall, and
+the contacts of a wall are neighbours in direction. Consecutive walls intersect in the corners. If a wall has
+only one contact, more probes are needed beside this contact. If a corner does not lie between the contacts of
+its two walls, another probe is needed in the direction between these contacts.
 """
 
 from __future__ import annotations

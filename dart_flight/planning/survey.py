@@ -109,7 +109,7 @@ class _SurveyLeg(NamedTuple):
 
 
 def _probe_leg(mission: Mission, wall: Wall, here: Vec2) -> _SurveyLeg | None:
-    """Return a leg along a wall's normal that begins at a reachable place, or None if there is no such leg."""
+    """Return a leg along a wall's normal that begins at a reachable place, or None if none is possible."""
     (px, py), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     for share in _ALONG:
         along = share * wall.length_m
