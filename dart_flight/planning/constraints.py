@@ -127,7 +127,7 @@ class Constraints:
         """Check each recovery by its setpoint and first command; return refusal codes (0: accepted).
 
         The recovery setpoint may lie at most `SETPOINT_OUTSIDE_M` outside the bounds. The command must be
-        within PX4's tilt limit, because beyond this limit the model is not linear.
+        within PX4's tilt limit, because the linear model does not hold beyond this limit.
         """
         kp, kv, _, kd, _ = loop
         ax = kv * (-kp * leg.x[0] - leg.x[1]) + leg.x[3] - kd * leg.x[2]

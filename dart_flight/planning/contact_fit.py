@@ -1,4 +1,6 @@
-"""Estimate the wall's coefficients, the wall's plane and the arms' mode: fit the contact law to a contact.
+"""Fit of the contact law to the readings of one contact.
+
+The fit estimates the wall's coefficients, the wall's plane and the arms' mode.
 
 Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
 positive if the vehicle is turned left. Each side of the vehicle has a right guard (g = 1) and a left guard

@@ -19,7 +19,8 @@ is the distance. The controller's error is e = kp (s - q) - u, and its thrust ad
 In these equations, lx is the normal force of the contact law alone, at the speed of the onset. The force lx
 also determines the peak friction force. The recovery setpoint (`core/mission/recovery.py`) is the position at
 the force peak plus the peak normal and friction forces, each times its gain. The motion along the normal is
-therefore a constant matrix per material and mode. The matrix exponential gives this matrix exactly.
+therefore linear, with one constant matrix per material and mode. The matrix exponential gives this matrix
+exactly.
 
 The motion along the wall needs only integrals of exp(-c (1 + xi')). Here c is mu times the normal speed at
 the onset, and xi' is the normal velocity divided by this speed. Gauss quadrature is accurate to about 1e-10.

@@ -92,8 +92,8 @@ def incidence_deg(mission: Mission, collision: Collision) -> float:
 def max_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
     """Return the largest permitted angle of incidence, degrees.
 
-    Up to this angle, flights have recovered. In the flexible mode, the arms also fold up to this angle
-    (`incidence_rigid_deg`).
+    Flights have recovered from impacts up to this angle. In the flexible mode the limit is at most
+    `incidence_rigid_deg`, because unlocked arms do not fold at larger angles.
     """
     arms = vehicle.airframe.incidence_rigid_deg if mode is Mode.FLEXIBLE else INCIDENCE_FLOWN_DEG
     return min(arms, INCIDENCE_FLOWN_DEG)

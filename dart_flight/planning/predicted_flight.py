@@ -126,8 +126,8 @@ def describe_goal_miss(
 def predict_mission(mission: Mission) -> PredictedFlight:
     """Predict the path that follows from the mission's approaches, modes and gains.
 
-    If the model does not reach the next wall after an impact, the path ends at this impact. A rehearsal has
-    no impacts, so its prediction contains only the approaches.
+    If the model does not complete all collisions that follow from one approach, the prediction contains only
+    the approach. A rehearsal has no impacts, so its prediction contains only approaches.
     """
     return flights_with(mission, [None])[0]
 

@@ -427,7 +427,7 @@ class Replanner:
 
 
 def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
-    """Return how far the final jerk of each trajectory into the wall exceeds `_LEANS_IN_M_S3`.
+    """Return by how much each trajectory's final jerk towards the wall exceeds `_LEANS_IN_M_S3`.
 
     The result is a number of steps of `_LEANS_IN_STEP_M_S3`, rounded up; 0 within the limit.
     """

@@ -14,9 +14,9 @@ class MissionFrameReader:
 
     Attributes:
         frame: the mission frame in local NED, or None before the mission leaves `READYING`. When the mission
-            leaves `READYING`, the frame is anchored at the take-off point. If the position estimate has
-            changed by the start of the climb, the frame is anchored again. In a mission anchored by touch,
-            contacts displace the frame.
+            leaves `READYING`, the frame is anchored at the take-off point. If the position estimate then
+            changes before the climb, the frame is anchored again at the start of the climb. In a mission
+            anchored by touch, contacts displace the frame.
     """
 
     def __init__(self, mission: Mission) -> None:

@@ -163,7 +163,10 @@ class ImpactCollector:
         }
 
     def match_truth(self) -> None:
-        """Assign to every impact the nearest simulated contact in time with the same wall, or None."""
+        """Assign a simulated contact with the same wall to every impact.
+
+        If there are several such contacts, the nearest in time is used. If there is none, the contact is None.
+        """
         for impact in self.impacts:
             near = [
                 t

@@ -4,7 +4,7 @@ A flight is uncontrolled if one of these events occurs:
     The vehicle leaves the mission's bounds by more than half a metre.
     The vehicle meets the ground at more than 1.5 m/s.
     The vehicle tilts by more than 80 degrees.
-    The flight does not complete and its log gives no reason.
+    The flight does not complete and gives no reason.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ class FlightLog:
         path: the first file, which must not exist.
         about: description of the flight (`recording.about.describe_flight`).
         part_bytes: size after which the next file begins.
-        most_parts: number of files that contain telemetry; the last file after them has decisions only.
+        most_parts: number of files that contain telemetry. One more file contains only decisions.
 
     Attributes:
         lost: number of records that were not written.

@@ -129,8 +129,8 @@ class CoreThread:
     def _step_queued(self) -> None:
         """Step the queued inputs; the caller must hold `_owner`.
 
-        If more than `_BACKLOG` inputs are queued, step only the newest sample of attitude, odometry and
-        actuators, and every other input.
+        If more than `_BACKLOG` inputs are queued, drop all samples of attitude, odometry and actuators except
+        the newest of each kind.
         """
         items, queued = list[Input](), self._queue
         while not queued.empty():  # only the owner removes inputs

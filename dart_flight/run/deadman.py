@@ -137,7 +137,7 @@ class SystemdNotice:
     def alive(self) -> None:
         """Feed systemd's watchdog, at most once per half of the watchdog's period.
 
-        The caller calls this more often than once per half period.
+        Call this method more often than once per half period.
         """
         now = time.monotonic()
         if self._period_s is not None and now - self._sent_s >= self._period_s:

@@ -3,7 +3,7 @@
 MAVSDK's thread passes every record to `TelemetryMonitor`. Another thread processes the records in batches
 several times per second. Batches take a third of the processor time that single records would take. `view`
 returns the data for a screen. The monitor sends only requests for slow streams, and the poses of a motion
-capture. If another `dart-flight` flies on the same link, the monitor does not slow down its streams.
+capture. If a `dart-flight` flies on the same link, the monitor does not slow down the streams of this flight.
 `dart-flight monitor` uses this module.
 """
 
@@ -71,9 +71,10 @@ class StreamView(msgspec.Struct):
 
 
 class WallView(msgspec.Struct):
-    """Estimate of a wall from a contact: prior and posterior of k, f, mu.
+    """Estimate of a wall from a contact.
 
-    `posterior_sd` is the relative standard deviation of the posterior. `mode_felt` is null if undecided.
+    `prior` contains the configured k, f and mu of the wall's material. `posterior` contains the estimated
+    values, and `posterior_sd` their relative standard deviation. `mode_felt` is null if undecided.
     """
 
     wall: str

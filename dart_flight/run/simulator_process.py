@@ -117,7 +117,7 @@ class SimulatorProcess:
         self.process.send(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """End the process. If the vehicle is in the air, it first flies until its failsafe has acted."""
+        """End the process. A vehicle in the air first flies on until its failsafe has acted."""
         self.process.end(timeout_s)
 
     def _receive(self, line: bytes) -> None:

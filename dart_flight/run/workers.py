@@ -175,8 +175,8 @@ def work(
 ) -> Generator[FinishedItem[I, R], None, None]:
     """Fly items in parallel and yield their results in the order of completion.
 
-    If a process dies, the whole pool breaks. The items in progress are then retried one at a time. If a
-    process dies again, its item is therefore known.
+    If a process dies, the whole pool breaks. The items in progress are then retried one at a time. The item
+    is therefore known if a process dies again.
 
     Args:
         fly: function that flies one item; pickled once for each process.
