@@ -165,7 +165,7 @@ class ImpactCollector:
     def match_truth(self) -> None:
         """Assign a simulated contact with the same wall to every impact.
 
-        If there are several such contacts, the nearest in time is used. If there is none, the contact is None.
+        If there are several such contacts, the nearest in time is used. If there is none, `contact` is None.
         """
         for impact in self.impacts:
             near = [
