@@ -103,7 +103,13 @@ class Constraints:
     def hit(
         self, velocity: tuple[Array, Array], normal_n: Array, tangential_n: Array, rebound_m_s: Array
     ) -> Codes:
-        """Return codes (0: accepted) for impacts with a velocity (normal, tangential), peaks and rebound."""
+        """Return a refusal code (`CODE`, 0: accepted) for each impact.
+
+        Args:
+            velocity: normal and tangential velocity at the onset, m/s.
+            normal_n, tangential_n: peak normal force and peak friction, N.
+            rebound_m_s: normal velocity after the contact, m/s.
+        """
         codes, limits = np.zeros(normal_n.shape, dtype=np.int8), self.limits
         normal, tangential = velocity
         if limits.closing_m_s is not None:
@@ -118,10 +124,10 @@ class Constraints:
         return codes
 
     def command(self, leg: SetpointResponse, loop: tuple[float, float, float, float, float]) -> Codes:
-        """Return codes for a recovery's setpoint and its first command.
+        """Check each recovery by its setpoint and first command; return refusal codes (0: accepted).
 
-        The setpoint may lie at most `SETPOINT_OUTSIDE_M` outside the bounds. The command must be within
-        PX4's tilt limit, because the model is linear only there.
+        The recovery setpoint may lie at most `SETPOINT_OUTSIDE_M` outside the bounds. The command must be
+        within PX4's tilt limit, because the linear model does not hold beyond this limit.
         """
         kp, kv, _, kd, _ = loop
         ax = kv * (-kp * leg.x[0] - leg.x[1]) + leg.x[3] - kd * leg.x[2]
@@ -140,14 +146,16 @@ class Constraints:
         begins: bool,
         walls: Sequence[Wall] | None = None,
     ) -> Codes:
-        """Return codes for obstacles and limits of a flight before its grid index `until` (exclusive).
+        """Return a refusal code (0: accepted) for each flight, up to the grid index `until` (exclusive).
+
+        The flight is checked for walls, posts, the bounds and the speed limit.
 
         Args:
             window: positions and velocities.
             until: first grid index that is not checked, for each candidate.
             target: the next wall or post of the plan, which is no obstacle.
             begins: whether the first grid point is the release from a wall.
-            walls: estimated walls; None: the mission's walls.
+            walls: estimated walls, or None to use the mission's walls.
         """
         w = window
         bad = w.vx * w.vx + w.vy * w.vy > np.float32(self.limits.speed_m_s**2)
@@ -195,7 +203,8 @@ class Constraints:
     def _leaves_bounds(self, w: GridWindow) -> NDArray[np.bool_]:
         """Return at which grid points the vehicle is outside the bounds or could not stop inside them.
 
-        A wall ahead shortens the stop, as in the guard.
+        If a wall ahead stops the vehicle earlier, the stopping distance is shorter (`stop_share`). The core's
+        guard (`core.guard`) applies the same rule.
         """
         share = stop_share(self.walls, (w.x, w.y), (w.vx, w.vy))
         leaves = _outside(self.bounds.x, w.x, share * w.vx)
@@ -203,7 +212,7 @@ class Constraints:
         return leaves
 
     def last_setpoint(self, leg: SetpointResponse, hit: Wall) -> Codes:
-        """Return codes for setpoints after the last impact that lead behind another wall."""
+        """Refuse each last recovery setpoint that is behind another wall; return the codes (0: accepted)."""
         codes = np.zeros(leg.size, dtype=np.int8)
         place, target = (leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y), (leg.goal_x, leg.goal_y)
         for wall in self.walls:
@@ -212,7 +221,12 @@ class Constraints:
         return codes
 
     def to_goal(self, x: Array, y: Array, goal: Vec2) -> Codes:
-        """Return codes for walls that cross the straight line from a closest approach to the goal."""
+        """Refuse each closest approach with a wall between it and the goal; return the codes (0: accepted).
+
+        Args:
+            x, y: positions of the closest approaches, mission frame, m.
+            goal: position of the goal, mission frame, m.
+        """
         codes = np.zeros(x.shape, dtype=np.int8)
         for wall in self.walls:
             (nx, ny), (px, py) = wall.normal, wall.point
@@ -226,7 +240,10 @@ class Constraints:
         return codes
 
     def lock_in_time(self, leg: SetpointResponse, wall: Wall) -> NDArray[np.bool_]:
-        """Return whether a hold from these states stops in front of the wall, by the executive's rule."""
+        """Return whether the vehicle would stop in front of the wall if it held position from each state.
+
+        The executive decides by the same prediction (`least_distance_m`).
+        """
         nx, ny = wall.normal
         distance = nx * (leg.x[0] + leg.goal_x - wall.point[0]) + ny * (leg.y[0] + leg.goal_y - wall.point[1])
         closing = -(nx * leg.x[1] + ny * leg.y[1])

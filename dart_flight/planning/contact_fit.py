@@ -1,25 +1,29 @@
-"""Fit of the contact law to a contact, which yields the wall's coefficients and plane, and the arms' mode.
+"""Fit of the contact law to the readings of one contact.
+
+The fit estimates the wall's coefficients, the wall's plane and the arms' mode.
 
 Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
-positive if the vehicle is turned left. A side has two guards, g = 1 (right) and -1 (left). They are
-`guard_along_m` (a) to either side of the middle and `contact_distance_m` (d) ahead of the centre:
+positive if the vehicle is turned left. Each side of the vehicle has a right guard (g = 1) and a left guard
+(g = -1). The guards are at the distance a (`guard_along_m`) from the side's middle. The side is at the
+distance d (`contact_distance_m`) from the centre:
 
     x_g = x - g a sin i + d (1 - cos i)        depth of a guard
     F   = sum of max(0, -(k x_g + f dx_g/dt)/2)
-    T   = -mu F (v_t + b d di/dt)              b: share of the lever at which friction acts
+    T   = -mu F (v_t + b d di/dt)              friction acts at the lever b d
     M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T              torque, positive turns to the right
     m dv/dt = force + push by thrust and drag
 
-The angle i follows from attitude and gyro, minus the angle between the real and the planned wall. The fit
-estimates k, f and mu relative to their prior, the wall's angle, and the initial distance and velocity.
+Attitude and gyro give the angle of incidence to the planned wall. Subtracting the angle between the real and
+the planned wall gives i. The fit estimates k, f and mu as multiples of their prior values. It also estimates
+the wall's angle, and the initial distance and velocity.
 Rigid and flexible arms obey the same law with different coefficients, so both modes are fitted.
 Levenberg-Marquardt steps from several angles lead to the most probable values. One array holds all modes,
 starts, dampings and derivatives; each combination is called a lane. The evidence is Laplace's approximation:
 
     2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
 
-`ContactFitter` answers the core's `ContactRequest`, in its own process (`run.planner_process`) or in
-simulated time (docs/felt.md, docs/torque.md).
+`ContactFitter` answers the core's `ContactRequest` (docs/felt.md, docs/torque.md). In flights over MAVSDK it
+runs in its own process (`run.planner_process`), in the fast world in the same process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -178,8 +182,9 @@ class Hypothesis(NamedTuple):
     """A mode fitted to a contact.
 
     Attributes:
-        evidence: natural logarithm, up to a constant that both modes share.
-        misfit: mean square of the residuals over their errors.
+        evidence: natural logarithm of the probability of the readings in this mode. A constant, equal for
+            both modes, is left out.
+        misfit: mean square of the normalised residuals (residual divided by its standard deviation).
         belief: posterior coefficients of the wall in this mode.
         incidence_rad, incidence_sd: angle of incidence at the first tick and its standard deviation.
         place_m, place_sd: signed distance of the centre to the wall's plane at the first tick's beginning.
@@ -275,8 +280,8 @@ class ContactFit:
     def _begin(self, lead: Array, believed: NDArray[np.bool_], mode: NDArray[np.intp]) -> Array:
         """Return start parameters; the wall's angle is chosen to give the angle of incidence `lead`.
 
-        The starts flagged in `believed` use the prior of k. The others compute k from the peak force, which
-        is v (k m)^0.5 for a point mass.
+        The starts flagged in `believed` use the prior of k. For the other starts, k is computed from the
+        peak force. A point mass has the peak force v (k m)^0.5.
         """
         c, (vn, vt), before = self.contact, self.contact.velocity, np.array(self.before)[mode].T
         angle = c.incidence_rad - lead
@@ -394,7 +399,9 @@ class ContactFit:
         return Hypothesis(float(evidence + seen), misfit, belief, *at, theta)
 
     def _wall_factor(self, factor: float, variance: float, before_sd: float) -> tuple[float, float]:
-        """Return factor and relative deviation of a wall's coefficient, from those of one contact.
+        """Return the factor on a wall's coefficient and its relative standard deviation, after one contact.
+
+        `factor` and `variance` are the estimate from this contact, and `before_sd` is the wall's prior.
 
         A contact's coefficient is the wall's coefficient times a random factor, the scatter. Let sd2 be the
         wall's prior variance, s2 the sum of sd2 and the scatter's variance, and G = sd2/s2. The wall's
@@ -408,7 +415,11 @@ class ContactFit:
         return float(mean), math.sqrt(after) / float(mean)
 
     def _vertical(self, b: Belief, force: Array) -> tuple[float, float, float]:
-        """Return factor, deviation and evidence of nu, given the mean vertical force nu F/(1 + F)."""
+        """Return the factor on nu, its standard deviation, and the evidence of the mean vertical force.
+
+        nu is the coefficient of the vertical force. At the normal force F, the vertical force is
+        nu F/(1 + F).
+        """
         t, touching = self._ticks, force > 0.0
         time_s = float(t.h[touching].sum())
         if time_s <= 0.0 or b.nu <= 0.0:
@@ -424,7 +435,9 @@ class ContactFit:
 
 
 class ContactFitter:
-    """Fitter of the contacts of one flight; the posterior from a contact is the prior for the next.
+    """Fits the contacts of one flight.
+
+    The posterior coefficients after a contact are the prior of the next contact with the same wall and mode.
 
     Args:
         vehicle: configuration with geometry and materials.
@@ -620,13 +633,19 @@ def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mo
 
 
 def measure_incidence(frame_heading_rad: float, q: Quaternion, normal: Vec2) -> float:
-    """Return the angle of incidence of the side nearest to a wall, rad, from attitude and wall normal."""
+    """Return the angle of incidence at a wall, rad, for the vehicle's side that faces the wall most directly.
+
+    Args:
+        frame_heading_rad: heading of the mission frame.
+        q: attitude of the vehicle.
+        normal: the wall's normal.
+    """
     seen = wrap_angle(frame_heading_rad - yaw_ned_of(q) - math.atan2(-normal[1], -normal[0]))
     return seen - _QUARTER * round(seen / _QUARTER)
 
 
 def mean_coefficients(coefficients: Iterable[Coefficients]) -> Coefficients:
-    """Return the geometric mean over the materials, the prior of an unplanned wall."""
+    """Return the geometric mean over the materials: the prior of an unknown wall or material."""
     every = np.array([[c.k, c.f, c.mu, c.nu] for c in coefficients])
     return Coefficients(*np.exp(np.log(np.maximum(every, 1e-6)).mean(axis=0)).tolist())
 
@@ -643,7 +662,10 @@ def _turned(normal: Array | float, along: Array | float, co: Array, so: Array) -
 
 
 def _moved(theta: Array, step: Array) -> Array:
-    """Return the parameters after a step, within bounds: one step at most halves or doubles a factor."""
+    """Return the parameters after a step, clipped to their bounds.
+
+    One step at most halves or doubles a coefficient (k, f or mu).
+    """
     moved = theta + step
     old = theta[_FACTORS]
     moved[_FACTORS] = np.clip(moved[_FACTORS], np.maximum(0.5 * old, _MIN_FACTOR), 2.0 * old)

@@ -2,9 +2,9 @@
 
 The contact law alone (paper, Sec. IV-B) determines the duration T, the time t_p of the force peak and, with
 the detector's rule, the time t_e of the recovery setpoint. All three depend on coefficients and mass, not on
-the speed. The vehicle yields to the contact (`core/mission/contact_feedforward.py`). Before t_e there is no
-reference and the controller's error e is 0. PX4's D term never responds to the wall's force. After t_e, the
-error is kp (s - x) - x', where s is the recovery setpoint. Along the normal, with PX4's loop of
+the speed. The feed-forward (`core/mission/contact_feedforward.py`) keeps PX4 from pushing against the wall.
+Before t_e, the controller's error e is therefore 0. PX4's D term never responds to the wall's force. After
+t_e, the error is kp (s - x) - x', where s is the recovery setpoint. Along the normal, with PX4's loop of
 `core/mission/position_loop.py`,
 
     x'' = -(k x + f x')/m + a - b x'
@@ -16,10 +16,14 @@ is the distance. The controller's error is e = kp (s - q) - u, and its thrust ad
     a' = (kv e + i - kd a - a) / tau,      i' = ki e
     d' = -(mu/m) lx d + a,                 velocity u + d
 
-In these equations, lx is the normal force of the contact law alone, at the speed of the onset. It also gives
-the peak of the friction force. The setpoint (`core/mission/recovery.py`) is a weighted sum of both peaks. The
-normal part is therefore a constant matrix per material and mode, exact by the matrix exponential. The part
-along the wall needs only integrals of exp(-c (1 + xi')), by Gauss quadrature to about 1e-10.
+In these equations, lx is the normal force of the contact law alone, at the speed of the onset. The force lx
+also determines the peak friction force. The recovery setpoint (`core/mission/recovery.py`) is the position at
+the force peak plus the peak normal and friction forces, each times its gain. The motion along the normal is
+therefore linear, with one constant matrix per material and mode. The matrix exponential gives this matrix
+exactly.
+
+The motion along the wall needs only integrals of exp(-c (1 + xi')). Here c is mu times the normal speed at
+the onset, and xi' is the normal velocity divided by this speed. Gauss quadrature is accurate to about 1e-10.
 """
 
 from __future__ import annotations
@@ -74,7 +78,7 @@ def _gauss(count: int) -> tuple[Array, Array]:
 
 
 def _lagrange(nodes: Array, at: Array) -> Array:
-    """Return the J Lagrange polynomials of `nodes` at points of any shape, as an array of shape + (J,)."""
+    """Return the J Lagrange polynomials of `nodes` at the points `at`; shape `at.shape + (J,)`."""
     others = ~np.eye(nodes.size, dtype=bool)
     away = np.where(others, (at[..., None] - nodes)[..., None, :], 1.0)
     apart = np.where(others, nodes[:, None] - nodes, 1.0)
@@ -133,9 +137,10 @@ class TangentialOut(NamedTuple):
 
 
 class TangentialShape(NamedTuple):
-    """Factors of the motion along the wall per unit of each input, for given normal speeds; arrays (...,).
+    """The linear response of the motion along the wall to its inputs, one array element per normal speed.
 
     The inputs are the velocity v, acceleration a and integral i at the onset, and the recovery setpoint s.
+    The last letter of a field's name is the input. The two distances respond to v.
     """
 
     distance_to_peak: Array
@@ -155,8 +160,9 @@ class ContactStage:
     Attributes:
         duration_s: time from the onset to the release; infinite if the vehicle stays at the wall.
         peak_s: time from the onset to the peak of the normal force.
-        engaged_s: time from the onset to the recovery setpoint, at most the time to the release.
-        lead_s: f/k with the onset rule `lcp`, 0 with `touch`; the onset is at x + lead_s x' = 0.
+        engaged_s: time from the onset to the recovery setpoint, at most `duration_s`.
+        lead_s: the contact begins where x + lead_s x' = 0. With the onset rule `lcp` this is f/k, with
+            `touch` it is 0.
     """
 
     def __init__(
@@ -241,14 +247,14 @@ def build_stages(
     drags: Sequence[float],
     extra_delay_s: Sequence[float],
 ) -> list[ContactStage]:
-    """Return the stages for a table with one set of coefficients per wall, mode and random draw.
+    """Return one stage for each row of a table; a row belongs to one wall, mode and random draw.
 
     Args:
         vehicle: mass, loop, detector.
-        table: contact coefficients.
-        alphas: gains (A_n, A_t), m/N.
-        drags: air drag along the normal, 1/s.
-        extra_delay_s: time added to the expected delay between force peak and recovery setpoint.
+        table: contact coefficients, one set per row.
+        alphas: gains (A_n, A_t) per row, m/N.
+        drags: air drag along the normal per row, 1/s.
+        extra_delay_s: time per row, added to the expected delay between force peak and recovery setpoint.
     """
     onset, mass = Onset(vehicle.onset), vehicle.airframe.mass_kg
     stages = [ContactStage(c, mass, onset, pair) for c, pair in zip(table, alphas, strict=True)]
@@ -287,7 +293,7 @@ def _time_of_drop(course: Oscillation, peak: Array, end: Array, fraction: float)
 
 
 def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> None:
-    """Compute the matrix from (v, a, i) at the onset to the rows of `NormalOut` after the first."""
+    """Compute the matrix that maps (v, a, i) at the onset to all fields of `NormalOut` except `onset_m`."""
     c, m = stage.coefficients, stage.mass_kg
     kp, kv, ki, kd, tau = loop
     # States x, v, a, i, s; before the setpoint there is no e.
@@ -321,7 +327,10 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
 
 
 class _Phases:
-    """Integrals over both phases of a contact, as matrices on a function's values at J nodes per phase."""
+    """Quadrature over a contact's two phases: before and after the recovery setpoint.
+
+    Each phase has J nodes. An integral is a matrix that is multiplied by the values of f at all 2 J nodes.
+    """
 
     def __init__(self, first_s: float, second_s: float) -> None:
         rule = _quadrature()
@@ -330,7 +339,10 @@ class _Phases:
         self.weights = np.concatenate((first_s * rule.weights, second_s * rule.weights))
 
     def integral(self, decay: float) -> Array:
-        """Return a matrix (2 J + 1, 2 J): integrals of exp(-decay (s - r)) f(r) to every node and the end."""
+        """Return the matrix (2 J + 1, 2 J) that integrates exp(-decay (s - r)) f(r) over r from 0 to s.
+
+        The rows are for s at the 2 J nodes and at the end of the contact.
+        """
         rule = _quadrature()
         parts = []
         for length in self.lengths:
@@ -346,7 +358,7 @@ class _Phases:
         return out
 
     def to_time(self, t_s: float) -> Array:
-        """Return the row (2 J,) that integrates f without a decay up to a time in the first phase."""
+        """Return the row (2 J,) that integrates f from 0 to `t_s`, a time in the first phase."""
         rule = _quadrature()
         share = t_s / self.lengths[0] if self.lengths[0] > 0.0 else 0.0
         values = _lagrange(rule.nodes, share * rule.sub_nodes)

@@ -1,8 +1,8 @@
 """Impacts that a mission may plan: the mission's own force limit, and the range that flights have covered.
 
-The limits of speed and force come from docs/px4.md: from its sweep (acrylic and wood, both modes, 0.5 to 4
-m/s) and from its impacts with guards. The limits of incidence and height come from the flights in
-docs/results/body.md.
+The limits of speed and force come from the flights in docs/px4.md. These flights are a sweep (acrylic and
+wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come
+from the flights in docs/results/body.md.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def speed_warning(collision: Collision) -> str | None:
-    """Return a warning about an impact faster than every impact flown with a real PX4, or None."""
+    """Return a warning if an impact exceeds the largest speed that was flown with a real PX4, or None."""
     velocity = impact_velocity(collision)
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None
@@ -90,7 +90,11 @@ def incidence_deg(mission: Mission, collision: Collision) -> float:
 
 
 def max_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
-    """Return the largest incidence, degrees, at which the arms keep the mode and flights have recovered."""
+    """Return the largest permitted angle of incidence, degrees.
+
+    Flights have recovered from impacts up to this angle. In the flexible mode the limit is at most
+    `incidence_rigid_deg`, because unlocked arms do not fold at larger angles.
+    """
     arms = vehicle.airframe.incidence_rigid_deg if mode is Mode.FLEXIBLE else INCIDENCE_FLOWN_DEG
     return min(arms, INCIDENCE_FLOWN_DEG)
 
@@ -108,7 +112,11 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def heights_flown_m(normal_m_s: float) -> tuple[float, float]:
-    """Return how far below and above the centre of mass guards have been in flights so far, metres."""
+    """Return the heights of the guards that flights have covered at a normal speed.
+
+    Returns:
+        Largest distance of the guards below and above the vehicle's centre of mass, metres.
+    """
     fits = (heights for speed, *heights in HEIGHTS_FLOWN_M if normal_m_s <= speed)
     below, above = next(fits, HEIGHTS_FLOWN_M[-1][1:])
     return below, above

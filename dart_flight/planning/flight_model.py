@@ -1,15 +1,17 @@
 """Free flight under PX4's position loop, in closed form, for many candidates at once.
 
-Per mission axis, with p the position relative to the setpoint, v, a the acceleration that the attitude has
-reached, i the velocity loop's integral, b the air drag and the gains of `core/mission/position_loop.py`:
+The equations hold for each axis of the mission frame. p is the position relative to the setpoint, v the
+velocity, and a the acceleration at the present attitude. i is the velocity loop's integral, and b the air
+drag. `core/mission/position_loop.py` defines kp, kv, ki, kd and tau:
 
     p' = v,   v' = a - b v,   i' = ki (-kp p - v)
     a' = (kv (-kp p - v) + i - kd v' - a) / tau
 
 This is linear with constant coefficients, so the state at any time is exp(A t) times the initial state. One
-matrix product gives the positions of all candidates on a grid of times. The grid brackets an event. About the
-nearest grid point the solution is the Taylor series of the matrix exponential, whose error at half a grid
-step is only rounding. Newton's method finds the event in this series. The model does not step through time.
+matrix product gives the positions of all candidates on a grid of times. An event, such as an impact, is first
+found between two grid points. About the nearest grid point, the solution is the Taylor series of the matrix
+exponential. At half a grid step, this series is exact to rounding. Newton's method then finds the event in
+this series. The model does not step through time.
 """
 
 from __future__ import annotations
@@ -134,7 +136,7 @@ class FreeFlight:
         return SetpointResponse(x, y, leg.goal_x, leg.goal_y)
 
     def along(self, leg: SetpointResponse, times_s: Array) -> tuple[Array, Array]:
-        """Return states (n, 4) of the first candidate along x and along y, at times (n,) of the leg."""
+        """Return two arrays (n, 4): the first candidate's states along x and y at n times of the leg."""
         x, y = (
             expm(axis.matrix * times_s[:, None, None]) @ z[:, 0]
             for axis, z in zip(self.axes, (leg.x, leg.y), strict=True)
@@ -175,7 +177,7 @@ class Grid(NamedTuple):
         )
 
     def stays_before(self, normal: tuple[float, float], offset: float, index: int) -> NDArray[np.bool_]:
-        """Return which candidates stay in front of a plane (normal . p = offset) from a grid point on."""
+        """Return which candidates stay in front of the plane normal . p = offset after a grid point."""
         ax, ay = self.flight.axes
         nearest = normal[0] * self.goal_x[:, 0] + normal[1] * self.goal_y[:, 0] - offset
         if normal[0]:
@@ -250,7 +252,13 @@ def _with_curvature(coefficients: Array, d: Array) -> tuple[Array, Array, Array]
 
 
 def first_crossing(position: Array, lead_s: float, low: float, high: float) -> Array:
-    """Return the time in [low, high] s at which x + lead x' falls through 0; x: series (order + 1, n)."""
+    """Return the time at which x + lead_s x' falls below 0, seconds from the grid point.
+
+    Args:
+        position: power series (order + 1, n) of x about the grid point.
+        lead_s: weight of the velocity x'.
+        low, high: range of the search.
+    """
     g = position
     if lead_s:
         g = position.copy()
@@ -270,10 +278,13 @@ def first_crossing(position: Array, lead_s: float, low: float, high: float) -> A
 def closest(
     x: Array, y: Array, goal: tuple[float, float], low: Array, high: Array
 ) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
-    """Return the closest approach to a point near the grid point, for position series (order + 1, n).
+    """Return the closest approach of each candidate to the goal, near one grid point per candidate.
 
-    The search covers the times [low, high] from the grid point: one grid step to either side, or 0 on a side
-    where the flight begins or ends.
+    Args:
+        x, y: power series (order + 1, n) of the position about the grid point.
+        goal: position of the goal.
+        low, high: range of the search, seconds from the grid point. It is one grid step to either side. If
+            the flight begins or ends at the grid point, that side of the range is 0.
 
     Returns:
         Time from the grid point, distance, and position and velocity there (x, y, vx, vy), each (n,).

@@ -11,10 +11,10 @@ Array = NDArray[np.float64]
 
 
 def quintic(begin: Array | Sequence[Array | float], end: Sequence[Array | float], duration_s: Array) -> Array:
-    """Return coefficients (6, n) of the polynomials from one (position, velocity, acceleration) to another.
+    """Return coefficients (6, n) of the polynomials between pairs of states.
 
     Args:
-        begin, end: position, velocity and acceleration; each a number or an array (n,).
+        begin, end: states, each a position, velocity and acceleration; numbers or arrays (n,).
         duration_s: durations, array (n,).
     """
     p, v, a = begin

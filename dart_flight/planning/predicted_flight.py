@@ -1,7 +1,7 @@
 """The predicted path of a mission: the planner's flight model from start to goal, for `check` and the report.
 
-A mission file contains the approach and the gains, not the path. The path is computed from approach and
-gains, by the model with which `plan` has chosen them (`planning.rollout`).
+A mission file contains the approach and the gains, not the path. The path is computed from the approach and
+the gains. The model is the one that `plan` uses to choose an approach and gains (`planning.rollout`).
 """
 
 from __future__ import annotations
@@ -57,15 +57,17 @@ class PredictedFlight(msgspec.Struct):
     """The flight model's prediction for a mission.
 
     Attributes:
-        approaches: straight lines by the index of the next collision, mission frame, metres: previous resting
-            position (if known and different), run-up point, impact.
+        approaches: line of each approach, by the index of the collision at its end; mission frame, metres. A
+            line leads from the previous resting position (if known and different) over the run-up point to
+            the impact. For a collision with its own trajectory, the line consists of points of this
+            trajectory.
         legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg begins at the onset of a contact. It
             ends at the next onset, or at the closest approach to the goal. Index 0 is a trajectory from rest
-            at the start to the goal. The velocity at the onset itself is given as 0.
+            at the start to the goal. In the first row of a leg after a contact, the velocity is 0.
         hits: impacts by collision index, except impacts that the model does not reach.
         goal_miss_m: closest approach to the goal after the last contact; None if not reached.
-        walls: walls at random positions, within the uncertainty that the mission declares; empty for the
-            nominal walls.
+        walls: walls at random positions, drawn from the uncertainty that the mission declares. If the
+            prediction uses the nominal walls, this is empty.
     """
 
     approaches: dict[int, list[Vec2]]
@@ -124,8 +126,8 @@ def describe_goal_miss(
 def predict_mission(mission: Mission) -> PredictedFlight:
     """Predict the path that follows from the mission's approaches, modes and gains.
 
-    If the model does not reach the next wall after an impact, the path ends there. A rehearsal has approaches
-    only.
+    If the model does not complete all collisions that follow from one approach, the prediction contains only
+    the approach. A rehearsal has no impacts, so its prediction contains only approaches.
     """
     return flights_with(mission, [None])[0]
 
@@ -158,7 +160,10 @@ def flights_with(mission: Mission, draws: Sequence[UncertaintyDraw | None]) -> l
 def _add_prediction(
     planned: PredictedFlight, group: Sequence[Collision], flight: FreeFlight, arrivals: Arrivals, last: bool
 ) -> None:
-    """Add the prediction that follows from one approach; `last`: the goal follows its last impact."""
+    """Add the prediction of the collisions that follow from one approach.
+
+    `last` is True if the vehicle recovers to the goal after the last of these collisions.
+    """
     for i, (collision, hit) in enumerate(zip(group, arrivals.hits, strict=True)):
         planned.hits[collision.index] = PredictedImpact(
             position=(float(hit.x[0]), float(hit.y[0])),
@@ -222,7 +227,7 @@ def _sampled(written: TrajectoryPieces) -> list[MotionState]:
 
 
 def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
-    """Return groups of collisions that follow from one approach each."""
+    """Return the collisions in groups; all collisions of a group follow from the same approach."""
     begins = [i for i, c in enumerate(collisions) if c.impact_point is not None]
     return [list(collisions[a:b]) for a, b in pairwise([*begins, len(collisions)])]
 
@@ -230,7 +235,10 @@ def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
 def _fly(
     mission: Mission, group: Sequence[Collision], draws: Sequence[UncertaintyDraw | None]
 ) -> tuple[FreeFlight, Vec2, list[Arrivals | None]]:
-    """Return the flight model, the run-up point, and the arrivals of each draw, or None for a failed draw."""
+    """Return the flight model, the run-up point, and the arrivals of each draw.
+
+    If a draw does not complete the collisions, None replaces its arrivals.
+    """
     task = make_task(mission, group)
     flight = new_flight(task)
     rollout = _rollout(task, flight)
@@ -249,7 +257,10 @@ def _fly(
 
 
 def _rename_walls(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> UncertaintyDraw | None:
-    """Return a draw with walls named as in the task, because the task has one wall per collision."""
+    """Return a draw whose walls have the names that the task uses.
+
+    The task has one wall per collision, named by the collision's index.
+    """
     if draw is None:
         return None
     places = {
@@ -261,7 +272,10 @@ def _rename_walls(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> U
 
 
 def _rollout(task: MissionTask, flight: FreeFlight, walls: Mapping[str, Wall] | None = None) -> Rollout:
-    """Return the rollout of a task's only candidate; `walls` replace those assumed by the approach."""
+    """Return the rollout of a task's only candidate.
+
+    If `walls` are given, the vehicle flies into these walls. The approach still assumes the task's wall.
+    """
     sequence = tuple(task.walls)
     if walls is None:
         return Rollout(task, sequence, flight, None, keep_hits=True)
@@ -270,7 +284,10 @@ def _rollout(task: MissionTask, flight: FreeFlight, walls: Mapping[str, Wall] | 
 
 
 def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:
-    """Return the path from the onset of an impact over its release to a time, mission frame (n, 4)."""
+    """Return the path from the onset of an impact to `until_s`, mission frame, (n, 4).
+
+    The first row is the onset. All other rows are after the release.
+    """
     release_s = float(hit.t_s[0] + hit.duration_s[0])
     x, y = flight.along(hit.leg, np.linspace(0.0, max(until_s - release_s, 0.0), _POINTS))
     after = np.stack([x[:, 0] + hit.leg.goal_x[0], y[:, 0] + hit.leg.goal_y[0], x[:, 1], y[:, 1]], axis=1)

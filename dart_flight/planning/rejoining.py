@@ -1,12 +1,14 @@
 """Trajectories from the state after an impact back to the trajectory that was planned before the flight.
 
-Each rejoining trajectory is the planned trajectory, begun at a later time and possibly slower, plus a
-fifth-order polynomial per axis. The polynomial starts with the deviation of the vehicle's state from the
-plan. Some time before the trajectory's end, the polynomial and two derivatives reach zero. The trajectory
-therefore keeps the optimised shape, the end and the final velocity of the plan, with small additional
-accelerations. In the last tenths of a second before a wall the trajectory differs from the plan only by the
-wall's estimated place and the wanted lean. A correction until the very end would leave the vehicle rotating
-at the impact.
+Each rejoining trajectory is the sum of the planned trajectory and a fifth-order polynomial per axis. It may
+join the planned trajectory at a later point and fly it more slowly. The polynomial starts with the deviation
+of the vehicle's state from the plan. Some time before the trajectory's end, the polynomial and its first two
+derivatives reach zero. The trajectory therefore keeps the optimised shape, the end and the final velocity of
+the plan, with small additional accelerations.
+
+In the last tenths of a second before a wall, only two differences from the plan remain. The end is shifted to
+the estimated wall, and the final acceleration gives the wanted lean. If the correction lasted until the
+impact, the vehicle would still be rotating at the impact.
 """
 
 from __future__ import annotations
@@ -40,12 +42,13 @@ class RejoiningTrajectories(NamedTuple):
     Attributes:
         planned: the planned trajectory.
         shares: (k,) sampling times, as shares of each duration.
-        from_s, slower, duration_s: (n,) starting time on the planned trajectory, factor on its duration, and
-            duration of the candidate.
-        settled_s: (n,) time from the candidate's beginning until it equals the plan again.
+        from_s: (n,) time on the planned trajectory at which the candidate begins.
+        slower: (n,) factor by which the candidate takes longer than the planned trajectory.
+        duration_s: (n,) duration of the candidate.
+        settled_s: (n,) time from the candidate's beginning to the end of the correction.
         added: (2, n, 6) coefficients of the added polynomials before `settled_s`, constant term first.
-        kept: (2, n, 6) coefficients of the added polynomials after `settled_s`, in the time since
-            `settled_s`. They give the displacement and acceleration of the end.
+        kept: (2, n, 6) coefficients of the added polynomials after `settled_s`, as functions of the time
+            since `settled_s`. They shift the end and add the final acceleration.
         position, velocity, acceleration, jerk: (2, n, k) samples, mission frame.
     """
 
@@ -105,8 +108,8 @@ def candidate_trajectories(
         start: initial position, velocity and acceleration per axis; mission frame.
         moved: final position minus the planned one, m.
         pushed: final acceleration minus the planned one, m/s2.
-        settled_s: time before the end during which the trajectory differs from the plan only by `moved` and
-            `pushed`; shortened if the trajectory is short.
+        settled_s: duration of the last part, in which only `moved` and `pushed` are added to the plan. It is
+            shortened if the trajectory is short.
     """
     tried = [
         (begin, slower)
@@ -147,7 +150,11 @@ def _sampled(planned: Trajectory, times: Array) -> Array:
 
 
 def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = False) -> Array:
-    """Return a derivative (2, n, k) of polynomials (2, n, 6), or (2, n, k, 6) `per_time`, at times (n, k)."""
+    """Return a derivative (2, n, k) of polynomials at times (n, k).
+
+    The coefficients have the shape (2, n, 6). If `per_time`, they have the shape (2, n, k, 6): one polynomial
+    for every time.
+    """
     for _ in range(order):
         coefficients = coefficients[..., 1:] * np.arange(1, coefficients.shape[-1])
     if not per_time:
@@ -159,7 +166,7 @@ def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = 
 
 
 def _shift_polynomial(coefficients: tuple[float, ...], by: float) -> list[float]:
-    """Return a polynomial's coefficients about another time."""
+    """Return the coefficients of the same polynomial with its origin of time shifted by `by`."""
     return [
         sum(math.comb(n, k) * coefficients[n] * by ** (n - k) for n in range(k, len(coefficients)))
         for k in range(len(coefficients))

@@ -4,16 +4,16 @@ The replanner uses the contact stages and constraints of `plan` (`contact_stage`
 trajectory: one fifth-order polynomial per axis. The trajectory begins in the state that the vehicle will have
 when the core receives the answer. It ends at the next wall with the planned velocity, or at rest at the goal.
 The replanner tries durations and places along the wall and discards the trajectories that violate a
-constraint. It prefers trajectories that are quick, gentle and near the planned place. A mission may have a
-trajectory of its own (`trajectory`, `goal_trajectory`). The replanner then first tries to lead the vehicle
-back to this trajectory with an added polynomial (`planning.rejoining`).
+constraint. It prefers trajectories that are quick, gentle and near the planned place. If the mission has a
+trajectory of its own (`trajectory`, `goal_trajectory`), the replanner first tries to return to this
+trajectory. For this it adds a polynomial to the mission's trajectory (`planning.rejoining`).
 
 A `WallEstimate` replaces the wall's configured coefficients and its planned plane. No other state is kept
-between requests, so an answer can be computed again from the log. A collision that is approached from rest
-keeps its approach, at a lower speed if the estimated impact would be too hard.
+between requests, so an answer can be computed again from the log. If a collision is approached from rest, its
+approach stays as planned. If the estimated impact would exceed a limit, the approach is flown more slowly.
 
-The replanner runs outside of the core's step: in its own process (`run.planner_process`), or in simulated
-time (`run.fast`).
+The replanner does not run within the core's step. In flights over MAVSDK it runs in its own process
+(`run.planner_process`), in the fast world in the same process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -71,7 +71,10 @@ _OFF_PLACE_S = 1.0  # cost of a contact as far from the planned place as the mis
 
 
 class _EndStates(NamedTuple):
-    """End states of n candidate polynomials: position, velocity, duration, and cost added to the duration."""
+    """End states and durations of n candidate polynomials.
+
+    `cost_s` is added to the duration when the candidates are compared.
+    """
 
     x: Array
     y: Array
@@ -250,7 +253,7 @@ class Replanner:
         return None
 
     def _thrust_off(self, wall: Wall, written: Trajectory) -> float:
-        """Return the acceleration off a wall at the end of the mission's trajectory to this wall, m/s2."""
+        """Return the thrust's acceleration away from a wall, m/s2, where the mission's trajectory ends."""
         end = written.at(written.duration_s)
         drag_n, _ = drag_along(wall, self._mission.vehicle.airframe.drag_per_s)
         return wall.to_collision(end.acceleration)[0] + drag_n * wall.to_collision(end.velocity)[0]
@@ -339,7 +342,7 @@ class Replanner:
     def _choose(
         self, answer: PlanAnswer, request: PlanRequest, ends: _EndStates, collision: Collision | None
     ) -> PlanAnswer | None:
-        """Return the answer with the best trajectory to one of the ends, or None if none is allowed."""
+        """Return the answer with the best permitted trajectory to any of the end states, or None."""
         start = self._start(request)
         x = quintic(start[0], (ends.x, ends.vx, 0.0), ends.duration_s)
         y = quintic(start[1], (ends.y, ends.vy, 0.0), ends.duration_s)
@@ -359,7 +362,12 @@ class Replanner:
         )
 
     def _within_limits(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:
-        """Return the rows of the trajectories within the limits, and their largest tilt / tilt limit."""
+        """Check the acceleration and jerk of trajectories.
+
+        Returns:
+            Rows of the trajectories within the limits. For every trajectory, the largest horizontal
+            acceleration divided by the acceleration limit from PX4's tilt limit.
+        """
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
         push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
         rows = np.flatnonzero(push <= self._planned_m_s2)
@@ -419,7 +427,10 @@ class Replanner:
 
 
 def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
-    """Return by how many steps of `_LEANS_IN_STEP_M_S3` each final jerk into the wall exceeds its limit."""
+    """Return by how much each trajectory's final jerk towards the wall exceeds `_LEANS_IN_M_S3`.
+
+    The result is a number of steps of `_LEANS_IN_STEP_M_S3`, rounded up; 0 within the limit.
+    """
     (nx, ny), (jx, jy) = wall.normal, rejoining.jerk[:, :, -_LAST:]
     too_fast = np.max(-(nx * jx + ny * jy), axis=1, initial=0.0) - _LEANS_IN_M_S3
     steps: Array = np.maximum(np.ceil(too_fast / _LEANS_IN_STEP_M_S3), 0.0)
@@ -427,10 +438,10 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 
 
 def _straights(slack: float) -> list[tuple[float, float]]:
-    """Return pairs to try, best first: time of straight flight before a plane, and multiple of `slack`.
+    """Return the options for the straight flight before a wall, best first: pairs (duration in s, count).
 
-    `slack` is the tolerance of the plane's position, metres. The multiple of `slack` is a distance by which
-    the straight flight begins earlier.
+    `slack` is the tolerance of the wall's position, metres. The straight flight begins earlier by `count`
+    times this distance.
     """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]

@@ -49,7 +49,7 @@ Stages = dict[tuple[str, Mode], ContactStage]
 
 
 class Hits(NamedTuple):
-    """The same collision of n candidates; arrays (n,).
+    """One collision of the sequence, for n candidates; arrays (n,).
 
     Attributes:
         wall: the wall.
@@ -151,7 +151,7 @@ def _concatenate_legs(legs: list[SetpointResponse]) -> SetpointResponse:
 
 
 class UncertaintyDraw(NamedTuple):
-    """Random values of the uncertain quantities: coefficient factors, offsets of the approach, true walls."""
+    """Random values of the uncertain quantities: coefficients, approach velocity, setpoint delay, walls."""
 
     factors: dict[tuple[str, Mode], tuple[float, float, float]]  # of k, f, mu
     normal_m_s: float
@@ -161,14 +161,17 @@ class UncertaintyDraw(NamedTuple):
 
 
 def draw_wall(wall: Wall, rng: np.random.Generator) -> Wall:
-    """Return a wall with random differences of position and direction, from its standard deviations."""
+    """Return the wall at a random position and direction, drawn with the wall's standard deviations."""
     away, angle = rng.standard_normal(2)
     moved = wall.displaced(float(away) * (wall.position_sd_m or 0.0))
     return moved.rotated(float(angle) * (wall.yaw_sd_rad or 0.0))
 
 
 def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stages]:
-    """Return the contact stages of every wall with gains in every mode, for every draw (None: nominal)."""
+    """Return the contact stages by wall and mode, for every draw; None stands for the nominal values.
+
+    Only walls with gains (`task.alphas`) have stages.
+    """
     keys = [(name, mode) for name in task.alphas for mode in task.modes]
     table, alphas, drags, delays = [], [], [], []
     for draw in draws:
@@ -194,9 +197,9 @@ class Rollout:
         task: walls, goal, limits.
         sequence: names of the walls in the order of the impacts.
         flight: the loop's tables, shared between rollouts.
-        constraints: constraints of the task; None: every candidate flies to its end (for comparisons).
+        constraints: constraints of the task, or None to fly every candidate to its end (for comparisons).
         keep_hits: whether arrivals contain their collisions.
-        approached: first wall as the approach assumes it; None: as in the task.
+        approached: the first wall as assumed by the approach, or None to use the task's wall.
     """
 
     def __init__(
@@ -232,7 +235,8 @@ class Rollout:
             stages: contact stages of this draw.
             normal, tangential: planned velocities; arrays that broadcast with each other.
             grid: result of `approach` for these velocities.
-            draw: random values, of which the offsets of the approach are used; None: nominal.
+            draw: random values, or None for the nominal values. Only the offsets of the approach velocity
+                are used, because stages and walls already contain the others.
         """
         firsts = [self._first(stages, i, normal, tangential, grid, draw) for i in range(len(self.task.modes))]
         fronts = [front for front in firsts if front is not None]
@@ -242,7 +246,7 @@ class Rollout:
         return self._arrive(_merge(fronts)) if fronts else []
 
     def _weight(self, collision: int) -> int:
-        """Return the number of candidates per approach once the first `collision` modes are fixed."""
+        """Return the number of mode sequences that agree in the modes of the first `collision` walls."""
         return int(len(self.task.modes) ** (len(self.walls) - collision))
 
     def _refuse(self, codes: NDArray[np.int8], collision: int) -> NDArray[np.bool_]:
@@ -255,7 +259,7 @@ class Rollout:
         return stays
 
     def _refuse_all(self, reason: Refusal, count: int, collision: int) -> None:
-        """Count candidates that are impossible even without constraints."""
+        """Count candidates that are refused even if there are no constraints."""
         self.refused[CODE[reason]] += count * self._weight(collision)
 
     # -- first collision --
@@ -322,7 +326,10 @@ class Rollout:
         out: tuple[NormalOut, TangentialOut],
         before: tuple[Rows, Rows, Array, Array, tuple[Hits, ...]],
     ) -> _Released | None:
-        """Return the candidates released from contact `number`, without recoveries that exceed the limits."""
+        """Return the candidates released from contact `number`.
+
+        Candidates whose recovery exceeds a limit are removed.
+        """
         (n, t), (nx, ny), (tx, ty) = out, wall.normal, wall.tangent
         rows, modes, time, force, hits = before
 
@@ -384,7 +391,11 @@ class Rollout:
     def _reached_codes(
         self, front: _Released, wall: Wall, mode: int, impact: SetpointResponse, after: Array
     ) -> NDArray[np.int8] | None:
-        """Return codes of the checks of vehicle, lock and detector at the wall, for a mode's index."""
+        """Check incidence, lock and detector of the candidates that reach a wall.
+
+        Returns:
+            Refusal codes (0: accepted) for the mode with the index `mode`, or None without constraints.
+        """
         if self.constraints is None:
             return None
         codes = np.zeros(after.size, dtype=np.int8)
@@ -475,7 +486,7 @@ class Rollout:
     # -- to the goal --
 
     def _arrive(self, front: _Released) -> list[Arrivals]:
-        """Return the closest approaches to the goal per sequence of modes, by the executive's rule."""
+        """Return, for each sequence of modes, the candidates at their closest approach to the goal."""
         index, order = self._search_goal(front)
         arrived = front.select(order)
         near = self.flight.near(arrived.leg, index)
@@ -498,7 +509,13 @@ class Rollout:
         return arrivals
 
     def _search_goal(self, front: _Released) -> tuple[Rows, Rows]:
-        """Return the grid index of the first detected minimum of the distance to the goal, and its rows."""
+        """Find the grid point at which each candidate is closest to the goal.
+
+        The search ends when the goal counts as passed by the executive's rule (`core/mission/recovery.py`).
+
+        Returns:
+            The grid index of the closest approach for each remaining candidate, and the candidate's index.
+        """
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
         best = np.full(live.size, math.inf, dtype=np.float32)
@@ -553,12 +570,13 @@ def _actual_approach(
 ) -> tuple[ApproachGrid, Array, Array, float, float]:
     """Return the impacts of planned approaches on a wall that differs from the planned wall.
 
-    Velocities and their offsets are converted from the planned wall's frame to the true wall's frame.
-    Recovery setpoints then refer to the true frame. This matters only if the gains of the axes differ,
-    because the force is a vector.
+    Velocities and their offsets are converted from the planned wall's frame to the true wall's frame. The
+    gains of a recovery setpoint therefore apply to the true wall's axes. If the gains of both axes are equal,
+    the frame makes no difference.
 
     Returns:
-        Approaches, normal and tangential velocity (arrays), and the draw's offsets of both, true frame.
+        Approaches, normal velocity, tangential velocity, offset of the normal velocity, and offset of the
+        tangential velocity. All velocities are in the true wall's frame.
     """
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
     (ox, oy), (sx, sy) = planned.normal, planned.tangent
@@ -585,7 +603,7 @@ def _actual_approach(
 
 
 def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
-    """Return the component along a direction; if the direction's share of an axis is zero, skip its term."""
+    """Return the component of (x, y) along a direction; skip the product of an axis with a zero component."""
     nx, ny = x.dtype.type(direction[0]), y.dtype.type(direction[1])
     along: NDArray[Any] = x * nx if ny == 0.0 else y * ny if nx == 0.0 else x * nx + y * ny
     return along

@@ -6,10 +6,10 @@ with the normal n if
 
     c_i . n - h_i(n) = offset        for all of them
 
-This holds for any incidence. The fit uses as few walls as explain all contacts, each with contacts in
-neighbouring directions. Consecutive walls intersect in the corners. Another probe is needed in a wall's
-direction if the wall has only one contact. It is also needed towards a corner that does not lie between the
-contacts of its two walls.
+This holds for any incidence. The fit uses as few walls as possible. Every contact belongs to one wall, and
+the contacts of a wall are neighbours in direction. Consecutive walls intersect in the corners. If a wall has
+only one contact, more probes are needed beside this contact. If a corner does not lie between the contacts of
+its two walls, another probe is needed in the direction between these contacts.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class Room(NamedTuple):
 
     Attributes:
         walls: counter-clockwise, as seen from the start.
-        corners: intersection of each wall's surface with the next one's; None if it is not between the
-            contacts of both walls.
+        corners: intersection of each wall with the following wall. An intersection that does not lie between
+            the contacts of both walls is None.
         gaps_rad: directions from the start that need more probes; empty if the outline is closed.
     """
 
@@ -131,7 +131,8 @@ class RoomFit:
     Args:
         start: a point inside the room, mission frame, metres.
         touches: contacts in any order.
-        along_m, out_m: distance of a guard from the middle of its side, and from the centre to the side.
+        along_m: distance from a guard to the middle of the vehicle's side.
+        out_m: distance from the vehicle's centre to its side.
     """
 
     def __init__(self, start: Vec2, touches: Sequence[RoomContact], along_m: float, out_m: float) -> None:
@@ -172,7 +173,11 @@ class RoomFit:
         return self._closed(walls)
 
     def _partition(self, order: list[int]) -> tuple[float, list[list[int]]]:
-        """Return the lowest cost and its groups of neighbouring contacts, by dynamic programming."""
+        """Divide the contacts into groups of neighbours at the lowest cost, by dynamic programming.
+
+        Returns:
+            The cost and the groups.
+        """
         n = len(order)
         cost: list[float] = [0.0] + [math.inf] * n
         back = [0] * (n + 1)
@@ -266,7 +271,7 @@ def contacts_from_walls(walls: Sequence[Any], directions_rad: Sequence[float]) -
 
 
 def room_keys(room: Room, material: str) -> dict[str, dict[str, Any]]:
-    """Return the walls of a closed room as keys of a mission file, by name."""
+    """Return the walls of a closed room as a mission file defines them: keys of each wall, by wall name."""
     found = {}
     for k, wall in enumerate(room.walls):
         (ax, ay), (bx, by) = room.corners[k - 1] or (0.0, 0.0), room.corners[k] or (0.0, 0.0)

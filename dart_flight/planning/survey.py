@@ -1,8 +1,9 @@
 """A mission that measures the walls of another mission by touching them.
 
 Probes touch every wall twice (docs/walls.md). The first contact is rigid, along the assumed normal. The
-second is along the measured normal, in the mode of the mission's impact. It is needed because a contact at
-large incidence does not measure the wall's direction well. The nearest wall with a clear path comes first.
+second contact is along the measured normal, in the mode of the mission's impact. The second contact is needed
+because a contact at large incidence does not measure the wall's direction well. The survey begins with the
+nearest wall to which a clear path leads.
 """
 
 from __future__ import annotations
@@ -26,14 +27,17 @@ _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 
 
 class SurveyPlan(NamedTuple):
-    """A mission that touches walls, and the reason for each unreachable wall, by the wall's name."""
+    """A mission that touches walls, and the walls that it cannot reach.
+
+    `unreachable` gives the reason by the name of the wall.
+    """
 
     mission: Mission
     unreachable: dict[str, str]
 
 
 def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
-    """Return the mission that touches the walls of another one.
+    """Return a mission that touches the walls of the given mission.
 
     Args:
         mission: mission whose flat walls are measured. The survey keeps its start, bounds, limits and
@@ -86,7 +90,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
 
 
 def _figures(mission: Mission) -> dict[str, float]:
-    """Return default standard deviations, as keys, for walls without configured ones."""
+    """Return default standard deviations, by key, for the walls that have no configured deviations."""
     figures = {}
     for wall in mission.flat_walls:
         if wall.position_sd_m is None:
@@ -105,7 +109,7 @@ class _SurveyLeg(NamedTuple):
 
 
 def _probe_leg(mission: Mission, wall: Wall, here: Vec2) -> _SurveyLeg | None:
-    """Return a leg to a wall, along its normal, with a beginning that can be reached, or None."""
+    """Return a leg along a wall's normal that begins at a reachable place, or None if none is possible."""
     (px, py), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     for share in _ALONG:
         along = share * wall.length_m

@@ -20,7 +20,7 @@ from dart_flight.core.mission.approach import run_up
 
 
 class MissionTask(NamedTuple):
-    """Collisions of a mission that follow from one approach; each collision has its own wall name."""
+    """The inputs of a rollout from a mission; `make_task` gives each collision its own wall name."""
 
     vehicle: VehicleConfig
     start: Vec2

@@ -30,7 +30,8 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
 
     Keys: `mission` (name), `mission_source`, `mission_text` (as written), `flown` (the resolved mission with
     its vehicle, JSON), `vehicle` (configuration, JSON), `world`, `seed`, `software`, `host`, `machine`,
-    `started_utc` and `started_monotonic_us`, which relate the host's clocks.
+    `started_utc` and `started_monotonic_us`. The last two are the same moment by the host's calendar and by
+    the host's monotonic clock.
     """
     about = {
         "mission": mission.name,
@@ -55,7 +56,10 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
 
 @lru_cache(maxsize=1)
 def machine() -> str:
-    """Return processor and mathematics library; if both are equal, floating-point results are bit-equal."""
+    """Return the names of the processor and the mathematics library.
+
+    Two machines with the same names produce floating-point results that are equal bit for bit.
+    """
     return " ".join((platform.machine(), *platform.libc_ver()))
 
 
@@ -80,7 +84,7 @@ def software_version() -> str:
 def flown_mission(about: dict[str, str], source: str) -> Mission:
     """Return the mission as flown, from a log's description.
 
-    A key that the log lacks has its default; a retired key is ignored (`changed_keys`).
+    A key that is not in the log gets its default value. A retired key is ignored (`changed_keys`).
 
     Raises:
         InputError: the mission is missing, or does not fit this version of the program.
@@ -101,7 +105,7 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
     """Return a log's mission text and vehicle configuration as documents that can be edited.
 
     Raises:
-        InputError: the log lacks one of them.
+        InputError: the log lacks the mission text or the vehicle configuration.
     """
     if "mission_text" not in about or "vehicle" not in about:
         raise InputError("the log does not contain its mission's text", source=source)
@@ -112,7 +116,10 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
 
 
 def changed_keys(about: dict[str, str]) -> list[str]:
-    """Return, as text, the keys of the flown vehicle that are now constants with another value."""
+    """Return descriptions of the keys whose flown value differs from the present constant.
+
+    These keys of the vehicle configuration are retired: their value is now a constant of the program.
+    """
     return changed_retired(msgspec.json.decode(about["vehicle"])) if "vehicle" in about else []
 
 
@@ -127,7 +134,10 @@ def parse_written(mission: Document, vehicle: Document) -> Mission:
 
 
 def armed_span(log: Log) -> tuple[datetime, datetime] | None:
-    """Return the first and the last armed time of a recorded flight, by the host's calendar, or None."""
+    """Return the first and the last time at which a recorded vehicle was armed, by the host's calendar.
+
+    None: the log does not contain these times, or the flight was in the fast world.
+    """
     started, monotonic = log.about.get("started_utc"), log.about.get("started_monotonic_us", "")
     armed = [
         e.record.received_us for e in log.entries if isinstance(e.record, StatusSample) and e.record.armed

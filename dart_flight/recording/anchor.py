@@ -1,4 +1,4 @@
-"""The mission frame of a recorded flight, reconstructed from its records as the core anchored it."""
+"""The mission frame that the core used in a recorded flight, reconstructed from the flight's records."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from dart_flight.config.mission import ESTIMATE_MOVED_M, Mission
 
 
 class MissionFrameReader:
-    """Tracks the mission frame over a flight's records, which it receives in order.
+    """Tracks the mission frame during a flight; `add` receives the flight's records in order.
 
     Attributes:
-        frame: the mission frame in local NED, or None before the mission leaves `READYING`. The frame is
-            then anchored at the take-off point, and once more at the start of the climb if the position
-            estimate has changed in between. In a mission anchored by touch, contacts displace the frame.
+        frame: the mission frame in local NED, or None before the mission leaves `READYING`. When the mission
+            leaves `READYING`, the frame is anchored at the take-off point. If the position estimate then
+            changes before the climb, the frame is anchored again at the start of the climb. In a mission
+            anchored by touch, contacts displace the frame.
     """
 
     def __init__(self, mission: Mission) -> None:

@@ -1,7 +1,7 @@
 """Lossless conversion of records to JSON and back, including numbers that are not finite.
 
-JSON has no NaN and no infinity: such numbers become the strings "nan", "inf" and "-inf". Every other float is
-written in its shortest decimal form and therefore restored exactly.
+JSON has no NaN and no infinity. These numbers become the strings "nan", "inf" and "-inf". Every other float
+is written as the shortest decimal number that is read back as exactly the same float.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _WORDS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def encode(record: Record) -> bytes:
-    """Return a record as JSON; two records are bit-equal if and only if their encodings are equal."""
+    """Return a record as JSON; records that are equal bit for bit, and only those, have equal JSON."""
     data = _ENCODER.encode(record)
     nulls = data.count(b"null")
     # The fast encoder writes null for a missing value and for a number that is not finite.

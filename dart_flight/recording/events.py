@@ -69,8 +69,8 @@ class EventFormatter:
     """Converts the records of a flight, in order, to events.
 
     Args:
-        every_problem: whether to report also the problems that PX4's checks list for other flight modes than
-            the present one.
+        every_problem: whether to report also problems in other flight modes than the present mode. They are
+            reported only while PX4's checks list no problem in the present mode.
     """
 
     def __init__(self, every_problem: bool = False) -> None:
@@ -123,7 +123,10 @@ class EventFormatter:
         return None
 
     def _health(self, record: HealthReport) -> Event | None:
-        """Return the problems that PX4's checks report against arming, or None if unchanged."""
+        """Return an event with the problems of PX4's preflight checks.
+
+        If the problems are unchanged, or there are none, return None.
+        """
         problems = record.blocking or (record.others if self._every_problem else ())
         changed, self._problems = problems != self._problems, problems
         if not changed or not problems:

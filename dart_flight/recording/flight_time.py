@@ -22,7 +22,7 @@ class FlightTime:
         self.zero_us: int | None = None
 
     def add(self, record: Record) -> None:
-        """Process the next record; only the first IMU sample matters."""
+        """Process the next record; all records except the first IMU sample are ignored."""
         if self.zero_us is None and isinstance(record, ImuSample):
             self.zero_us = record.t_us
 

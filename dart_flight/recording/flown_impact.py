@@ -41,12 +41,12 @@ class Velocities(msgspec.Struct):
     Attributes:
         normal_m_s, tangential_m_s: last velocity before the contact.
         peak_force_n: peak normal force.
-        contact_side: guard that touched first: left, right or both, as seen when facing the wall.
+        contact_side: guard that touched first (left, right or both), named for a viewer who faces the wall.
         incidence_deg: angle of the leading edge to the wall at the first touch, positive if the vehicle is
             turned to the left.
         peak_torque_nm: largest external torque about the centre of mass.
-        normal_out_m_s, tangential_out_m_s: first velocity after the contact; the measured velocity is from
-            odometry.
+        normal_out_m_s, tangential_out_m_s: first velocity after the contact. In measured values, this
+            velocity is from odometry.
     """
 
     normal_m_s: float | None = None
@@ -89,7 +89,7 @@ class CollisionVerdict(msgspec.Struct):
 
     @property
     def force_error(self) -> float | None:
-        """Measured peak normal force over the true one, minus one; None if either is unknown."""
+        """Relative error of the measured peak normal force; None if the measured or true peak is unknown."""
         measured, true = self.measured.peak_force_n, self.truth and self.truth.peak_force_n
         return None if measured is None or not true else measured / true - 1.0
 
@@ -163,7 +163,10 @@ class ImpactCollector:
         }
 
     def match_truth(self) -> None:
-        """Assign to every impact the simulated contact at its wall that is nearest in time, if any."""
+        """Assign a simulated contact with the same wall to every impact.
+
+        If there are several such contacts, the nearest in time is used. If there is none, `contact` is None.
+        """
         for impact in self.impacts:
             near = [
                 t
@@ -188,7 +191,7 @@ class ImpactCollector:
             )
 
     def _newest(self) -> FlownImpact | None:
-        """Return the impact of the last onset, or None if that contact was not planned."""
+        """Return the impact that began with the last onset; None if this contact was not planned."""
         return self.impacts[-1] if self.impacts and self.impacts[-1].onset is self._onset else None
 
     def _handle_onset(self, record: ImpactOnset) -> None:

@@ -42,7 +42,7 @@ class LogFollower:
         self._continued = False
 
     def read(self) -> list[LogEntry]:
-        """Return the records added since the last call, in the order written; empty if there are none.
+        """Return the records that were added since the last call, in the order written.
 
         Raises:
             InputError: the file cannot be read, is damaged, or was written by a newer version.

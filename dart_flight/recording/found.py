@@ -33,7 +33,10 @@ def find_logs(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
-    """Return PX4's logs: given files, logs next to a given flight log, and logs below a given folder.
+    """Return the PX4 logs that belong to the paths, in order.
+
+    A flight log stands for the PX4 logs next to it, a folder for the PX4 logs below it. Any other file is
+    returned unchanged.
 
     Raises:
         InputError: there is no PX4 log next to a flight log or below a folder.
@@ -55,7 +58,7 @@ def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def read_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callable[[str], None]) -> list[T]:
-    """Return the result of `read` for every log; if only some logs lack the wanted data, omit them.
+    """Return the result of `read` for every log that has the wanted data.
 
     Args:
         paths: the logs.
@@ -63,7 +66,8 @@ def read_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callab
         left_out: receives one line for each omitted log.
 
     Raises:
-        InputError: as `read`; `MissingDataError` if no log has the data.
+        MissingDataError: there are logs, but no log has the wanted data.
+        InputError: `read` raises this error for another reason.
     """
     results: list[T] = []
     empty: list[MissingDataError] = []

@@ -24,14 +24,15 @@ class MeasuredWall(msgspec.Struct):
         point_m: [x, y] of the wall's middle (`given_at: centre`), or of the contact if a probe found the
             wall.
         normal: [x, y], unit vector into free space.
-        position_sd_m, yaw_sd_deg: standard deviations of the plane at `point_m` and of its direction; null if
-            assumed exact.
+        position_sd_m: standard deviation of the plane's position at `point_m`; null if assumed exact.
+        yaw_sd_deg: standard deviation of the plane's direction; null if the direction is assumed exact.
         touched_m: [x, y] of the vehicle's centre at the first touch of the last contact.
         material: name in the table of materials; null if unknown.
         coefficients: estimates of k, f, mu and nu by mode, each with its relative standard deviation.
         age_s: time from the contact to the flight's end.
-        truth_error_m: measured minus true plane at the contact, along the normal; simulation only.
-        truth_error_deg: measured minus true direction; simulation only.
+        truth_error_m: error of the plane's measured position at the contact. The error is positive if the
+            measured plane is on the free side of the true plane. Simulation only.
+        truth_error_deg: error of the plane's measured direction (measured minus true). Simulation only.
     """
 
     name: str
@@ -113,7 +114,7 @@ class WallMeasurements:
         return found
 
     def _true_wall(self, name: str, estimate: WallEstimate, drawn: Mapping[str, float | str]) -> Wall | None:
-        """Return the true wall of a contact, from the simulation."""
+        """Return the simulated wall that the vehicle touched, or None if there is no such standing wall."""
         near = [t for t in self._truths if abs(t.t_us - estimate.first_us) < _SAME_US]
         if not near or near[0].wall not in self._standing:
             return None

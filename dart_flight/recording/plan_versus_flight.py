@@ -1,4 +1,4 @@
-"""Comparison of plan and flight: every planned figure with the flown one and the mission's tolerance.
+"""Comparison of plan and flight: every planned value, its flown value, and the mission's tolerance.
 
 The outcome `completed` only states that a mission passed its phases. The deviations state whether the flight
 followed the plan.
@@ -21,11 +21,11 @@ from dart_flight.recording.flown_impact import FlownImpact, Velocities
 
 
 class Deviation(msgspec.Struct, frozen=True):
-    """A planned figure and its flown value.
+    """A planned value and the flown value.
 
     Attributes:
         what: description with its unit.
-        planned, flown: values; None if not flown.
+        planned, flown: the two values; `flown` is None if the flight has no such value.
         tolerance: largest allowed difference, or None if the values must be equal.
     """
 
@@ -36,7 +36,7 @@ class Deviation(msgspec.Struct, frozen=True):
 
     @property
     def within(self) -> bool:
-        """Whether the figure was flown, within its tolerance."""
+        """Whether there is a flown value and it is within the tolerance."""
         if isinstance(self.planned, float) and isinstance(self.flown, float):
             return abs(self.flown - self.planned) <= (self.tolerance or 0.0)
         return self.flown == self.planned
@@ -48,8 +48,8 @@ class Prediction(NamedTuple):
     Attributes:
         velocities: velocities and peak force, by index of the collision; fields are None if not predicted.
         places: predicted impact points, by index of the collision, mission frame.
-        goal_miss_m: predicted miss distance of the last recovery at the goal; None if unknown, or if the goal
-            is approached from rest.
+        goal_miss_m: predicted smallest distance to the goal during the last recovery. None if this distance
+            is unknown, or if the goal is approached from rest.
     """
 
     velocities: dict[int, Velocities]
@@ -60,8 +60,9 @@ class Prediction(NamedTuple):
 def predict_flight(mission: Mission) -> Prediction:
     """Return the prediction of a mission.
 
-    Sources are, in this order, the planner's prediction in the mission, the approach with the contact law,
-    and the flight model. A mission that replans after every impact is planned to pass through the goal.
+    For each collision, the first available source is used. The sources are the planner's prediction in the
+    mission file, then the approach with the contact law, then the flight model. If the mission replans after
+    every impact, the predicted miss distance at the goal is 0.
     """
     velocities, places, miss_m = dict[int, Velocities](), dict[int, Vec2](), None
     for collision in mission.collisions:
@@ -96,11 +97,11 @@ def _as_written(mission: Mission, collision: Collision) -> tuple[Velocities, Vec
 def deviations(
     mission: Mission, planned: Prediction, flown: Sequence[FlownImpact], goal_miss_m: float | None
 ) -> list[Deviation]:
-    """Return a deviation for every planned figure, in the order of the mission; none for a rehearsal.
+    """Return a deviation for every planned value, in the mission's order; an empty list for a rehearsal.
 
     Args:
         mission: the mission with its tolerances.
-        planned: its prediction (`predict_flight`).
+        planned: prediction of the mission (`predict_flight`).
         flown: the impacts of the flight.
         goal_miss_m: miss distance, or None if the goal was not passed.
     """
@@ -143,7 +144,10 @@ def _compare_collision(
 
 
 def out_of_tolerance(found: Sequence[Deviation]) -> list[Deviation]:
-    """Return the deviations outside their tolerance, figures that were not flown first."""
+    """Return the deviations outside their tolerance, largest first.
+
+    The list begins with the deviations that have no flown value or no numbers.
+    """
     outside = [one for one in found if not one.within]
     return sorted(outside, key=lambda one: -_excess_ratio(one))
 

@@ -37,7 +37,7 @@ DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 class MissingDataError(InputError):
     """A flight log without the wanted data: the flight ended early, or the log was cut near its start.
 
-    If several logs are given, such a log is omitted with a message.
+    If several logs are given, a log without the data is skipped, and a message says so.
     """
 
 
@@ -63,7 +63,7 @@ class Log(msgspec.Struct, dict=True):
         about: description of the flight (`recording.about`).
         end: data known only at the end; `lost` is the number of records that could not be written.
         entries: records in the order written.
-        complete: whether the file has its end and all its parts.
+        complete: whether all parts of the log exist and the last part has its closing description.
     """
 
     source: str
@@ -80,7 +80,7 @@ class Log(msgspec.Struct, dict=True):
 
     @property
     def world(self) -> World | None:
-        """World of the flight, or None if the log was cut before it."""
+        """World of the flight, or None if the log was cut before the description of the flight."""
         name = self.about.get("world", "")
         return World(name) if name in set(World) else None
 
@@ -97,7 +97,7 @@ class Log(msgspec.Struct, dict=True):
         return self.arrays.names
 
     def __getitem__(self, topic: str) -> Topic:
-        """Return the records of a channel as arrays; arrays of length 0 if it has none.
+        """Return the records of a channel as arrays; without records, the arrays have length 0.
 
         Raises:
             KeyError: there is no such channel; the message suggests the nearest name.
@@ -112,10 +112,10 @@ class Log(msgspec.Struct, dict=True):
 
 
 def read_log(path: str | Path) -> Log:
-    """Read a flight log and its further parts, up to its end or a cut.
+    """Read a flight log with all its parts; if the log was cut off, read up to the cut.
 
     Raises:
-        InputError: not a flight log, or written by a newer version.
+        InputError: the file is not a flight log, or was written by a newer version.
     """
     log = Log(str(path), {}, {}, [], complete=True)
     part = 1
@@ -161,13 +161,18 @@ def read_entries(
     source: str,
     begun: bool = False,
 ) -> Iterator[LogEntry]:
-    """Yield the records of one part of a log, or with `begun` those of the data that were added to the part.
+    """Yield the records of one part of a log, and store the other contents in the dictionaries.
 
-    `about` receives the description of the flight, `end` the data known only at its end, `topics` the
-    channels by number.
+    Args:
+        stream: bytes of the part.
+        about: receives the description of the flight.
+        end: receives the data that are known only at the end of the flight.
+        topics: receives the channels by number.
+        source: file of the log, for error messages.
+        begun: whether the stream continues a part that was read before, and so has no file header.
 
     Raises:
-        InputError: written by a newer version.
+        InputError: the log was written by a newer version.
         EndOfFile: the log is cut off here, or still grows.
         DamagedLogError: the log is damaged here.
     """

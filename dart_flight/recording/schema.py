@@ -61,7 +61,7 @@ CLOCKS = {
 
 
 def describe(name: str, comment: str = "") -> str:
-    """Return a field's unit, frame or clock, from its name, and its comment, in one line."""
+    """Return one line with a field's unit, frame and comment; the name gives unit, clock and frame."""
     parts = [_unit(name), _frame(name), comment]
     return "; ".join(part for part in parts if part)
 
@@ -92,7 +92,10 @@ def _comments(kind: type[Record]) -> dict[str, str]:
 
 
 def schema(kind: type[Record]) -> dict[str, Any]:
-    """Return the JSON Schema of a record, without references and unions, which Foxglove does not follow."""
+    """Return the JSON Schema of a record.
+
+    The schema has no references and no unions, because Foxglove does not follow them.
+    """
     properties = {}
     for name, type_ in get_type_hints(kind).items():
         if name not in kind.__struct_fields__:

@@ -23,14 +23,14 @@ class Topic:
     """The records of one channel: every field by its name, as an array over the records.
 
     A number has shape (n,); a vector or a list of constant length, such as the motors, has shape (n, k). A
-    missing value is NaN, so integers and booleans that may be missing are floats. Text and names are arrays
-    of text; they are arrays of objects if they may be None or are lists of varying length. The names
-    state units and frames (docs/log.md).
+    missing value is NaN, so integers and booleans that may be missing are floats. A text field is
+    an array of text. If a text may be None, or a field is a list of varying length, the elements of the array
+    are Python objects. The names of the fields state units and frames (docs/log.md).
 
     Attributes:
         kind: the type of the records.
         records: the records.
-        t_s: (n,), seconds since the flight's zero (`recording.flight_time`), by the autopilot's clock; a
+        t_s: array (n,) of autopilot times, in seconds since the flight's zero (`recording.flight_time`). A
             record without a stamp has the time of the previous record.
     """
 

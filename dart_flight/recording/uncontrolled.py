@@ -1,7 +1,10 @@
 """Definition of an uncontrolled flight, from the truth of a simulated vehicle.
 
-A flight is uncontrolled if it leaves the mission's bounds by more than half a metre, meets the ground at more
-than 1.5 m/s, tilts by more than 80 degrees, or does not complete and gives no reason.
+A flight is uncontrolled if one of these events occurs:
+    The vehicle leaves the mission's bounds by more than half a metre.
+    The vehicle meets the ground at more than 1.5 m/s.
+    The vehicle tilts by more than 80 degrees.
+    The flight does not complete and gives no reason.
 """
 
 from __future__ import annotations
@@ -54,7 +57,7 @@ def find_uncontrolled(
     Args:
         truth: extremes of the whole flight.
         completed: whether the flight completed.
-        explained: whether a flight that did not complete gives a reason.
+        explained: whether a reason is known why the flight did not complete.
         allowed_m: allowed distance out of the bounds.
         falls: whether the vehicle is meant to fall, for example after a kill switch.
     """

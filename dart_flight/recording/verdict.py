@@ -56,7 +56,9 @@ _KEPT = 1024  # samples of estimate and truth that wait for each other: 8 s at 1
 
 
 class ResetFigures(msgspec.Struct):
-    """One reset of PX4's estimator, with the largest steps within 0.1 s of the change of PX4's counter.
+    """One reset of PX4's estimator.
+
+    The steps are the largest within 0.1 s of the change of PX4's reset counter.
 
     Attributes:
         position_m, velocity_m_s: steps that the motion does not explain.
@@ -76,7 +78,7 @@ class Px4Figures(msgspec.Struct):
         version: version of PX4, or None if not reported.
         ekf_resets: number of resets of position and velocity.
         clipped_samples: accelerometer samples at full scale, sum of the three axes.
-        failsafe: whether PX4 was in a failsafe.
+        failsafe: whether a failsafe of PX4 was active at any time.
         attitude_failure: whether PX4's failure detector reported an attitude failure.
     """
 
@@ -136,13 +138,14 @@ class Verdict(msgspec.Struct):
 
 
 class PositionError:
-    """Largest distance between estimate and truth at the same stamp, with interpolated truth.
+    """Largest distance between the estimated and the true position at the same stamp.
 
-    Estimate and truth arrive on separate threads, in either order. Samples wait until their counterpart
-    arrives; all others are dropped, so memory is bounded.
+    The true position is interpolated between two samples. Estimate and truth arrive on separate threads, in
+    either order. Each estimate waits until the truth of its time arrives. At most `_KEPT` samples wait, so
+    memory is bounded.
 
     Attributes:
-        worst_m: largest distance so far, metres, or None without a pair.
+        worst_m: largest distance so far, metres, or None if no estimate was compared.
     """
 
     def __init__(self) -> None:
@@ -288,7 +291,7 @@ class VerdictBuilder:
             self._settled.add(record.mode)
 
     def impacts(self) -> list[FlownImpact]:
-        """Return the impacts so far, with their truth in simulation."""
+        """Return the impacts so far; in simulation, each has the values of its simulated contact."""
         self._impacts.match_truth()
         return self._impacts.impacts
 
@@ -338,7 +341,11 @@ class VerdictBuilder:
         )
 
     def _goal_reached(self) -> bool | None:
-        """Return whether the goal was passed, or approached from rest, within its capture radius."""
+        """Return whether the vehicle came within the goal's capture radius, or None before the flight's end.
+
+        The nearest distance is the miss distance if the vehicle passed the goal. Otherwise it is the final
+        error of a completed flight.
+        """
         if self.end is None:
             return None
         nearest_m = self._so_far.goal_miss_m
@@ -381,11 +388,11 @@ def _chain(handlers: Sequence[Callable[[Any], None]]) -> Callable[[Any], None]:
 def evaluate(log: Log) -> tuple[Verdict, list[FlownImpact]]:
     """Return the verdict on a recorded flight, and its impacts.
 
-    The verdict equals that of the flight itself, except for data that are not in the log: `px4`, and the
-    reason for missing records.
+    This verdict equals the verdict at the end of the flight, except for two values that the log does not
+    contain: `px4` and the reason for missing records.
 
     Raises:
-        InputError: the log does not hold its mission.
+        InputError: the log does not contain its mission.
     """
     builder = VerdictBuilder(flown_mission(log.about, log.source))
     for entry in log.entries:

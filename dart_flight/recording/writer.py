@@ -1,14 +1,15 @@
 """The flight log: MCAP with JSON messages and their JSON Schemas, which Foxglove opens directly.
 
-Each record type has a channel (`topic` in `base.records`). A message's sequence number is the number of an
-input: its own if it is an input, otherwise that of the input that caused it. A replay feeds the inputs in
-that order. Log time is the autopilot's clock. `ClockOffset` relates it to the host's monotonic clock, and the
-description of the flight relates the monotonic clock to the calendar.
+Each record type has a channel (`topic` in `base.records`). The inputs of the core are numbered, and each
+message has an input number as its sequence number. An input has its own number. Any other record has the
+number of the input that caused the record. A replay feeds the inputs in the order of their numbers. Log time
+is the autopilot's clock. `ClockOffset` relates this clock to the host's monotonic clock, and the description
+of the flight relates the monotonic clock to the calendar.
 
 A separate thread encodes and writes the records in small chunks, so a killed process loses at most 0.2 s.
-Once a second it syncs them to the disk, in case a crash disconnects the battery. A file that reaches
-`part_bytes` is finished and followed by `flight.part2.mcap`, ...; after `most_parts` files only decisions are
-recorded, no telemetry.
+Once a second the thread syncs the chunks to the disk, because a crash may disconnect the battery. A file that
+reaches `part_bytes` is finished, and the next file (`flight.part2.mcap`, ...) begins. After `most_parts`
+files, only decisions are recorded and telemetry is discarded.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _MAX_WAITING = 200_000  # records; about two minutes of flight without an answer
 
 
 class LogPart:
-    """One MCAP file; every part repeats the description of the flight and its channels."""
+    """One MCAP file of a log; every file contains the description of the flight and the list of channels."""
 
     def __init__(self, path: Path, about: dict[str, str], number: int) -> None:
         self._file = open(path, "xb")  # noqa: SIM115
@@ -66,7 +67,7 @@ class LogPart:
     def write(self, record: Record, time_us: int, number: int) -> None:
         """Add a record at an autopilot time.
 
-        The number of an input is its own. The number of any other record is that of the input that caused it.
+        `number` is the number of the input that is recorded or that caused the record.
         """
         time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times; a broken clock does
         channel = self._channels[type(record)]
@@ -104,11 +105,11 @@ class FlightLog:
         path: the first file, which must not exist.
         about: description of the flight (`recording.about.describe_flight`).
         part_bytes: size after which the next file begins.
-        most_parts: number of files after which telemetry is no longer recorded.
+        most_parts: number of files that contain telemetry. One more file contains only decisions.
 
     Attributes:
         lost: number of records that were not written.
-        failure: reason why the log ended before the flight, or None.
+        failure: reason why the log stopped before the flight ended, or None.
         patience_s: half of the time that `close` waits for the disk.
 
     Raises:
@@ -147,7 +148,7 @@ class FlightLog:
     def put(self, record: Record, number: int) -> None:
         """Queue a record.
 
-        The number of an input is its own. The number of any other record is that of the input that caused it.
+        `number` is the number of the input that is recorded or that caused the record.
         """
         if len(self._waiting) >= _MAX_WAITING:
             self.lost += 1
@@ -230,7 +231,9 @@ def part_path(first: Path, number: int) -> Path:
 
 
 def new_flight_folder(root: Path, name: str) -> Path:
-    """Create and return a new folder for one flight: root/<date>T<time>-<name>, numbered if that exists.
+    """Create and return a new folder for one flight, root/<date>T<time>-<name>.
+
+    If this folder exists, a number is appended to the name.
 
     Raises:
         OSError: the folder cannot be created.

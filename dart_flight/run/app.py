@@ -5,7 +5,8 @@ The threads are:
     The core thread steps the core and sends setpoints.
     The lock thread, if there is a lock, steps the lock's state machine and may block on its driver.
     The log thread encodes and writes records.
-    asyncio handles the connection, arming and mode changes, signals and the terminal.
+    The event loop (asyncio) handles the connection, arming, mode changes, signals and the operator's keys.
+    The terminal thread passes the records to `progress`.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ Progress = Callable[[Record], None]
 
 
 class Simulator(Protocol):
-    """The app's interface to a simulated world, in addition to MAVLink."""
+    """The app's interface to a simulated world, for everything that MAVLink does not carry."""
 
     @property
     def died(self) -> bool:
@@ -108,13 +109,13 @@ class LockThread:
 
     Args:
         make_session: function that makes the session of state machine and driver. It is called when the
-            autopilot's time is known. Before that, stamps could lie in the autopilot's future.
+            autopilot's time is known. An earlier session could produce stamps in the autopilot's future.
         states: queue of the session's states, in order.
         clock_known: function that returns whether the autopilot's time is known.
         deliver: callback for every state of the lock.
         after_poll: callback after every poll of the driver.
-        lockstep: reporter to a simulated world that waits for the app; the driver is then polled in
-            simulated time. None in real time.
+        lockstep: reporter to the simulated world, or None in real time. In lockstep, the world waits for the
+            app, and the driver is polled in simulated time.
     """
 
     def __init__(
@@ -197,14 +198,14 @@ class FlightApp:
         url: MAVSDK connection URL.
         observe: callback for every record with its number, on the core thread.
         world: simulated world, or None for a real vehicle.
-        progress: callback for every record, on its own thread, because a terminal may block.
-        clock: autopilot's clock; by default that of a real-time vehicle.
+        progress: callback for every record. It runs on a separate thread, because a terminal may block.
+        clock: autopilot's clock, or None for the clock of a vehicle in real time.
         deadman_note: file in which the deadman reports why it killed the program, or None for no deadman.
         lock_faults: faults of the mock servo from the start of the flight.
-        opened: called once the link is open.
-        unwanted: numbers of MAVLink messages that the app requests the vehicle not to send on this link.
-        lockstep: whether the world waits for this program, whose clock is then simulated time.
-        mocap_url: URL of the pose source whose poses are forwarded; None: the vehicle's `mocap.url`.
+        opened: callback for the moment when the link is open.
+        unwanted: numbers of the MAVLink messages that the vehicle is asked to stop on this link.
+        lockstep: whether the world waits for this program. If so, the program's clock is simulated time.
+        mocap_url: URL of the source of the forwarded poses, or None to use the vehicle's `mocap.url`.
 
     Attributes:
         loop: event loop during the flight.
@@ -265,7 +266,7 @@ class FlightApp:
         Raises:
             VehicleError: there is no autopilot at the URL.
             NoAnswerError: the autopilot does not answer requests.
-            InputError: the motion capture does not answer, or has no such body.
+            InputError: the motion capture does not answer, or does not have the configured body.
         """
         source = None if self._mocap_url is None else open_source(self._mocap_url)
         try:
@@ -351,11 +352,11 @@ class FlightApp:
         self._core.put(OperatorRequest(self._host_us(), request))
 
     def resume(self) -> None:
-        """End a pause of the mission; without effect at any other time."""
+        """End a pause of the mission. If the mission is not in a pause, this has no effect."""
         self._core.put(OperatorRequest(self._host_us(), Request.CONTINUE))
 
     def _answer_button(self, press: Press) -> tuple[Result, str]:
-        """Carry out a button of the ground station and return the answer."""
+        """Carry out the request of a pressed ground-station button and return the answer."""
         reply = reply_in_flight(press, self._phase, self._lock_text)
         if isinstance(reply.effect, Request):
             self._core.put(OperatorRequest(self._host_us(), reply.effect))
@@ -452,7 +453,10 @@ class FlightApp:
         return bridge
 
     async def _forward_until_disarmed(self, session: VehicleSession) -> None:
-        """Forward poses until the vehicle is disarmed, because a pilot in control needs PX4's position."""
+        """Forward poses until the vehicle is disarmed.
+
+        A pilot may have taken control and still needs PX4's position, which comes from the poses.
+        """
         if not session.armed:
             return
         now_us = self._host_us()
@@ -501,7 +505,7 @@ class FlightApp:
         )
 
     def _after_step(self) -> None:
-        """In lockstep, run the other work that is due at this simulated time."""
+        """In lockstep, poll the lock's driver if due, and deliver the planners' answers that are due."""
         if self._lock is not None:
             self._lock.poll_if_due()
         self._deliver_answers()
@@ -527,7 +531,7 @@ class FlightApp:
     # -- commands of the core, on the core thread (`runner.CommandSink`) --
 
     def send(self, setpoint: Setpoint) -> None:
-        """Send a setpoint at once, and report a failure once for each cause."""
+        """Send a setpoint at once. If this fails, report each cause only the first time."""
         assert self._session is not None
         try:
             self._session.send(setpoint)
@@ -547,7 +551,7 @@ class FlightApp:
             self._core.put(StatusText(t_us, now_us, "critical", text, found_here=True))
 
     def execute(self, output: Output) -> None:
-        """Start any other command without waiting for its completion."""
+        """Start a command that is not a setpoint, without waiting for its completion."""
         assert self._session is not None
         assert self.loop is not None
         if isinstance(output, VehicleCommand):

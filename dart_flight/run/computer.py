@@ -23,7 +23,7 @@ _SINCE_START = 16  # shift of the same flags since power-on
 
 
 def read_computer(root: Path = Path("/")) -> ComputerSample:
-    """Return the present state as reported by the kernel; fields without a report are None.
+    """Return the present state from the kernel. A field that the kernel does not report is None.
 
     Args:
         root: root of the file system.
@@ -54,7 +54,7 @@ class ComputerWatch(ThreadContext):
     """Context in which a thread samples the state of the computer once per second.
 
     Args:
-        deliver: callback for every sample, on that thread.
+        deliver: callback for every sample, on the sampling thread.
     """
 
     def __init__(self, deliver: Callable[[Record], None]) -> None:

@@ -2,9 +2,11 @@
 
 Only the thread that holds `_owner` steps the core. In real time the core chooses this thread (`core.pace`).
 Near a wall MAVSDK's thread steps the core. Samples arrive on that thread, so no other thread has to wake up
-first (docs/latency.md). Elsewhere the core's own thread steps. In lockstep a simulated world waits until
-samples are stepped. The thread that delivers the samples also steps them: one by one near a wall, elsewhere
-in batches of simulated time.
+first (docs/latency.md). Away from walls the core's own thread steps the core.
+
+In lockstep, the simulated world waits until the core has processed its samples. The thread that delivers the
+samples also steps the core with them. Near a wall it steps each sample at once. Away from walls it steps the
+samples in batches of simulated time.
 """
 
 from __future__ import annotations
@@ -58,7 +60,7 @@ class CoreThread:
         self.thread = threading.Thread(target=self._run, name="core", daemon=True)
 
     def age_s(self) -> float:
-        """Return the time since the thread's last turn, seconds."""
+        """Return the time since the thread last began a round of its loop, seconds."""
         return (host_us() - self._turned_us) * 1e-6
 
     def put(self, item: Input) -> None:
@@ -72,7 +74,10 @@ class CoreThread:
             self._step_now()
 
     def arrive(self, item: Input) -> None:
-        """Queue a stream's input from any thread, and step it at once if the core's pace requires that."""
+        """Queue an input of a stream; any thread.
+
+        If the core's pace requires it, this thread steps the core with the queued inputs at once.
+        """
         now = self._lockstep is None or self._lockstep.completes_batch(item)
         self._queue.put(item)
         if now:
@@ -96,7 +101,7 @@ class CoreThread:
         return self._pace is Pace.IMMEDIATE if self._lockstep is None else self._fault is None
 
     def stop(self) -> None:
-        """End the thread; no queued input is stepped after this returns."""
+        """End the thread. After this call no thread steps a queued input."""
         self._stopping = True
         self._called.set()
         self.thread.join(timeout=_STOP_S)
@@ -124,7 +129,8 @@ class CoreThread:
     def _step_queued(self) -> None:
         """Step the queued inputs; the caller must hold `_owner`.
 
-        In a backlog, step only the newest of the state samples.
+        If more than `_BACKLOG` inputs are queued, drop all samples of attitude, odometry and actuators except
+        the newest of each kind.
         """
         items, queued = list[Input](), self._queue
         while not queued.empty():  # only the owner removes inputs

@@ -77,7 +77,7 @@ class Deadman:
         return self._process.pid
 
     def arm(self) -> None:
-        """Enable the kill on a missing feed."""
+        """Activate the deadman: from now on a missing feed makes the process kill the app."""
         self._armed = True
         self._write(_ARM)
 
@@ -135,7 +135,10 @@ class SystemdNotice:
         self._send("STOPPING=1")
 
     def alive(self) -> None:
-        """Feed systemd's watchdog at half its period; call this more often."""
+        """Feed systemd's watchdog, at most once per half of the watchdog's period.
+
+        Call this method more often than once per half period.
+        """
         now = time.monotonic()
         if self._period_s is not None and now - self._sent_s >= self._period_s:
             self._sent_s = now

@@ -31,7 +31,7 @@ def fly_vehicle(
         url: MAVSDK connection URL.
         log_dir: folder for the flight's folder.
         progress: callback for every record, on its own thread.
-        lease: lease of the link, in which the path of the log is noted; None: acquire one for the flight.
+        lease: lease of the link, or None to acquire a lease for this flight. The lease stores the log's path.
         viewer: callback for every record, on the thread that processed it.
 
     Raises:

@@ -1,4 +1,7 @@
-"""Embedded world: our small autopilot on the plant, through MAVSDK over UDP, in lockstep or in real time."""
+"""Embedded world: MAVSDK over UDP to the project's own small autopilot, which controls the simulated vehicle.
+
+The world runs in lockstep or in real time.
+"""
 
 from __future__ import annotations
 
@@ -43,11 +46,11 @@ def fly_embedded(
         seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder.
         progress: callback for every record, on its own thread.
-        deadman: whether to start the process that kills this one if it hangs; in real time only.
+        deadman: whether to start the deadman, which kills this program if it hangs. Used in real time only.
         fault: fault to inject, or None.
-        spreads: standard deviations of the quantities that the seed makes random (`sim.draws`).
+        spreads: standard deviations by name of the quantities to draw at random (`sim.draws`).
         speed: highest number of simulated seconds per second.
-        realtime: whether simulated time advances without waiting for this program; timeouts then use the
+        realtime: whether simulated time advances without waiting for this program. If so, timeouts use the
             host's time.
         viewer: callback for every record, on the thread that produced it.
 

@@ -94,7 +94,7 @@ class TelemetrySender:
 
     Args:
         vehicle: vehicle whose telemetry is sent.
-        begins: whether the vehicle has just been switched on, so that it sends its status at once.
+        begins: whether the vehicle has just been switched on. Only such a vehicle sends its status at once.
     """
 
     def __init__(self, vehicle: SimulatedVehicle, begins: bool = True) -> None:
@@ -137,7 +137,7 @@ class _FastClock(SimulatedTime):
         return self._flight.host_us
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Return the autopilot's present time."""
+        """Return the autopilot's present time; `host_time_us` is ignored."""
         return self._flight.autopilot.time_us
 
 
@@ -147,13 +147,14 @@ class FastFlight:
     Args:
         mission: mission to fly.
         seed: seed of the sensor noise.
-        driver: lock driver, `mock` or `px4`, because real servo controllers do not work in simulated time.
-            It is ignored for a vehicle without a lock.
+        driver: lock driver, `mock` or `px4`; the other drivers do not work in simulated time. For a vehicle
+            without a lock, the driver is ignored.
         faults: faults of the mock servo.
         observe: callback for every input with its number, then for every output and note with the same
             number.
         fault: fault to inject, with its time.
-        world: simulated world with random differences (`sim.draws`), or None if it equals the mission.
+        world: simulated world that differs at random from the mission (`sim.draws`), or None for a world
+            without differences.
     """
 
     def __init__(
@@ -319,7 +320,7 @@ class FastFlight:
     # -- inputs and commands of the core (`runner.CommandSink`) --
 
     def step(self, item: Input) -> None:
-        """Step the core with an input; operator's requests and samples of a fault are inputs as well."""
+        """Step the core with any input: a sample, an operator's request, or an input from a fault."""
         self._runner.step(item)
 
     def _observe_record(self, record: Record, number: int) -> None:
@@ -338,7 +339,7 @@ class FastFlight:
         self._transmit(setpoint)
 
     def execute(self, output: Output) -> None:
-        """Carry out any other command of the core."""
+        """Carry out a command of the core that is not a setpoint."""
         if isinstance(output, VehicleCommand):
             self._transmit(output.action)
         elif isinstance(output, LockCommand | LockPermission):
@@ -371,7 +372,7 @@ class FastFlight:
             self.lock.permit(order.permitted)
 
     def forget_setpoint(self) -> None:
-        """Stop repeating the last setpoint, because MAVSDK has ended with its process."""
+        """Stop repeating the last setpoint: the app's process has ended or stopped, and MAVSDK with it."""
         self._last_setpoint = None
 
     def _repeat(self) -> None:
@@ -450,10 +451,10 @@ def fly_fast(
         seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
         progress: callback for every record.
-        lock_faults: faults of the mock servo from the start of the flight; None: the random faults of the
-            seed.
+        lock_faults: faults of the mock servo from the start of the flight, or None for the faults that the
+            seed draws.
         fault: fault to inject, with its time.
-        spreads: standard deviations of the quantities that the seed makes random (`sim.draws`).
+        spreads: standard deviations by name of the quantities to draw at random (`sim.draws`).
         keep_record: callback for the complete record; without `log_dir` its log is in memory.
 
     Raises:

@@ -29,7 +29,7 @@ class _PlantPoses:
         self._frame = 0
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Start delivering every pose."""
+        """Begin to pass every published pose to `deliver`."""
         self._deliver = deliver
 
     def stop(self) -> None:

@@ -42,7 +42,7 @@ Order = Setpoint | VehicleAction | TimeRequest
 
 
 class FaultyFlight(Protocol):
-    """The interface of a flight that its fault uses."""
+    """The members of a flight that the injected fault uses."""
 
     mission: Mission
     vehicle: SimulatedVehicle
@@ -99,7 +99,7 @@ class FlightWithFault:
         self._trigger.process(record)
 
     def tick(self) -> None:
-        """Advance by one tick: begin the fault when it is due, and continue it."""
+        """Advance by one tick: begin the fault when it is due; afterwards update its effects."""
         flight = self._flight
         if self.began_us is None:
             if not self._trigger.is_due(flight.autopilot.time_us):
@@ -141,7 +141,7 @@ class FlightWithFault:
             self._in.push(self._flight.autopilot.now_s, item)
 
     def arrived(self) -> list[Input]:
-        """Return the samples that reach the app now, with the present time of receipt."""
+        """Return the samples that reach the app now; `received_us` of each sample is the present time."""
         received = self._flight.host_us
         return [
             msgspec.structs.replace(item, received_us=received)

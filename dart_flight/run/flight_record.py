@@ -32,7 +32,7 @@ class MemoryLog:
     def put(self, record: Record, number: int) -> None:
         """Append a record.
 
-        The number of an input is its own. The number of any other record is that of the input that caused it.
+        `number` is the number of the input that is recorded or that caused the record.
         """
         self.log.entries.append(LogEntry(number, record))
 
@@ -41,7 +41,9 @@ class MemoryLog:
 
 
 class FlightRecord:
-    """Recorder of one flight; call it with every record and its number, in order.
+    """Recorder of one flight.
+
+    The caller calls the recorder for every record, in order, with the record and its number.
 
     Args:
         mission: mission that is flown.
@@ -54,9 +56,9 @@ class FlightRecord:
 
     Attributes:
         onlookers: callbacks for every record, on the thread that produced it.
-        viewers: callbacks for every record and, on another thread, for the truth of a simulated vehicle;
-            they must not block.
-        notice: callback for the first failure of the log, on the thread that produced a record.
+        viewers: callbacks for every record and for the truth of a simulated vehicle. The truth arrives on
+            another thread. The callbacks must not block.
+        notice: callback for the first failure of the log, on the thread that calls the recorder.
 
     Raises:
         InputError: the log cannot be written.
@@ -101,7 +103,7 @@ class FlightRecord:
 
     @property
     def log(self) -> Log:
-        """Log in memory, or read from its file."""
+        """The log as an object: the log in memory, or the log that is read from the file."""
         return self._log.log if isinstance(self._log, MemoryLog) else read_log(self.path)
 
     @property
@@ -110,9 +112,9 @@ class FlightRecord:
         return self.path.parent
 
     def __call__(self, record: Record, number: int) -> None:
-        """Log a record and pass it on.
+        """Log a record, and pass it to the verdict, the onlookers and the viewers.
 
-        The number of an input is its own. The number of any other record is that of the input that caused it.
+        `number` is the number of the input that is recorded or that caused the record.
         """
         log = self._log
         if log is not None:

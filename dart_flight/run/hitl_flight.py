@@ -42,15 +42,16 @@ def fly_hitl(
     """Fly with a flight controller that `check.hitl_check` has found ready; the propellers must be off.
 
     Args:
-        mission: mission to fly; its lock driver is the real one.
+        mission: mission to fly, with the driver of the real servo.
         hitl_url: URL of the flight controller's port for simulated sensors.
         url: MAVSDK connection URL of the app's own link.
         seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder.
         progress: callback for every record, on its own thread.
-        motors: motor geometry from the flight controller's parameters; None: geometry of the configuration.
-        position_from: source of PX4's position, a simulated motion capture or GPS receiver.
-        spreads: standard deviations of the quantities that the seed makes random (`sim.draws`).
+        motors: motor geometry from the flight controller's parameters, or None to use the configuration's
+            geometry.
+        position_from: source of PX4's position: a simulated motion capture or a simulated GPS receiver.
+        spreads: standard deviations by name of the quantities to draw at random (`sim.draws`).
         viewer: callback for every record, on the thread that processed it.
 
     Raises:
@@ -88,7 +89,7 @@ def fly_hitl(
 
 
 def _leave_disarmed(mission: Mission, url: str) -> None:
-    """Disarm the flight controller, because PX4 does not disarm by itself without its simulated sensors.
+    """Disarm the flight controller: without the simulated sensors, PX4 does not disarm by itself.
 
     Raises:
         FlightError: the flight controller does not answer, or refuses.

@@ -23,7 +23,7 @@ from dart_flight.sim.draws import AS_COMMANDED, LOCK_TRUE_MODE
 
 
 class RunSpread(msgspec.Struct):
-    """Median and range of a figure over many flights."""
+    """Median and range of a value over many flights."""
 
     median: float
     low: float
@@ -34,8 +34,8 @@ class RunsSummary(msgspec.Struct):
     """Summary of many flights of one mission.
 
     Attributes:
-        unexplained_modes: by seed, findings about arms that were not in the lock's mode
-            (`unexplained_modes`).
+        unexplained_modes: findings about arms that were not in the lock's mode, by seed (see the function
+            `unexplained_modes`).
     """
 
     runs: int
@@ -50,7 +50,10 @@ class RunsSummary(msgspec.Struct):
 
 
 class RunsInterruptedError(Exception):
-    """Interrupt by Ctrl-C, SIGTERM or SIGHUP; `verdicts` contains the verdicts of the completed flights."""
+    """Ctrl-C, SIGTERM or SIGHUP has interrupted the flights.
+
+    `verdicts` contains the verdicts of the completed flights.
+    """
 
     def __init__(self, verdicts: list[Verdict]) -> None:
         super().__init__(f"interrupted after {len(verdicts)} flights")
@@ -88,12 +91,12 @@ def fly_fast_many(
         seeds: seeds of the flights.
         log_dir: folder for the flights' folders, or None for no logs.
         done: callback for the verdict of every flight.
-        spreads: standard deviations of the quantities that each seed makes random (`sim.draws`).
+        spreads: standard deviations by name of the quantities that each seed draws (`sim.draws`).
 
     Raises:
-        RunsInterruptedError: Ctrl-C. Flights in progress are completed and no other begins; a second Ctrl-C
-            also ends the flights in progress.
-        InputError: as `fly_fast`.
+        RunsInterruptedError: the operator has pressed Ctrl-C. Flights in progress were completed, and no
+            further flight began. A second Ctrl-C also ends the flights in progress.
+        InputError: `fly_fast` raises this error.
         FlightError: a flight's process died, and died again when the flight was retried.
     """
     verdicts: dict[int, Verdict] = {}
@@ -124,7 +127,8 @@ def fly_one_by_one(
         done: callback for the verdict of every flight.
 
     Raises:
-        RunsInterruptedError: Ctrl-C; the flight in progress has landed and is among the verdicts.
+        RunsInterruptedError: the operator has pressed Ctrl-C. The flight in progress has landed, and its
+            verdict is included.
     """
     verdicts: list[Verdict] = []
     asked: list[Record] = []
@@ -168,10 +172,10 @@ def summarise(verdicts: list[Verdict]) -> RunsSummary:
 
 
 def unexplained_modes(verdict: Verdict) -> list[str]:
-    """Return findings about arms that were not in the lock's mode, although the lock had no simulated fault.
+    """Return the findings about arms that were not in the lock's mode.
 
-    In a simulated world such a finding means an error of the simulation or of the estimated mode, and the
-    flight is invalid.
+    A flight with a simulated fault of the lock has no findings. In any other simulated flight, a finding
+    means that the simulation or the estimated mode is wrong, so the flight is invalid.
     """
     if verdict.drawn.get(LOCK_TRUE_MODE, AS_COMMANDED) != AS_COMMANDED:
         return []

@@ -1,9 +1,10 @@
 """Monitor of a vehicle's telemetry: force and contact from the core's senses, without flying.
 
 MAVSDK's thread passes every record to `TelemetryMonitor`. Another thread processes the records in batches
-several times per second. This takes a third of the processor time of single records. `view` returns the data
-for a screen. The monitor sends only requests for slow streams, and the poses of a motion capture. It slows no
-stream of a `dart-flight` that flies on the same link. `dart-flight monitor` uses this module.
+several times per second. Batches take a third of the processor time that single records would take. `view`
+returns the data for a screen. The monitor sends only requests for slow streams, and the poses of a motion
+capture. If a `dart-flight` flies on the same link, the monitor does not slow down the streams of this flight.
+`dart-flight monitor` uses this module.
 """
 
 from __future__ import annotations
@@ -70,9 +71,10 @@ class StreamView(msgspec.Struct):
 
 
 class WallView(msgspec.Struct):
-    """Estimate of a wall from a contact: prior and posterior of k, f, mu.
+    """Estimate of a wall from a contact.
 
-    `posterior_sd` is the relative standard deviation of the posterior. `mode_felt` is null if undecided.
+    `prior` contains the configured k, f and mu of the wall's material. `posterior` contains the estimated
+    values, and `posterior_sd` their relative standard deviation. `mode_felt` is null if undecided.
     """
 
     wall: str
@@ -143,7 +145,10 @@ class TelemetryMonitor:
         self._cpu = (time.monotonic(), time.process_time())
 
     def process_record(self, record: Record) -> None:
-        """Process a record of a flight's log; ignore all but inputs, phases, wall estimates and plans."""
+        """Process a record of a flight's log.
+
+        Only inputs, phases, wall estimates and results of plans are used. All other records are ignored.
+        """
         if isinstance(record, PhaseChange):
             self._phase = record.after.value
         elif isinstance(record, WallEstimate):
@@ -181,7 +186,7 @@ class TelemetryMonitor:
             self._viewer(record)
 
     def _sense(self, item: Input) -> list[Record]:
-        """Return the results of the senses for an input: a force estimate and its impacts."""
+        """Return the results of the senses for an input: a force estimate and impact events."""
         if isinstance(item, PoseSample) and self._poses is None:
             self._poses = PoseStatistics(self.mocap.room_frame(), self.mocap.delay_ms)
         if self._poses is not None:
@@ -274,7 +279,10 @@ async def _raise_rates(watcher: TelemetryMonitor, session: VehicleSession) -> No
 
 
 async def _may_forward(watcher: TelemetryMonitor, session: VehicleSession) -> bool:
-    """Return whether to forward poses; if the vehicle is armed, another program forwards them already."""
+    """Return whether the monitor should forward poses.
+
+    If the vehicle is armed, another program flies it and already forwards the poses.
+    """
     if watcher.mocap.url is None:
         return False
     beat = await asyncio.to_thread(session.next, messages.HEARTBEAT, _HEARTBEAT_S)
@@ -299,7 +307,7 @@ async def monitor_vehicle(
         show: callback for each view.
         period_s: time between two views.
         seconds: duration, or None to run until cancelled.
-        opened: called once the link is open.
+        opened: callback for the moment when the link is open.
 
     Raises:
         VehicleError: there is no autopilot at the URL.

@@ -29,7 +29,10 @@ _MODES: Final = {Button.LOCK_RIGID: Mode.RIGID, Button.LOCK_FLEXIBLE: Mode.FLEXI
 
 
 class Errand(NamedTuple):
-    """Task for which standby passes the link to another process; `mission` is a mission's number, from 1."""
+    """Task for which standby passes the link to another process.
+
+    `missions` contains the numbers of the missions, which begin at 1.
+    """
 
     fly: bool
     missions: tuple[int, ...]
@@ -109,7 +112,7 @@ class StandbyState(NamedTuple):
 
 
 class StandbyButtons:
-    """Buttons in standby; *Fly* needs two presses, so the first one is stored."""
+    """Buttons in standby. *Fly* needs two presses, so the first press is stored."""
 
     def __init__(self) -> None:
         self._asked: tuple[int, float] | None = None  # mission of the first press, and its time
@@ -164,8 +167,8 @@ _HELD_S, _GAP_S = 0.5, 2.0
 class RcSwitch:
     """Switch of the transmitter that moves the lock: high is rigid, low is flexible.
 
-    The middle position has no effect. Neither has the switch's first position after the start or after a gap
-    of the pulses. The lock moves only if the switch changes and then holds its new position.
+    The middle position has no effect. After the start, or after a gap in the pulses, the first position also
+    has no effect. The lock moves only if the switch changes and then holds its new position.
     """
 
     def __init__(self) -> None:

@@ -43,13 +43,13 @@ _KINDS: dict[type, bytes] = {
 
 
 class PlannerProcess:
-    """Process that plans for one mission, or fits its contacts.
+    """Process that plans trajectories for one mission, or fits the contacts of that mission.
 
     Args:
         mission: mission that is flown.
         kind: kind of request that the process answers.
         deliver: callback for every answer, on a thread of the planner; must not block.
-        host_us: function that returns the host's time in microseconds, or simulated time in lockstep.
+        host_us: function that returns the host's time in microseconds. In lockstep this is simulated time.
 
     Raises:
         OSError: the process cannot be started.
@@ -105,7 +105,10 @@ class PlannerProcess:
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer requests until their stream ends; the first line contains their kind and the mission."""
+    """Answer requests until the stream of requests ends.
+
+    The first line of the stream contains the kind of the requests and the mission.
+    """
     first = requests.readline()
     mission = msgspec.json.decode(first[1:], type=Mission)
     plans = first.startswith(_KINDS[PlanRequest])

@@ -23,15 +23,15 @@ async def forward_poses(
     seconds: float | None,
     opened: Callable[[], None] = lambda: None,
 ) -> None:
-    """Forward the poses of `mocap.url`; show their figures and their problem every period.
+    """Forward the poses of `mocap.url`; every period, show their statistics and the source's problem.
 
     Args:
         mission: mission with the vehicle's configuration.
         url: MAVSDK connection URL.
-        show: callback for the figures and for the reason why no poses arrive.
+        show: callback for the statistics and for the reason why no poses arrive (None if they arrive).
         period_s: time between two calls of `show`.
         seconds: duration, or None to run until cancelled.
-        opened: called once the link is open.
+        opened: callback for the moment when the link is open.
 
     Raises:
         InputError: the motion capture cannot be opened.

@@ -1,4 +1,4 @@
-"""Preparation of missions for a flight: checks of space and force, another lock driver, rehearsals."""
+"""Preparation of missions: check space and force, change the lock driver or pose source, rehearse."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def flight_core_of(mission: Mission) -> FlightCore:
 
 
 def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
-    """Return the mission with another lock driver; None: the configuration's driver.
+    """Return the mission with another lock driver. If `driver` is None, return the mission unchanged.
 
     Raises:
         InputError: the vehicle has no lock.
@@ -74,7 +74,7 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
 
 
 def with_mocap(mission: Mission, url: str | None) -> Mission:
-    """Return the mission with another source of poses; None: the configuration's source.
+    """Return the mission with another source of poses. If `url` is None, return the mission unchanged.
 
     Raises:
         InputError: the URL does not name a pose source.
@@ -95,7 +95,7 @@ def with_simulated_mocap(
 
     Args:
         mission: mission to fly.
-        kind: one of `sim.motion_capture.KINDS`; None: the simulated autopilot needs no poses.
+        kind: one of `sim.motion_capture.KINDS`, or None if the simulated autopilot needs no poses.
         source: position source of the simulated autopilot.
 
     Raises:
@@ -120,7 +120,10 @@ def emulated_kind(mission: Mission) -> str | None:
 
 
 def with_px4_delays(mission: Mission) -> Mission:
-    """Return the mission with PX4's delays of setpoint and attitude where the configuration sets none."""
+    """Return the mission with PX4's delays of setpoint and attitude.
+
+    A delay that the configuration sets is kept.
+    """
     flying = mission.vehicle.flying
     own = {name: default_s for name, default_s in _PX4_DELAYS_S.items() if getattr(flying, name) is None}
     flying = msgspec.structs.replace(flying, **own)
@@ -129,14 +132,14 @@ def with_px4_delays(mission: Mission) -> Mission:
 
 
 def as_rehearsal(mission: Mission, standoff_m: float | None) -> Mission:
-    """Return the rehearsal of a mission, which stops before each wall instead of hitting it.
+    """Return the rehearsal of a mission. In a rehearsal the vehicle stops in front of each wall.
 
     Args:
         mission: mission to rehearse.
         standoff_m: distance to the wall, or None to return the mission unchanged.
 
     Raises:
-        InputError: the distance is not from 0.1 to 2 m.
+        InputError: the distance is below 0.1 m or above 2 m.
     """
     if standoff_m is None:
         return mission

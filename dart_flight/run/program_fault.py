@@ -24,8 +24,8 @@ class ProgramFault:
     Args:
         fault: fault to inject, with its phase.
         app: app with the event loop and the mock servo.
-        world: simulated vehicle for the faults of a vehicle, or None.
-        log: path of the flight log, whose disk appears full.
+        world: simulated vehicle, for faults of the vehicle, or None.
+        log: path of the flight log. The fault `disk-full` makes writes to this file fail.
     """
 
     def __init__(

@@ -49,20 +49,20 @@ def fly_px4(
 
     Args:
         mission: mission to fly.
-        directory: folder of PX4 with bin and etc; None: the environment's DART_PX4_DIR.
+        directory: PX4's folder with bin and etc, or None to use the environment variable DART_PX4_DIR.
         seed: seed of the sensor noise and of the random quantities.
-        log_dir: folder for the flight's folder, which also gets PX4's ULog as `px4.ulg`.
+        log_dir: folder for the flight's folder. The flight's folder also receives PX4's ULog as `px4.ulg`.
         progress: callback for every record, on its own thread.
-        position_from: motion capture (indoors, no GPS) or a GPS receiver.
+        position_from: source of PX4's position: motion capture (indoors, no GPS) or a GPS receiver.
         speed: highest number of simulated seconds per second.
         realtime: whether simulated time advances without waiting for this program.
         parameter_files: PX4 parameters in addition to `configs/px4/`.
-        spreads: standard deviations of the quantities that the seed makes random (`sim.draws`).
+        spreads: standard deviations by name of the quantities to draw at random (`sim.draws`).
         fault: fault of the motion capture, or None.
         viewer: callback for every record, on the thread that processed it.
 
     Raises:
-        InputError: PX4 is not found, a parameter file is wrong, or GPS cannot provide the mission's frame.
+        InputError: PX4 is not found, a parameter file is wrong, or the mission's frame is not valid with GPS.
         SimulatorError, VehicleError: PX4 did not start or did not answer.
     """
     require_mavlink()
@@ -124,7 +124,10 @@ def fly_px4(
 
 
 def _px4_figures(ulog: Path, version: str | None, notify: Onlooker) -> Px4Figures:
-    """Return the figures of PX4's own log, or only its version and one message if it cannot be read."""
+    """Return the values from PX4's own log.
+
+    If the log cannot be read, report this through `notify` and return only PX4's version.
+    """
     try:
         figures: Px4Figures = load_entry(PX4_FIGURES)(ulog, version)
     except ImportError:
@@ -136,7 +139,7 @@ def _px4_figures(ulog: Path, version: str | None, notify: Onlooker) -> Px4Figure
 
 
 def _for_pauses(mission: Mission, speed: float) -> Mission:
-    """Return the mission with a guard that tolerates pauses of the simulator.
+    """Return the mission with longer timeouts of the core's guard, which allow pauses of the simulator.
 
     PX4 and the plant are in lockstep, so a stall of the computer also stops the vehicle's time. Silence is
     therefore tolerated for at least half a second of the vehicle's time.

@@ -49,7 +49,7 @@ def fetch_px4_log(
         choose: function that selects a log if several logs may belong to the flight.
         print_line: callback for lines to the operator.
         progress: callback for the received share, 0 to 1.
-        opened: called once the link is open (`LinkLease.lock_device`).
+        opened: callback for the moment when the link is open (`LinkLease.lock_device`).
 
     Raises:
         VehicleError: no vehicle answers at the URL, or it is armed.

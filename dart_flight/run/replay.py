@@ -4,9 +4,9 @@ A new core, built from the mission in the log, gets the inputs in the order of t
 of the shell are not inputs. On the same kind of machine, outputs must be equal bit for bit. On another kind
 they must agree to a relative error of 1e-9, because the mathematics library may round differently.
 
-With changed settings, the replay shows the decisions on the same samples. It is open loop: after the first
-different command, the recorded vehicle did not follow the replayed commands. `dart-flight replay` and tests
-use this module.
+With changed settings, the replay shows the decisions on the same samples. Such a replay is open loop. After
+the first command that differs, the samples still come from a vehicle that followed the recorded commands.
+`dart-flight replay` and tests use this module.
 """
 
 from __future__ import annotations
@@ -69,7 +69,10 @@ _IN_FLIGHT = 3  # inputs at the end of a cut log whose outputs may be missing
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """An output that differs from the recording; a side without this output is None."""
+    """An output that differs from the recording.
+
+    `recorded` or `replayed` is None if the recording or the replay does not have this output.
+    """
 
     number: int
     t_us: int
@@ -96,9 +99,9 @@ class Replay(msgspec.Struct):
     Attributes:
         inputs: number of inputs that were stepped.
         outputs: number of outputs that were compared.
-        exact: whether the comparison was bit for bit; otherwise to a relative error of 1e-9.
+        exact: whether the comparison was bit for bit. If not, a relative error of 1e-9 was allowed.
         differences: outputs that differ from the recording.
-        recorded, replayed: decisions in the log and in the replay, in order.
+        recorded, replayed: the decisions in the log, and the decisions in the replay, each in order of time.
         zero_us: autopilot time that is shown as 0 s (`recording.flight_time`).
         missing: number of inputs that the log lost; the core's state may differ after the first lost input.
         note: remark for the reader, or "".
@@ -126,7 +129,7 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
     Args:
         log: log of a flight.
         settings: `KEY=VALUE`, keys of the vehicle configuration or of the mission (`changed_mission`).
-        exact: whether to compare bit for bit; default: if the log is from this kind of machine.
+        exact: whether to compare bit for bit, or None to do so only for a log from this kind of machine.
 
     Raises:
         InputError: the log does not contain its mission, or a setting is wrong.
@@ -194,7 +197,10 @@ def _compare(
 def _pairs(
     recorded: Sequence[Record], replayed: Sequence[Record]
 ) -> list[tuple[Record | None, Record | None]]:
-    """Return pairs of records that are the same decision, even if their values differ."""
+    """Return pairs of a recorded and a replayed record of the same decision; their values may differ.
+
+    A record without a counterpart is paired with None.
+    """
     if [type(r) for r in recorded] == [type(r) for r in replayed]:
         return list(zip(recorded, replayed, strict=True))
     pairs: list[tuple[Record | None, Record | None]] = []
@@ -241,7 +247,7 @@ def _show(record: Record | None) -> str:
 def decision_rows(result: Replay) -> list[tuple[float, str, str, str]]:
     """Return recorded and replayed decisions in order of time: (s, kind, recorded, replayed).
 
-    A decision of both sides has one row, even if its values or its time differ slightly.
+    A decision that is in the recording and in the replay has one row, even if values or times differ.
     """
     first_us = result.zero_us
     rows: list[tuple[float, str, str, str]] = []
@@ -253,7 +259,7 @@ def decision_rows(result: Replay) -> list[tuple[float, str, str, str]]:
 
 
 def _label(record: Record) -> tuple[str, ...]:
-    """Return the parts that identify a decision: its type, texts and flags, without numbers."""
+    """Return the parts that identify a decision: type of the record, texts and flags, but no numbers."""
     values = msgspec.structs.asdict(record)
     words = (str(v) for k, v in values.items() if isinstance(v, str | bool) and k not in ("detail", "reason"))
     return (type(record).__name__, *words)
@@ -278,7 +284,7 @@ def _brief(record: Record | None, first_us: int) -> str:
 
 
 def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
-    """Return the mission of a log with changed settings, validated like the files.
+    """Return the mission of a log with changed settings, validated like a mission file.
 
     Args:
         log: log of a flight.

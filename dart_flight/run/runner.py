@@ -33,7 +33,7 @@ class CommandSink(Protocol):
         """Send a setpoint at once."""
 
     def execute(self, output: Output) -> None:
-        """Carry out any other output except estimates; skip records that are not commands."""
+        """Carry out a command that is not a setpoint. Ignore records that are not commands."""
 
 
 class Core(Protocol):
@@ -95,7 +95,11 @@ class CoreRunner:
         self._observe(record, self._number)
 
     def _send(self, setpoint: Setpoint) -> SetpointSent | None:
-        """Send a recovery setpoint at once; hold any other while another input follows at once."""
+        """Send a recovery setpoint at once. Keep any other setpoint until `_send_held`.
+
+        Returns:
+            A note with the latency of the sent recovery setpoint, or None.
+        """
         if not setpoint.recovery:
             self._held = setpoint
             return None

@@ -36,7 +36,9 @@ class SimulatorError(FlightError):
 
 
 class SimulatorProcess:
-    """Simulated vehicle in its own process and session, which continue after Ctrl-C and after the app's end.
+    """Simulated vehicle in its own process and session.
+
+    The process continues after Ctrl-C and after the end of the app.
 
     Args:
         spec: specification of the simulated vehicle.
@@ -76,7 +78,7 @@ class SimulatorProcess:
 
     @property
     def port(self) -> int:
-        """UDP port that the autopilot has chosen to send to."""
+        """UDP port to which the autopilot sends. The autopilot has chosen this port."""
         assert self.ready is not None
         assert self.ready.port is not None
         return self.ready.port
@@ -115,7 +117,7 @@ class SimulatorProcess:
         self.process.send(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """End the process; a vehicle in the air first flies on until its failsafe acts."""
+        """End the process. A vehicle in the air first flies on until its failsafe has acted."""
         self.process.end(timeout_s)
 
     def _receive(self, line: bytes) -> None:
@@ -136,7 +138,7 @@ class SimulatorProcess:
 
 
 class Px4SimulatorProcess(SimulatorProcess):
-    """Plant with a real PX4, which ends together with the process."""
+    """Plant with a real PX4. PX4 ends together with the process of the plant."""
 
     ready_timeout_s = 60.0
     what = "the plant under PX4"
@@ -163,7 +165,7 @@ def fly_simulated(
     make_app: Callable[[SimulatorProcess], FlightApp],
     process: type[SimulatorProcess] = SimulatorProcess,
 ) -> SimulatorProcess:
-    """Start a world, fly in it, end it and close the record's log; return the world.
+    """Start a world, fly in this world, end the world and close the log; return the world.
 
     Args:
         record: record of the flight, to which the truth of the world is added.

@@ -1,7 +1,7 @@
 """Standby: holds link and lock between flights, and passes the link to `check` and `fly` processes.
 
 `StandbyDesk` decides without I/O. `Standby` has the connection, the lock and the child processes. A flight
-does not depend on standby, because standby starts the same command that an operator would type.
+does not depend on standby, because standby starts the command that an operator would otherwise type.
 """
 
 from __future__ import annotations
@@ -188,7 +188,10 @@ class Standby:
             systemd.stopping()
 
     def _stop(self) -> None:
-        """End standby, and pass each signal to a flight in progress: the first lands, the second releases."""
+        """End standby, and pass each signal to a flight in progress.
+
+        The first signal makes the vehicle land. The second signal makes the flight release the vehicle.
+        """
         self._stops += 1
         self._wake.set()
         if self._child is not None and self._child.returncode is None:
@@ -201,7 +204,7 @@ class Standby:
     # -- holding the link --
 
     async def _hold(self) -> None:
-        """Hold link, lock and motion capture until an errand or the end of standby."""
+        """Hold link, lock and motion capture until a button starts another process or standby ends."""
         vehicle = self._vehicle
         self._wake.clear()
         self._desk.reset()

@@ -2,8 +2,8 @@
 
 The reporter counts the tasks that the application has not finished: queued inputs, lock orders, requests to
 the autopilot, plans. Whenever no task is left, it sends a report to the world, which may then advance. Near a
-wall the world advances by one tick. Elsewhere it advances by a batch of 20 ms, whose samples are stepped
-together (`core.pace`).
+wall the world advances by one tick. Away from walls the world advances by 20 ms, and the core then steps all
+samples of these 20 ms together as a batch (`core.pace`).
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class StepReporter:
 
     Args:
         send: function that writes one line to the world; must not block.
-        batches: whether the world may advance by batches; False with forwarded poses, because the
-            computer's load would decide the order of poses and samples in a batch.
+        batches: whether the world may advance by batches. This must be False if poses are forwarded, because
+            the order of poses and samples in a batch would depend on the computer's load.
 
     Attributes:
         clock: clock of simulated time.
@@ -81,7 +81,7 @@ class StepReporter:
             self._report()
 
     def end(self) -> None:
-        """Let the world continue without the application, which must send nothing more."""
+        """Let the world continue without the application. The application must send nothing afterwards."""
         with self._guard:
             self._flies = False
             self._report()
@@ -92,7 +92,7 @@ class StepReporter:
             self._open += 1
 
     def completes_batch(self, item: Input) -> bool:
-        """Return whether to step an input of the vehicle now, with all inputs queued before it.
+        """Return whether to step the core now with this input of the vehicle and all inputs in the queue.
 
         Inputs of the vehicle are not counted as tasks, because the world itself counts what it has sent.
         """
@@ -143,7 +143,11 @@ class StepReporter:
                 self._report()
 
     def open_request(self, request: PlanRequest | ContactRequest, latency_us: int) -> None:
-        """Count a request to a planner as unfinished until its answer, due `latency_us` after the request."""
+        """Count a request to a planner as unfinished until the core has processed the answer.
+
+        The answer is due `latency_us` after the request. A plan is due earlier if its trajectory would
+        otherwise begin before the answer.
+        """
         with self._guard:
             due_us = request.t_us + latency_us
             if isinstance(request, PlanRequest):

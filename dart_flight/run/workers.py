@@ -86,7 +86,7 @@ class FinishedItem(NamedTuple, Generic[I, R]):
 
 
 def attempt(fly: Callable[[I], R], item: I) -> R | Failure:
-    """Fly one item and return its result, or a `Failure` with the place of the exception."""
+    """Fly one item and return the result. After an exception, return a `Failure` with its line of code."""
     try:
         return fly(item)
     except Exception as error:
@@ -101,7 +101,7 @@ def attempt(fly: Callable[[I], R], item: I) -> R | Failure:
 
 
 class _Pool(Generic[I, R]):
-    """Process pool with the function that flies; `renew` replaces a broken pool."""
+    """Pool of processes that call `fly` for each item; `renew` replaces the processes of a broken pool."""
 
     def __init__(self, fly: Callable[[I], R], processes: int) -> None:
         self._fly, self._processes = fly, processes
@@ -175,15 +175,15 @@ def work(
 ) -> Generator[FinishedItem[I, R], None, None]:
     """Fly items in parallel and yield their results in the order of completion.
 
-    If a process dies, the whole pool breaks. The items in progress are then retried one at a time, which
-    identifies the item whose process dies again.
+    If a process dies, the whole pool breaks. The items in progress are then retried one at a time. The item
+    is therefore known if a process dies again.
 
     Args:
         fly: function that flies one item; pickled once for each process.
-        items: items to fly, read one by one.
+        items: items to fly. The iterable is read one item at a time.
         processes: number of processes.
-        interrupt: counter of interrupts. After the first, no further item begins and the items in progress
-            are completed; after the second, the items in progress are abandoned.
+        interrupt: counter of interrupts. After the first interrupt, no further item begins, and the items in
+            progress are completed. After the second interrupt, the items in progress are abandoned.
 
     Raises:
         FlightError: new processes end before their first flight.

@@ -12,7 +12,7 @@ class Allocation:
     """Shares of the thrust of each motor.
 
     Args:
-        motors: motors of an airframe that they can control about every axis (`config.vehicle.configuration`).
+        motors: motors of an airframe. The motors must control every axis (`config.vehicle.configuration`).
     """
 
     def __init__(self, motors: Sequence[Motor]) -> None:
@@ -20,14 +20,16 @@ class Allocation:
         self._lift = [row[3] for row in self._rows]
 
     def shares(self, roll: float, pitch: float, yaw: float, up: float) -> list[float]:
-        """Return the share of full thrust of each motor; if one saturates, the lift is reduced or raised.
+        """Return the share of full thrust of each motor.
+
+        If a motor saturates, the lift is reduced or raised so that the torques are achieved.
 
         Args:
             roll, pitch, yaw: normalised torques, FRD.
             up: normalised collective thrust.
 
         Returns:
-            Shares in the motors' order; a share is outside 0 to 1 only if the torques alone exceed the range.
+            Shares in the motors' order. A share is below 0 or above 1 only if the torques alone need this.
         """
         largest = self._largest
         wanted = [up * u + largest * (r * roll + p * pitch) + y * yaw for r, p, y, u in self._rows]

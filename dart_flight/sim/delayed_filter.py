@@ -1,11 +1,11 @@
 """A small model of PX4's EKF2: it assumes that every motion-capture pose is EKF2_EV_DELAY old on arrival.
 
 `Estimator` uses the true age of every pose, so it cannot model a wrong delay. This filter works like EKF2. A
-Kalman filter runs about 0.15 s behind the present and fuses each pose at its arrival minus the configured
-delay. An output predictor propagates the filter's state to the present by the IMU. If the configured delay is
-wrong, the filter attributes the error to velocity, tilt and accelerometer bias, and rejects poses beyond its
-gate, so the estimate oscillates. Gains, gates and time constants are from PX4's defaults and
-`configs/px4/indoor.params`.
+Kalman filter runs about 0.15 s behind the present. It fuses each pose at the pose's time of arrival minus the
+configured delay. An output predictor propagates the filter's state to the present by the IMU. If the
+configured delay is wrong, the filter attributes the error to velocity, tilt and accelerometer bias. It also
+rejects poses that are too far from its estimate (beyond the gate). The estimate therefore oscillates. Gains,
+gates and time constants are from PX4's defaults and `configs/px4/indoor.params`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _P, _V, _R, _B = (slice(3 * i, 3 * i + 3) for i in range(4))
 
 
 class EstimatedMotion(Protocol):
-    """The state of an estimator, NED, which the filter writes."""
+    """The part of an estimator's state that the filter writes, NED."""
 
     position: Vec3
     velocity: Vec3
@@ -117,7 +117,7 @@ class DelayedFilter:
             self._follow(self._outputs.popleft())
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion | None) -> None:
-        """Queue a pose that arrives now; its true time `t_s` is ignored."""
+        """Queue a pose that arrives now. The filter ignores the pose's true time `t_s`."""
         self._updates += 1
         if self._updates == 1:
             self._of.position, self._of.q = position_ned, q or self._of.q
@@ -226,7 +226,7 @@ class DelayedFilter:
 def _integrate(
     p: Vec3, v: Vec3, q: Quaternion, f: Vec3, rate: Vec3, dt_s: float
 ) -> tuple[Vec3, Vec3, Quaternion]:
-    """Return position, velocity and attitude after `dt_s` with a specific force and body rate, FRD."""
+    """Return position, velocity and attitude (NED) after `dt_s` of specific force `f` and body rate, FRD."""
     q = quaternion_normalise(advance_attitude(q, rate, dt_s))
     a = add(rotate(q, f), (0.0, 0.0, GRAVITY_M_S2))
     return add(p, add(scale(v, dt_s), scale(a, 0.5 * dt_s * dt_s))), add(v, scale(a, dt_s)), q

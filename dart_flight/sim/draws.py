@@ -2,7 +2,7 @@
 
 `--vary` selects the quantities that differ, and a seed determines their values; this is called drawing. The
 flight core uses the mission, and the simulated vehicle flies in the drawn world. Every quantity has its own
-random sequence. If one more quantity is drawn, the values of the others therefore stay the same.
+random sequence. Therefore the other values stay the same if one more quantity is drawn.
 """
 
 from __future__ import annotations
@@ -62,7 +62,9 @@ class DrawnWorld(NamedTuple):
 
 
 def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, float]:
-    """Return the spreads by name from `NAME[=SD]`; `all` selects every name of the vehicle, at its default.
+    """Return the spreads by name from settings `NAME[=SD]`.
+
+    `all` selects every quantity that the vehicle has, each with its default spread.
 
     Raises:
         InputError: a name is unknown or refers to a part that the vehicle lacks, or a number is below 0.
@@ -94,7 +96,7 @@ def draw_world(mission: Mission, seed: int, spreads: Mapping[str, float]) -> Dra
     """Draw the world of one flight.
 
     Args:
-        mission: the mission, as assumed by the core.
+        mission: the mission that the core assumes.
         seed: seed of the draws; the same seed and spreads give the same world.
         spreads: standard deviations by name (`parse_vary`).
     """
