@@ -2,7 +2,7 @@
 
 They correspond to the commands: they load missions, vehicles and scenarios, simulate flights, predict
 contacts, plan, identify and read flight logs. Invalid input raises `InputError`, which is a `ValueError`. No
-function starts an event loop, and each one works inside a running loop.
+function starts an event loop, and every function can be called while an event loop runs.
 """
 
 from __future__ import annotations
@@ -287,7 +287,9 @@ class PlanResult:
         return msgspec.structs.replace(mission, vehicle_source=scenario.vehicle_source)
 
     def write(self, path: str | Path, rank: int = 1, *, verify: bool = True) -> Path:
-        """Write a plan as a mission file; changes made to its vehicle in Python are not written.
+        """Write a plan as a mission file.
+
+        If a script has changed the vehicle of the scenario, the changes are not written.
 
         Args:
             path: the file to write.

@@ -31,7 +31,7 @@ class IdentifyResult(NamedTuple):
         trials: the trials as read.
         found: the result of the fit.
         vehicle: the vehicle whose mass, modes and onset rule were used.
-        flown: the vehicle from the logs with its source; None if it equals the given vehicle.
+        flown: the vehicle that the logs contain, with its source; None if the given vehicle is the same.
         mass_kg, onset: mass and onset rule used in the fit.
     """
 
@@ -53,8 +53,8 @@ def identify_trials(
 ) -> IdentifyResult:
     """Read the trials and fit them.
 
-    If the trials contain the vehicle that flew, its mass, modes and onset rule are used, because the forces
-    in a log were computed for this vehicle.
+    If the trials contain the vehicle that flew, the mass, modes and onset rule of this vehicle are used. The
+    reason is that the forces in a log were computed for this vehicle.
 
     Args:
         paths: files and folders of flight logs.

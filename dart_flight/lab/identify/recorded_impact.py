@@ -128,7 +128,10 @@ def find_impact(trial: Trial) -> TrialImpact:
 
 
 def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
-    """Return the approach velocity as the median slope (Theil and Sen), robust to a third of outliers."""
+    """Return the approach velocity as the median slope (Theil and Sen).
+
+    The median is robust if at most a third of the samples are outliers.
+    """
     straight = (time > impact.turn_s - 0.25) & (time < impact.turn_s - 0.07)
     t, x = time[straight][-200:], value[straight][-200:]
     apart = t[None, :] - t[:, None] > 0.03

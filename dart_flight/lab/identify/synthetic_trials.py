@@ -47,7 +47,7 @@ def wall_trial(
         c: true coefficients.
         normal_m_s: normal velocity at the onset (negative).
         random: source of the noise.
-        onset: onset rule of the truth.
+        onset: onset rule of the simulated contact.
         tangential_m_s: velocity along the wall; None records only the normal.
         rate_hz, noise_m: rate and noise of the pose.
         plane_m: position of the plane in the recording.
