@@ -80,7 +80,7 @@ def load_mission(
 
     Args:
         mission: a file, a mapping with its content, or a loaded mission.
-        vehicle: the configuration to use instead of the one that the mission names.
+        vehicle: the configuration to use instead of the mission's configuration.
         settings: `KEY=VALUE` settings of the configuration, as with `--set`.
 
     Raises:
@@ -318,7 +318,7 @@ def load_scenario(
 
     Args:
         scenario: the file or the mapping.
-        vehicle: the configuration to use instead of the one that the scenario names.
+        vehicle: the configuration to use instead of the scenario's configuration.
         settings: `KEY=VALUE` settings of the configuration, as with `--set`.
 
     Raises:
@@ -341,7 +341,7 @@ def plan(
 
     Args:
         scenario: a scenario, or a file or mapping for `load_scenario`.
-        vehicle: the configuration to use instead of the one that the scenario names.
+        vehicle: the configuration to use instead of the scenario's configuration.
         objective: `nearest`, `fastest`, `gentlest` or `robust`, instead of the scenario's.
         top: number of plans to keep.
         seed: seed of the random sets of values that the objective `robust` evaluates.

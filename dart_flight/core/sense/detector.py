@@ -206,7 +206,7 @@ class ImpactDetector:
         return []
 
     def _is_contact(self, fx: float, fy: float, size: float, over: bool) -> bool:
-        """Return whether a sample, the mean of two or three, or a longer mean is over its threshold."""
+        """Return whether a sample, a mean of two or three samples, or a window mean is over its threshold."""
         one, two, short, long = self.thresholds_n()
         threshold = self._threshold_n
         self._detecting_window, self._threshold = None, threshold

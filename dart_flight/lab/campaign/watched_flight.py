@@ -45,7 +45,7 @@ def place_walls(
 
 
 class WatchedFlight:
-    """A fast flight with its verdict, the extremes of its true motion, and the problems of its control.
+    """A fast flight, with the extremes of its true motion and the reasons why it is uncontrolled.
 
     Args:
         mission: the mission with the assumed walls.

@@ -49,7 +49,7 @@ def assess_fit(
     mass_kg: float,
     onset: Onset,
 ) -> FitQuality:
-    """Assess coefficients against the recordings they were fitted to.
+    """Assess coefficients against the recordings to which the coefficients were fitted.
 
     Args:
         coefficients: estimates by mode.
@@ -68,7 +68,7 @@ def assess_fit(
 
 
 def compare_residuals(off: Mapping[str, float], expected: Mapping[str, float]) -> FitQuality:
-    """Compare residuals with those of a good fit; a quantity without an expectation is skipped."""
+    """Compare residuals with the largest residuals of a good fit; skip quantities without an expectation."""
     compared = {name: value for name, value in off.items() if name in expected}
     sentences = [
         f"poor fit: the residual of {name} is {value:.3g}, {value / expected[name]:.1f} times the "

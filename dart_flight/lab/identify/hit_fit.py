@@ -148,7 +148,7 @@ class HitFit:
     def reweight(self, theta: Array) -> None:
         """Replace the errors by Huber's pseudo-values.
 
-        Least squares on pseudo-values give the solution and the covariance of Huber's robust fit.
+        A least-squares fit to the pseudo-values has the solution and the covariance of Huber's robust fit.
         """
         errors = self._errors(theta).reshape(4, -1)
         inside = (np.abs(errors) <= self.robust_from) & self._known

@@ -397,7 +397,10 @@ def _weightless_level(
 def _extent_of_pulse(
     time: Array, reading: Array, pulse_at: int, noise: float, loud: float
 ) -> tuple[int, int]:
-    """Return the first and last sample of the contact; the force may be 0 between touches of two corners."""
+    """Return the first and last sample of the contact.
+
+    If two corners touch one after the other, the force may be 0 between the two touches.
+    """
     begin_at = end_at = pulse_at
     while begin_at > 0 and abs(reading[begin_at - 1]) > 4.0 * noise:
         begin_at -= 1

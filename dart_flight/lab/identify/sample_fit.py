@@ -136,7 +136,7 @@ class SampleFit:
         return free_spans_s(trial.acceleration_m_s2, speed_in_m_s, speed_out_m_s, longest)
 
     def contact(self, theta: Array, i: int) -> ContactMotion:
-        """Return the contact of trial i under a parameter vector."""
+        """Return the contact of trial i that follows from a parameter vector."""
         shared, own = self.parameters.mode_indices(self.trials[i].mode), self.parameters.own[i]
         law = (float(theta[shared[name]]) for name in ("k", "f", "mu"))
         push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
@@ -168,7 +168,7 @@ class SampleFit:
 
     @staticmethod
     def _pushed(theta: Array, own: dict[str, int], name: str, since: Array, end_s: float) -> Array:
-        """Return the contribution of the controller's accelerations outside the contact to a channel."""
+        """Return what the controller's accelerations before and after the contact add to a channel."""
         late, early = np.maximum(since - end_s, 0.0), np.minimum(since, 0.0)
         after, before = theta[own[f"{name[0]}_after"]], theta[own[f"{name[0]}_before"]]
         if name.startswith("n"):  # the contact's shape already includes its own acceleration

@@ -1,7 +1,7 @@
 """Restitution, tangential ratio and friction from the speeds before and after hits.
 
-Intervals follow from the spread of the hits, with Student's factor for few hits. They are never narrower than
-the uncertainty of the speeds allows.
+Intervals follow from the spread of the hits. If there are few hits, Student's factor widens the intervals.
+The uncertainty of the speeds gives a lower limit for the width of the intervals.
 """
 
 from __future__ import annotations

@@ -93,8 +93,8 @@ class TrialReading:
     Attributes:
         mode: mode of trials that do not record their mode; for a flight, only collisions in this mode are
             used.
-        surface: for a flight, only collisions with this material are used; None: all collisions must be with
-            one material.
+        surface: for a flight, only collisions with this material are used. If `surface` is None, all
+            collisions must be with one material.
         drop: whether gravity acts along the normal.
         contact_distance_m: distance between the surface and the vehicle's centre when the vehicle first
             touches the surface. The distance is subtracted from the normal positions. The distance is 0 if

@@ -51,7 +51,7 @@ class TrialWindow(NamedTuple):
 
 
 def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
-    """Return the samples of a trial between two of its times, all with weight 1.
+    """Return the samples of a trial from `begin` to `end`, seconds, all with weight 1.
 
     Raises:
         InputError: there are too few samples.

@@ -100,8 +100,8 @@ class Estimated(NamedTuple):
     def beyond_thrust(self) -> Vec2:
         """Return the horizontal force that no thrust explains, newton, mission frame.
 
-        The thrust is fitted or assumed, and the log contains its commands at 10 Hz only. Any force along the
-        thrust axis from zero to full thrust may therefore be thrust and not a contact.
+        The thrust is fitted or assumed, and the log contains the motor commands at only 10 Hz. A force along
+        the thrust axis may therefore be thrust and not a contact, if it lies between zero and full thrust.
         """
         could_n = max(0.0, min(self.full_n, self.along_n)) - self.thrust_n
         x, y, _ = self.force.force_mission
@@ -478,9 +478,10 @@ def _height(track: Track, t_s: float) -> float | None:
 
 
 def _is_certain(impact: InspectedImpact, thrust_known: bool, known_s: Array) -> bool:
-    """Return whether an impact is certainly a contact: beyond its own error and not explained by a manoeuvre.
+    """Return whether an impact is certainly a contact.
 
-    If the thrust is unknown, hover thrust is assumed, and the log must show that the vehicle hovers.
+    The peak must exceed four of its standard deviations, and no manoeuvre may explain the peak. If the thrust
+    is unknown, hover thrust is assumed, and the log must show that the vehicle hovers.
     """
     hovers = bool(known_s.size) and impact.speed_m_s < _HOVERS_M_S
     beyond_motors = impact.acceleration_m_s2 > _CRASH_M_S2
