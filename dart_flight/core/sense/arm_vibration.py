@@ -8,9 +8,9 @@ in a:
 
     mean reading = a - s (q'(T) - q'(0)) / T,     (q, q')(T) = F (q, q')(0) + G a
 
-F and G are the exact solution of the arms' equation over T. The filter solves the first equation for a. The
-solution is exact. It is stable because s is less than 1. The force estimator and the contact fit use the
-filter.
+F and G are the exact solution of the arms' equation over T. The filter solves the equation of the mean
+reading for a. This solution is exact, and the filter is stable because s is less than 1. The force estimator
+and the contact fit use the filter.
 """
 
 from __future__ import annotations

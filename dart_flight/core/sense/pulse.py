@@ -161,7 +161,7 @@ class _Ends:
         self._sigma, self._push, self._slope = sigma, push, slope
 
     def at(self, s: float) -> tuple[float, float, float, float]:
-        """Return force, impulse per slope, impulse, and its derivative, `s` seconds after the onset."""
+        """Return the class's four quantities, force to impulse derivative, `s` seconds after the onset."""
         if s <= 0.0:
             return 0.0, 0.0, 0.0, 0.0
         sigma, push, slope = self._sigma, self._push, self._slope

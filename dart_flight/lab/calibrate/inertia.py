@@ -177,7 +177,7 @@ def _refuse_unsuited(track: Track, motors: int) -> None:
 
 
 def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
-    """Return the windows of a flight in which the vehicle is in the air and without a contact."""
+    """Return the time windows during which the vehicle is in the air and has no contact."""
     t, w = track.imu_s, track.rate
     torque = _motor_torque(track, vehicle, lag_s)
     step = np.diff(t)

@@ -77,8 +77,9 @@ class Drawn(msgspec.Struct, frozen=True):
         name: name of the quantity.
         bins: bins of about equal counts, or one bin for each word.
         z: Mann and Whitney's statistic, in standard deviations. The statistic is positive if the quantity is
-            higher in failed flights than in completed flights. If the quantity is a word, `z` is the largest
-            statistic of its words. `z` is None if all flights completed or no flight completed.
+            higher in failed flights than in completed flights. If the quantity is a word, every word has a
+            statistic, and `z` is the statistic with the largest magnitude. `z` is None if all flights
+            completed or no flight completed.
     """
 
     name: str

@@ -48,7 +48,7 @@ def wall_trial(
         normal_m_s: normal velocity at the onset (negative).
         random: source of the noise.
         onset: onset rule of the simulated contact.
-        tangential_m_s: velocity along the wall. If None, only the normal position is recorded.
+        tangential_m_s: velocity along the wall. If None, no position along the wall is recorded.
         rate_hz, noise_m: rate and noise of the pose.
         plane_m: position of the plane in the recording.
         with_vertical: whether the height is also recorded.

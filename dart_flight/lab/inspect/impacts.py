@@ -480,8 +480,9 @@ def _height(track: Track, t_s: float) -> float | None:
 def _is_certain(impact: InspectedImpact, thrust_known: bool, known_s: Array) -> bool:
     """Return whether an impact is certainly a contact.
 
-    The peak must exceed four of its standard deviations, and no manoeuvre may explain the peak. If the thrust
-    is unknown, hover thrust is assumed, and the log must show that the vehicle hovers.
+    The peak must be at least four of its standard deviations, and no manoeuvre may explain the peak. If the
+    thrust is unknown, hover thrust is assumed. The log must then show that the vehicle hovers, or the peak
+    must exceed 5 g.
     """
     hovers = bool(known_s.size) and impact.speed_m_s < _HOVERS_M_S
     beyond_motors = impact.acceleration_m_s2 > _CRASH_M_S2
