@@ -1,7 +1,8 @@
-"""The pace of stepping: near a wall each input is stepped as it arrives, elsewhere several together.
+"""The pace at which the shell passes inputs to the core.
 
-To wake up for every sample costs more time than to process the samples (docs/latency.md). The pace affects
-only the time of decisions, not their result, because the core uses stamps and no clock.
+Near a wall, the core processes each input as it arrives. Elsewhere, the core processes several inputs
+together, because waking up for a sample takes longer than processing the sample (docs/latency.md). The pace
+affects only the time of decisions, not their result, because the core uses stamps and no clock.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ _LEAD_S: Final = 0.2  # batching ends this long before a possible impact: ten ti
 
 
 class Pace(Enum):
-    """Pace at which the shell should step the next inputs."""
+    """Pace at which the shell should pass the next inputs to the core."""
 
     BATCHED = auto()  # all inputs that arrive within `BATCH_S`, in one batch
     IMMEDIATE = auto()  # each as it arrives, on the receiving thread
@@ -28,8 +29,8 @@ class Pace(Enum):
 def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:
     """Return `BATCHED` or `IMMEDIATE`, depending on the vehicle's position.
 
-    In a contact the pace is `IMMEDIATE`. In any phase, it is `IMMEDIATE` if the vehicle may meet a wall
-    within 0.2 s. This includes the guard's tolerances for early and late contacts.
+    In a contact the pace is `IMMEDIATE`. In any other phase the pace is `IMMEDIATE` if the vehicle may reach
+    a wall within 0.2 s. The test includes the guard's tolerances for early and late contacts.
     """
     if phase is Phase.CONTACT:
         return Pace.IMMEDIATE

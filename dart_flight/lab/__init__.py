@@ -1,3 +1,4 @@
-"""Tools for study on the ground. They import the part that flies, and the part that flies imports none of
-them.
+"""Tools for study on the ground.
+
+The tools import modules of the part that flies. The part that flies does not import the tools.
 """

@@ -2,7 +2,7 @@
 
 They correspond to the commands: they load missions, vehicles and scenarios, simulate flights, predict
 contacts, plan, identify and read flight logs. Invalid input raises `InputError`, which is a `ValueError`. No
-function starts an event loop, and each one works inside a running loop.
+function starts an event loop, and every function can be called while an event loop runs.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def load_mission(
 
     Args:
         mission: a file, a mapping with its content, or a loaded mission.
-        vehicle: the configuration to use instead of the one that the mission names.
+        vehicle: the configuration to use instead of the mission's configuration.
         settings: `KEY=VALUE` settings of the configuration, as with `--set`.
 
     Raises:
@@ -287,7 +287,9 @@ class PlanResult:
         return msgspec.structs.replace(mission, vehicle_source=scenario.vehicle_source)
 
     def write(self, path: str | Path, rank: int = 1, *, verify: bool = True) -> Path:
-        """Write a plan as a mission file; changes made to its vehicle in Python are not written.
+        """Write a plan as a mission file.
+
+        If a script has changed the vehicle of the scenario, the changes are not written.
 
         Args:
             path: the file to write.
@@ -316,7 +318,7 @@ def load_scenario(
 
     Args:
         scenario: the file or the mapping.
-        vehicle: the configuration to use instead of the one that the scenario names.
+        vehicle: the configuration to use instead of the scenario's configuration.
         settings: `KEY=VALUE` settings of the configuration, as with `--set`.
 
     Raises:
@@ -339,7 +341,7 @@ def plan(
 
     Args:
         scenario: a scenario, or a file or mapping for `load_scenario`.
-        vehicle: the configuration to use instead of the one that the scenario names.
+        vehicle: the configuration to use instead of the scenario's configuration.
         objective: `nearest`, `fastest`, `gentlest` or `robust`, instead of the scenario's.
         top: number of plans to keep.
         seed: seed of the random sets of values that the objective `robust` evaluates.

@@ -129,8 +129,9 @@ def _styled(look: Look) -> Iterator[None]:
 
 
 def as_svg(figure: Any) -> str:
-    """Return the figure as SVG text for a page, without background and with coordinates to a tenth of a
-    point.
+    """Return the figure as SVG text for a page.
+
+    The SVG has no background. Its coordinates have a resolution of a tenth of a point.
     """
     text = io.StringIO()
     with _styled(PAGE):

@@ -40,7 +40,7 @@ class MotionArrays(NamedTuple):
 
 
 class PoseArrays(NamedTuple):
-    """Poses of the motion capture, before PX4's estimator.
+    """Poses as the motion capture measured them, not as PX4's estimator filtered them.
 
     Attributes:
         time_s: (n,), time of measurement.
@@ -74,7 +74,7 @@ class FlightArrays:
             move the frame (`frame_at`); each position is converted with the frame valid at its time.
         estimated: the motion estimated by PX4; empty without a frame.
         true: the true motion of a simulated vehicle; empty for a real vehicle.
-        estimated_force: the force estimated by the flight core. Its times are those at which the force acted:
+        estimated_force: the force estimated by the flight core. The times state when the force acted, because
             the lag of the IMU's reading is subtracted.
         true_force: the true force of a simulated vehicle; empty for a real vehicle.
     """
@@ -135,7 +135,10 @@ class FlightArrays:
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
     def frame_at(self, t_us: int) -> MissionFrame | None:
-        """Return the mission frame valid at a time; the first frame also holds before. None without any."""
+        """Return the mission frame valid at a time, or None if the flight has no mission frame.
+
+        The first frame is also valid before it begins.
+        """
         laid = [frame for from_us, frame in self._frames if from_us <= t_us]
         return laid[-1] if laid else self.frame
 
@@ -155,7 +158,10 @@ class FlightArrays:
 
 
 def turned(q_frd_to_ned: Array, body: Array) -> Array:
-    """Return body vectors (n, 3), or one vector for all, rotated from FRD to NED by attitudes (n, 4)."""
+    """Return body vectors, rotated from FRD to NED by attitudes (n, 4).
+
+    `body` has one vector for each attitude, (n, 3), or one vector for all attitudes.
+    """
     scalar, vector = q_frd_to_ned[:, :1], q_frd_to_ned[:, 1:]
     turn = 2.0 * np.cross(vector, body)
     return np.asarray(body + scalar * turn + np.cross(vector, turn))

@@ -1,4 +1,4 @@
-"""A Gymnasium environment on `dart_flight.Simulation` (extra `gym`): visit places, with walls to bounce off.
+"""A Gymnasium environment on `dart_flight.Simulation` (extra `gym`): visit places between two walls.
 
 The registered id is `DartShuttle-v0`. docs/python.md describes the task.
 """
@@ -62,7 +62,7 @@ class ShuttleEnv(gymnasium.Env[Numbers, Numbers]):
         return self._numbers(seen), {}
 
     def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
-        """Apply an action for 0.04 s, at the altitude of the start."""
+        """Apply an action for 0.04 s; the vehicle keeps the mission's altitude."""
         ax, ay, lock = (float(value) for value in np.clip(action, -1.0, 1.0))
         mode = Mode.RIGID if lock > 0.0 else Mode.FLEXIBLE
         altitude_m = self._simulation.mission.altitude_m

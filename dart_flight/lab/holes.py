@@ -21,7 +21,7 @@ def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None
     Args:
         time_s: stamps, increasing.
         what: name of the recorded data.
-        begin_s: stamp from which the printed times count; None: the first stamp.
+        begin_s: stamp from which the printed times count. By default, they count from the first stamp.
     """
     if len(time_s) < 3:
         return []
@@ -43,7 +43,10 @@ def describe_cut_end(at_s: float, where: str = "") -> str:
 
 
 def describe_missing_parts(log: Log) -> list[str]:
-    """Return a line if a flight log was cut, and a line for each hole, timed from the first IMU sample."""
+    """Return a line if a flight log was cut, and a line for each hole.
+
+    The printed times count from the first IMU sample.
+    """
     time_s = log[ImuSample.topic].t_s
     lines = describe_holes(time_s, "the IMU samples", begin_s=0.0)
     if log.complete:

@@ -168,7 +168,7 @@ class Trajectory(msgspec.Struct, frozen=True):
         return TrajectoryPoint((px + vx * beyond, py + vy * beyond, pz + vz * beyond), (vx, vy, vz), still)
 
     def _piece_at(self, t_s: float) -> tuple[int, float]:
-        """Return the first coefficient of the piece at a time, and the time since the piece began."""
+        """Return the index of the first coefficient of the piece at `t_s`, and the time since it began."""
         begin = 0.0
         for i, duration in enumerate(self.pieces_s[:-1]):
             if t_s < begin + duration:

@@ -25,7 +25,9 @@ _SURE_DIRECTION_RAD = 0.05  # a direction estimated less accurately does not cha
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return the tolerance of the plane's position in front of a place, metres; 0 without deviations.
+    """Return the tolerance of the plane's position opposite a place, metres.
+
+    The tolerance is 0 if the wall has no standard deviations.
 
     Args:
         wall: the wall.
@@ -37,14 +39,14 @@ def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
 def end_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
     """Return the distance to keep from the wall's end, metres.
 
-    An impact keeps this distance inside the end, and a path past the wall keeps it outside the end. The
-    distance is half a vehicle plus the tolerance of the wall's position.
+    An impact must lie at least this far inside the wall's end. A path that passes the wall must stay at least
+    this far outside the end. The distance is half a vehicle plus the tolerance of the wall's position.
     """
     return wall.half_vehicle_m + position_margin_m(wall, place)
 
 
 def overrun_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
-    """Return the distance behind the plane at which a contact is overdue, metres."""
+    """Return the distance behind the plane from which a missing contact is overdue, metres."""
     return float(guard.wall_overrun_m + position_margin_m(wall, place))
 
 
@@ -54,12 +56,15 @@ def early_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
 
 
 def late_s(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3, closing_m_s: float) -> float:
-    """Return the delay after the planned impact at which a contact is overdue, at a closing speed > 0."""
+    """Return the delay after the planned impact from which a contact is overdue, seconds.
+
+    The closing speed is positive towards the wall; at least 0.1 m/s is assumed.
+    """
     return float(guard.wall_late_s + position_margin_m(wall, place) / max(closing_m_s, _MIN_CLOSING_M_S))
 
 
 class EstimatedWalls:
-    """The walls of a mission as estimated from its contacts; shared by core and planner.
+    """Estimator of a mission's walls from the contacts of the flight; core and planner use the same class.
 
     Args:
         anchors: contacts that correct the mission frame, or None. The frame's standard deviation is
@@ -72,7 +77,7 @@ class EstimatedWalls:
         self._turned: dict[str, float] = {}
 
     def add_estimate(self, estimate: WallEstimate, wall: Wall) -> None:
-        """Add the estimate of a wall's plane from a contact; `wall` is as in the mission."""
+        """Add a contact's estimate of a wall's plane; `wall` is the wall as the mission defines it."""
         self._found[wall.name] = _updated_wall(self._found.get(wall.name, wall), wall, estimate)
         sure = (estimate.plane_normal_sigma_rad or math.inf) < _SURE_DIRECTION_RAD
         if estimate.plane_normal_mission is not None and sure:
@@ -87,7 +92,7 @@ class EstimatedWalls:
         return name in self._found
 
     def move_frame(self, by: Vec2) -> None:
-        """Keep the measured walls in place when the mission frame's origin moves, in the frame's axes."""
+        """Keep the measured walls in place when the mission frame's origin moves by `by`, in frame axes."""
         for name, wall in self._found.items():
             self._found[name] = wall.displaced(-(by[0] * wall.normal[0] + by[1] * wall.normal[1]))
 
@@ -97,11 +102,12 @@ class EstimatedWalls:
         return tuple(self.known_wall(wall, now_us) for wall in (known | self._found).values())
 
     def known_wall(self, wall: Wall, now_us: int | None = None) -> Wall:
-        """Return a wall as its last contact measured it, or as in the mission before a contact.
+        """Return the newest estimate of a wall; before the first contact, return the mission's wall.
 
         Args:
-            wall: the wall as in the mission.
-            now_us: autopilot time; if the frame drifts, the accuracy decreases with time.
+            wall: the wall as the mission defines it.
+            now_us: autopilot time. If the frame drifts, the standard deviation grows with time. None leaves
+                out the frame's standard deviation.
         """
         wall = self._found.get(wall.name, wall)
         if self._anchors is None or now_us is None:
@@ -111,7 +117,13 @@ class EstimatedWalls:
 
 
 def _updated_wall(before: Wall, written: Wall, estimate: WallEstimate) -> Wall:
-    """Return a wall updated from its previous estimate, the mission and a contact."""
+    """Return the new estimate of a wall after a contact.
+
+    Args:
+        before: previous estimate of the wall.
+        written: the wall as the mission defines it.
+        estimate: estimate of the wall from the contact.
+    """
     sure_m, place, normal = (
         estimate.plane_offset_sigma_m,
         estimate.plane_point_mission,

@@ -1,1 +1,1 @@
-"""Estimators of the core: newest telemetry, thrust, external force and torque, impacts."""
+"""Flight state and estimators of the core: thrust, external force, external torque and impacts."""

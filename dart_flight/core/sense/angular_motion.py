@@ -2,9 +2,9 @@
 
     specific force at the centre = reading - alpha x r - w x (w x r)
 
-Here r is the position of the IMU, w the angular rate and alpha the angular acceleration, body FRD. The rate's
-change between two samples gives the mean of alpha over the tick. A reading is the mean specific force over
-the same tick. The force and torque estimators use this module.
+Here r is the position of the IMU, w is the angular rate and alpha is the angular acceleration, all in body
+FRD. A tick is the time between two successive samples. The change of w over a tick gives the mean of alpha. A
+reading is the mean specific force over the same tick. The force and torque estimators use this module.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ class AngularMotion:
     """Angular rate and acceleration over the newest tick.
 
     Attributes:
-        known: whether a sample arrived shortly before the newest one.
+        known: whether the newest sample shortly follows another sample.
         rate: mean rate over the tick, rad/s, FRD.
         acceleration: mean angular acceleration over the tick, rad/s2, FRD; zero if not known.
-        dt_s: time between the two samples.
+        dt_s: time between the newest two samples.
     """
 
     def __init__(self) -> None:

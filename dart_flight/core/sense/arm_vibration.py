@@ -1,13 +1,16 @@
 """Filter that removes the vibration of the unlocked arms from the measured acceleration.
 
-The arms, a share s of the mass, swing against the body: q'' = -w^2 q - 2 z w q' - a. Here a is the contact's
-acceleration of the common centre of mass. The IMU on the body reads a - s q''. Over one tick T the mean of
-q'' is the change of q' divided by T. If a is constant over the tick, the reading is linear in a:
+The arms have a share s of the mass and swing against the body: q'' = -w^2 q - 2 z w q' - a. Here q is the
+displacement of the arms relative to the body, w is their natural frequency (rad/s) and z is their damping
+ratio. The contact accelerates the common centre of mass by a. The IMU on the body reads a - s q''. Over one
+tick T the mean of q'' is the change of q' divided by T. If a is constant over the tick, the reading is linear
+in a:
 
     mean reading = a - s (q'(T) - q'(0)) / T,     (q, q')(T) = F (q, q')(0) + G a
 
-The filter solves this equation for a. The inverse is exact, and stable because s is less than 1. The force
-estimator and the contact fit use it.
+F and G are the exact solution of the arms' equation over T. The filter solves the equation of the mean
+reading for a. This solution is exact, and the filter is stable because s is less than 1. The force estimator
+and the contact fit use the filter.
 """
 
 from __future__ import annotations
@@ -39,7 +42,10 @@ class ArmFilter:
         self._x = self._vx = self._y = self._vy = 0.0
 
     def add(self, ax: float, ay: float) -> tuple[float, float]:
-        """Return the IMU reading for a contact acceleration over one tick, m/s2; the inverse of `remove`."""
+        """Return the IMU reading if a contact accelerates the vehicle over one tick, m/s2.
+
+        This function is the inverse of `remove`.
+        """
         swing = self._share / self._tick_s
         out = (
             ax / self._gain - swing * (self._f21 * self._x + (self._f22 - 1.0) * self._vx),
@@ -49,7 +55,7 @@ class ArmFilter:
         return out
 
     def remove(self, ax: float, ay: float, dt_s: float) -> tuple[float, float]:
-        """Return the contact's acceleration of the centre of mass from the IMU reading, m/s2."""
+        """Return the acceleration that the contact gives the centre of mass, m/s2, from an IMU reading."""
         ticks = max(1, round(dt_s / self._tick_s))
         if ticks > _MAX_TICKS:
             self.reset()

@@ -35,9 +35,9 @@ class HoverBias:
     """Accelerometer bias across the thrust axis, thrust scale and noise of one sample.
 
     Attributes:
-        bias_x, bias_y: accelerometer bias, body FRD, m/s2; part of the reading.
-        scale: true thrust divided by the thrust of the curve, limited.
-        thrust_ratio: the same ratio without a limit, or None before it has settled.
+        bias_x, bias_y: accelerometer bias, body FRD, m/s2. The accelerometer's readings include the bias.
+        scale: true thrust divided by the thrust of the curve. Its difference from 1 is limited.
+        thrust_ratio: the same ratio without a limit, or None before the ratio has settled.
         noise_m_s2: standard deviation of the white noise in one sample of one axis.
     """
 
@@ -60,7 +60,7 @@ class HoverBias:
             f: reported specific force, FRD, m/s2.
             rate: body rate, rad/s.
             speed_m_s: speed of the vehicle.
-            curve_thrust_n: mean thrust over the tick from the curve alone.
+            curve_thrust_n: mean thrust over the tick by the thrust model, without `scale`.
             dt_s: time since the previous sample.
         """
         self._learn_noise(f, dt_s)
@@ -98,8 +98,8 @@ def _bounded(value: float, most: float) -> float:
 class ForceBaseline:
     """Slow horizontal force, mission frame, newton, limited in size.
 
-    The detector subtracts `value` before it compares a force with a threshold. `value` is some samples old.
-    The start of a contact is therefore not subtracted from the contact itself.
+    The detector subtracts `value` before it compares a force with a threshold. `value` is the baseline of
+    some samples ago. The start of a contact is therefore not subtracted from the contact itself.
     """
 
     def __init__(self, config: Estimation) -> None:
@@ -109,7 +109,7 @@ class ForceBaseline:
         self.value: Vec2 = (0.0, 0.0)
 
     def update(self, fx: float, fy: float, dt_s: float) -> None:
-        """Follow a sample outside of contacts, `dt_s` after the previous one."""
+        """Update the baseline with a sample outside of contacts, `dt_s` after the previous sample."""
         share = average_weight(dt_s, BASELINE_S)
         x, y = self._now
         x += share * _bounded(fx - x, _BASELINE_STEP_N)

@@ -38,9 +38,10 @@ class ContactHeight:
     def add(self, contact: ContactRequest) -> None:
         """Add a planned contact; ignore any other.
 
-        The height is a least-squares solution of: torque about the touching side's axis
-        = -(height n_s + distance n_z) force. n_s and n_z are the components of the wall's normal across that
-        axis and along the body's z axis.
+        The touching side is the side of the body that faces the wall. The height is the least-squares
+        solution of torque = -(height n_s + distance n_z) force. The torque is about the roll or pitch axis,
+        whichever is parallel to the touching side. n_s is the component of the wall's normal along the
+        outward direction of that side, and n_z the component along the body's z axis.
         """
         if contact.wall is None:
             return

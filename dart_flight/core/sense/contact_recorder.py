@@ -1,8 +1,8 @@
 """Recorder of a contact's samples: it requests a fit when the contact ends, and handles the answer.
 
 The fit (`dart_flight.planning.contact_fit`) runs outside of the core's step. A `ContactRequest` goes out with
-the other outputs. A `ContactAnswer` comes in like any other input, or never arrives. A planned contact
-without an answer leaves mode and wall undecided.
+the other outputs. A `ContactAnswer` comes in like any other input, or never arrives. If a planned contact
+gets no answer, the wall estimate contains neither the mode of the arms nor a fitted plane (`undecided`).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MET_SD_M: Final = 0.03
 
 
 class ContactSample(NamedTuple):
-    """One IMU sample of a contact: the last columns of `ContactRequest`, in their order."""
+    """One IMU sample of a contact; the fields are the last columns of `ContactRequest`, in the same order."""
 
     t_us: int
     force_mission: Vec3
@@ -82,7 +82,7 @@ class ContactRecorder:
 
         Args:
             state: flight state with lock and frame.
-            slow: constant horizontal force, mission frame, newton.
+            slow: slow horizontal force (`ForceBaseline`), mission frame, newton.
             events: detector events at the newest sample.
             expected: contact that the mission expects; used at the onset.
         """
@@ -151,8 +151,8 @@ class ContactRecorder:
 def undecided(request: ContactRequest, wall: Wall, vehicle: VehicleConfig, problem: str = "") -> WallEstimate:
     """Return a wall estimate without a fit.
 
-    It has the coefficients of the configuration and the known plane. If the wall's plane is uncertain or
-    sought, the estimate has the place of the contact instead.
+    The estimate has the coefficients of the configuration and the known plane. If the plane is uncertain, or
+    a probe searches for the wall, the plane of the estimate passes through the place of the contact.
     """
     onset, mode = request.onset, request.mode_reported or vehicle.modes[-1]
     c, sd = vehicle.materials[wall.material].coefficients(mode), vehicle.estimation.walls.spread

@@ -1,4 +1,4 @@
-"""Impact detection: threshold, peak of each component, end of contact, one event of each per impact.
+"""Impact detection: one onset, one peak and one end for every impact.
 
 The detector reports a collision when the horizontal force, minus a slow baseline (`bias.py`), reaches the
 threshold. The paper tests each axis instead; `threshold_test` selects the test. The recovery uses the peak of
@@ -6,11 +6,11 @@ the normal and of the tangential force since the onset. Both peaks come from a f
 pulse (`core/sense/pulse.py`), because the maximum of noisy samples is biased upward. States: watching ->
 rising -> falling -> refractory -> watching.
 
-If the vehicle vibrates, the threshold is a multiple of the noise of the quantity that is compared with it.
-There are four such quantities: one sample, the mean of two samples, a mean as long as a rigid contact, and a
-mean as long as a flexible contact (`core/sense/window.py`). The detector uses the shortest quantity whose
-noise permits the configured threshold. If the noise of all four is too large, the detector uses all four
-(docs/force.md).
+The detector can compare four quantities with a threshold: one sample, the mean of two samples, a mean over a
+window for rigid contacts, and a mean over a longer window for flexible contacts (`core/sense/window.py`). If
+the vehicle vibrates, the threshold of a quantity is a multiple of the noise of this quantity. The detector
+uses the quantity with the shortest averaging time whose noise permits the configured threshold. If the noise
+of all four quantities is too large, the detector uses all four (docs/force.md).
 """
 
 from __future__ import annotations
@@ -58,8 +58,9 @@ class ExpectedContact(NamedTuple):
     Attributes:
         watching: whether a contact counts as an impact; False on the ground, in the climb and on landing.
         normal: outward normal of the next planned wall, mission frame, or None if no wall is expected.
-        material: material of that wall, a key of the materials table; first guess of the pulse.
-        wall: that wall with name and plane; the wall estimate from the contact has the same name.
+        material: material of that wall, a key of the materials table. Its coefficients are the prior of the
+            pulse fit.
+        wall: that wall, with its name and plane. The contact's wall estimate gets the same name.
     """
 
     watching: bool = False
@@ -205,7 +206,7 @@ class ImpactDetector:
         return []
 
     def _is_contact(self, fx: float, fy: float, size: float, over: bool) -> bool:
-        """Return whether a sample, the mean of two or three, or a longer mean is over its threshold."""
+        """Return whether a sample, a mean of two or three samples, or a window mean is over its threshold."""
         one, two, short, long = self.thresholds_n()
         threshold = self._threshold_n
         self._detecting_window, self._threshold = None, threshold
@@ -240,8 +241,9 @@ class ImpactDetector:
     def detection_floor_n(self, duration_s: float) -> float:
         """Return the least peak at which a half-sine of this duration is certainly detected, newton.
 
-        Each window has a detection floor: threshold plus one standard deviation, divided by the share of the
-        peak that the window's mean keeps. The result is the least floor of the windows in use.
+        Each window has a detection floor. The floor is the sum of the threshold and one standard deviation,
+        divided by the share of the peak that the window's mean keeps. The result is the lowest floor among
+        the windows in use.
         """
         best = math.inf
         for i, threshold in enumerate(self.thresholds_n()):
@@ -282,7 +284,7 @@ class ImpactDetector:
         return max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
 
     def _mean_is_over(self, fx: float, fy: float, threshold: float) -> bool:
-        """Return whether the mean of as many samples as the noise requires is over the threshold."""
+        """Return whether a mean is over the threshold; the noise decides between two and three samples."""
         x, y = confirmed_force(fx, fy, self._previous, self._noise, self._config)
         size = max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
         return size >= threshold
@@ -331,7 +333,7 @@ class ImpactDetector:
     # -- peak --
 
     def _peak_is_past(self, now_us: int) -> bool:
-        """Return whether the normal force has dropped by more than noise, or the wait has timed out."""
+        """Return whether the normal force has dropped more than noise explains, or the wait timed out."""
         assert self._onset is not None
         if now_us - self._onset.first_us >= self._config.peak_wait_s * 1e6:
             return True
@@ -396,7 +398,10 @@ class ImpactDetector:
         return (sx / size, sy / size) if size > 0.0 else self._normal
 
     def _readings(self, reference_us: int) -> list[TickReading]:
-        """Return the contact's samples as means over ticks, seconds from `reference_us`, without the lag."""
+        """Return the contact's samples as mean forces over ticks.
+
+        The ticks are in seconds from `reference_us`. The lag of the anti-alias filter is subtracted.
+        """
         nx, ny = self._normal
         lag_us = self._lag_s * 1e6
         out = []
@@ -471,7 +476,10 @@ class ImpactDetector:
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
 
     def _noise_hides_release(self, release: float) -> bool:
-        """Return whether the noise of a sample often exceeds the release level; then use the short mean."""
+        """Return whether the noise of a sample often exceeds the release level.
+
+        If so, the mean over the short window replaces the sample in the comparison with the release level.
+        """
         return _DROP_SIGMA * self._noise > release
 
 
@@ -486,7 +494,11 @@ def confirmed_force(
 
 
 def _onset_of_mean(samples: list[_Sample], along: Vec2) -> int:
-    """Return the onset of a pulse detected in a mean: the stamp from which the summed force grows."""
+    """Return the stamp of the onset of a pulse that a window mean has detected.
+
+    Each force is reduced by half of the present force. The onset is the stamp from which the sum of the
+    reduced forces is largest.
+    """
     forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
     # Find the largest sum of samples up to the newest, each minus half of the present force.
     rest = 0.5 * sum(forces[-_BEFORE:]) / min(len(forces), _BEFORE)
@@ -503,7 +515,7 @@ def _prior(c: Coefficients, mass_kg: float) -> PulsePrior:
 
 
 def _mean_prior(priors: list[PulsePrior]) -> PulsePrior:
-    """Return the geometric mean over the materials, the prior of an unplanned wall."""
+    """Return the prior for an unplanned wall: the geometric mean of the priors of the materials."""
     if not priors:
         return PulsePrior(50.0, 4.0, 1.0)
 

@@ -5,8 +5,9 @@
 Here f is the specific force at the centre of mass, without gravity, and T is the thrust vector. R rotates
 from body to mission, and b is the air drag along the mission's axes. `core/sense/angular_motion.py` corrects
 f for an IMU away from the centre of mass. The autopilot's stamps align the streams. A reading is the mean
-over the tick that ends at its stamp, delayed by the anti-alias filter. The gyro extrapolates the attitude to
-the middle of this delayed tick. The thrust is averaged over the tick.
+over one tick. The tick ends before the reading's stamp, by the delay of the anti-alias filter. The gyro
+extrapolates the attitude to the middle of this tick. The thrust is averaged over the tick that ends at the
+stamp.
 """
 
 from __future__ import annotations
@@ -43,8 +44,9 @@ class ForceEstimator:
         turning: rate and angular acceleration of the newest sample.
         attitude: attitude of the newest estimate, body FRD to NED, or None if there was none.
         thrust_n: thrust of the newest estimate, newton.
-        momenta: stamp and integral of mass times specific force since the start, mission frame, N s, at the
-            last estimates without a gap. Hover bias is removed; gravity is not.
+        momenta: integral of mass times specific force since the start, mission frame, N s. Each entry has a
+            stamp and belongs to one of the last estimates; a gap in the stream discards the older entries.
+            Hover bias is removed from the specific force; gravity is not.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -164,7 +166,10 @@ class ForceEstimator:
         )
 
     def _attitude_at(self, t_us: int, rate_frd: Vec3) -> Quaternion | None:
-        """Return the nearest attitude, extrapolated to a stamp with the gyro, or None if none is near."""
+        """Return the attitude at `t_us`, or None if no stored attitude is near.
+
+        The gyro's rate extrapolates the nearest stored attitude to `t_us`.
+        """
         best: AttitudeSample | None = None
         away = _ATTITUDE_REACH_US
         for sample in reversed(self._attitudes):

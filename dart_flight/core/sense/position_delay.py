@@ -1,9 +1,9 @@
 """Estimate of the time by which PX4's position estimate is ahead of the IMU, or behind it.
 
 PX4 assumes that a motion-capture pose is EKF2_EV_DELAY old. If this assumption is wrong by d, PX4's position
-estimate is early or late by d. Each acceleration then changes the estimated velocity by about d times the
-acceleration more than the IMU measures. This error appears about 0.45 s later, because PX4's filter processes
-delayed samples and its output follows slowly. A regression of the error on that acceleration yields d.
+estimate is early or late by d. After an acceleration, the estimated velocity then exceeds the IMU's by about
+d times the acceleration. This error appears about 0.45 s later, because PX4's filter processes delayed
+samples and its output follows slowly. A regression of the error on that acceleration yields d.
 
     e = v_odometry - integral of the specific force and gravity,   z = acceleration from 0.6 s to 0.3 s ago
     d = covariance of e and z / variance of z
@@ -40,13 +40,14 @@ class PositionDelay:
 
     Args:
         mass_kg: mass of the vehicle.
-        window_s: duration after a disturbance in which nothing is compared.
+        window_s: time after a disturbance during which no samples are compared.
 
     Attributes:
         due_us: stamp from which the next odometry sample is compared.
-        figures: covariance of e and z, variance of z and of e, times the seconds in memory.
-        ahead_s: lead of the position estimate over the IMU, seconds, negative if it is behind, or None if
-            acceleration or correlation is too small.
+        figures: covariance of e and z, variance of z, and variance of e. Each is multiplied by the averaging
+            time, seconds.
+        ahead_s: lead of the position estimate over the IMU, seconds. The lead is negative if the estimate is
+            behind, and None if acceleration or correlation is too small.
     """
 
     def __init__(self, mass_kg: float, window_s: float) -> None:
@@ -63,11 +64,13 @@ class PositionDelay:
         self.figures = (0.0, 0.0, 0.0)
 
     def disturb(self, t_us: int) -> None:
-        """Suspend the comparison for `window_s`, because a contact also moves the estimate."""
+        """Suspend the comparison for `window_s`, because a contact disturbs PX4's estimate."""
         self._quiet_us = t_us + self._window_us
 
     def compare_odometry(self, t_us: int, velocity_mission: Vec3, momenta: Momenta) -> None:
-        """Compare an odometry sample with the IMU, once IMU samples reach its stamp.
+        """Compare an odometry sample with the IMU.
+
+        The comparison waits until the IMU samples reach the stamp of the odometry sample.
 
         Args:
             t_us: stamp of the sample, increasing, at least `due_us`.
@@ -110,7 +113,7 @@ class PositionDelay:
         self._z = None
 
     def _follow(self, change: Vec3, dt_s: float) -> None:
-        """Add a step's change of the velocity error to filters and sums."""
+        """Update filters and sums with the change of the velocity error during one step."""
         keep, high = 1.0 - dt_s / _HIGH_PASS_S, self._high_e
         e = self._high_e = (
             keep * (high[0] + change[0]),

@@ -1,15 +1,17 @@
 """Peaks of a contact, from a fit of the contact model's pulse to the IMU readings (docs/force.md).
 
-In contact the law is a damped oscillator, driven by the vehicle's own thrust. B is the force that pushes
-towards the wall, C the slope of the force at the onset, sigma = f/(2m), w^2 = k/m. The normal force obeys
+The contact model is a damped oscillator that the vehicle's own thrust drives. The coefficients of the contact
+are k, f and mu, and m is the vehicle's mass. B is the force that pushes towards the wall, and C is the slope
+of the normal force at the onset. With sigma = f/(2m) and w^2 = k/m, the normal force F obeys
 
     F'' + 2 sigma F' + w^2 F = w^2 B,   F(0) = 0, F'(0) = C
 
-Its impulse has the closed form P = B t + (C - F' - 2 sigma F)/w^2. A reading is the mean over a tick. The fit
-compares a reading with the model's mean over the same tick, (P(b) - P(a))/(b - a), so averaging needs no
-correction. The anti-alias filter delays the pulse by its lag and lowers the top by the share (w lag)^2/2. The
-fit corrects both. Readings at full scale are lower bounds: they count only if the model is below them.
-Friction is -mu F v_t, and v_t decays with the impulse. The mean friction over a tick is the change of v_t.
+The impulse of F has the closed form P = B t + (C - F' - 2 sigma F)/w^2. A reading is the mean over a tick.
+The fit compares a reading with the model's mean over the same tick, (P(b) - P(a))/(b - a), so averaging needs
+no correction. The anti-alias filter delays the pulse by its lag and lowers the top by the share (w lag)^2/2.
+The fit corrects both. A reading at full scale is a lower bound, so the fit uses this reading only if the
+model is below the bound. Friction is -mu F v_t, and the tangential velocity v_t decays with the impulse. The
+mean friction over a tick follows from the change of v_t.
 
 The impact detector uses this module once per impact, for some tens of samples. It needs scalar floats only.
 """
@@ -59,7 +61,8 @@ class NormalPulse(NamedTuple):
     """A fitted normal pulse: its parameters, and its peak with time and standard error.
 
     The parameters are onset, slope of the force at the onset, frequency, damping and push. `misfit` is the
-    mean square of the residuals, each divided by the error of noise and model.
+    mean square of the residuals. Each residual is divided by its standard deviation, which includes the
+    reading's noise and the model's own error.
     """
 
     start_s: float
@@ -144,9 +147,10 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 class _Ends:
     """The pulse at the end of a reading: force, impulse per slope, impulse, and the impulse's derivative.
 
-    The derivative with respect to the log frequency is a finite difference over 1e-4. Both frequencies of the
-    difference have the same decay. Their constants are computed only once, because the setpoint after an
-    impact waits for this loop.
+    The derivative with respect to the log frequency is a finite difference between two frequencies whose
+    logarithms differ by 1e-4. The damping and hence the decay are the same for both frequencies. The
+    constants of both frequencies are computed only once, because the setpoint after an impact waits for this
+    loop.
     """
 
     def __init__(self, omega: float, sigma: float, push: float, slope: float) -> None:
@@ -157,7 +161,7 @@ class _Ends:
         self._sigma, self._push, self._slope = sigma, push, slope
 
     def at(self, s: float) -> tuple[float, float, float, float]:
-        """Return these four quantities `s` seconds after the onset."""
+        """Return the class's four quantities, force to impulse derivative, `s` seconds after the onset."""
         if s <= 0.0:
             return 0.0, 0.0, 0.0, 0.0
         sigma, push, slope = self._sigma, self._push, self._slope
@@ -392,7 +396,11 @@ def _friction_top(
     mass_kg: float,
     kappa: float,
 ) -> float:
-    """Return the model's largest friction, newton, from a grid of half a tick and a parabola at its top."""
+    """Return the model's largest friction, newton.
+
+    The model is evaluated about every half tick. A parabola through the largest value and its two neighbours
+    gives the result.
+    """
     newest = inside[-1]
     begin, end = pulse.start_s, newest.b
     count = 2 * max(6, round((end - begin) / (end - newest.a)))

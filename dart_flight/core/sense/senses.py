@@ -49,7 +49,8 @@ class Sensed:
         in_contact: whether a contact has begun and not ended.
         torque: external torque, or None if the input yields none.
         contact: records of a contact that has ended: the request for its fit, or the results of the fit.
-        wall: the record among `contact` that estimates a planned wall and the mode of the arms.
+        wall: estimate of a planned wall and of the mode of the arms, one of the records in `contact`; None if
+            the input yields none.
         height_m: height above the centre of mass at which the walls' force acts, metres, or None if not
             known.
         thrust_ratio: thrust from mass and accelerometer, divided by thrust from the curve, in the last
@@ -103,7 +104,7 @@ class Senses:
         self.delay = PositionDelay(mission.vehicle.airframe.mass_kg, IMPACT_WINDOW_S)
 
     def update(self, item: Input, expected: ExpectedContact) -> Sensed:
-        """Process one input with the contact that the mission expects, and return its results."""
+        """Process one input and return its results; `expected` is the contact that the mission expects."""
         state, estimator = self.state, self.estimator
         if isinstance(item, ImuSample):
             if state.update_imu(item):

@@ -79,7 +79,10 @@ class FlightState:
         self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
 
     def update_odometry(self, sample: OdometrySample) -> bool:
-        """Store position and velocity; return False if implausible or if the stamp does not increase."""
+        """Store position and velocity, or return False.
+
+        The result is False if the sample is implausible or its stamp does not increase.
+        """
         if not self.is_plausible(sample):
             return False
         previous, t_us, received_us = self.odometry, sample.t_us, sample.received_us
@@ -179,7 +182,7 @@ class FlightState:
         self.lock = sample
 
     def advance(self, tick: Tick) -> None:
-        """Advance the host's time, and the autopilot's time through the clock offset."""
+        """Advance the host's time; the autopilot's time follows from the clock offset."""
         self.host_us = max(self.host_us, tick.host_us)
         if self.clock_offset_us is not None:
             now_us = self.host_us + self.clock_offset_us
@@ -211,7 +214,7 @@ class FlightState:
         self.health = sample
 
     def add_result(self, sample: CommandResult) -> None:
-        """Store PX4's answer if it refuses a command; delete it if PX4 accepts the command."""
+        """Store PX4's answer if PX4 refuses a command; delete the answer if PX4 accepts the command."""
         if sample.ok:
             self._refused.pop(sample.command, None)
         else:
@@ -224,10 +227,11 @@ class FlightState:
         received_us: int,
         previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None,
     ) -> bool:
-        """Return whether a stamp is too far ahead for the elapsed time; it may then be another vehicle's.
+        """Return whether a stamp is too far ahead for the elapsed time.
 
-        If the clock has really jumped, the new stamps are accepted after some consecutive samples. The first
-        sample of a stream is compared with the newest sample of the other streams.
+        The sample may then come from another vehicle. If the clock has really jumped, the new stamps are
+        accepted after some consecutive samples. The first sample of a stream is compared with the newest
+        sample of the other streams.
         """
         if previous is not None:
             ahead_us, elapsed_us = t_us - previous.t_us, received_us - previous.received_us

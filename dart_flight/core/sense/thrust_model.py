@@ -1,9 +1,10 @@
 """Thrust model: total thrust and thrust per motor, for the force and torque estimators.
 
-`estimation.thrust_source` selects the source. Measured motor speeds give thrust = c rpm^2, without lag or
-voltage. Motor commands give thrust through the curve of `thrust:`, a first-order lag and the battery voltage.
-`auto` uses the motor speeds only if their rate resolves the controller's reaction to a contact. The thrust
-scale learnt in hover corrects the thrust of either source (`core/sense/bias.py`). Equations: docs/force.md.
+`estimation.thrust_source` selects the source. From measured motor speeds, the thrust is c rpm^2 with
+c = `estimation.esc_thrust_n_per_rpm2`, without a lag and without the voltage. From motor commands, the thrust
+follows through the curve of `thrust:`, a first-order lag and the battery voltage. `auto` uses the motor
+speeds only if they arrive often enough to resolve the controller's reaction to a contact. The thrust scale
+learnt in hover corrects the thrust of either source (`core/sense/bias.py`). docs/force.md has the equations.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ class ThrustModel:
     """Model of the total thrust along the body's up axis, newton, mean over a tick of the IMU.
 
     Attributes:
-        source: source of the last result, or None if there is none yet and hover thrust is assumed.
+        source: source of the last result. None if no source has data yet; hover thrust is then assumed.
         each_n: thrust of each motor at the stamp of the last result, newton, or None if not known yet.
     """
 

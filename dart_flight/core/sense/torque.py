@@ -4,9 +4,9 @@
 
 Here w is the gyro's rate, alpha its change over the tick and J the inertia, all in body FRD. Like a force
 sample, a torque sample is the mean over the tick that ends at its stamp. The motors' torque follows from the
-thrust, position and propeller drag of each motor, averaged over the same tick. Noise is learnt outside of
-contacts. A constant torque, for example from an offset centre of mass or a weak motor, is also learnt there
-and subtracted. `Senses` uses the estimator.
+thrust, position and propeller drag of each motor, averaged over the same tick. In the air and outside of
+contacts, the estimator learns the noise and a constant torque. The constant torque, for example from an
+offset centre of mass or a weak motor, is subtracted. `Senses` uses the estimator.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ _MAX_SLOW_NM: Final = 0.3  # limit of the constant torque
 
 
 class TorqueEstimator:
-    """Estimator of the external torque, with one estimate per IMU sample that closely follows another."""
+    """Estimator of the external torque.
+
+    An IMU sample yields an estimate if it shortly follows the previous IMU sample.
+    """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._inertia = vehicle.airframe.inertia_kg_m2
@@ -49,9 +52,9 @@ class TorqueEstimator:
         Args:
             t_us: stamp of the sample.
             turning: angular motion, already updated with the sample.
-            each_n: thrust of each motor at the stamp from the curve, or None if not known yet.
+            each_n: thrust of each motor at `t_us` by the thrust model, without `scale`; None if not known.
             scale: true thrust divided by the thrust of the curve.
-            learns: whether noise and constant torque are learnt: in the air and without a contact.
+            learns: whether to learn noise and constant torque; True in the air without a contact.
         """
         before, self._before = self._before, each_n
         if not turning.known:

@@ -1,9 +1,9 @@
 """Means of the horizontal force over windows as long as a contact, and the noise of these means.
 
-A mean over 30 or 100 ms reduces motor vibration and white noise, but hardly a contact of that length. The
-reduction depends on the frequency of the vibration, so the noise of a mean does not follow from that of a
-sample. Each window therefore learns the variance of its own mean outside of contacts (docs/force.md). The
-impact detector uses this module.
+A mean over 30 or 100 ms reduces motor vibration and white noise. The mean hardly reduces a contact that lasts
+as long as the window. The reduction of a vibration depends on its frequency, so the noise of a mean does not
+follow from the noise of a sample. Each window therefore learns the variance of its own mean outside of
+contacts (docs/force.md). The impact detector uses this module.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class WindowMean:
         self.mean = (self._x / n, self._y / n)
 
     def learn(self, dt_s: float) -> None:
-        """Update the noise from the present mean and the mean one window earlier, outside of contacts."""
+        """Update the noise outside of contacts, from the present mean and the mean one window earlier."""
         past, pending, mean = self._past, self._pending, self.mean
         if len(past) == past.maxlen:
             (x, y), (before_x, before_y) = mean, past[0]
@@ -97,10 +97,10 @@ class WindowMean:
 
 
 def half_sine_share(samples: int, duration_s: float, period_s: float) -> float:
-    """Return the least value that the largest window mean of a half-sine of height one can have.
+    """Return the share of a half-sine's height that the largest window mean reaches in the worst case.
 
-    The value is least if the samples lie half a sampling period off the middle of the half-sine. The result
-    is the closed form of a sum of equally spaced sines.
+    In the worst case, the centre of the window lies half a sampling period off the middle of the half-sine.
+    The result is the closed form of a sum of equally spaced sines.
 
     Args:
         samples: number of samples in the window.

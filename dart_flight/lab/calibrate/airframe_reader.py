@@ -34,7 +34,7 @@ def _parameters(path: Path) -> dict[str, float]:
 
 
 def refuse_unmeasured(motors: Sequence[Motor], source: str) -> None:
-    """Reject motors that are not a multicopter's or have PX4's placeholder positions.
+    """Reject the motors of a vehicle that is no multicopter, and motors at PX4's placeholder positions.
 
     Raises:
         InputError: the motors are rejected.

@@ -10,8 +10,8 @@ gyro and disturbances affect the rates; motor behaviour between the recorded com
 all errors are assigned to the rates, the fit gives the upper bound of J; if they are assigned to the torques,
 it gives the lower bound. The estimate lies between the two bounds, and its interval contains both bounds. The
 rates at a window's ends are averages over some samples, because a controller responds to the noise of a
-single one. The motors' lag is varied and the best value is kept. If the torques about an axis are too small,
-or the two bounds differ too much, the axis gets no estimate.
+single sample. The motors' lag is varied and the best value is kept. If the torques about an axis are too
+small, or the two bounds differ too much, the axis gets no estimate.
 """
 
 from __future__ import annotations
@@ -76,9 +76,9 @@ class InertiaCalibration(msgspec.Struct):
     Attributes:
         windows: number of windows of `WINDOW_S` seconds.
         axes: roll, pitch, yaw.
-        motor_lag_s: motor lag for which the motors explain most of the rate changes, s.
-        drift_rad_s2: angular acceleration without commands about the three axes, caused by an offset centre
-            of mass.
+        motor_lag_s: motor lag for which the motors explain the largest part of the rate changes, s.
+        drift_rad_s2: angular acceleration about the three axes if the motors cause no torque. An offset
+            centre of mass causes this acceleration.
         notes: remarks on the logs.
     """
 
@@ -177,7 +177,7 @@ def _refuse_unsuited(track: Track, motors: int) -> None:
 
 
 def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
-    """Return the windows of a flight that are in the air and without a contact."""
+    """Return the time windows during which the vehicle is in the air and has no contact."""
     t, w = track.imu_s, track.rate
     torque = _motor_torque(track, vehicle, lag_s)
     step = np.diff(t)
@@ -246,7 +246,7 @@ def _integral(values: Array, step: Array) -> Array:
 def _fit(
     windows: _Windows, vehicle: VehicleConfig
 ) -> tuple[list[AxisInertia], tuple[float, float, float], float]:
-    """Return the axes, the drift and the unexplained fraction of the changes, summed over the axes."""
+    """Return the axes, the drift, and the sum of the unexplained fractions of the three axes."""
     inertia = np.array(vehicle.airframe.inertia_kg_m2)
     axes: list[AxisInertia] = []
     drift = np.zeros(3)

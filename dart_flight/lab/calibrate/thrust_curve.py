@@ -1,9 +1,9 @@
 """Fit of the motors' thrust curve to the hover segments of flights (docs/force.md).
 
 During slow, steady flight the thrust equals the mass times the specific force along the thrust axis. Each
-quiet segment of a log therefore gives one point of the curve, from commands to force. Averages over a segment
-decide whether the segment is quiet, because single samples of a real vehicle in hover vibrate by several
-m/s2. The curve
+quiet segment of a log therefore gives one point of the curve: the commands and the force. Averages over a
+segment decide whether the segment is quiet, because vibration changes single samples of a real vehicle in
+hover by several m/s2. The curve
 
     T = full_n * sum over the motors of (factor u^2 + (1 - factor) u)
 
@@ -64,9 +64,9 @@ class Points(msgspec.Struct):
     """Quiet segments: means of u^2 and u summed over the motors, force in newton, voltage (NaN if unknown).
 
     Attributes:
-        start_s: begin of each segment.
+        start_s: start of each segment.
         motors: number of motors in the sums.
-        rejected: test (`TESTS`) -> number of windows for which this test was the first that failed.
+        rejected: test (`TESTS`) -> number of windows that failed this test and passed the earlier tests.
     """
 
     square: Array
@@ -183,9 +183,11 @@ def _joined(parts: list[Points]) -> Points:
 
 
 class Curve(msgspec.Struct):
-    """The curve full (factor u^2 + (1 - factor) u) (volts / reference) ** exponent, summed over the motors.
+    """A thrust curve with its standard errors.
 
-    A standard error is None where the value was given. Without a reference voltage the last factor is 1.
+    The thrust is the sum over the motors of
+    `full` * (`factor` * u^2 + (1 - `factor`) * u) * (volts / `reference`) ** `exponent`. Without a reference
+    voltage, the voltage term is 1. The standard error of a value that was given, not fitted, is None.
     """
 
     full: float
@@ -255,17 +257,18 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 
 
 def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Points], Curve]]:
-    """Return the cross-validation error of the best kind of curve, and the function that fits it.
+    """Return the cross-validation error of the best kind of curve, and the function that fits this kind.
 
-    A kind uses the voltage or ignores it, and fits the factor or uses the configured one. Each kind is fitted
-    to some of the segments and compared with the others.
+    The kinds of curve differ in two choices. A curve uses the voltage or ignores the voltage. Its factor is
+    fitted or is the configured factor. Each kind is fitted to some of the segments and compared with the
+    other segments.
 
     Args:
         points: quiet segments.
-        square_share: the configured model factor.
+        square_share: the configured factor (`Curve.factor`).
 
     Returns:
-        The root mean square error on held-out segments over the mean thrust, and the function.
+        The root mean square error on held-out segments divided by the mean thrust, and the function.
     """
     known = bool(np.isfinite(points.volts).all())
     choices = [
@@ -294,7 +297,7 @@ def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], C
 
 
 def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
-    """Return the root mean square error on held-out segments over the mean thrust."""
+    """Return the root mean square error on held-out segments, divided by the mean thrust."""
     part = (np.arange(len(points.force)) // _BLOCK) % min(_FOLDS, max(2, len(points.force) // _BLOCK))
     squares = []
     for fold in np.unique(part):

@@ -21,7 +21,7 @@ class GoalArrival(NamedTuple):
     """The arrival of a flight at its goal; times are stamps of the flight's log, us.
 
     Attributes:
-        begin_us: begin of the mission's own trajectories.
+        begin_us: time at which the mission's own trajectories begin.
         visits_us: passages of the visited places in order, up to the first place that was missed.
         there_us: arrival at the goal after the visits, nearly at rest; None if the flight landed before.
     """
@@ -71,7 +71,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
 
 
 def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
-    """Return the time from which a planned flight stays near its goal and slow until its end."""
+    """Return the time from which a planned flight stays slow and close to the goal until the flight ends."""
     last = found.legs[-1]
     begin = found.time_s - last.duration_s
     there = begin

@@ -57,7 +57,7 @@ def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> Cam
     """Create a campaign, or open an existing one to continue it.
 
     Args:
-        asked: the specification; None: the specification of the existing campaign.
+        asked: the specification. None means the specification of the existing campaign.
         folder: folder of the campaign.
         resume: whether to continue an existing campaign.
 

@@ -1,7 +1,7 @@
 """The specification of a campaign: missions x settings x cases x seeds, and the resulting points and items.
 
-`dart-flight campaign` builds the specification from its options. A measurement of the manual is a
-specification in a file (`tools/campaigns/*.yaml`), with a function that judges each flight.
+`dart-flight campaign` builds the specification from its options. Each measurement that the manual reports has
+a specification in a file (`tools/campaigns/*.yaml`), with a function that judges each flight.
 """
 
 from __future__ import annotations
@@ -49,10 +49,11 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         keep: the flights whose logs are kept.
         cases: further variations of the flights. Each case is a mapping key -> value, and the table has one
             column for each key. Instead of a list, a function that returns the cases can be named.
-        fly: function from point and seed to a flown flight; empty: fly the mission in the fast world.
-        judge: function from a flown flight to a `msgspec.Struct` whose fields are columns of the table. If
-            `judge` is empty, `fly` returns the struct. If both are empty, the columns are those of
-            `dart-flight campaign`.
+        fly: function that flies a point with a seed and returns the flown flight. If `fly` is empty, the
+            mission is flown in the fast world.
+        judge: function that converts a flown flight to a `msgspec.Struct`. The fields of the struct are
+            columns of the table. If `judge` is empty, `fly` returns the struct. If both are empty, the
+            columns are those of `dart-flight campaign`.
     """
 
     missions: tuple[str, ...]
@@ -128,7 +129,9 @@ def load_specification(path: Path) -> CampaignSpec:
 
 
 def parse_grid(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return the values by key from `KEY=V1,V2,...`; a comma within brackets or quotes belongs to the value.
+    """Return the values of each key from settings in the form `KEY=V1,V2,...`.
+
+    A comma within brackets or quotes belongs to a value.
 
     Raises:
         InputError: a setting has another form, or a key is given twice.
@@ -180,7 +183,7 @@ def named_function(name: str) -> Callable[..., Any]:
 
 
 def row_type(name: str) -> type[msgspec.Struct]:
-    """Return the type of the rows that a function makes, from its annotation.
+    """Return the type of the rows that a function returns; the function's annotation contains this type.
 
     Raises:
         InputError: the function is not annotated with a `msgspec.Struct`.

@@ -76,9 +76,10 @@ class Drawn(msgspec.Struct, frozen=True):
     Attributes:
         name: name of the quantity.
         bins: bins of about equal counts, or one bin for each word.
-        z: Mann and Whitney's statistic, in standard deviations; positive if the quantity is higher in failed
-            flights than in completed ones. If the quantity is a word, the largest statistic of any word. None
-            if all flights completed or none did.
+        z: Mann and Whitney's statistic, in standard deviations. The statistic is positive if the quantity is
+            higher in failed flights than in completed flights. If the quantity is a word, every word has a
+            statistic, and `z` is the statistic with the largest magnitude. `z` is None if all flights
+            completed or no flight completed.
     """
 
     name: str
@@ -92,8 +93,8 @@ class FigureTrend(msgspec.Struct, frozen=True):
     Attributes:
         figure, name: names of the figure and of the drawn quantity.
         correlation: rank correlation (Spearman), -1 to 1.
-        p_value: probability that, by chance alone, at least one of the tried quantities correlates as
-            strongly (Bonferroni).
+        p_value: probability that chance alone causes such a strong correlation with at least one of the tried
+            quantities (Bonferroni).
         points: drawn quantity and figure of each of the first 400 flights.
     """
 
@@ -112,7 +113,8 @@ class Departure(msgspec.Struct, frozen=True):
         what: name of the figure with its unit.
         flights, of: number of flights out of tolerance, and number of flights with a plan.
         not_flown: number of flights out of tolerance in which the planned part was not flown.
-        planned, flown: medians over the flights out of tolerance, or words; flown is None if never flown.
+        planned, flown: medians over the flights out of tolerance. If the values are words, the most frequent
+            word. `flown` is None if the planned part was never flown.
         tolerance: tolerance from the mission, or None if the values must be equal.
     """
 
@@ -136,13 +138,13 @@ class GridPoint(msgspec.Struct, frozen=True):
 
 
 class DifferingQuantity(msgspec.Struct, frozen=True):
-    """A drawn quantity that differs between flights ended by a rule and completed flights.
+    """A drawn quantity that differs between completed flights and the flights with one end cause.
 
     Attributes:
         name: name of the quantity.
-        failed, completed: medians; for a word, the fraction of flights that drew it.
-        chance: probability that the quantity is higher in a failed flight than in a completed one; 0.5 is no
-            difference.
+        failed, completed: medians; for a word, the fraction of flights that drew the word.
+        chance: probability that the quantity is higher in a failed flight than in a completed flight; 0.5
+            means no difference.
     """
 
     name: str
@@ -176,14 +178,14 @@ class CampaignSummary(msgspec.Struct, frozen=True):
 
     Attributes:
         flights, asked: number of rows in the table, and total number of flights.
-        errors: number of flights that a program error ended without a verdict; the rates leave out these
-            flights.
+        errors: number of flights without a verdict, because a program error ended them. The rates leave out
+            these flights.
         completed, plan_followed: rates of completed flights and of flights that followed the plan.
         figures: distributions by column.
         points: success rates by mission and settings.
         rules: causes of failure.
-        drawn: success over each drawn quantity; empty if all or no flights completed.
-        varied: miss and peak forces of the completed flights over the drawn quantities.
+        drawn: success rate as a function of each drawn quantity; empty if all or no flights completed.
+        varied: goal miss and peak forces as functions of the drawn quantities, in the completed flights.
         tried: figure -> number of drawn quantities that can affect it, significant or not.
         not_followed: planned figures out of tolerance, the most frequent first.
         failed: flights that did not complete, at most 1000.
@@ -335,7 +337,7 @@ def _settings(opened: CampaignFolder, point: Point) -> dict[str, str]:
 
 
 def _success_by_quantity(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[Drawn]:
-    """Return the success over each quantity that varied, the most influential first."""
+    """Return the success rate as a function of each quantity that varied, the most influential first."""
     fine, others = [r for r in rows if r.completed], [r for r in rows if not r.completed]
     if not fine or not others:
         return []
@@ -350,7 +352,7 @@ def _success_by_quantity(rows: Sequence[_SummaryRow], names: Sequence[str]) -> l
 def _figure_trends(
     rows: Sequence[_SummaryRow], names: Sequence[str], figures: Sequence[str]
 ) -> tuple[list[FigureTrend], dict[str, int]]:
-    """Return the trends of miss and peak forces over the quantities that correlate best, and `tried`."""
+    """Return the trends of goal miss and peak forces with the most correlated quantities, and `tried`."""
     found: list[FigureTrend] = []
     tried: dict[str, int] = {}
     for j, figure in enumerate(figures):
@@ -381,8 +383,8 @@ def _figure_trends(
 def _can_affect(name: str, figure: str, mission: Mission) -> bool:
     """Return whether a drawn quantity can affect a figure.
 
-    A quantity of a wall and mode can affect the figure only if the wall is hit in that mode, at the figure's
-    collision or before.
+    A quantity of a wall and mode can affect the figure only if the vehicle hits that wall in that mode. The
+    hit must be the collision that the figure describes, or an earlier collision.
     """
     kind, _, rest = name.partition(".")
     if kind not in _OF_WALLS:
@@ -416,14 +418,14 @@ def _departures(rows: Sequence[_SummaryRow]) -> list[Departure]:
 
 
 def _typical(values: Sequence[float | str | None]) -> float | str | None:
-    """Return the median of the numbers, otherwise the most frequent word, or None without either."""
+    """Return the median of the numbers; without numbers, the most frequent word; without words, None."""
     numbers = [value for value in values if isinstance(value, float)]
     words = Counter(value for value in values if isinstance(value, str))
     return median(numbers) if numbers else words.most_common(1)[0][0] if words else None
 
 
 def _bins(rows: Sequence[_SummaryRow], i: int) -> list[Bin]:
-    """Return the success in bins of numbers of one drawn quantity, or for each of its words."""
+    """Return the success rate in each bin of one drawn quantity; each word has a bin of its own."""
     words = {value for row in rows if isinstance(value := row.drawn[i], str)}
     bins = [
         Bin(_completed([row for row in rows if row.drawn[i] == word]), value=word) for word in sorted(words)
@@ -457,7 +459,13 @@ def _end_causes(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[EndCa
 def _differing_quantities(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], names: Sequence[str]
 ) -> list[DifferingQuantity]:
-    """Return the drawn quantities that differ most between completed flights and flights ended by a rule."""
+    """Return the drawn quantities that differ most between flights with one end cause and completed flights.
+
+    Args:
+        ended: flights with this end cause.
+        fine: completed flights.
+        names: names of the drawn quantities.
+    """
     if min(len(ended), len(fine)) < _MIN_FAILED:
         return []
     found: list[tuple[float, DifferingQuantity]] = []
@@ -481,7 +489,10 @@ def _differing_quantities(
 def _separations(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], i: int, name: str
 ) -> Iterator[tuple[str, list[float], list[float], Separation]]:
-    """Yield name, values in both groups and their separation for a drawn quantity or each of its words."""
+    """Yield the name of a drawn quantity, its values in both groups of flights, and their separation.
+
+    If the values are words, yield these items for each word.
+    """
     words = sorted({value for row in (*ended, *fine) if isinstance(value := row.drawn[i], str)})
     of_words: dict[str, str | None] = {f"share of {name} {word}": word for word in words}
     for shown, word in (of_words or {name: None}).items():

@@ -1,4 +1,4 @@
-"""An engine that flies a campaign on the workers of a Dask scheduler (extra `cluster`), beyond one machine.
+"""An engine that flies a campaign on several machines, through a Dask scheduler (extra `cluster`).
 
 The scheduler distributes the flights. If a worker dies, another worker repeats its flights. If a flight kills
 one worker after the other, the scheduler reports this flight. The rows equal those of a local run, because a
@@ -75,7 +75,7 @@ def _connect(url: str) -> Any:
 
     class Client(distributed.Client):  # type: ignore[misc]
         def __del__(self) -> None:
-            """Do nothing: `_work` closes the client, and to close an unconnected client takes a minute."""
+            """Do nothing: `_work` closes the client, and closing an unconnected client takes a minute."""
 
     for name in ("distributed", "distributed.client"):  # the errors below replace their log messages
         logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -53,7 +53,7 @@ class FaultFlight(msgspec.Struct, frozen=True):
         fault: name of the fault.
         began: whether the fault occurred.
         came_of: `completed`, the rule that ended the flight, or `app gone`.
-        decision_ms: time from the begin of the fault to the first decision of guard or autopilot; None
+        decision_ms: time from the start of the fault to the first decision of guard or autopilot; None
             without a decision.
         excursion_m: largest distance out of the bounds.
         landing_m_s: speed at the landing.
@@ -74,7 +74,7 @@ class FaultFlight(msgspec.Struct, frozen=True):
 def fly_fault(mission: Mission, fault: Fault, seed: int) -> FaultFlight:
     """Fly with one fault until the vehicle is on the ground, and write and read its log.
 
-    If the fault is one of the motion capture, the forwarded poses are PX4's only position source.
+    If the fault affects the motion capture, the forwarded poses are PX4's only position source.
     """
     if fault.kind.site is FaultSite.MOCAP:
         mission = with_simulated_mocap(mission, "udp")

@@ -7,7 +7,7 @@ A flight is controlled if all of these conditions hold:
   failsafe. Alternatively a pilot took over, and the vehicle holds still outside offboard mode.
 * A flight that did not complete gives a reason. This is not required if the program itself hung or was
   killed.
-* Its truth is controlled as `dart_flight.recording.uncontrolled` defines it.
+* The true motion stays within the limits of `dart_flight.recording.uncontrolled`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ _RUN_OUT_S, _HELD_S = 60.0, 3.0
 def place_walls(
     world: DrawnWorld, away_m: Mapping[str, float], turned_deg: Mapping[str, float]
 ) -> DrawnWorld:
-    """Return the world with walls moved along their normals and turned about their centres, by name."""
+    """Return the world with some walls moved along their normals and turned about their centres.
+
+    `away_m` and `turned_deg` contain the displacements and rotations by the names of the walls.
+    """
     walls = {
         w.name: w.displaced(away_m.get(w.name, 0.0)).rotated(math.radians(turned_deg.get(w.name, 0.0)))
         for w in world.mission.walls
@@ -42,12 +45,12 @@ def place_walls(
 
 
 class WatchedFlight:
-    """A fast flight with its verdict, the extremes of its truth, and the problems that make it uncontrolled.
+    """A fast flight, with the extremes of its true motion and the reasons why it is uncontrolled.
 
     Args:
         mission: the mission with the assumed walls.
         seed: seed of the sensor noise.
-        world: the drawn world; None: the world equals the mission.
+        world: the drawn world. None means a world that equals the mission.
         fault: the fault to inject.
 
     Attributes:
@@ -104,7 +107,7 @@ class WatchedFlight:
             self.decided_us = self.flight.host_us
 
     def _run_out(self) -> None:
-        """Tick until the vehicle has landed, or has held still for a while under a pilot."""
+        """Continue the simulation until the vehicle has landed, or a pilot has held it for a while."""
         autopilot = self.flight.autopilot
         until_s = autopilot.now_s + _RUN_OUT_S
         while autopilot.armed and autopilot.now_s < until_s:
@@ -131,7 +134,7 @@ class WatchedFlight:
 
 
 def excursion_allowed_m(fault: Fault | None) -> float:
-    """Return the allowed excursion from the bounds of a controlled flight, metres.
+    """Return how far out of the mission's bounds a controlled flight may go, metres.
 
     The limit is half a metre for braking, plus the position error that the fault causes.
     """

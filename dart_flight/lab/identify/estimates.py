@@ -26,7 +26,7 @@ class SetAside(NamedTuple):
     """Counts of samples in a fit's window that the fit ignores.
 
     Attributes:
-        free: ignored samples in free flight, beyond five deviations.
+        free: ignored samples in free flight. They deviate by more than five standard deviations.
         contact: ignored samples in contact, at most a tenth of `in_contact`. A sample in contact is ignored
             only if the samples before and after it fit well.
         in_contact: all samples in contact, over all channels.
@@ -50,8 +50,8 @@ class TrialFit(NamedTuple):
         used: `samples` if the samples were fitted, `whole` if only speeds, peak and duration were used.
         normal_out_m_s, tangential_out_m_s: velocity after the contact, measured without a contact law.
         peak_force_n: measured peak; None if no force was recorded, or the sensor clipped.
-        force_delay_s: delay of the clock of the forces relative to that of the positions; None unless both
-            were recorded.
+        force_delay_s: delay of the force samples' clock relative to the position samples' clock; None unless
+            both were recorded.
         misfit: ratio of the residual in contact to the noise in free flight, for the worst channel.
         set_aside: samples that the fit ignores.
     """
@@ -113,8 +113,8 @@ class HeldOut(NamedTuple):
         hits: number of predicted hits.
         law: errors of the paper's law; None if the hits do not determine the law's coefficients.
         baselines: baseline -> errors; each baseline predicts only one of the two quantities.
-        scatter: differences between hits at one speed and their median, as errors; None if no speed was
-            repeated.
+        scatter: prediction errors if the median of the hits at one speed predicts these hits; None if no
+            speed was repeated.
         earned: whether the law predicts better than the baselines in every assessable quantity.
         sentence: the comparison as a sentence.
     """
@@ -135,7 +135,8 @@ class FitQuality(NamedTuple):
     Attributes:
         good: whether no residual exceeds its expectation; None if nothing can be assessed.
         expected: quantity -> largest residual of a good fit, in the unit of the quantity.
-        says: a sentence for each quantity that exceeds its expectation, with what to check.
+        says: a sentence for each quantity whose residual exceeds its expectation; the sentence also states
+            what to check.
     """
 
     good: bool | None
@@ -147,9 +148,10 @@ class Identification(NamedTuple):
     """The result of `identify`.
 
     Attributes:
-        coefficients: mode -> k, f, mu, nu -> estimate, or None if the data do not determine it.
-        plane_m: position along the normal, in the recordings, that the vehicle's centre has when the vehicle
-            first touches the wall; None if no samples were fitted.
+        coefficients: mode -> coefficient (k, f, mu, nu) -> estimate. An estimate is None if the data do not
+            determine the coefficient.
+        plane_m: recorded normal position of the vehicle's centre at first touch; None if no samples were
+            fitted.
         residuals: quantity -> root mean square of its residuals, in the unit of the quantity.
         trials: fit of each trial.
         vertical_side: direction of the vertical force: 1 along `vertical_m`, -1 against it, None if unknown.
@@ -176,10 +178,12 @@ class Identification(NamedTuple):
         return all(self.coefficients[mode][name] is not None for name in ("k", "f"))
 
     def fitted(self, mode: str, fallback: Coefficients | None = None) -> Coefficients:
-        """Return the coefficients of a mode, completed from `fallback` or with 0.
+        """Return the coefficients of a mode.
+
+        Unknown coefficients come from `fallback`. Without `fallback`, an unknown mu or nu is 0.
 
         Raises:
-            ValueError: k or f is unknown.
+            ValueError: k or f is unknown, and there is no `fallback`.
         """
         values = {}
         for name, estimate in self.coefficients[mode].items():

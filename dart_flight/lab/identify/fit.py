@@ -3,9 +3,9 @@
 Every trial is first measured as a whole, without a contact law: incoming and outgoing speed, peak and
 duration. One solver with one computation of intervals (`solver`) then fits the law:
 
-- to the samples of all trials jointly (`joint_fit`), if their positions show the contact in enough samples;
-- to the hits as a whole (`hit_fit`), if the law misses the samples by several times the noise, or if there
-  are only speeds or an accelerometer.
+- to the samples of all trials jointly (`joint_fit`), if enough position samples show the contact;
+- to the measurements of whole hits (`hit_fit`), if the law misses the samples by several times the noise, or
+  if the trials recorded only speeds or only an accelerometer.
 
 A coefficient that the data do not determine is None.
 """
@@ -122,7 +122,11 @@ def _coefficients(
     onset: Onset,
     notes: list[str],
 ) -> dict[str, Estimate | None]:
-    """Return coefficients from the samples if the law fits them, otherwise from whole hits (`hit_fit`)."""
+    """Return the coefficients of a mode.
+
+    If the law fits the samples, the coefficients come from the samples. Otherwise they come from whole hits
+    (`hit_fit`).
+    """
     sampled = result.coefficients.get(mode)
     bad = mode in result.bad
     if bad and sampled is not None:

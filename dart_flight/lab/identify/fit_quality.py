@@ -1,8 +1,8 @@
 """Assessment of a fit: whether the law with the fitted coefficients reproduces the recordings.
 
-A fit is poor if the law misses the recordings by more than their noise or scatter. Some trials are
-fitted without their samples, such as an accelerometer's drops. The law must then reproduce the peak force and
-the outgoing speed of each hit.
+A fit is poor if the law misses the recordings by more than their noise or scatter. Some trials are fitted
+without their samples, for example drops that only an accelerometer recorded. The law must then reproduce the
+peak force and the outgoing speed of each hit.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ _MOST = Errors(peak_force=0.25, outgoing_speed=0.1)
 def errors_of(
     coefficients: Mapping[str, Estimate | None], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
 ) -> Errors:
-    """Return the errors of coefficients on their own hits; None without hits, k or f."""
+    """Return the prediction errors of coefficients on the hits to which they were fitted.
+
+    The errors are None if there are no hits, or if k or f is unknown.
+    """
     k, f = coefficients["k"], coefficients["f"]
     if k is None or f is None or not hits:
         return Errors(None, None)
@@ -46,7 +49,7 @@ def assess_fit(
     mass_kg: float,
     onset: Onset,
 ) -> FitQuality:
-    """Assess coefficients against the recordings they were fitted to.
+    """Assess coefficients against the recordings to which the coefficients were fitted.
 
     Args:
         coefficients: estimates by mode.
@@ -65,7 +68,7 @@ def assess_fit(
 
 
 def compare_residuals(off: Mapping[str, float], expected: Mapping[str, float]) -> FitQuality:
-    """Compare residuals with those of a good fit; a quantity without an expectation is skipped."""
+    """Compare residuals with the largest residuals of a good fit; skip quantities without an expectation."""
     compared = {name: value for name, value in off.items() if name in expected}
     sentences = [
         f"poor fit: the residual of {name} is {value:.3g}, {value / expected[name]:.1f} times the "

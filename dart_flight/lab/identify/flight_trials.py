@@ -23,13 +23,13 @@ ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 
 
 def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
-    """Return the planned collisions of a flight as trials, by material; `material` and `mode` restrict them.
+    """Return the planned collisions of a flight as trials, by material.
 
-    If the age of the motion capture's poses is known, the positions are these poses. Otherwise the positions
-    are PX4's estimate, which smooths the velocity change of a contact. The force is the flight core's
-    estimate. All series are in the wall's collision frame and on the autopilot's clock. If the wall was
-    probed, its plane is the one that the contact measured; otherwise the mission gives the plane. The vehicle
-    is the one recorded in the log.
+    `material` and `mode` restrict the collisions. If the age of the motion capture's poses is known, the
+    positions are these poses. Otherwise the positions are PX4's estimate, which smooths the velocity change
+    of a contact. The force is the flight core's estimate. All series are in the wall's collision frame and on
+    the autopilot's clock. If a probe searched for the wall, the contact's measurement gives the plane;
+    otherwise the mission gives the plane. The log gives the vehicle.
 
     Raises:
         InputError: the log does not contain its mission.
@@ -95,7 +95,7 @@ def _largest_turn_rate(flight: FlightArrays, onset_us: int) -> float | None:
 
 
 def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> list[Trial]:
-    """Return the collisions of a flight with one material.
+    """Return the collisions with one material in a flight.
 
     If `material` is None, all collisions of the flight must be with the same material.
 

@@ -2,7 +2,7 @@
 
 The first baseline assumes that the outgoing speed is a constant fraction of the incoming speed. The second
 assumes that the peak force is proportional to the incoming speed. If the law does not predict held-out hits
-better than the baselines, the law's coefficients add nothing, however well the law fits.
+better than the baselines, the law's coefficients are useless, even if the law fits well.
 """
 
 from __future__ import annotations
@@ -83,7 +83,13 @@ def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> He
 def _errors(
     table: HitTable, folds: NDArray[np.intp], by: Callable[[HitTable, HitTable], tuple[Array, Array]]
 ) -> Errors:
-    """Return the errors of a prediction (known hits, held-out hits -> peak, outgoing speed) on all folds."""
+    """Return the errors of a prediction on held-out hits.
+
+    Args:
+        table: the hits.
+        folds: number of the fold of each hit. The hits of a fold are predicted from the other hits.
+        by: function that predicts peak and outgoing speed, from the known hits and the held-out hits.
+    """
     peak, out = np.empty(folds.size), np.empty(folds.size)
     for fold in np.unique(folds):
         peak[folds == fold], out[folds == fold] = by(table.only(folds != fold), table.only(folds == fold))
@@ -91,14 +97,20 @@ def _errors(
 
 
 def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
-    """Return peak and outgoing speed by the known hits' median ratios to the incoming speed, or NaN."""
+    """Predict peak and outgoing speed in proportion to the incoming speed.
+
+    The factors are the median ratios of the known hits. Without known ratios, the prediction is NaN.
+    """
     ratios = (median(values / known.speed_in) for values in (known.peak, known.speed_out))
     peak, out = ((math.nan if ratio is None else ratio) * held.speed_in for ratio in ratios)
     return peak, out
 
 
 def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
-    """Return the differences between hits at one speed and their median; no law has smaller errors."""
+    """Return the errors if the median of the hits at one speed predicts these hits.
+
+    No law has smaller errors.
+    """
     peak, out = np.full(groups.size, math.nan), np.full(groups.size, math.nan)
     for group in np.unique(groups):
         members = groups == group

@@ -1,4 +1,4 @@
-"""Fit of k and f to hits as a whole: to their outgoing speed, peak force, duration and depth.
+"""Fit of k and f to the measurements of whole hits: outgoing speed, peak force, duration and depth.
 
 If the paper's law does not describe a contact, a fit of the law to the samples gives a wrong peak. This fit
 therefore ignores the samples and fits the quantities that a prediction needs.
@@ -124,7 +124,7 @@ class HitFit:
         return _LOW, _HIGH
 
     def _errors(self, theta: Array) -> Array:
-        """Return predicted minus measured quantities of all hits, in their standard deviations."""
+        """Return predicted minus measured quantities of all hits, divided by the law's expected errors."""
         (k, f), hits = np.exp(theta), self.hits
         predicted = predict(k, f, hits, self.mass_kg, self.onset)
         contact = np.minimum(predicted.contact_time_s, _LONGEST * math.pi * math.sqrt(self.mass_kg / k))
@@ -146,7 +146,10 @@ class HitFit:
         return np.stack([difference(theta, j, self.residuals) for j in range(theta.size)], axis=1)
 
     def reweight(self, theta: Array) -> None:
-        """Replace the errors by Huber's pseudo-values, which give his solution and his covariance."""
+        """Replace the errors by Huber's pseudo-values.
+
+        A least-squares fit to the pseudo-values has the solution and the covariance of Huber's robust fit.
+        """
         errors = self._errors(theta).reshape(4, -1)
         inside = (np.abs(errors) <= self.robust_from) & self._known
         share = (inside.sum(axis=1) + 1.0) / (self._known.sum(axis=1) + 1.0)  # never 0
@@ -155,7 +158,7 @@ class HitFit:
         self._moved = (errors - pseudo).ravel()
 
     def variance(self, theta: Array) -> float:
-        """Return 1: the standard deviations describe the law's own errors, which do not average out."""
+        """Return 1: the standard deviations describe errors of the law, which more hits do not reduce."""
         return 1.0
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:
@@ -184,7 +187,11 @@ def fit_hits(
 
 
 def _start(hits: HitTable, mass_kg: float) -> Array:
-    """Return the logarithms of k and f from the hits' typical peak force per speed and restitution."""
+    """Return first guesses of the logarithms of k and f.
+
+    The guesses follow from the median restitution and the median ratio of peak force to incoming speed.
+    Without forces, the duration or the depth replaces the peak force.
+    """
     out = hits.speed_out / hits.speed_in
     e = min(max(float(np.nanmedian(out)), 0.02), 0.98) if np.isfinite(out).any() else 0.5
     if np.isfinite(hits.peak).any():

@@ -31,7 +31,7 @@ class IdentifyResult(NamedTuple):
         trials: the trials as read.
         found: the result of the fit.
         vehicle: the vehicle whose mass, modes and onset rule were used.
-        flown: the vehicle from the logs with its source; None if it equals the given vehicle.
+        flown: the vehicle that the logs contain, with its source; None if the given vehicle is the same.
         mass_kg, onset: mass and onset rule used in the fit.
     """
 
@@ -53,19 +53,21 @@ def identify_trials(
 ) -> IdentifyResult:
     """Read the trials and fit them.
 
-    If the trials contain the vehicle that flew, its mass, modes and onset rule are used, because the forces
-    in a log were computed for this vehicle.
+    If the trials contain the vehicle that flew, the mass, modes and onset rule of this vehicle are used. The
+    reason is that the forces in a log were computed for this vehicle.
+
+    If there are several logs, a log without a collision is left out, and a note names this log.
 
     Args:
-        paths: files and folders of flight logs.
-        reading: options for reading them.
+        paths: trial files, and folders of flight logs.
+        reading: options for reading the files.
         vehicle: vehicle of the trials that do not contain a vehicle.
         onset: onset rule to use instead of the vehicle's.
-        given: trials in memory, used together with those of the files.
+        given: trials in memory, used together with the trials of the files.
 
     Raises:
         InputError: an option or a trial is invalid, an option applies to no file, or the trials are of
-            different vehicles. If there are several logs, logs without a collision are left out, with a note.
+            different vehicles.
     """
     if not 0.0 <= reading.contact_distance_m <= 1.0:
         raise InputError(f"{reading.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))

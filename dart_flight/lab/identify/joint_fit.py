@@ -99,8 +99,8 @@ class SampleResult:
     """The result of a fit of samples, part of `Identification`; empty if no trial shows its contact.
 
     Attributes:
-        trials: index of a trial in the call of `identify` -> its fit.
-        bad: modes whose law does not fit the samples of a contact.
+        trials: index of a trial among the trials given to `identify` -> fit of this trial.
+        bad: modes in which the law does not fit the samples of a contact.
     """
 
     coefficients: dict[str, dict[str, Estimate | None]] = field(default_factory=dict)
@@ -117,7 +117,7 @@ def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResul
 
     Args:
         fit, theta: the fit and its parameters.
-        places: index of each of the fit's trials in the call of `identify`.
+        places: index of each of the fit's trials among the trials given to `identify`.
     """
     halves = half_widths(fit, theta)
     plane_m = Estimate.about(float(theta[0]), float(halves[0]))

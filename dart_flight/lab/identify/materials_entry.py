@@ -30,11 +30,12 @@ class MaterialsEntry(NamedTuple):
 def materials_entry(
     found: Identification, surface: str, vehicle: VehicleConfig, *, poor: bool = False
 ) -> MaterialsEntry:
-    """Return the YAML of a material, in which unidentified values are marked.
+    """Return the YAML of a material; the YAML marks unidentified values.
 
-    Unidentified values (the other mode, a coefficient that the trials do not show) come from the
-    configuration's entry of the same name. Without that entry, friction, damping and the vertical force are
-    written as 0 and marked as assumed. A mode without a stiffness is left out with a comment.
+    A value is unidentified if its mode has no trials, or if the trials do not determine the coefficient.
+    Unidentified values come from the configuration's entry of the same name. Without that entry, friction,
+    damping and the vertical force are written as 0 and marked as assumed. A mode without a stiffness is left
+    out with a comment.
 
     Args:
         found: the coefficients.

@@ -1,8 +1,8 @@
 """Measurement of hits as a whole, without a contact law: incoming and outgoing speed, peak and duration.
 
-A law must predict these numbers, and restitution and tangential ratio follow from them. They are the only
-data if a recording has too few samples of the contact (motion capture at 100 Hz) or no positions (an
-accelerometer in a drop).
+A law must predict these quantities. Restitution and tangential ratio follow from them. Some recordings give
+no other data: motion capture at 100 Hz records too few samples of the contact, and an accelerometer in a drop
+records no positions.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class MeasuredImpact:
         contact_s: duration of the contact.
         compression_m: largest displacement into the wall since first touch.
         acceleration_m_s2: acceleration along the normal that the contact does not cause, -9.81 in a drop.
-        begin_s, end_s: begin and end of the contact in the recording, widened to whole samples.
+        begin_s, end_s: start and end of the contact in the recording, widened to whole samples.
         samples_in_contact: position samples in this interval.
         clipped: whether the sensor saturated, so that the peak is unknown.
         notes: remarks for the reader, in sentences.
@@ -199,7 +199,10 @@ def _measure_motion(trial: Trial) -> MeasuredImpact:
 def _extent(
     series: Series, turn_s: float, flights: tuple[_FreeFlightFit, _FreeFlightFit], noise_m: float, step: float
 ) -> tuple[float, float]:
-    """Return the interval in which the positions leave free flight, at most 0.15 s to either side."""
+    """Return the interval around the turn in which the positions deviate from free flight.
+
+    The interval reaches at most 0.15 s to either side of the turn.
+    """
     time, value = series
     at = int(np.searchsorted(time, turn_s))
     limits = []
@@ -227,7 +230,7 @@ def _extent(
 def _tangential_velocities(
     trial: Trial, begin: float, end: float
 ) -> tuple[float | None, float | None, float]:
-    """Return the velocity along the wall before and after, and the larger standard deviation."""
+    """Return the velocity along the wall before and after the contact, and the larger standard deviation."""
     for name, slope in (("tangential_m", True), ("tangential_m_s", False)):
         if name not in trial.series:
             continue
@@ -366,7 +369,7 @@ def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
 def _find_pulse(time: Array, value: Array, noise: float, name: str) -> int:
     """Return the first sample of a pulse after free fall, or of any strong pulse without free fall.
 
-    The pulse of a soft drop hardly exceeds 1 g, which the sensor also reads while the vehicle is held. The
+    The pulse of a soft drop hardly exceeds 1 g. The sensor also reads 1 g while the vehicle is held. The
     samples before the pulse therefore decide: they must show free fall.
     """
     largest = float(value.max())
@@ -394,7 +397,10 @@ def _weightless_level(
 def _extent_of_pulse(
     time: Array, reading: Array, pulse_at: int, noise: float, loud: float
 ) -> tuple[int, int]:
-    """Return the first and last sample of the contact; the force may be 0 between touches of two corners."""
+    """Return the first and last sample of the contact.
+
+    If two corners touch one after the other, the force may be 0 between the two touches.
+    """
     begin_at = end_at = pulse_at
     while begin_at > 0 and abs(reading[begin_at - 1]) > 4.0 * noise:
         begin_at -= 1

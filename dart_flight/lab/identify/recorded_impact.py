@@ -128,7 +128,10 @@ def find_impact(trial: Trial) -> TrialImpact:
 
 
 def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
-    """Return the approach velocity as the median slope (Theil and Sen), robust to a third of outliers."""
+    """Return the approach velocity as the median slope (Theil and Sen).
+
+    The median is robust if at most a third of the samples are outliers.
+    """
     straight = (time > impact.turn_s - 0.25) & (time < impact.turn_s - 0.07)
     t, x = time[straight][-200:], value[straight][-200:]
     apart = t[None, :] - t[:, None] > 0.03
@@ -156,7 +159,7 @@ def free_spans_s(
 ) -> tuple[float, float]:
     """Return the duration of free flight before and after a contact, at most `longest_s` each.
 
-    A drop is in free fall only from its release, and after the rebound only until the next contact.
+    The free flight of a drop begins with the release. After the rebound it ends with the next contact.
     """
     if acceleration_m_s2 >= 0.0:
         return longest_s

@@ -1,9 +1,10 @@
-"""The residuals of the law at the samples of all trials of an identification, with one parameter vector.
+"""The residuals of the law at the samples of all trials of an identification.
 
-All trials share one plane. Its position is known to one or two centimetres, and the fit estimates it too. All
-trials of a mode share its coefficients. Every trial has its own onset time and approach velocity, and a clock
-delay if it has both positions and forces. The law is the paper's closed form in time
-(`dart_flight.lab.predict.path`): free flight, contact, free flight.
+One parameter vector describes all trials. All trials share one plane. The position of the plane is known to
+one or two centimetres, and the fit estimates this position too. All trials of a mode share the coefficients
+of the mode. Every trial has its own onset time and approach velocity. A trial with both positions and forces
+also has a clock delay. The law is the paper's closed form in time (`dart_flight.lab.predict.path`): free
+flight, contact, free flight.
 
 In real flights the controller accelerates the vehicle before and after a wall contact. If the recordings show
 such curvature, every wall hit gets three unknown constant accelerations: before, in and after the contact.
@@ -88,7 +89,7 @@ def _contact(
 
 
 def _shape(contact: ContactMotion, name: str, time_s: Array) -> Array:
-    """Return the contribution of the contact to a channel at times since the onset."""
+    """Return the contribution of the contact to a channel; `time_s` counts from the onset."""
     if name.startswith("normal"):
         return contact.normal(time_s)[("normal_m", "normal_m_s", "normal_force_n").index(name)]
     if name == "vertical_m":
@@ -99,13 +100,13 @@ def _shape(contact: ContactMotion, name: str, time_s: Array) -> Array:
 
 
 class SampleFit:
-    """The `LawProblem` of the samples of trials that show the contact.
+    """The `LawProblem` of the samples of several trials.
 
     Args:
-        trials: trials with positions.
+        trials: trials whose positions show the contact.
         hits: hits of the trials, in the same order.
         mass_kg, onset: as for `identify`.
-        pushed: whether accelerations in free flight are unknown too.
+        pushed: whether the fit also estimates constant accelerations before, in and after each wall contact.
     """
 
     robust_from = 2.0
@@ -135,7 +136,7 @@ class SampleFit:
         return free_spans_s(trial.acceleration_m_s2, speed_in_m_s, speed_out_m_s, longest)
 
     def contact(self, theta: Array, i: int) -> ContactMotion:
-        """Return the contact of trial i under a parameter vector."""
+        """Return the contact of trial i that follows from a parameter vector."""
         shared, own = self.parameters.mode_indices(self.trials[i].mode), self.parameters.own[i]
         law = (float(theta[shared[name]]) for name in ("k", "f", "mu"))
         push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
@@ -167,7 +168,7 @@ class SampleFit:
 
     @staticmethod
     def _pushed(theta: Array, own: dict[str, int], name: str, since: Array, end_s: float) -> Array:
-        """Return the contribution of the controller's accelerations outside the contact to a channel."""
+        """Return what the controller's accelerations before and after the contact add to a channel."""
         late, early = np.maximum(since - end_s, 0.0), np.minimum(since, 0.0)
         after, before = theta[own[f"{name[0]}_after"]], theta[own[f"{name[0]}_before"]]
         if name.startswith("n"):  # the contact's shape already includes its own acceleration
@@ -215,7 +216,7 @@ class SampleFit:
         return np.concatenate([*blocks, prior])
 
     def span(self, theta: Array, i: int) -> tuple[float, float, ContactMotion]:
-        """Return onset and release of trial i by the law, in the recording's time, and its contact."""
+        """Return the onset and release of trial i by the law, as times in the recording, and the contact."""
         contact = self.contact(theta, i)
         begin = float(theta[self.parameters.own[i]["onset"]])
         return begin, begin + (contact.end_s if math.isfinite(contact.end_s) else 0.3), contact
@@ -253,7 +254,10 @@ class SampleFit:
                 self.windows[i].counts[name][:] = weights
 
     def variance(self, theta: Array) -> float:
-        """Return the mean square of the residuals; if the samples are correlated, as after a filter, more."""
+        """Return the mean square of the residuals.
+
+        If the samples are correlated, for example by a filter, the result is increased accordingly.
+        """
         data = sum(int(sum((c > 0.0).sum() for c in window.counts.values())) for window in self.windows)
         misfit = sum(float(np.sum(self.block(theta, i) ** 2)) for i in range(len(self.trials)))
         squares, products, n = 0.0, 0.0, 0
@@ -269,7 +273,10 @@ class SampleFit:
         return max(misfit / max(data - self.parameters.size, 1), 1e-12) * correlated
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:
-        """Return the rows of whole trials; with few trials, rows of segments of their channels."""
+        """Return the rows of each trial as one group.
+
+        If there are few trials, each channel of a trial is divided into segments. Each segment is a group.
+        """
         found: list[NDArray[np.intp]] = []
         row = 0
         for window in self.windows:
@@ -340,7 +347,7 @@ class SampleFit:
         return float(offset), float(slope)
 
     def _place_onset(self, theta: Array, i: int) -> None:
-        """Set the onset so that the contact turns at the recorded time."""
+        """Set the onset so that the vehicle reverses at the recorded time."""
         contact = self.contact(theta, i)
         end = contact.end_s if math.isfinite(contact.end_s) else 0.3
         t = np.linspace(0.0, end, 60)

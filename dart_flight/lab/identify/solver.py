@@ -3,9 +3,9 @@
 A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns.
 The intervals hold even if the law is wrong. Every unknown has two standard deviations. The statistical
 deviation follows from the information of data and priors, and holds if the law is right. The resampled
-deviation is the change of the estimate with other data, to first order. If the resampled deviation gives an
-interval that is wider by more than chance, this interval is used. Otherwise the interval of the statistical
-deviation is used.
+deviation describes how the estimate changes if the data are resampled, to first order. If the interval of the
+resampled deviation is wider than chance explains, this interval is used. Otherwise the interval of the
+statistical deviation is used.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class LawProblem(Protocol):
 
 
 def descend(problem: LawProblem, theta: Array, losses: Sequence[str]) -> Array:
-    """Minimise with each loss in turn, and reweight the data between them.
+    """Minimise the residuals with each loss in turn, and reweight the data after each but the last.
 
     Raises:
         InputError: SciPy is missing.
@@ -113,7 +113,7 @@ def stiffness_and_damping(
 
     Args:
         logs, halves: logarithms and half widths of k and f, each (2,).
-        widest: half width of a logarithm from which a coefficient counts as unknown.
+        widest: a coefficient counts as unknown if the half width of its logarithm reaches this value.
     """
     found: dict[str, Estimate | None] = {"k": None, "f": None}
     notes = []

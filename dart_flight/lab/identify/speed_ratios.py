@@ -1,7 +1,7 @@
 """Restitution, tangential ratio and friction from the speeds before and after hits.
 
-Intervals follow from the spread of the hits, with Student's factor for few hits. They are never narrower than
-the uncertainty of the speeds allows.
+Intervals follow from the spread of the hits. If there are few hits, Student's factor widens the intervals.
+The uncertainty of the speeds gives a lower limit for the width of the intervals.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ _MIN_ALONG_M_S = 0.1  # speed along the wall required for a ratio
 def _ratio(
     shares: Array, deviations: Array, least: float = -math.inf, most: float = math.inf
 ) -> Estimate | None:
-    """Return the median of ratios with a 95 % interval from their spread, or their uncertainty if larger.
+    """Return the median of ratios with a 95 % interval.
 
-    Value and interval are clipped to the limits `least` and `most`.
+    The interval follows from the spread of the ratios or from their uncertainty, whichever gives the wider
+    interval. Value and interval are clipped to the limits `least` and `most`.
     """
     n = shares.size
     if not n:
@@ -39,7 +40,10 @@ def _ratio(
 
 
 def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """Return outgoing over incoming normal speed; in a drop, at the height of first touch."""
+    """Return the ratio of outgoing to incoming normal speed.
+
+    In a drop, both are the speeds at the height of first touch.
+    """
     known = [(h, h.normal_out_m_s) for h in hits if h.normal_out_m_s is not None]
     shares = np.array([out / h.normal_in_m_s for h, out in known])
     sds = np.array(
@@ -76,7 +80,10 @@ def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
 
 
 def friction(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """Return the paper's mu from speeds: ln(in/out) along the wall over the change of normal speed."""
+    """Return the paper's mu from the speeds before and after hits.
+
+    mu is ln(in / out) of the velocities along the wall, divided by the change of the normal velocity.
+    """
     pairs = []
     for h, before, after in _sliding_hits(hits):
         if h.normal_out_m_s is not None and after / before > 0.05:

@@ -1,9 +1,9 @@
-"""Widening of intervals by systematic errors of a kind of recording; more data do not reduce such errors.
+"""Widening of intervals by the systematic errors of one kind of recording.
 
-If a vehicle turns during the contact, its guards slide faster or slower than its centre. The law describes a
-point: its friction depends on the velocity of the centre. Flights at one speed do not determine a lever arm
-(docs/results/real_data.md). The intervals of the coefficients therefore include the possible effect of the
-rotation.
+More data do not reduce systematic errors. If a vehicle turns during the contact, its guards slide faster or
+slower than its centre. The law describes a point: the friction depends on the velocity of the centre. Flights
+at one speed do not determine the lever arm from the centre to the sliding guard (docs/results/real_data.md).
+The intervals of the coefficients therefore include the possible effect of the rotation.
 """
 
 from __future__ import annotations

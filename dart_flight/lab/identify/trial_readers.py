@@ -75,7 +75,9 @@ def _acceleration(reading: TrialReading) -> float:
 
 
 def read_csv(path: Path, reading: TrialReading) -> list[Trial]:
-    """Read a CSV file with a header: `time_s`, `normal_m`, and any of `COLUMNS`; an empty cell is no sample.
+    """Read a CSV file with a header: `time_s`, `normal_m`, and any of `COLUMNS`.
+
+    An empty cell means that the column has no sample at this time.
 
     Raises:
         InputError: the file is invalid; the error names file, line and column.
@@ -130,8 +132,8 @@ def _trial(source: str, series: dict[str, Series], reading: TrialReading) -> Tri
     """Return a trial with series in the form that the fits require.
 
     Acceleration becomes specific force, which excludes gravity, as an accelerometer measures it. Together
-    with positions, specific force becomes force. Velocity alone is integrated to a position in which the
-    impact is found.
+    with positions, specific force becomes force. If only the velocity was recorded, it is integrated to a
+    position, because the impact is searched in the position.
     """
     series = dict(series)
     acceleration = series.pop("normal_acceleration_m_s2", None)
@@ -178,8 +180,8 @@ def read_ulog(path: Path, reading: TrialReading) -> list[Trial]:
     """Read a PX4 ULog: local position and velocity, and the force along the normal from the IMU.
 
     At a wall, the mean horizontal specific force before the impact is subtracted, because thrust and tilt
-    cause it in a steady approach. The mass times the rest is the force. In a drop, the specific force itself
-    is read.
+    cause this mean in a steady approach. The force is the mass times the difference. In a drop, the specific
+    force itself is read.
 
     Raises:
         InputError: pyulog is missing, the file is not a ULog, topics are missing, or no wall was given.

@@ -1,7 +1,7 @@
 """Recorded trials as arrays, and the options for reading them from files.
 
-`trial_readers` makes them from files, `flight_trials` from flight logs, and scripts from their own arrays.
-All fits use `Trial` only.
+`trial_readers` makes trials from files, `flight_trials` makes trials from flight logs, and scripts make
+trials from their own arrays. All fits use `Trial` only.
 """
 
 from __future__ import annotations
@@ -45,15 +45,18 @@ class Trial:
 
     Attributes:
         name: name for messages, usually the file.
-        series: series by column name (`COLUMNS`); rates may differ. A trial has `normal_m`, or for an
-            accelerometer `specific_force_m_s2` along the outward normal (in a drop: up).
+        series: series by column name (`COLUMNS`); rates may differ. A trial has the column `normal_m`. A
+            trial from an accelerometer alone has the column `specific_force_m_s2` instead, along the outward
+            normal (in a drop: up).
         mode: `rigid`, `flexible` or `unlabelled`.
         acceleration_m_s2: acceleration along the normal in free flight: 0 at a wall, -9.81 in a drop.
         height_m: height of a drop, if known.
-        position_measured: whether `normal_m` was recorded; if not, it is integrated from `normal_m_s`.
-        allowance: coefficient -> relative systematic error of this kind of recording; it is added to the
-            coefficient's interval.
-        flown: the vehicle that flew; None if the recording does not contain it (a flight log does).
+        position_measured: whether `normal_m` was recorded. If not, `normal_m` is integrated from
+            `normal_m_s`.
+        allowance: coefficient -> relative systematic error of this kind of recording. The error is added to
+            the coefficient's interval.
+        flown: the vehicle that flew. A flight log contains this vehicle; for other recordings `flown` is
+            None.
         turn_rad_s: largest yaw rate during the contact; None if not recorded.
         notes: one line for each missing part of the recording.
     """
@@ -75,7 +78,10 @@ class Trial:
         return self.series["normal_m"]
 
     def samples_between(self, begin_s: float, end_s: float) -> int:
-        """Return the number of position or normal force samples between two times, whichever is larger."""
+        """Return the number of position samples or of normal force samples between two times.
+
+        The result is the larger of the two numbers.
+        """
         shown = [self.series[name].time_s for name in ("normal_m", "normal_force_n") if name in self.series]
         return max(int(np.sum((time >= begin_s) & (time <= end_s))) for time in shown)
 
@@ -87,12 +93,12 @@ class TrialReading:
     Attributes:
         mode: mode of trials that do not record their mode; for a flight, only collisions in this mode are
             used.
-        surface: for a flight, only collisions with this material are used; None: all collisions must be with
-            one material.
+        surface: for a flight, only collisions with this material are used. If `surface` is None, all
+            collisions must be with one material.
         drop: whether gravity acts along the normal.
         contact_distance_m: distance between the surface and the vehicle's centre when the vehicle first
-            touches the surface. It is subtracted from the normal positions. 0 if the positions already count
-            from first touch.
+            touches the surface. The distance is subtracted from the normal positions. The distance is 0 if
+            the positions already count from first touch.
         columns: our column name -> header in the file.
         wall: for logs in local NED: north and east (m) of the vehicle's centre when the vehicle touches the
             wall, and the heading of the wall's outward normal, degrees.

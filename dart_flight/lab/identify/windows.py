@@ -1,10 +1,10 @@
 """Selection and weights of the samples in a fit.
 
-A window has two parts. In *free flight* a sample beyond five deviations is a recording error and is ignored.
-In *contact* that test would be wrong, because a deviation there usually comes from the law. The contact
-therefore has its own scale, estimated from its own residuals. Its outlying samples get smaller weights
-(Huber). A sample in contact is set aside only if the samples before and after it fit well. At most a tenth of
-a contact is set aside, and the number is reported.
+A window has two parts. In *free flight*, a sample that deviates by more than five standard deviations is a
+recording error and is ignored. In *contact*, that test would be wrong, because most large deviations there
+are errors of the law. The contact therefore has its own scale, estimated from its own residuals. Outlying
+samples of the contact get smaller weights (Huber). A sample in contact is set aside only if the samples
+before and after it fit well. At most a tenth of a contact is set aside, and the number is reported.
 """
 
 from __future__ import annotations
@@ -39,8 +39,10 @@ class TrialWindow(NamedTuple):
 
     Attributes:
         series: the samples.
-        counts: weight on each residual: 0 ignores the sample, 1 assumes the noise of free flight.
-        contact: mask of the samples in contact, by the law or by the recording itself.
+        counts: weight of each residual. Weight 0 ignores the sample, weight 1 assumes the noise of free
+            flight.
+        contact: mask of the samples in contact. A sample is in contact if the law or the measurement without
+            a law (`measured_impacts`) says so.
     """
 
     series: dict[str, Series]
@@ -49,7 +51,7 @@ class TrialWindow(NamedTuple):
 
 
 def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
-    """Return the samples of a trial between two of its times, all with weight 1.
+    """Return the samples of a trial from `begin` to `end`, seconds, all with weight 1.
 
     Raises:
         InputError: there are too few samples.
@@ -76,7 +78,8 @@ def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float
         contacts: masks of the samples in contact.
 
     Returns:
-        Weights on the residuals per trial, and the standard deviation in free flight to which they refer.
+        The weights of the residuals per trial, and the standard deviation in free flight. The weight of a
+        sample with this standard deviation is 1.
     """
     free = np.concatenate([e[~c] for e, c in zip(errors, contacts, strict=True)])
     hit = np.concatenate([e[c] for e, c in zip(errors, contacts, strict=True)])

@@ -85,20 +85,26 @@ def _stamps(log: ULogFile, name: str) -> NDArray[np.float64]:
 
 
 def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """Return begin and end (s) of the intervals on the ground, from PX4's first landing indication."""
+    """Return start and end (s) of the intervals on the ground.
+
+    An interval starts when PX4 first indicates the landing.
+    """
     close = track.ground
     landed = [(min([a, *(x for x, y in close if x <= a <= y)]), b) for a, b in _landed(log, track)]
     return landed + [(a, b) for a, b in close if height_at(track, a) < _LOW_M]
 
 
 def _landed(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """Return begin and end (s) of PX4's landed states, except short ones high up (motors cut in the air)."""
+    """Return start and end (s) of PX4's landed states.
+
+    A short landed state high above the ground is left out, because the motors were cut in the air.
+    """
     found = _stretches(log, "vehicle_land_detected", "landed")
     return [(a, b) for a, b in found if b - a >= _LANDED_S or not height_at(track, a) > _HIGH_M]
 
 
 def height_at(track: Track, t_s: float) -> float:
-    """Return the height since the begin of the log, where it is 0, metres; NaN if PX4 has no estimate."""
+    """Return the height above the first position in the log, metres; NaN if PX4 has no estimate."""
     if not track.position_s.size:
         return math.nan
     down = track.position[:, 2]
@@ -106,7 +112,10 @@ def height_at(track: Track, t_s: float) -> float:
 
 
 def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """Return begin and end (s) of the flights: armed, and from 0.3 m height until PX4 reports a landing."""
+    """Return start and end (s) of the flights of the armed vehicle.
+
+    A flight starts at 0.3 m height and ends when PX4 reports a landing.
+    """
     begin, end = float(track.imu_s[0]), float(track.imu_s[-1])
     armed = _stretches(log, "vehicle_status", "arming_state", ARMED)
     detected = log.first("vehicle_land_detected")
@@ -125,7 +134,10 @@ def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
 
 
 def describe_cut(log: ULogFile, track: Track, flying: list[tuple[float, float]]) -> list[str]:
-    """Return a line for each end of the log that is in the air; none without PX4's land detector."""
+    """Return a line if the log begins in the air, and a line if the log ends in the air.
+
+    Without PX4's land detector there are no lines.
+    """
     if not flying or log.first("vehicle_land_detected") is None:
         return []
     begin, end = float(track.imu_s[0]), float(track.imu_s[-1])
@@ -143,7 +155,10 @@ def _clipped(stretches: Iterable[tuple[float, float]], begin: float, end: float)
 
 
 def _stretches(log: ULogFile, topic: str, field: str, value: int = 1) -> list[tuple[float, float]]:
-    """Return begin and end (s) of the intervals in which a field has a value, held from sample to sample."""
+    """Return start and end (s) of the intervals in which a field has a value.
+
+    The value of a sample is valid until the next sample.
+    """
     data = log.first(topic)
     if data is None:
         return []
@@ -154,7 +169,10 @@ def _stretches(log: ULogFile, topic: str, field: str, value: int = 1) -> list[tu
 
 
 def _off_the_ground(track: Track, begin: float, end: float) -> float:
-    """Return the time at which a flight has risen; PX4's land detector reports flight at the first thrust."""
+    """Return the time at which the vehicle has risen by 0.3 m.
+
+    PX4's land detector cannot give this time, because it already reports flight at the first thrust.
+    """
     inside = (track.position_s >= begin) & (track.position_s <= end)
     height = -track.position[inside, 2]
     if not len(height):

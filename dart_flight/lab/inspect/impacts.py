@@ -50,7 +50,7 @@ class InspectedImpact(msgspec.Struct):
     """One impact.
 
     Attributes:
-        t_s: time of first contact since the begin of the log.
+        t_s: time of first contact since the start of the log.
         acceleration_m_s2: peak of the normal force over mass.
         acceleration_sd_m_s2: standard deviation of that peak, from noise and the uncertainty of the thrust.
         force_n: peak of the normal force; None without a mass.
@@ -59,11 +59,11 @@ class InspectedImpact(msgspec.Struct):
         clipped: whether the accelerometer saturated, so that the peak is a lower bound.
         kind: `impact`, or one of the following. `touch-down`: PX4 reports a landing shortly after the impact.
             `crash`: the impact ends a fall, or follows such an impact within seconds. `untold`: a manoeuvre
-            cannot be excluded, because the peak is below four standard deviations, because the vehicle has
-            crashed before, or because the thrust is unknown (`is_thrust_known`) and the vehicle does not
-            hover.
+            cannot be excluded. There are three possible reasons: the peak is below four standard deviations,
+            the vehicle has crashed before, or the vehicle does not hover and its thrust is unknown
+            (`is_thrust_known`).
         speed_m_s: horizontal speed before the impact.
-        height_m: height by PX4's estimate, which is 0 at the begin of the log, or None.
+        height_m: height above the first position in the log, by PX4's estimate; None without an estimate.
     """
 
     t_s: float
@@ -100,8 +100,8 @@ class Estimated(NamedTuple):
     def beyond_thrust(self) -> Vec2:
         """Return the horizontal force that no thrust explains, newton, mission frame.
 
-        The thrust is fitted or assumed, and the log contains its commands at 10 Hz only. Any force along the
-        thrust axis from zero to full thrust may therefore be thrust and not a contact.
+        The thrust is fitted or assumed, and the log contains the motor commands at only 10 Hz. A force along
+        the thrust axis may therefore be thrust and not a contact, if it lies between zero and full thrust.
         """
         could_n = max(0.0, min(self.full_n, self.along_n)) - self.thrust_n
         x, y, _ = self.force.force_mission
@@ -118,9 +118,10 @@ class ThresholdCrossing(msgspec.Struct):
         onset: the onset that the detector reported.
         threshold_n: the crossed threshold.
         peak: the fitted peak; None if the log ends before the peak is known.
-        beyond_thrust: whether no thrust of the motors explains the crossing. This is the case if the part of
-            the force beyond the thrust has half of the impulse up to the peak. It is also the case if the
-            mean of this part over the detector's short window exceeds the threshold.
+        beyond_thrust: whether no thrust of the motors explains the crossing. `Estimated.beyond_thrust` gives
+            the part of the force that no thrust explains. The attribute is True if this part contributes at
+            least half of the impulse up to the peak. It is also True if the mean of this part over the
+            detector's short window exceeds the threshold.
         noise_n: noise of the mean over the detector's short window.
         level: horizontal component of the thrust's direction, 0 for a level vehicle.
     """
@@ -477,9 +478,11 @@ def _height(track: Track, t_s: float) -> float | None:
 
 
 def _is_certain(impact: InspectedImpact, thrust_known: bool, known_s: Array) -> bool:
-    """Return whether an impact is certainly a contact: beyond its own error and not explained by a manoeuvre.
+    """Return whether an impact is certainly a contact.
 
-    If the thrust is unknown, hover thrust is assumed, and the log must show that the vehicle hovers.
+    The peak must be at least four of its standard deviations, and no manoeuvre may explain the peak. If the
+    thrust is unknown, hover thrust is assumed. The log must then show that the vehicle hovers, or the peak
+    must exceed 5 g.
     """
     hovers = bool(known_s.size) and impact.speed_m_s < _HOVERS_M_S
     beyond_motors = impact.acceleration_m_s2 > _CRASH_M_S2

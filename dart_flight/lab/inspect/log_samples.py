@@ -1,4 +1,4 @@
-"""The samples of a ULog in the order of their stamps, as inputs of the flight core, and their vehicle."""
+"""The samples of a ULog as inputs of the flight core, and the vehicle configuration for these samples."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Sample = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 def samples_of(track: Track, curve: SpecificThrust | None, motors: int) -> Iterator[Sample]:
     """Yield the samples of a log in the order of their stamps.
 
-    The attitude is output at the IMU's rate: the logged attitude is propagated by the gyro. All `motors` get
+    Attitude samples have the IMU's rate, because the gyro propagates the logged attitude. All `motors` get
     the same command: the collective command, converted by the curve and interpolated between logged values.
     """
     stamps, attitude_us = _us(track.imu_s), _us(track.attitude_s)
@@ -82,7 +82,10 @@ def _collective(track: Track, curve: SpecificThrust | None, motors: int) -> Iter
 def vehicle_for(
     vehicle: VehicleConfig, log: ULogFile, curve: SpecificThrust | None, drag: float
 ) -> VehicleConfig:
-    """Return the configured vehicle with its mass, but the thrust, drag and IMU interval of the log."""
+    """Return the configured vehicle with the thrust, drag and IMU interval of the log.
+
+    The mass of the vehicle remains the configured mass.
+    """
     replace, mass = msgspec.structs.replace, vehicle.airframe.mass_kg
     all_n = mass * (curve.full_m_s2 if curve else 2.0 * GRAVITY_M_S2)
     imu = log.first("sensor_combined") or {}

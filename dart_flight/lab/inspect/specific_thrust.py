@@ -75,7 +75,8 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
 def is_thrust_known(track: Track, curve: SpecificThrust | None, t_s: float) -> bool:
     """Return whether the thrust is known around a time on the log's clock.
 
-    This requires a curve, and motor outputs close enough to resolve a change of the thrust.
+    The thrust is known if there is a curve, and if the motor outputs around that time are logged often enough
+    to resolve a change of the thrust.
     """
     if curve is None:
         return False
@@ -87,7 +88,7 @@ def is_thrust_known(track: Track, curve: SpecificThrust | None, t_s: float) -> b
 
 
 def are_motors_slow(track: Track) -> bool:
-    """Return whether a log's motor outputs are usually too far apart to know the thrust between them."""
+    """Return whether a log has too few motor outputs per second to know the thrust between two outputs."""
     return len(track.motor_s) < 2 or _is_too_far(float(np.median(np.diff(track.motor_s))))
 
 
@@ -96,10 +97,10 @@ def _is_too_far(apart_s: float) -> bool:
 
 
 def fit_drag(track: Track, flying: list[tuple[float, float]]) -> float:
-    """Fit the drag, 1/s: horizontal specific force across the thrust axis over the velocity, ignoring wind.
+    """Fit the drag, 1/s; wind is ignored.
 
-    The fit is robust and uses half-second means over the whole flight. If the flight is too slow, the drag is
-    0.
+    The drag is the horizontal specific force across the thrust axis, divided by the velocity. The fit is
+    robust and uses half-second means over the whole flight. If the flight is too slow, the drag is 0.
     """
     if not track.attitude_s.size or not track.position_s.size:
         return 0.0

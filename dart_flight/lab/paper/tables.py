@@ -103,7 +103,10 @@ _REFIT_RANGE = ((100.0, 30_000.0), (0.3, 100.0))  # k in N/m, f in N s/m
 
 
 def refits(mass_kg: float, onset: Onset) -> Iterator[Refit]:
-    """Fit each mode's drops one height at a time, then together, by least squares of the relative errors."""
+    """Yield fits to the drops of each mode: one fit per height, then one fit to all heights.
+
+    Each fit is a least-squares fit of the relative errors.
+    """
     for mode in Mode:
         rows = [row for row in DROPS if row.mode is mode]
         for fitted in (*([row] for row in rows), rows):
@@ -113,7 +116,7 @@ def refits(mass_kg: float, onset: Onset) -> Iterator[Refit]:
 def _refit(
     mass_kg: float, onset: Onset, rows: Sequence[PublishedDrop], fitted: Sequence[PublishedDrop]
 ) -> Refit:
-    """Search a grid over the logarithms of k and f that contracts around its best point."""
+    """Fit k and f by searching a grid of their logarithms; the grid contracts around the best point."""
     (low_k, high_k), (low_f, high_f) = np.log(_REFIT_RANGE)
     for _ in range(_REFIT_ROUNDS):
         k, f = np.meshgrid(np.linspace(low_k, high_k, _REFIT_STEPS), np.linspace(low_f, high_f, _REFIT_STEPS))
@@ -143,7 +146,10 @@ def _refit(
 def _drop_errors(
     row: PublishedDrop, log_k: Array, log_f: Array, mass_kg: float, onset: Onset
 ) -> tuple[Array, Array]:
-    """Return the relative errors of contact time and rebound speed; they are large without a rebound."""
+    """Return the relative errors of contact time and rebound speed.
+
+    The error of the contact time is very large if the model predicts no rebound.
+    """
     k, f = np.exp(log_k), np.exp(log_f)
     got = drop_map(CoefficientArrays(k, f, np.zeros_like(k), np.zeros_like(k)), mass_kg, row.height_m, onset)
     time = np.where(np.isfinite(got.contact_time_s), got.contact_time_s, 1e3)
