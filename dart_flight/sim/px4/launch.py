@@ -230,8 +230,8 @@ def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tupl
 def environment() -> dict[str, str]:
     """Return the environment of the PX4 process, without variables of the caller that could affect PX4.
 
-    Variables are not used to set parameters: PX4 reads PX4_PARAM_* variables only since v1.16, and in an order
-    that depends on the version.
+    Variables are not used to set parameters: PX4 reads PX4_PARAM_* variables only since v1.16, and in an
+    order that depends on the version.
     """
     kept = {name: os.environ[name] for name in ("PATH", "HOME", "LANG", "TZ") if name in os.environ}
     kept["PX4_SIM_MODEL"] = MODEL
