@@ -247,7 +247,7 @@ def _servo(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 def _lock_true_mode(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     """Draw a fault of the lock with probability `sd`.
 
-    Either the servo is stuck from the start, or the rods engage only half.
+    Either the servo is stuck from the start, or the rods are half engaged.
     """
     if rng.random() >= sd:
         return world._replace(drawn=world.drawn | {LOCK_TRUE_MODE: AS_COMMANDED})

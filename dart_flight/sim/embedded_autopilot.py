@@ -1,8 +1,8 @@
 """The embedded autopilot: a small imitation of PX4 on the plant, without I/O and without a clock.
 
 One `step` is a tick of 4 ms: plant, sensors, estimator, modes and failsafes, control. `run.fast` runs the
-autopilot in its own process. `sim.embedded_simulator` runs the autopilot in a separate process and connects
-it over MAVLink.
+autopilot in the process of the flight core. `sim.embedded_simulator` runs the autopilot in a separate process
+and connects the autopilot over MAVLink.
 """
 
 from __future__ import annotations

@@ -179,7 +179,7 @@ class Plant:
 
     Args:
         vehicle: configuration with mass, motors, materials and so on.
-        walls: walls in the mission frame, as planes of first touch for the vehicle's centre.
+        walls: walls in the mission frame. The vehicle's centre lies on a wall's plane at the first touch.
         frame: the mission frame in local NED.
         start_ned: initial position, metres.
         yaw_ned_rad: initial heading.
@@ -811,8 +811,8 @@ def _between(a: Coefficients, b: Coefficients) -> Coefficients:
 def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]) -> _WallPlane:
     """Return a wall in NED.
 
-    `wall` is the plane of first touch for the vehicle's centre. The wall's surface is `out_m` behind this
-    plane.
+    The vehicle's centre lies on the plane of `wall` at the first touch. The wall's surface is `out_m` behind
+    this plane.
     """
     point = frame.point_to_ned((wall.point[0], wall.point[1], 0.0))
     normal = frame.vector_to_ned(wall.from_collision((1.0, 0.0, 0.0)))

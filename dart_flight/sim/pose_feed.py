@@ -101,7 +101,11 @@ class EmulatedMotionCapture:
         self._heard = False
 
     def publish(self, now_s: float, pose: Pose | None) -> int | None:
-        """Publish a frame if it is due; return the frame's number, or None if no client has connected yet."""
+        """Publish a frame if it is due.
+
+        Return the number of the published frame. The result is None if no frame is due, or if no client has
+        connected so far.
+        """
         if now_s <= self._published_s:
             return None  # time has not advanced
         self._published_s = now_s

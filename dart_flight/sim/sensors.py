@@ -34,8 +34,8 @@ _ROUNDING_S: Final = 1e-9  # tolerance, so that rounding does not delay a pose b
 class ImuSensor:
     """Accelerometer and gyro.
 
-    A sample is the mean over one tick, with noise. The accelerometer also has a constant bias and saturates
-    at full scale.
+    Both sensors have noise. The accelerometer averages over one tick, has a constant bias and saturates at
+    full scale.
     """
 
     def __init__(self, vehicle: VehicleConfig, noise: GaussianNoise) -> None:

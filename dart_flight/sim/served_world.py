@@ -72,7 +72,10 @@ class ServedWorld(Protocol):
         ...
 
     def publish_pose(self) -> int | None:
-        """Send a pose if it is due; return the number of the sent frame, or None if no program listens."""
+        """Send a pose if it is due.
+
+        Return the number of the sent frame. The result is None if no pose is due, or if no program listens.
+        """
 
     def is_over(self, alone_s: float) -> bool:
         """Return whether the world may end now, `alone_s` seconds after the app has ended."""

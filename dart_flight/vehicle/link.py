@@ -278,7 +278,7 @@ def udp_port_is_free(port: int, host: str = "") -> bool:
     A socket that permits sharing of its port, such as MAVSDK's, also counts as bound.
 
     Raises:
-        InputError: the port cannot be bound for another reason; for example, `host` is another computer.
+        InputError: the port cannot be bound for another reason, for example because `host` is not local.
     """
     family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
     try:

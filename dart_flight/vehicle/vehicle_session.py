@@ -555,7 +555,7 @@ class VehicleSession:
             )
 
     async def perform(self, action: VehicleAction) -> str:
-        """Perform an action; return an empty string, or PX4's result if PX4 refused the action."""
+        """Perform an action; return an empty string, or the reason why the action was not performed."""
         if self._silent:
             return "silent"
         calls: dict[VehicleAction, Callable[..., Any]] = {
