@@ -128,7 +128,7 @@ def _with_contact(world: DrawnWorld, drawn: Drawn, **changes: object) -> DrawnWo
 
 
 def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw k, f, mu and nu of every wall and mode, constant over the flight."""
+    """Draw the contact coefficients (`Coefficients`) of every wall and mode; they are constant in flight."""
     mission = world.mission
     materials, drawn = dict(mission.vehicle.materials), Drawn()
     renamed: dict[str, Wall] = {}
@@ -200,7 +200,10 @@ def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _contact_scatter(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Set the spread with which the plant draws k, f and mu again for every contact."""
+    """Set the spread of the coefficients k, f and mu between contacts.
+
+    The plant draws these coefficients again for every contact.
+    """
     return _with_contact(world, {"contact_scatter": sd}, scatter=sd)
 
 
@@ -223,7 +226,10 @@ def _mass(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _wind(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw a steady wind from any direction, with gusts of half the wind's spread."""
+    """Draw a steady wind from any direction, and set the gusts.
+
+    The standard deviation of the gusts is half of `sd`.
+    """
     north, east = world.mission.vehicle.simulation.wind_north_east_m_s
     north, east = north + sd * rng.gauss(0.0, 1.0), east + sd * rng.gauss(0.0, 1.0)
     drawn: Drawn = {"wind_north_m_s": north, "wind_east_m_s": east}
@@ -241,7 +247,10 @@ def _servo(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _lock_true_mode(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """With probability `sd`, make the lock disobey: a servo stuck from the start, or half-engaged rods."""
+    """Draw a fault of the lock with probability `sd`.
+
+    Either the servo is stuck from the start, or the rods are half engaged.
+    """
     if rng.random() >= sd:
         return world._replace(drawn=world.drawn | {LOCK_TRUE_MODE: AS_COMMANDED})
     if rng.random() < 0.5:
@@ -271,7 +280,7 @@ def _imu(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _replan_latency(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw a latency that is not shorter than the configured one."""
+    """Draw a latency of replanning that is at least the configured latency."""
     latency_s = world.mission.vehicle.simulation.replan_latency_s + sd * abs(rng.gauss(0.0, 1.0))
     return _with_simulation(world, {"replan_latency_s": latency_s}, replan_latency_s=latency_s)
 

@@ -1,7 +1,8 @@
 """The embedded autopilot: a small imitation of PX4 on the plant, without I/O and without a clock.
 
-One `step` is a tick of 4 ms: plant, sensors, estimator, modes and failsafes, control. `run.fast` uses the
-autopilot in the same process, `sim.embedded_simulator` over MAVLink in a separate process.
+One `step` is a tick of 4 ms: plant, sensors, estimator, modes and failsafes, control. `run.fast` runs the
+autopilot in the process of the flight core. `sim.embedded_simulator` runs the autopilot in a separate process
+and connects the autopilot over MAVLink.
 """
 
 from __future__ import annotations
@@ -196,7 +197,10 @@ class Autopilot:
         self.estimator.assume_delay(self.now_s, 1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
 
     def fuse_external_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> None:
-        """Fuse an external pose; ignore it if the vehicle fuses poses of its own simulated motion capture."""
+        """Fuse an external pose.
+
+        If the autopilot fuses the poses of the simulated motion capture, ignore the external pose.
+        """
         if not self.fuses_own_pose:
             self.estimator.correct(self.now_s, position_ned, q_frd_to_ned)
 
@@ -208,7 +212,7 @@ class Autopilot:
     def lock_pulse_us(self) -> float | None:
         """Return the pulse of the lock's output, microseconds.
 
-        The result is None without a lock, or while PX4 holds the output at its disarmed value.
+        If the vehicle has no lock, or while PX4 holds the output at the disarmed value, the result is None.
         """
         lock = self.vehicle.lock
         if lock is None:
@@ -256,7 +260,7 @@ class Autopilot:
         self.motors = self.cascade.update_attitude(e.q, e.rate, TICK_S)
 
     def _correct_by_gps(self, receiver: GpsReceiver, pose: tuple[float, Vec3, Quaternion] | None) -> None:
-        """Correct position and velocity by GPS, and the attitude by the simulated pose's attitude."""
+        """Correct position and velocity by the GPS fix, and correct the attitude by the simulated pose."""
         if pose is not None:
             self.estimator.correct_attitude(pose[0], pose[2])
         fix = receiver.measure(self.plant)

@@ -1,7 +1,8 @@
 """The world of the embedded autopilot: plant, autopilot and MAVLink, with or without lockstep.
 
-If the app ends (end of input), the vehicle continues until its failsafe has acted, and reports to its text
-log. The process ends once the vehicle has landed, after 30 s at the latest, or after 3 s in a pilot's mode.
+If the app ends (end of input), the vehicle continues until its failsafe has acted. The world's text log
+contains the vehicle's reports. The process ends when the vehicle has landed, but at the latest 30 s after
+the app has ended. In a pilot's mode this limit is 3 s.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""The embedded autopilot's state estimator: it integrates the IMU and corrects by late poses or GPS fixes.
+"""The embedded autopilot's state estimator: it integrates the IMU and corrects by poses or GPS fixes.
 
-The estimator replaces PX4's EKF2. It uses fixed gains for motion capture, and for GPS a small Kalman filter
-weighted by PX4's parameters. It is no copy of the EKF2, but it has the same kinds of error. Poses and fixes
-are noisy and late, and a clipped accelerometer causes a velocity error. With GPS the position follows the
-receiver's wandering error, or drifts with the measured velocity.
+The estimator replaces PX4's EKF2. For motion capture the estimator uses fixed gains. For GPS it uses a small
+Kalman filter with noise values from PX4's parameters. The estimator is no copy of the EKF2, but has the same
+kinds of error. Poses and fixes are noisy and arrive with a delay, and a clipped accelerometer causes a
+velocity error. With GPS the estimated position follows the receiver's wandering error, or drifts because the
+measured velocity is wrong.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ class Estimator:
             self._history.popleft()
 
     def shift(self, by_ned: Vec3) -> None:
-        """Shift the position by a step, like a reset of an EKF, metres."""
+        """Shift the position by `by_ned` (metres) in one step, like a reset of an EKF."""
         if self._delayed is not None:
             self._delayed.shift(by_ned)
             return
@@ -99,7 +100,10 @@ class Estimator:
         self._history = deque((t, add(p, by_ned), v, q) for t, p, v, q in self._history)
 
     def turn(self, by_rad: float) -> None:
-        """Turn the heading by a step, like a reset of an EKF; positive is clockwise from above."""
+        """Turn the heading by `by_rad` in one step, like a reset of an EKF.
+
+        Seen from above, a positive angle is clockwise.
+        """
         self.resets += 1
         turn = quaternion_from_rotation_vector((0.0, 0.0, by_rad))
         self.q = quaternion_multiply(turn, self.q)
@@ -126,9 +130,10 @@ class Estimator:
         self.ok = self._updates > 50
 
     def correct_attitude(self, t_s: float, q: Quaternion) -> None:
-        """Correct by an attitude measured at `t_s`, as from gravity and magnetometer.
+        """Correct by an attitude measured at `t_s`.
 
-        Keep the predictions before `t_s`, because the next GPS fix may be older.
+        The attitude replaces the measurements of gravity and magnetometer. Keep the predictions before `t_s`,
+        because the next GPS fix may be older than `t_s`.
         """
         if self._history:
             then = min(reversed(self._history), key=lambda one: abs(one[0] - t_s))

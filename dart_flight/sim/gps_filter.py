@@ -23,7 +23,10 @@ class GpsWeights(NamedTuple):
 
 
 class GpsFilter:
-    """Covariance and gains of position, velocity and accelerometer bias of one axis; all axes are equal."""
+    """Covariance and gains of position, velocity and accelerometer bias on one axis.
+
+    The values apply to every axis.
+    """
 
     _ACCELERATION_M_S2: Final = 0.35  # PX4's EKF2_ACC_NOISE, of samples at 100 Hz
     _BIAS_M_S3: Final = 0.003  # EKF2_ACC_B_NOISE
@@ -46,7 +49,7 @@ class GpsFilter:
     def correct(self) -> tuple[tuple[float, float], ...]:
         """Return the gains by which a fix corrects position, velocity and bias.
 
-        Each has one gain for the fix's position and one for the fix's velocity.
+        Each of these three states has two gains: for the fix's position and for the fix's velocity.
         """
         h, self._since_s = self._since_s, 0.0
         step = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])

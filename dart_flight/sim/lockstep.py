@@ -1,13 +1,12 @@
 """Lockstep with the application: simulated time does not advance until the application has answered.
 
 The world counts the messages that it has sent. The application reports in `Stepped` which of these messages
-the core has processed, and which messages it has sent itself. Time waits for telemetry and poses that the
-core has not processed, for setpoints and poses in transit to the autopilot, and for outstanding commands,
+the core has processed, and which messages the application has sent. Time waits for telemetry and poses that
+the core has not processed, for setpoints and poses in transit to the autopilot, and for outstanding commands,
 lock orders and plans. A busy computer therefore makes a simulated flight slower but never different.
 
-A message also counts as processed if the core has processed a newer message of its stream. A lost datagram
-therefore delays the world only by `_LOST_S`. Time then advances by one tick, and the next message replaces
-the lost one.
+If a datagram is lost, time waits for `_LOST_S` and then advances by one tick. The next message replaces the
+lost message: if the core has processed a message, all older messages of the same stream count as processed.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ class SilentParticipantError(FlightError):
 
 
 class LinkEnd(Protocol):
-    """The interface of the autopilot's side of the link that lockstep uses."""
+    """The autopilot's side of the link, as an interface for lockstep."""
 
     @property
     def sent_us(self) -> Mapping[str, int]:
@@ -45,7 +44,7 @@ class LinkEnd(Protocol):
 
     @property
     def arrived(self) -> Mapping[str, Sequence[float]]:
-        """The last message of each kind received from the application, as in `Stepped.sent`."""
+        """The last message of each kind from the application, with the values that `Stepped.sent` has."""
 
     def answer_requests(self) -> None:
         """Answer requests that have arrived while time stands still."""
@@ -56,12 +55,12 @@ class Lockstep:
 
     Args:
         autopilot: the autopilot's side of the link.
-        answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not.
-            Time then advances while a request is outstanding, but still waits for the core to process
+        answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not
+            answer: time must advance while a request is outstanding, but still waits for the core to process
             telemetry.
         waits_at_first: whether time stands still until the application's first report.
-        sender_lag_us: simulated time by which a sender in its own thread may lag behind the autopilot,
-            microseconds.
+        sender_lag_us: largest lag of the autopilot's sender behind the autopilot in simulated microseconds.
+            The lag is 0 unless the sender runs in its own thread.
     """
 
     def __init__(
@@ -81,7 +80,7 @@ class Lockstep:
 
     @property
     def limits_pace(self) -> bool:
-        """Whether lockstep limits the world's time, so that no other pace is needed."""
+        """Whether lockstep limits the pace of the world; if so, no other limit is needed."""
         report = self._report
         return self.engaged and not (report is not None and report.commands and not self._answers_at_rest)
 
@@ -93,7 +92,7 @@ class Lockstep:
         self._report, self._unanswered_s = report, 0.0
 
     def publish(self, stream: str, number: int) -> None:
-        """Count a message that the world has sent itself, without the autopilot; `number` must increase."""
+        """Count a message that the world has sent directly, not by the autopilot; `number` must increase."""
         self._published[stream] = number
 
     def _sent(self) -> dict[str, int]:
@@ -135,7 +134,8 @@ class Lockstep:
         Args:
             next_us: simulated time of the next tick, microseconds.
             wake: descriptors that become readable when data has arrived.
-            look: function that processes the application's lines; False: the application has disconnected.
+            look: function that processes the application's lines and returns whether the application is still
+                connected.
 
         Raises:
             SilentParticipantError: nothing came from the application for 10 s of host time.

@@ -69,7 +69,7 @@ _ESC_THRUST_N_PER_RPM2 = 1.1e-8  # example value, for a configuration without on
 
 
 class Link:
-    """A UDP socket with its peer and the message rates of its peer; `local_port` 0 selects any port."""
+    """A UDP socket, its peer, and the rates of the messages to the peer; `local_port` 0 selects any port."""
 
     def __init__(self, remote_port: int, host: str = "127.0.0.1", local_port: int = 0) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -234,7 +234,10 @@ class MavlinkEndpoint:
                     self._handle_message(link, message)
 
     def _forward(self, link: Link, message: Any, system: int, component: int) -> None:
-        """Forward a message to the other links on which its target has sent, as PX4's MAV_x_FORWARD does."""
+        """Forward a message to its target, like PX4's MAV_x_FORWARD.
+
+        The message goes to every other link on which the target has already sent a message.
+        """
         link.seen.add((message.get_srcSystem(), message.get_srcComponent()))
         for other in self.links:
             known = any(system in (0, s) and component in (0, c) for s, c in other.seen)
@@ -370,7 +373,10 @@ class MavlinkEndpoint:
         )
 
     def _external_pose(self, message: Any) -> None:
-        """Fuse a pose; like PX4, ignore poses in other frames or of other estimator types."""
+        """Fuse the pose of an ODOMETRY message.
+
+        Like PX4, ignore a pose whose frame is not local or whose estimator type is not VISION.
+        """
         local = message.frame_id in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
         if local and message.estimator_type == mavlink.MAV_ESTIMATOR_TYPE_VISION:
             w, x, y, z = message.q

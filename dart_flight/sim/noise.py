@@ -9,12 +9,12 @@ from dart_flight.base.geometry import Vec3
 
 
 class GaussianNoise:
-    """Independent normal numbers, drawn in pairs from uniform ones (Box and Muller).
+    """Independent normal random numbers, computed in pairs from uniform random numbers (Box and Muller).
 
     The values equal those of `random.Random.gauss`; this copy is compiled (docs/speed.md).
 
     Args:
-        rng: source of uniform numbers; other users of it change the sequence.
+        rng: source of uniform numbers. Other users of the same source change the sequence.
     """
 
     def __init__(self, rng: random.Random) -> None:
@@ -24,7 +24,7 @@ class GaussianNoise:
         self._has_kept = False
 
     def one(self, sigma: float) -> float:
-        """Return a number with mean 0 and this standard deviation."""
+        """Return a number with mean 0 and standard deviation `sigma`."""
         if self._has_kept:
             self._has_kept = False
             # As in `gauss`: the sum with 0.0 has no negative zero.
@@ -35,7 +35,7 @@ class GaussianNoise:
         return 0.0 + math.cos(angle) * radius * sigma
 
     def three(self, sigma: float) -> Vec3:
-        """Return three independent numbers with this standard deviation, for x, y and z."""
+        """Return three independent numbers for x, y and z, with mean 0 and standard deviation `sigma`."""
         x = self.one(sigma)
         y = self.one(sigma)
         return (x, y, self.one(sigma))

@@ -1,7 +1,8 @@
 """The messages between the application and a simulated vehicle in a separate process, one JSON line each.
 
-The first line of the vehicle's standard input is a `SimulatorSpec`; `WorldInput`s follow. Its standard output
-contains `WorldOutput`s. All worlds in a separate process use these messages, whichever autopilot they run.
+The first line of the vehicle's standard input is a `SimulatorSpec`; `WorldInput`s follow. The vehicle's
+standard output contains `WorldOutput`s. Every world in a separate process uses these messages, with any
+autopilot.
 """
 
 from __future__ import annotations
@@ -90,14 +91,16 @@ class Stepped(msgspec.Struct, tag="stepped"):
     """The progress of the application, sent whenever it has no work left (`sim.lockstep`).
 
     Attributes:
-        streams: newest stamp that the core has processed on each telemetry stream, microseconds. For poses it
-            is the number of the newest frame.
-        sent: values of the last message of each kind passed to MAVSDK, None if unused. `setpoint` has
-            position, velocity and acceleration; `pose` has the position of a forwarded pose, local NED.
+        streams: newest stamp that the core has processed on each telemetry stream, microseconds. The stream
+            of poses has the number of the newest frame instead of a stamp.
+        sent: values of the last message of each kind that was passed to MAVSDK; an unused value is None.
+            `setpoint` has position, velocity and acceleration; `pose` has the position of a forwarded pose,
+            local NED.
         commands: number of requests to the autopilot without a result.
         plan_due_us: due time of the planner's answer, or None without an open request.
-        batch_us: duration of the samples that the core processes together; the world does not wait within it.
-        flies: False once the application sends nothing more, so that the world continues alone.
+        batch_us: duration of a batch, which contains the samples that the core processes together. The world
+            does not wait within a batch.
+        flies: whether the application still sends messages. If not, the world continues alone.
     """
 
     streams: dict[str, int]
@@ -126,7 +129,7 @@ class Ready(msgspec.Struct, tag="ready"):
 
 
 class Truth(msgspec.Struct, tag="truth"):
-    """The simulated vehicle's true state, a record for the application."""
+    """A record for the application: the simulated vehicle's true state, or a true contact."""
 
     state: TruthSample | None = None
     contact: TruthContact | None = None

@@ -1,6 +1,7 @@
 """The simulated vehicle as a body: six degrees of freedom, motors, drag, walls, ground, arms.
 
-The state is in NED and FRD, as in the autopilot. Walls are given in the mission frame and converted once.
+The state is in NED and FRD, as in the autopilot. Walls are given in the mission frame and converted to NED
+once.
 Contacts follow the law in `dart_flight.contact.law`. They act at guards (`contact/propeller_guards.py`), or
 through the centre of mass as in the paper's equations (`simulation.contact.body: point`). Contacts are
 integrated in steps of 0.1 ms, everything else in steps of 1 ms. `contact/cylinders.py` handles posts and the
@@ -86,10 +87,11 @@ class _WallPlane:
 
     Attributes:
         wall: the wall, mission frame.
-        point, normal, tangent: plane that the vehicle's centre reaches at a contact, NED.
-        ends: surface that the guards touch, with both ends of the wall.
-        near_end: whether a guard may be near an end, or an end still holds the state of a contact.
-        away: whether the vehicle was too far away to touch the wall at the last check.
+        point, normal, tangent: plane of first touch, NED. The vehicle's centre lies on this plane when the
+            vehicle first touches the wall.
+        ends: the wall's surface, which the guards touch, and both ends of the wall.
+        near_end: whether a guard may be near an end of the wall, or `ends` still stores a contact's state.
+        away: whether the vehicle was too far from the wall for a contact at the last check.
     """
 
     def __init__(self, wall: Wall, point: Vec3, normal: Vec3, tangent: Vec3, ends: WallWithEnds) -> None:
@@ -110,7 +112,8 @@ class _WallPlane:
     def depths(self) -> list[float] | None:
         """Deflection of each guard near an end of the wall.
 
-        Elsewhere it is None, because the deflection equals the depth of the guard behind the surface.
+        Away from the ends the result is None: the deflection then equals the depth of the guard behind the
+        surface.
         """
         return self.ends.depths if self.near_end else None
 
@@ -176,12 +179,12 @@ class Plant:
 
     Args:
         vehicle: configuration with mass, motors, materials and so on.
-        walls: walls in the mission frame, as planes that the vehicle's centre reaches at a contact.
+        walls: walls in the mission frame. The vehicle's centre lies on a wall's plane at the first touch.
         frame: the mission frame in local NED.
         start_ned: initial position, metres.
         yaw_ned_rad: initial heading.
         motors: the airframe's motors in the autopilot's order; default: motors of the configuration.
-        scatter_seed: seed of the coefficients' scatter between contacts.
+        scatter_seed: seed of the random differences between the coefficients of different contacts.
         posts: posts in the mission frame.
     """
 
@@ -258,9 +261,9 @@ class Plant:
         """Advance by `steps` milliseconds.
 
         Returns:
-            The mean specific force over that time, body FRD, m/s2, as a noiseless IMU reads it at its
-            position. The reading includes the arms' vibration. It passes the anti-alias filter and saturates
-            at full scale in each millisecond.
+            The mean specific force over `steps` milliseconds at the IMU's position, body FRD, m/s2, without
+            noise. The force includes the arms' vibration, passes the anti-alias filter and saturates at full
+            scale in each millisecond.
         """
         fx = fy = fz = 0.0
         most = self._full_scale
@@ -320,7 +323,7 @@ class Plant:
         return thrust, (roll, pitch, yaw)
 
     def _folded_levers(self, folded: tuple[float, float, float, float]) -> list[Vec3]:
-        """Return the positions of the motors and their yaw torque per thrust, with each arm folded."""
+        """Return (x, y, yaw torque per thrust) of every motor, for the fold angles `folded` of the arms."""
         levers = []
         for (x, y, yaw_m), arm in zip(self._straight, self._arm_of_motor, strict=True):
             c, s = math.cos(folded[arm]), math.sin(folded[arm])
@@ -343,9 +346,9 @@ class Plant:
         self.q = quaternion_normalise(advance_attitude(self.q, self.rate, STEP_S))
 
     def _landing_gear_torque(self, torque: Vec3) -> Vec3:
-        """Add the torque of the landing gear.
+        """Return the sum of `torque` and the torque of the landing gear.
 
-        The torque levels a resting vehicle and stops its rotation.
+        The landing gear levels a resting vehicle and stops the vehicle's rotation.
         """
         down = rotate_back(self.q, (0.0, 0.0, 1.0))
         k, c = 3.0, 0.3  # N m/rad and N m s/rad: stiff and well damped for 0.0125 kg m2
@@ -358,7 +361,10 @@ class Plant:
     # -- translation and contact --
 
     def _wall_in_reach(self, seconds: float) -> bool:
-        """Return whether the vehicle may be near a wall within this time; called once for several steps."""
+        """Return whether the vehicle may be near a wall or post within `seconds`.
+
+        `advance` calls this method once for all its steps.
+        """
         (px, py, _), (vx, vy, _) = self.position, self.velocity
         slack = seconds * (abs(vx) + abs(vy) + _GAIN_M_S)
         for plane in self.planes:
@@ -387,7 +393,10 @@ class Plant:
         return found
 
     def _may_touch(self, obstacle: _Obstacle, c: Coefficients) -> bool:
-        """Return whether a contact may begin or continue within the next step; onset is at k x + f vx = 0."""
+        """Return whether a contact may begin or continue within the next step.
+
+        A contact begins at k x + f vx = 0 (`contact.law`).
+        """
         if obstacle.name in self._open:
             return True
         v = self.velocity
@@ -415,8 +424,8 @@ class Plant:
     ) -> Vec3:
         """Move and rotate the body near walls and posts; return the mean acceleration by contact, NED.
 
-        The integration uses the midpoint rule over position, velocity, attitude and rate, in steps of 0.1 ms,
-        shorter near a wall's end. Thrust and drag are constant over the millisecond.
+        The integration uses the midpoint rule over position, velocity, attitude and rate. The steps are
+        0.1 ms long, and shorter near a wall's end. Thrust and drag are constant over the millisecond.
         """
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
         ends = any(isinstance(obstacle, _WallPlane) and obstacle.near_end for obstacle, _ in obstacles)
@@ -470,13 +479,16 @@ class Plant:
         return (angles[0], angles[1], angles[2], angles[3])
 
     def _fold_share(self, incidence: float) -> float:
-        """Return the share of a guard's penetration by which its arm yields at an incidence in radians."""
+        """Return how far an arm yields, as a share of the penetration of its guard.
+
+        `incidence` is the angle of incidence in radians.
+        """
         if abs(incidence) >= math.radians(self.vehicle.airframe.incidence_rigid_deg):
             return 0.0
         return self.body.fold_share * self._arm_freedom()
 
     def _arm_freedom(self) -> float:
-        """Return 1 for unlocked arms, 0 for locked ones, and a value between for half-engaged rods."""
+        """Return the freedom of the arms: 1 if unlocked, 0 if locked, 0.5 with half-engaged rods."""
         if self.mode is Mode.FLEXIBLE:
             return 1.0
         return _HALF_ENGAGED if self._half_engaged else 0.0
@@ -492,7 +504,7 @@ class Plant:
         obstacles: list[tuple[_Obstacle, Coefficients]],
         near_ground: bool,
     ) -> tuple[Vec3, Vec3, list[Touch]]:
-        """Return acceleration (NED), angular acceleration (FRD), and the touch of each obstacle."""
+        """Return acceleration (NED), angular acceleration (FRD), and the `Touch` of each obstacle."""
         sign, lever = self.vehicle.vertical_force_sign, self.body.vertical_lever_m
         force = turned = _NO_FORCE
         touches = []
@@ -515,7 +527,10 @@ class Plant:
         return acceleration, (roll / ix, pitch / iy, yaw / iz), touches
 
     def _move_on_ground(self, pushed: Vec3) -> Vec3:
-        """Move the centre of mass near the ground but no wall; return the ground's mean acceleration, NED."""
+        """Move the centre of mass when the ground is near and no wall or post is near.
+
+        Return the mean acceleration by the ground, NED.
+        """
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
         h = STEP_S / _GROUND_STEPS
@@ -542,7 +557,7 @@ class Plant:
         return (free[0] + x / m, free[1] + y / m, free[2] + z / m)
 
     def _move_freely(self, pushed: Vec3) -> Vec3:
-        """Move the centre of mass without contact; return a zero acceleration by contact."""
+        """Move the centre of mass without contact; return zero as the acceleration by contacts."""
         self.on_ground = False
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         if self._open:
@@ -577,14 +592,20 @@ class Plant:
     def _coefficients_of_cylinder(
         self, obstacle: _Obstacle, contact: CylinderContact, near: NearestPoint
     ) -> Coefficients:
-        """Return a cylinder's coefficients at its nearest point; during a contact they stay constant."""
+        """Return the coefficients of a cylinder at `near`, the cylinder's point nearest to the vehicle.
+
+        The coefficients stay constant during a contact.
+        """
         c = contact.coefficients
         if c is None or contact.share is None:
             c = contact.coefficients = self._coefficients(obstacle, abs(self._incidence(near.normal)))
         return c
 
     def _incidence(self, normal: Vec3) -> float:
-        """Return the signed angle from the nearest side to a surface with this normal (NED), radians."""
+        """Return the signed angle of incidence on a surface with this normal (NED), radians.
+
+        The angle is 0 if one of the vehicle's four sides is parallel to the surface.
+        """
         x, y, _ = self.frame.vector_from_ned(normal)
         turn = self.frame.yaw_from_ned(yaw_ned_of(self.q)) - math.atan2(-y, -x)
         return wrap_angle(turn - _QUARTER * round(turn / _QUARTER))
@@ -605,7 +626,7 @@ class Plant:
         return c
 
     def _scatter(self) -> tuple[float, float, float]:
-        """Draw factors of k, f and mu for the next contact with a wall."""
+        """Draw the factors on the coefficients k, f and mu for the next contact with an obstacle."""
         factors = [max(0.1, 1.0 + self.body.scatter * self._rng.gauss(0.0, 1.0)) for _ in range(3)]
         return (factors[0], factors[1], factors[2])
 
@@ -698,13 +719,13 @@ class Plant:
         )
 
     def _arm_vibration(self, contact: Vec3) -> Vec2:
-        """Return the body's acceleration relative to the centre of mass by the arms' vibration, NED.
+        """Return the acceleration of the body relative to the centre of mass, NED.
 
-        Arms and body vibrate against each other. This moves the IMU but not the centre of mass, so the
-        contact force does not depend on the vibration. Let q be the arms' displacement relative to the body
-        and s their share of the mass. The body is then at -s q from the centre of mass. With the acceleration
-        a of the contact, q'' = -w^2 q - 2 zeta w q' - a, and the IMU measures the additional acceleration -s
-        q''.
+        Arms and body vibrate against each other. The vibration moves the IMU but not the centre of mass, so
+        the contact force does not depend on the vibration. Let q be the arms' displacement relative to the
+        body and s the arms' share of the mass. The body is then at -s q from the centre of mass. Let w be the
+        natural frequency (rad/s), zeta the damping ratio, and a the acceleration by the contact. Then
+        q'' = -w^2 q - 2 zeta w q' - a, and the IMU measures the additional acceleration -s q''.
         """
         freedom = self._arm_freedom() if self._arm_share else 0.0
         if freedom == 0.0:
@@ -749,7 +770,7 @@ class Plant:
 
 
 def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: int = 0) -> Plant:
-    """Return the vehicle on the ground below a mission's start, with arms unlocked if it has a lock."""
+    """Return the vehicle on the ground below a mission's start; arms with a lock are unlocked."""
     flat = mission.frame_at((0.0, 0.0, 0.0))
     x, y = mission.start
     start_ned = flat.point_to_ned((x, y, 0.0))
@@ -765,7 +786,10 @@ def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: 
 
 
 def _acceleration_at(lever: Vec3, before: Vec3, after: Vec3) -> Vec3:
-    """Return the acceleration of a point relative to the centre of mass, FRD: alpha x r + w x (w x r)."""
+    """Return the acceleration of a point relative to the centre of mass, FRD.
+
+    With lever r, body rate w and angular acceleration alpha, the result is alpha x r + w x (w x r).
+    """
     rx, ry, rz = lever
     ax, ay, az = ((b - a) / STEP_S for a, b in zip(before, after, strict=True))
     wx, wy, wz = (0.5 * (a + b) for a, b in zip(before, after, strict=True))
@@ -787,7 +811,8 @@ def _between(a: Coefficients, b: Coefficients) -> Coefficients:
 def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]) -> _WallPlane:
     """Return a wall in NED.
 
-    The wall's surface is `out_m` behind the plane that the vehicle's centre reaches at a contact.
+    The vehicle's centre lies on the plane of `wall` at the first touch. The wall's surface is `out_m` behind
+    this plane.
     """
     point = frame.point_to_ned((wall.point[0], wall.point[1], 0.0))
     normal = frame.vector_to_ned(wall.from_collision((1.0, 0.0, 0.0)))

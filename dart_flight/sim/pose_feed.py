@@ -1,4 +1,4 @@
-"""The output of the simulated motion capture, and its faults, for a pose source or an emulated server."""
+"""The frames of the simulated motion capture with its faults, for a pose source or an emulated server."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Pose = tuple[float, Vec3, Quaternion]  # time of measurement (s), position NED (
 
 
 class PosePublisher(Protocol):
-    """A receiver of frames: an emulated server, or a source in the same process."""
+    """A publisher of the frames: an emulated server, or a pose source in the same process."""
 
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
@@ -35,9 +35,9 @@ class PoseFeed:
     """A converter of the pose sensor's output to frames in the room's axes.
 
     Args:
-        mocap: configuration with the axes of room and marker body.
-        publisher: receiver of each frame.
-        other_ned: position of another vehicle's body, NED, metres.
+        mocap: configuration, which defines the axes of the room and of the marker body.
+        publisher: receives each frame.
+        other_ned: position of another vehicle's marker body for the fault `mocap-other-body`, NED, metres.
 
     Attributes:
         frames: number of frames published.
@@ -56,7 +56,10 @@ class PoseFeed:
         self._fault, self._began_s = fault, now_s
 
     def tick(self, now_s: float, pose: Pose | None) -> bool:
-        """Advance to a time with the sensor's pose of this tick; return whether a frame was published."""
+        """Advance to `now_s`, with the sensor's pose of this tick.
+
+        Return whether a frame was published.
+        """
         name, value = ("", 0.0) if self._fault is None else (self._fault.name, self._fault.value)
         if pose is not None:
             self._waiting.append((now_s + (1e-3 * value if name == "mocap-late" else 0.0), pose))
@@ -98,7 +101,11 @@ class EmulatedMotionCapture:
         self._heard = False
 
     def publish(self, now_s: float, pose: Pose | None) -> int | None:
-        """Publish the frame if one is due; return its number if a client has connected, otherwise None."""
+        """Publish a frame if it is due.
+
+        Return the number of the published frame. The result is None if no frame is due, or if no client has
+        connected so far.
+        """
         if now_s <= self._published_s:
             return None  # time has not advanced
         self._published_s = now_s

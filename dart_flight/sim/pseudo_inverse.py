@@ -1,9 +1,9 @@
 """PX4's allocation pseudo-inverse, computed once per airframe with NumPy (`allocation` uses it).
 
-PX4 builds the effectiveness matrix of the motors from their positions and yaw torques (CA_ROTOR*). It
-computes the pseudo-inverse and scales its columns (`ControlAllocationPseudoInverse`). Roll and pitch share
-one scale. For each of their columns the root of twice the mean square is computed, and the larger value is
-the scale. Yaw is scaled by its largest entry, and lift to a mean of one.
+PX4 builds the effectiveness matrix of the motors from their positions and yaw torques (CA_ROTOR*). PX4 then
+computes the pseudo-inverse and scales its columns (`ControlAllocationPseudoInverse`). The columns of roll and
+pitch share one scale: the larger of their two values sqrt(2 mean(x^2)), where x are the entries that are not
+zero. The column of yaw is divided by its largest entry. The column of lift is divided by its mean.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ _SHAPE_DIGITS = 9  # further digits are rounding errors of the inverse
 
 
 def scaled_mix(motors: Sequence[Motor]) -> tuple[float, list[tuple[float, float, float, float]]]:
-    """Return the largest entry of roll and pitch, and each motor's scaled (roll, pitch, yaw, lift).
+    """Return the largest scaled entry of roll and pitch, and (roll, pitch, yaw, lift) of each motor.
 
-    The returned roll and pitch are divided by that largest entry.
+    The roll and pitch of each motor are also divided by this largest entry.
     """
     mix = np.linalg.pinv(np.array(effectiveness(motors)))
     size = np.abs(mix) > 1e-6

@@ -32,7 +32,11 @@ _ROUNDING_S: Final = 1e-9  # tolerance, so that rounding does not delay a pose b
 
 
 class ImuSensor:
-    """Accelerometer and gyro: tick averages with noise and a constant bias, saturated at full scale."""
+    """Accelerometer and gyro.
+
+    Both sensors have noise. The accelerometer averages over one tick, has a constant bias and saturates at
+    full scale.
+    """
 
     def __init__(self, vehicle: VehicleConfig, noise: GaussianNoise) -> None:
         s = vehicle.simulation
@@ -94,7 +98,10 @@ class _Ringing:
 
 
 def _saturate(true: float, noisy: float, scale: float) -> float:
-    """Return one axis's reading, saturated at `scale`; a true value beyond `scale` gives exactly `scale`."""
+    """Return the reading of one axis, limited to -scale and scale.
+
+    If the true value is beyond a limit, the result is exactly this limit, without noise.
+    """
     if abs(true) >= scale:
         return math.copysign(scale, true)
     return max(-scale, min(scale, noisy))
@@ -141,12 +148,12 @@ class Barometer:
 
 
 def pressure_hpa(altitude_amsl_m: float) -> float:
-    """Return the pressure of the international standard atmosphere below 11 km, hPa."""
+    """Return the pressure of the international standard atmosphere at an altitude below 11 km, hPa."""
     return float(1013.25 * (1.0 - 2.25577e-5 * altitude_amsl_m) ** 5.25588)
 
 
 def altitude_m(pressure: float) -> float:
-    """Return the altitude, metres above mean sea level, of a pressure in hPa (inverse of `pressure_hpa`)."""
+    """Return the altitude (m above mean sea level) that has this pressure (hPa); inverts `pressure_hpa`."""
     return float((1.0 - (pressure / 1013.25) ** (1.0 / 5.25588)) / 2.25577e-5)
 
 
@@ -170,16 +177,16 @@ class Magnetometer:
 
 
 class GpsQuality(NamedTuple):
-    """The accuracy of a receiver, whose error is a first-order Gauss-Markov process plus white noise.
+    """The accuracy of a receiver; the error is a first-order Gauss-Markov process plus white noise.
 
     Attributes:
         fix_type: MAVLink's GPS_FIX_TYPE, such as 3 for 3D or 6 for RTK fixed.
-        wander_m, wander_s: standard deviation and correlation time of the position's wandering error. The
-            standard deviation is horizontal; the vertical one is 1.5 times larger.
-        noise_m, velocity_noise_m_s: standard deviations of the white noise.
+        wander_m, wander_s: standard deviation and correlation time of the position's Gauss-Markov error. The
+            standard deviation is per horizontal axis; the vertical standard deviation is 1.5 times larger.
+        noise_m, velocity_noise_m_s: standard deviations of the white noise of position and velocity.
         eph_m, epv_m: horizontal and vertical accuracy that the receiver reports.
-        velocity_wander_m_s, velocity_wander_s: standard deviation and correlation time of the wandering error
-            of the Doppler velocity.
+        velocity_wander_m_s, velocity_wander_s: standard deviation and correlation time of the Gauss-Markov
+            error of the Doppler velocity.
     """
 
     fix_type: int
@@ -244,7 +251,7 @@ class GpsReceiver:
         return None
 
     def _advance_error(self, wander: Vec3, sd: float, decay: float) -> Vec3:
-        """Return a first-order Gauss-Markov error advanced by one fix."""
+        """Advance a first-order Gauss-Markov error from one fix to the next, and return the new error."""
         return add(scale(wander, decay), self._scaled(sd * math.sqrt(1.0 - decay * decay)))
 
     def _scaled(self, sigma: float) -> Vec3:

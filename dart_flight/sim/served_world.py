@@ -37,7 +37,7 @@ class Pacer:
         self._due_s = time.monotonic()
 
     def wait(self, period_s: float) -> None:
-        """Wait until the next tick is due, a period after the last tick; a period of 0 means no wait."""
+        """Wait until this tick is due; the next tick is due `period_s` later, without a wait if 0."""
         now_s = time.monotonic()
         if self._due_s > now_s:
             time.sleep(self._due_s - now_s)
@@ -47,7 +47,7 @@ class Pacer:
 
 
 def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
-    """Yield the numbers of ticks, one every period; the default period is the simulated time of a tick."""
+    """Yield the number of each tick (0, 1, ...) when it is due, one tick every `period_s`."""
     pace = Pacer()
     for tick in itertools.count():
         pace.wait(period_s)
@@ -55,7 +55,7 @@ def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
 
 
 class ServedWorld(Protocol):
-    """Interface of a world that is served to the app, with any autopilot."""
+    """Interface of a world, with any autopilot, that `serve` connects to the app."""
 
     @property
     def time_us(self) -> int:
@@ -72,7 +72,10 @@ class ServedWorld(Protocol):
         ...
 
     def publish_pose(self) -> int | None:
-        """Send the pose if one is due; return its frame's number if a program listens, otherwise None."""
+        """Send a pose if it is due.
+
+        Return the number of the sent frame. The result is None if no pose is due, or if no program listens.
+        """
 
     def is_over(self, alone_s: float) -> bool:
         """Return whether the world may end now, `alone_s` seconds after the app has ended."""
@@ -93,7 +96,7 @@ def serve(
         world: the simulated world.
         writer: writer of the truth.
         commands: lines from the app.
-        speed: highest number of simulated seconds per second.
+        speed: highest number of simulated seconds per second of host time.
         lockstep: decides whether time may advance; None: time does not wait for the app.
         wake: descriptors of the world that become readable when data has arrived.
 

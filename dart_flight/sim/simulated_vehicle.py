@@ -33,7 +33,10 @@ class LockServo:
         self._plant.set_mode(self._wanted)
 
     def track_pulse(self, t_us: int, pulse_us: float | None) -> None:
-        """Move the servo until `t_us` towards a commanded pulse (None: the last one); set the arms' mode."""
+        """Move the servo until `t_us` towards a commanded pulse, and set the mode of the arms.
+
+        If `pulse_us` is None, the last commanded pulse remains the target.
+        """
         if pulse_us is not None:
             self._model.command(t_us, pulse_us)
         self.set_horn(self._model.pulse_at(t_us))

@@ -1,4 +1,4 @@
-"""The simulated vehicle for another program, without pipe and truth; it runs until it is stopped."""
+"""The simulated vehicle for another program: it has no pipe and sends no truth. A signal stops it."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ _LISTEN_S = 0.4  # a vehicle sends dozens of messages per second
 
 
 class VehiclePortLease:
-    """The right to be the only vehicle that sends to a UDP port, as far as other senders can be detected.
+    """The right to be the only vehicle that sends to a UDP port.
 
-    Another `simulate` or `dry-run --px4` is detected by its lease. PX4's own simulator is detected by the
-    port that it binds. The lease binds the same port. If both start, the later one therefore gives up. Any
-    other sender is detected by listening, unless a program already receives on the port.
+    Not every other sender can be detected. Another `simulate` or `dry-run --px4` is detected by its lease. A
+    PX4 in its own simulator is detected because PX4 has bound `own_port`. The simulated vehicle also binds
+    `own_port`. If a PX4 and a simulated vehicle start at the same time, only the first to bind the port
+    continues. Any other sender is detected by listening, unless a program already receives on the port.
 
     Args:
         port: port to send to.
 
     Raises:
-        LinkInUseError: another program already sends to the port; the message names it if known.
+        LinkInUseError: another program already sends to the port; if known, the message names this program.
         InputError: the state folder cannot be used.
     """
 
@@ -68,7 +69,7 @@ class VehiclePortLease:
 
 
 def _listen(port: int) -> str | None:
-    """Describe the MAVLink traffic that arrives at a port; None without traffic or if the port is in use."""
+    """Describe the MAVLink traffic that arrives at a port; None if there is none or the port is in use."""
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
@@ -104,8 +105,8 @@ def run_vehicle(
 ) -> None:
     """Simulate in real time until SIGINT or SIGTERM; `print_line` prints a line in the terminal.
 
-    `own_port` is the UDP port used for sending to the first of the ports; 0 selects any. `viewer` receives
-    the true motion of the vehicle.
+    The vehicle sends to each of the UDP ports `ports`. `own_port` is the local UDP port of the link to the
+    first of them; 0 selects any port. `viewer` receives the true motion of the vehicle.
     """
     vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)

@@ -14,12 +14,12 @@ GUST_TIME_S: Final = 2.0  # correlation time: gusts in a room, slower than a con
 
 
 class Wind:
-    """The wind that the plant flies in, set again at every tick; zero without steady wind and gusts.
+    """The wind on the plant; `step` sets the wind of every tick.
 
     Args:
         simulation: configuration of steady wind and gusts.
         seed: seed of the gusts; the gusts do not affect the sensors' noise.
-        tick_s: time between two calls.
+        tick_s: time between two calls of `step`, seconds.
     """
 
     def __init__(self, simulation: Simulation, seed: int, tick_s: float) -> None:

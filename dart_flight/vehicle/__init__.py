@@ -1,1 +1,4 @@
-"""The connection to PX4, the only package that imports mavsdk; `link` grants the link to one program."""
+"""The connection to PX4. Only this package imports mavsdk.
+
+`link` ensures that only one program at a time uses a link.
+"""

@@ -1,4 +1,7 @@
-"""Reasons as text why PX4 refuses to arm or to change mode, from its arming checks or from SYS_STATUS."""
+"""Texts with the reasons why PX4 refuses to arm or to change mode.
+
+The source is PX4's arming checks or SYS_STATUS.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ def severity(log_level: Any) -> str:
 
 
 def report_from_checks(report: Any) -> Report:
-    """Return a report from PX4's health and arming checks by MAVSDK; skip messages below a warning."""
+    """Convert MAVSDK's report of PX4's health and arming checks; skip messages less severe than a warning."""
     mode = report.current_mode_intention
     blocking = () if mode.can_arm_or_run else _problem_texts(mode.problems)
     others = tuple(word for word in _problem_texts(report.all_problems) if word not in blocking)
@@ -46,7 +49,7 @@ def report_from_checks(report: Any) -> Report:
 
 
 def report_from_sys_status(sensors: Sensors) -> Report:
-    """Return a report of the enabled but unhealthy sensors, for a PX4 that sends no health reports."""
+    """Return a report of the unhealthy sensors among the enabled; use it if PX4 sends no health reports."""
     bad = sensors.enabled & ~sensors.healthy
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
     refused = not sensors.healthy & _PREARM  # PX4 v1.14 sets this bit only in `healthy`

@@ -12,8 +12,8 @@ _LEAST_SHARE = 0.5
 class Batteries:
     """The batteries that BATTERY_STATUS reports, by id.
 
-    PX4 acts on the worst connected battery, so this class also selects the worst battery. It ignores a
-    battery that supplies avionics or a payload, or whose voltage has never been enough to fly.
+    PX4 acts on the worst connected battery, so this class also selects the worst battery. The selection
+    ignores a battery of avionics or payload, and a battery whose voltage has never been enough to fly.
 
     Args:
         lowest_v: voltage below which the vehicle must land.
@@ -45,7 +45,11 @@ class Batteries:
         return [reading for reading in self._readings.values() if reading not in counted]
 
     def worst(self) -> BatteryReading | None:
-        """Return the worst flight battery: below the lowest voltage, or else with the least charge."""
+        """Return the worst flight battery.
+
+        A battery below the lowest voltage is worse than any other battery. Otherwise the battery with the
+        least charge is the worst.
+        """
         return min(self.flight_batteries(), key=self._rank, default=None)
 
     def _is_flight_battery(self, reading: BatteryReading) -> bool:

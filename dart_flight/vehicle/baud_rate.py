@@ -1,7 +1,7 @@
-"""Detection of MAVLink and its baud rate on a serial port, for a link on which no autopilot answers.
+"""Detection of MAVLink and its baud rate on a serial port, used if no autopilot answers on the port.
 
-At a wrong rate, bytes arrive but contain no frames. A frame begins with 0xFD and contains its own length,
-which tells where the next frame must begin. Noise looks like three consecutive frames with a probability of 1
+At a wrong rate, bytes arrive but contain no frames. A frame begins with 0xFD and contains its own length, so
+the beginning of the next frame is known. The probability that noise looks like three consecutive frames is 1
 in 10^7.
 """
 
@@ -38,7 +38,9 @@ class PortFinding(msgspec.Struct, frozen=True):
 
 
 def listen_for_mavlink(device: str, baud: int) -> PortFinding:
-    """Listen for MAVLink at `baud`, then at the other usual rates, 0.6 s each; then look for a console.
+    """Listen for MAVLink at `baud`, then at the other usual rates, 0.6 s each.
+
+    If there is no MAVLink, check whether a console answers.
 
     Raises:
         OSError: the port cannot be opened.

@@ -1,8 +1,8 @@
-"""The interpreter's thread state of MAVSDK's callback thread.
+"""The Python interpreter's thread state of the thread on which MAVSDK runs callbacks.
 
-MAVSDK, not Python, starts that thread. The interpreter therefore creates a thread state for every callback
-and releases the thread state on return. This takes a third of the time of an empty callback
-(docs/latency.md).
+MAVSDK, not Python, starts this thread. The interpreter therefore creates a thread state for every callback
+and releases the thread state on return. The creation and release take a third of the time of an empty
+callback (docs/latency.md).
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""The relation of the autopilot's clock to the host's: two clocks in real flight, one in lockstep."""
+"""The relation of the autopilot's clock to the host's clock.
+
+In real flight these are two clocks. In lockstep with the application there is a single clock.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +27,13 @@ class Clock(Protocol):
     """The relation of autopilot time to host time."""
 
     def host_us(self) -> int:
-        """Return the host's time in microseconds, monotonic; simulated time in lockstep."""
+        """Return the host's monotonic time in microseconds; in lockstep, return the simulated time."""
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record of a request, from the host times of sending and answer, microseconds."""
+        """Return the record of a request; `sent_us` and `received_us` are host times."""
 
     def receive(self, t_us: int, received_us: int) -> int:
-        """Return the time of receipt of a message with this stamp, host time in microseconds."""
+        """Return the host time (us) to use as time of receipt of a message with stamp `t_us`."""
 
     @property
     def offset_us(self) -> int | None:
@@ -44,7 +47,7 @@ class Clock(Protocol):
 
 
 class _RealHost:
-    """A clock with the computer's monotonic time as host time."""
+    """A clock whose host time is the computer's monotonic time."""
 
     host_us = staticmethod(host_us)
     _PACE_KNOWN = True  # whether the autopilot's time advances at the host's pace
@@ -65,9 +68,9 @@ class _RealHost:
 class ClockEstimate(_RealHost):
     """An estimate of autopilot time minus host time, from stamps and times of receipt.
 
-    Every message has an unknown positive delay. The largest difference between stamp and time of receipt in
-    the last seconds is therefore the best estimate. Older messages are not used, so that the estimate follows
-    a drifting clock.
+    Every message arrives with an unknown positive delay, which makes stamp minus time of receipt too small.
+    The largest such difference in the last 8 s is therefore the best estimate. Older messages are not used,
+    so that the estimate follows a drifting clock.
     """
 
     def __init__(self) -> None:
@@ -113,7 +116,7 @@ class ClockEstimate(_RealHost):
 class SimulatedTime:
     """The single clock of a world that waits for the application, set by the vehicle's newest stamp.
 
-    Host time and autopilot time are equal, so a busy computer affects no age and no timeout.
+    Host time and autopilot time are equal, so a busy computer does not affect ages and timeouts.
     """
 
     def __init__(self) -> None:
@@ -136,11 +139,11 @@ class SimulatedTime:
 
     @property
     def offset_us(self) -> int | None:
-        """0 once a stamp is known; None before."""
+        """Autopilot time minus host time: always 0, or None before the first stamp."""
         return None if self._now_us is None else 0
 
     def update(self, t_us: int, received_us: int) -> int | None:
-        """Advance to a stamp; return the offset 0 on the first call, then None."""
+        """Advance to a stamp; return the offset 0 on the first call and None on every later call."""
         self.receive(t_us, received_us)
         if self._reported:
             return None
@@ -153,10 +156,11 @@ class SimulatedTime:
 
 
 class LockstepClock(_RealHost):
-    """The clock of an autopilot in lockstep with a simulator that does not wait for the application.
+    """The clock of an autopilot that runs in lockstep with a simulator.
 
-    The autopilot's time advances at any pace and stops with the simulator. The newest stamp is therefore the
-    best estimate, extrapolated at the target pace for at most 50 ms.
+    The simulator does not wait for the application. The autopilot's time advances at any pace and stops with
+    the simulator. The best estimate of the autopilot's time is therefore the newest stamp plus the time since
+    its receipt at the target pace, but at most plus 50 ms.
 
     Args:
         speed: the simulator's target pace, simulated seconds per second.
@@ -172,7 +176,7 @@ class LockstepClock(_RealHost):
 
     @property
     def offset_us(self) -> int | None:
-        """Autopilot time minus host time at the newest stamp in microseconds, or None before the first."""
+        """Autopilot time minus host time (us) at the newest stamp, or None before the first stamp."""
         return self._newest[0] - self._newest[1] if self._newest is not None else None
 
     def update(self, t_us: int, received_us: int) -> int | None:

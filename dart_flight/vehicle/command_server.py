@@ -42,14 +42,14 @@ class _Fields(msgspec.Struct):
 
 
 class CommandServer:
-    """A receiver of the commands of one ground station; it answers on MAVSDK's thread.
+    """A receiver of the commands of one ground station; answers are sent on MAVSDK's thread.
 
     Args:
         mavsdk: the connection.
         system_id: system id of the only ground station that may command.
-        answer: function that returns the result of a press and its reason.
-        note: callback for a line about every command, for log and ground station. If other systems send
-            commands, only the first of these commands gives a line.
+        answer: function that returns the result of a press and the reason of the result.
+        note: callback that receives one line about every command, for log and ground station. Of all commands
+            from other systems, only the first gives a line.
 
     Attributes:
         refused: number of commands from other systems; all of them are denied.

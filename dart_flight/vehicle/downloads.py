@@ -68,8 +68,8 @@ def wait_for_end(
 def _wait_for_last(arrived: queue.SimpleQueue[tuple[Any, Any]]) -> None:
     """Wait for the last callback of a cancelled download.
 
-    MAVSDK calls it on a thread of its own. After the plugin is destroyed, the call would end the process with
-    a segmentation fault.
+    MAVSDK runs this callback on its own thread. If the plugin were destroyed first, the callback would end
+    the process with a segmentation fault.
     """
     with contextlib.suppress(queue.Empty):
         while arrived.get(timeout=_CANCELLED_S)[0].name == "NEXT":
@@ -97,7 +97,7 @@ class Px4LogEntry(msgspec.Struct, frozen=True):
     """A log on the flight controller.
 
     Attributes:
-        id: number in the flight controller's list; it changes with the list.
+        id: number in the flight controller's list; the number changes if the list changes.
         ended: time of the last change, or None if the flight controller had no clock.
         size_bytes: size of the log.
     """
@@ -126,7 +126,7 @@ def logs_of_flight(
     armed: tuple[datetime, datetime] | None,
     before: Collection[Px4LogEntry] | None,
 ) -> list[Px4LogEntry]:
-    """Return the logs that may belong to a flight, or only the flight's log if it can be identified.
+    """Return the logs that may belong to a flight; return only one log if the flight's log is identified.
 
     Args:
         entries: logs on the flight controller.
@@ -168,7 +168,7 @@ class Px4Logs:
             raise DownloadError(f"cannot read PX4's list of logs: {says}") from None
 
     def download(self, entry: Px4LogEntry, path: Path, progress: Callable[[float], None]) -> None:
-        """Download a log to a file; after an incomplete download or Ctrl-C the file does not exist.
+        """Download a log to a file; if the download is incomplete or interrupted, no file remains.
 
         Args:
             entry: element of `entries` of this connection.

@@ -1,6 +1,7 @@
 """A blocking connection for work on the ground: parameters, outputs, logs and a few seconds of telemetry.
 
-Commands that are used on the ground need it, such as `check`, `parameters`, `bringup`, `lock` and `px4-log`.
+Commands for use on the ground open this connection, such as `check`, `parameters`, `bringup`, `lock` and
+`px4-log`.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleEr
 
 
 class Source(msgspec.Struct, frozen=True):
-    """A sender of a message, with the rates of all and of usable messages during the observation."""
+    """A sender of a message, with the rate of all messages and the rate of usable messages."""
 
     sender: Sender
     arriving_hz: float
@@ -64,7 +65,7 @@ class Source(msgspec.Struct, frozen=True):
 
 
 def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
-    """Return the reason by stream, for each stream of the vehicle that had no usable message."""
+    """Return {stream: reason} for each stream of the vehicle that had no usable message."""
     found: dict[str, Source] = {}
     for source in sources:
         stream = messages.STREAM_OF[source.sender.message]
@@ -181,13 +182,14 @@ class GroundLink:
     Args:
         url: MAVSDK connection URL.
         timeout_s: timeout of the first heartbeat, seconds.
-        viewer: receives every record after `observe` has subscribed, on MAVSDK's thread.
+        viewer: receives every record on MAVSDK's thread; telemetry arrives only after the call of `observe`.
         mocap: configuration of the motion capture.
 
     Raises:
         VehicleError: on entering, if the URL cannot be opened or no autopilot answers.
         InputError: on entering, if the motion capture cannot be opened.
-        NoAnswerError: on a request, if the vehicle answers no requests or has stopped sending.
+        NoAnswerError: in a method that sends a request, if the vehicle answers no requests or has stopped
+            sending.
     """
 
     def __init__(
@@ -246,7 +248,7 @@ class GroundLink:
 
     @property
     def pose_problem(self) -> str | None:
-        """The reason why no poses arrive, or None while they arrive or without a motion capture."""
+        """The reason why no poses arrive, or None if poses arrive or there is no motion capture."""
         return self._bridge.problem if self._bridge is not None else None
 
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
@@ -318,7 +320,7 @@ class GroundLink:
             )
 
     def px4_logs(self) -> Px4Logs:
-        """Return access to PX4's logs; the caller must close it before the link."""
+        """Return access to PX4's logs; the caller must close the returned object before this link."""
         return Px4Logs(self._system)
 
     def kill(self) -> None:
@@ -392,7 +394,7 @@ class GroundLink:
     def observe(self, vehicle: VehicleConfig, seconds: float) -> Observation:
         """Request the rates of the stream table, listen for `seconds` and return the observation.
 
-        If PX4 has no position or would not arm, wait up to 5 s longer for the reasons that PX4 reports.
+        If PX4 has no position or refuses to arm, wait up to 5 s longer until PX4 reports the reasons.
         """
         seen, session = self._listener.seen, self._session
 

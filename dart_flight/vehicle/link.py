@@ -1,10 +1,10 @@
-"""Leases of links, so that only one program uses a vehicle.
+"""Leases of links. A lease ensures that only one program uses a vehicle.
 
 MAVSDK opens UDP ports and serial devices without excluding other programs. A second program would receive
 half of the datagrams or bytes, and the flight would fail. Every command that talks to a vehicle therefore
-acquires a `LinkLease` first. A lease is an advisory lock on one file per link in the state folder; the kernel
-releases it when the process ends. The file names the holder and the flight's log, for `monitor`. Programs
-that do not use leases are found by their open ports and devices.
+acquires a `LinkLease` first. Each link has one file in the state folder, and a lease is an advisory lock on
+this file. The kernel releases the lock when the process ends. The file names the holder and the flight's log,
+for `monitor`. Programs that do not use leases are found by their open ports and devices.
 """
 
 from __future__ import annotations
@@ -93,7 +93,8 @@ def endpoint_of(url: str) -> LinkEndpoint:
 def feed_name(port: int) -> str:
     """Return the name that a simulated vehicle leases before it sends to a UDP port.
 
-    A program that receives on the port leases its URL instead, so both can use the port.
+    A program that receives on the port leases the port's URL, which is another name. The receiver and the
+    simulated vehicle can therefore use the same port.
     """
     return f"feed:{port}"
 
@@ -104,7 +105,7 @@ def link_folder() -> Path:
 
 
 class LinkLease(Lease):
-    """The exclusive right to use one link, until it is released or the process ends.
+    """The exclusive right to use one link, until `release` or the end of the process.
 
     Args:
         url: MAVSDK connection URL.
@@ -150,11 +151,11 @@ class LinkLease(Lease):
         self._file.write(self._content())
 
     def lock_device(self) -> None:
-        """Lock the serial device exclusively and make its reads blocking.
+        """Lock the serial device exclusively and make reads from the device blocking.
 
-        Call after MAVSDK has opened the device. MAVSDK 4 sets VMIN to 0; its reads then return at once, and
-        its thread occupies a whole core. VMIN is a setting of the device, so this method can change it. Root
-        can still open a locked device.
+        Call this method after MAVSDK has opened the device. MAVSDK 4 sets VMIN to 0. MAVSDK's reads then
+        return immediately even without data, and MAVSDK's thread occupies a whole core. VMIN is a setting of
+        the device, so this method can change it. Root can still open a locked device.
         """
         if self._device is not None:
             with contextlib.suppress(OSError, termios.error):
@@ -225,12 +226,12 @@ def acquire_free_link(command: str, log: Path | None = None) -> tuple[int, LinkL
 
 
 def find_holder(url: str) -> Holder | None:
-    """Return the program of this software that holds a link, or None."""
+    """Return the process of this software that holds a link, or None."""
     return _holder_in(_file_of(url))
 
 
 def held_links() -> Iterator[Holder]:
-    """Yield the programs of this software that hold a link."""
+    """Yield the processes of this software that hold a link."""
     for path in sorted(link_folder().glob(f"*{_network()}.json")):
         holder = _holder_in(path)
         if holder is not None:
@@ -257,7 +258,10 @@ def _decoded(content: bytes) -> Holder | None:
 
 
 def _network() -> str:
-    """Return a suffix that names the network namespace, because containers may share a home but no ports."""
+    """Return a suffix that names the network namespace.
+
+    Containers may share a home folder but have separate ports.
+    """
     with contextlib.suppress(OSError):
         return f"@{os.stat('/proc/self/ns/net').st_ino}"
     return "@"
@@ -269,10 +273,12 @@ _UNKNOWN_OWNER = "another program"
 
 
 def udp_port_is_free(port: int, host: str = "") -> bool:
-    """Return whether no socket is bound to a UDP port, not even a socket that shares the port, as in MAVSDK.
+    """Return whether a UDP port is free: no socket is bound to the port.
+
+    A socket that permits sharing of its port, such as MAVSDK's, also counts as bound.
 
     Raises:
-        InputError: the port cannot be bound for another reason, such as an address of another computer.
+        InputError: the port cannot be bound for another reason, for example because `host` is not local.
     """
     family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
     try:
@@ -287,7 +293,10 @@ def udp_port_is_free(port: int, host: str = "") -> bool:
 
 
 def owner_of_udp_port(port: int) -> str:
-    """Return text that names the programs that have a UDP port open, as far as this user may list them."""
+    """Return text that names the programs that have a UDP port open.
+
+    Programs of which this user may not list the open files are missing.
+    """
     wanted = f":{port:04X}"
     inodes = set()
     for table in ("/proc/net/udp", "/proc/net/udp6"):
@@ -304,7 +313,7 @@ def _owners_of_device(device: Path, besides: int | None = None) -> str:
 
 
 def _owners(targets: set[str], besides: int | None = None) -> str:
-    """Return text that names the processes that have one of these files or sockets open."""
+    """Return text that names the processes that have a file or socket in `targets` open."""
     found = []
     for process in Path("/proc").iterdir():
         if not process.name.isdigit() or int(process.name) == besides:

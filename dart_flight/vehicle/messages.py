@@ -1,4 +1,4 @@
-"""The acceptance table: every MAVLink message that the program uses, and the conditions for its use.
+"""The acceptance table: every MAVLink message that the program uses, and when it accepts the message.
 
 A message is used only if the autopilot's component sent it, its instance is accepted and its values are
 usable. `VehicleSession` subscribes to the messages in this table, and docs/link.md shows the table.
@@ -31,7 +31,10 @@ SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "noti
 
 
 class Unusable(NamedTuple):
-    """The reason why a message is not usable, such as "has a velocity"; texts put "none" before it."""
+    """The reason why a message is not usable, such as "has a velocity".
+
+    Texts write "none" before the reason: "none has a velocity".
+    """
 
     reason: str
 
@@ -73,7 +76,7 @@ class Heartbeat(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """Raw values of one bank of outputs."""
+    """Raw values of the outputs of one bank, such as MAIN or AUX."""
 
     t_us: int
     values: list[float | None]
@@ -100,7 +103,11 @@ class BatteryReading(NamedTuple):
 
 
 class EstimatorState(NamedTuple):
-    """Validity of PX4's attitude, horizontal velocity and position, and the position's standard deviation."""
+    """State of PX4's estimator.
+
+    `healthy` is set if attitude, horizontal velocity and horizontal position are valid. `position_sd_m` is
+    the standard deviation of the horizontal position, metres.
+    """
 
     healthy: bool
     position_sd_m: float | None
@@ -130,7 +137,7 @@ class TextChunk(NamedTuple):
 
 
 class Timesync(NamedTuple):
-    """Answer to a TIMESYNC request: host time of the request and autopilot time, microseconds."""
+    """Answer to a TIMESYNC request: autopilot time, and host time of the request, both in microseconds."""
 
     sent_us: int
     autopilot_us: int
@@ -451,9 +458,9 @@ class MessageEntry(msgspec.Struct, frozen=True):
         convert: function that returns a value from the fields, or `Unusable`.
         frame: coordinate frame.
         units: units and scale.
-        invalid: conditions under which a message has no usable values, as text.
+        invalid: text with the conditions under which a message has no usable values.
         instance: name of the field that distinguishes several senders in one component, or None.
-        instances: accepted values of the field `instance`, or None for all.
+        instances: accepted values of this field, or None if all values are accepted.
         which: description of the accepted instances for the manual's table.
     """
 
@@ -469,7 +476,7 @@ class MessageEntry(msgspec.Struct, frozen=True):
     which: str = "-"
 
     def reader(self) -> Callable[[str], tuple[int, Any]]:
-        """Return a function that decodes a message's JSON to its instance and its value or `Unusable`."""
+        """Return a function that decodes a message's JSON to (instance, value); `value` may be `Unusable`."""
         read, convert = msgspec.json.Decoder(self.fields).decode, self.convert
         instance, instances = self.instance, self.instances
 

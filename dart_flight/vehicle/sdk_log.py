@@ -1,4 +1,6 @@
-"""Redirection of MAVSDK's log to Python's logging; standard output is reserved for `--json`.
+"""Redirection of MAVSDK's log to Python's logging.
+
+MAVSDK must not write to standard output, which is reserved for `--json`.
 
 A repeated message is logged once. When the connection is closed, the number of repetitions is logged.
 """
@@ -33,7 +35,10 @@ def redirect() -> None:
 
 
 def log_message(level: Any, message: str, _file: str | None, _line: int) -> bool:
-    """Log a message, as MAVSDK's callback on its threads; return True so that MAVSDK does not print it."""
+    """Log a message; MAVSDK calls this function on MAVSDK's threads.
+
+    The result is True, so that MAVSDK does not print the message.
+    """
     number = _LEVELS.get(int(level), logging.INFO)
     if _closing and _SOCKET_CLOSED in message:
         number = logging.DEBUG
@@ -61,7 +66,7 @@ def _log_repetitions() -> None:
 def closing() -> Iterator[None]:
     """Suppress errors of a connection's socket within the context.
 
-    The connection is to be closed within the context.
+    Close the connection within the context.
     """
     global _closing  # noqa: PLW0603  (MAVSDK has one log for the whole process)
     with _lock:

@@ -49,7 +49,10 @@ class TextAssembler:
         return found
 
     def overdue(self) -> list[tuple[str, str]]:
-        """Return an incomplete text, if any, after a second without a new part; call at every heartbeat."""
+        """Return an incomplete text if no new part has arrived for a second, otherwise an empty list.
+
+        Call this method at every heartbeat.
+        """
         if self._is_old:
             return self._cut_off()
         self._is_old = bool(self._text)

@@ -1,4 +1,4 @@
-"""TIMESYNC requests: the program sends its time, and the autopilot answers with both times."""
+"""TIMESYNC requests: the program sends its time; the answer contains this time and the autopilot's time."""
 
 from __future__ import annotations
 

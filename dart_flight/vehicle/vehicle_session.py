@@ -1,7 +1,7 @@
 """A MAVSDK connection to one autopilot: it delivers telemetry as records and sends setpoints and commands.
 
-MAVSDK's callbacks run on MAVSDK's thread; each builds one record and passes it to `deliver`. An
-acknowledgement does not prove success: PX4 acknowledges a take-off even while disarmed. The core therefore
+MAVSDK's callbacks run on MAVSDK's thread. Each callback builds a record and passes the record to `deliver`.
+An acknowledgement does not prove success: PX4 acknowledges a take-off even while disarmed. The core therefore
 detects the effect of a command in the telemetry.
 """
 
@@ -82,7 +82,10 @@ class Sender(NamedTuple):
 
 
 class SenderCount(msgspec.Struct):
-    """The counts of a sender's messages and usable messages, and the reason of the last unusable message."""
+    """The number of messages and the number of usable messages from a sender.
+
+    `reason` is the reason why the last unusable message was unusable.
+    """
 
     messages: int = 0
     usable: int = 0
@@ -91,7 +94,7 @@ class SenderCount(msgspec.Struct):
 
 
 def _without_stamps(s: Setpoint) -> tuple[object, ...]:
-    """Return the values of a setpoint without its stamps."""
+    """Return the values of a setpoint without the setpoint's stamps."""
     return (s.position_ned, s.yaw_ned_rad, s.velocity_ned, s.acceleration_ned)
 
 
@@ -113,7 +116,7 @@ class VehicleSession:
         clock: relation of the autopilot's time to the host's.
 
     Attributes:
-        senders: counts by sender of each subscribed message, including senders whose messages are not used.
+        senders: `SenderCount` of each sender of each subscribed message, even if its messages are not used.
         batteries: the newest reading of each battery.
         motor_outputs: decoder of the motor outputs, or None before `subscribe`.
         clock: relation of the autopilot's time to the host's.
@@ -198,9 +201,10 @@ class VehicleSession:
 
         Args:
             entry: the message.
-            on_value: callback for each usable value of the autopilot's component and its time of receipt;
-                it returns None, or `Unusable` if the value cannot be used.
-            on_unusable: callback for the instance of each unusable message of the autopilot's component.
+            on_value: callback that receives each usable value of the autopilot's component and the time of
+                receipt. The callback returns None, or `Unusable` if it cannot use the value.
+            on_unusable: callback that receives the instance of each unusable message of the autopilot's
+                component.
         """
         decode, counts, name = entry.reader(), self.senders, entry.message
         own = self._raw.get_system_id()
@@ -265,7 +269,7 @@ class VehicleSession:
         return ""
 
     def _report_unusable(self, name: str, reason: str, received: int) -> None:
-        """Deliver a text with the reason why a stream has no usable message, at most every 3 s."""
+        """Deliver, at most every 3 s, a text with the reason why a stream has no usable message."""
         if self._reports_unusable and received - self._reported_us.get(name, -_REPORTED_US) >= _REPORTED_US:
             self._reported_us[name] = received
             text = f"{name} arrives, none {reason}"
@@ -278,7 +282,7 @@ class VehicleSession:
         Args:
             names: streams of the table to request, or None for all. Subscribed streams outside the table are
                 always requested.
-            watching: whether to request the lower rates that suffice for a display.
+            watching: whether to request lower rates, which suffice for a display.
         """
         t = self._telemetry
         calls = {
@@ -309,7 +313,9 @@ class VehicleSession:
             await asyncio.to_thread(self._request_interval, number, -1)
 
     async def measure_link(self, timeout_s: float) -> list[str]:
-        """Wait for the first answer to a request; return the unanswered requests, or [] after an answer.
+        """Wait for the first answer to a request.
+
+        Return [] if an answer arrives, otherwise the names of the unanswered requests.
 
         The request is TIMESYNC, or a rate request if the vehicle does not answer TIMESYNC.
         """
@@ -355,9 +361,9 @@ class VehicleSession:
         return None
 
     def _request_interval(self, number: int, interval_us: int) -> bool:
-        """Send SET_MESSAGE_INTERVAL, blocking; return whether PX4 accepted it.
+        """Send SET_MESSAGE_INTERVAL, wait for the answer, and return whether PX4 accepted the interval.
 
-        Use it for messages whose rate the telemetry plugin cannot set.
+        Use this method for messages whose rate the telemetry plugin cannot set.
         """
         fields = {
             "target_system": self._raw.get_system_id(),
@@ -484,7 +490,7 @@ class VehicleSession:
     def _subscribe_events(self) -> None:
         """Subscribe to PX4's events and to its health and arming checks.
 
-        MAVSDK reads the event texts from the vehicle or from its cache. A vehicle without event texts
+        MAVSDK reads the event texts from the vehicle or from MAVSDK's cache. A vehicle without event texts
         provides only STATUSTEXT and SYS_STATUS.
         """
         self.listen(messages.SYS_STATUS, self._on_sys_status)
@@ -523,7 +529,7 @@ class VehicleSession:
     # -- commands --
 
     def send(self, setpoint: Setpoint) -> None:
-        """Send a setpoint at once, from any thread; MAVSDK repeats it at 20 Hz until the next one.
+        """Send a setpoint immediately, from any thread; MAVSDK repeats it at 20 Hz until the next setpoint.
 
         In offboard mode, an unchanged setpoint is skipped for 0.1 s, because MAVSDK repeats the last
         setpoint. In other modes no setpoint is skipped: MAVSDK does not repeat setpoints there, and needs a
@@ -549,7 +555,7 @@ class VehicleSession:
             )
 
     async def perform(self, action: VehicleAction) -> str:
-        """Perform an action; return an empty string, or the result with which PX4 refused it."""
+        """Perform an action; return an empty string, or the reason why the action was not performed."""
         if self._silent:
             return "silent"
         calls: dict[VehicleAction, Callable[..., Any]] = {
@@ -575,7 +581,7 @@ class VehicleSession:
         return "" if name == "SUCCESS" else name
 
     def send_message(self, message: MavlinkMessage) -> None:
-        """Send a raw message from any thread; ignore errors, because missing answers reveal a broken link."""
+        """Send a raw message from any thread; ignore errors: a broken link is detected by missing answers."""
         with contextlib.suppress(MavsdkError):
             self._direct.send_message(message)
 
@@ -589,7 +595,9 @@ class VehicleSession:
         self._silent = True
 
     def set_actuator(self, index: int, value: float) -> None:
-        """Command a peripheral output of PX4, blocking; an acknowledgement does not prove movement.
+        """Command a peripheral output of PX4 and wait for PX4's acknowledgement.
+
+        An acknowledgement does not prove that the actuator moves.
 
         Raises:
             VehicleError: PX4 refuses the command or does not answer.
@@ -615,7 +623,7 @@ class VehicleSession:
 
         Args:
             system_id: system id of the ground station.
-            answer: function that returns the result of a press and its reason.
+            answer: function that returns the result of a press and the reason of the result.
         """
 
         def note(text: str) -> None:
@@ -682,9 +690,9 @@ def connect(
         url: MAVSDK connection URL.
         timeout_s: timeout of the first heartbeat, seconds.
         deliver: receives every record, on MAVSDK's thread.
-        ground: whether to appear as a ground station instead of a companion computer. Use False on the
-            vehicle: PX4 could take the heartbeat for that of the real ground station, and would not notice
-            the loss of its link.
+        ground: whether to appear as a ground station instead of a companion computer. On the vehicle's
+            computer this must be False. Otherwise PX4 could confuse this program's heartbeat with the
+            heartbeat of the real ground station, and would not detect the loss of that station's link.
         clock: clock of an autopilot whose time is not real time, such as `LockstepClock`.
         opened: called once MAVSDK has opened the link and an autopilot answers.
 

@@ -1,10 +1,12 @@
 """The table of the faults of a simulated flight, their parser, and the faults of the simulated vehicle.
 
-`dry-run --fault NAME[=VALUE][@PHASE]` adds a fault. It begins when the mission first reaches the phase, or
-at once without a phase, and it persists. The site of a fault decides which part applies it. `VehicleFault`
-applies faults of plant, sensors and autopilot. `pose_feed` applies faults of the forwarded poses (`mocap`).
-`link` faults act on the messages between vehicle and application, `lock` faults on the mock servo, and `app`
-faults on the program itself.
+`dry-run --fault NAME[=VALUE][@PHASE]` adds a fault. The fault begins when the mission first reaches the
+phase. Without a phase, the fault begins immediately. A fault without a duration lasts until the end of
+the flight.
+
+The site of a fault decides which part applies the fault. `VehicleFault` applies faults of plant, sensors and
+autopilot. `pose_feed` applies faults of the forwarded poses (`mocap`). `link` faults act on the messages
+between vehicle and application. `lock` faults act on the mock servo, and `app` faults on the program itself.
 """
 
 from __future__ import annotations
@@ -247,7 +249,10 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
 
 
 class Trigger:
-    """The trigger of a fault, `after_s` after the mission first reaches the phase of the fault."""
+    """The trigger of a fault.
+
+    The fault begins `after_s` after the mission first reaches the phase of the fault.
+    """
 
     def __init__(self, fault: Fault) -> None:
         self._fault = fault

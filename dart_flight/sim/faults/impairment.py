@@ -15,7 +15,7 @@ class Impairment(msgspec.Struct, frozen=True):
     """The impairment of a link.
 
     Attributes:
-        loss, reorder: shares of messages that are lost and that are reordered, 0 to 1.
+        loss, reorder: share of lost messages and share of reordered messages, 0 to 1.
         delay_s: delay of every message, seconds.
         reorder_s: additional delay of a reordered message, seconds.
         jitter_s: largest random delay, drawn for each message, seconds.
@@ -33,7 +33,10 @@ class Impairment(msgspec.Struct, frozen=True):
 
 
 class LossyLink(Generic[T]):
-    """A queue that applies an impairment to messages; the caller passes the time, seconds on any clock."""
+    """A queue that applies an impairment to messages.
+
+    The caller passes the present time in seconds, on any clock.
+    """
 
     def __init__(self, seed: int) -> None:
         self.impairment = Impairment()

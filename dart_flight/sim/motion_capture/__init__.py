@@ -47,7 +47,7 @@ class PoseServer(Protocol):
 
 
 def make_server(kind: str, body: str) -> PoseServer:
-    """Start an emulated server of one kind of `KINDS` that tracks `body`."""
+    """Start an emulated server that tracks `body`; `kind` is a key of `KINDS`."""
     file, name = KINDS[kind]
     module = importlib.import_module(f"dart_flight.sim.motion_capture.{file}")
     server: PoseServer = getattr(module, name)(body)

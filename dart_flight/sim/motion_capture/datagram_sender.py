@@ -1,4 +1,7 @@
-"""An emulated system that sends one datagram per frame to a port of this computer, without a request."""
+"""An emulated system that sends one datagram per frame to a port of this computer.
+
+The system does not wait for a request.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""An emulated Qualisys Track Manager: its real-time protocol 1.25, little-endian, 6DOF data.
+"""An emulated Qualisys Track Manager (QTM), which sends 6DOF data.
 
-The layout is taken from the public documentation of QTM's real-time protocol.
+The server implements version 1.25 of QTM's real-time protocol, little-endian. The layout is taken from the
+public documentation of this protocol.
 """
 
 from __future__ import annotations

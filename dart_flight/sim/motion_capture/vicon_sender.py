@@ -1,4 +1,4 @@
-"""An emulated Vicon Tracker: its UDP object stream, which contains the vehicle and a second object."""
+"""An emulated Vicon Tracker, which sends a UDP object stream with the vehicle and a second object."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _OTHER: Final = ("wand", (1000.0, -500.0, 20.0, 0.0, 0.0, 0.3))
 
 
 def euler_xyz(q: Quaternion) -> Vec3:
-    """Return the Euler angles of an attitude about x, the new y and the new z, rad."""
+    """Return the Euler angles of an attitude, rad: rotations about x, then the new y, then the new z."""
     forward, left, up = (rotate(q, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
     y = math.asin(max(-1.0, min(1.0, up[0])))
     return (math.atan2(-up[1], up[2]), y, math.atan2(-left[0], forward[0]))

@@ -219,7 +219,7 @@ class Px4Vehicle:
             self._servo.set_horn(pulse_us)
 
     def step(self, report: bool = True) -> None:
-        """Advance the plant by one tick of 4 ms with PX4's last outputs, then send its measurements to PX4.
+        """Advance the plant by one tick of 4 ms with PX4's last outputs, then send the measurements to PX4.
 
         Args:
             report: whether to send this tick's measurements. If not, the next IMU sample is a mean that
@@ -252,7 +252,7 @@ class Px4Vehicle:
             self._link.exchange(self._last_sensor, *others)
 
     def stand_still(self) -> None:
-        """Stop the plant for one tick and repeat its last IMU sample, because PX4 needs a steady stream.
+        """Stop the plant for one tick and repeat the last IMU sample, because PX4 needs a steady stream.
 
         Raises:
             Px4LostError: see the link's `exchange`.
@@ -287,14 +287,18 @@ class Px4Vehicle:
 
 
 def servo_channel(vehicle: VehicleConfig) -> int:
-    """Return the servo's channel in HIL_ACTUATOR_CONTROLS, from 0: PWM_MAIN 5 of a quadrotor."""
+    """Return the servo's channel in HIL_ACTUATOR_CONTROLS; the first channel is 0.
+
+    A quadrotor's servo has channel 4, which is PX4's output PWM_MAIN 5.
+    """
     return len(vehicle.airframe.motors)
 
 
 def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
-    """Return one axis of HIL_SENSOR; full scale gives the largest count, which PX4 treats as clipping.
+    """Return one axis of HIL_SENSOR, saturated at full scale.
 
-    A sensor of less than 16 g also saturates, but PX4's simulated driver does not detect that.
+    With a full scale of 16 g, a saturated axis has the largest count of PX4's simulated driver, and the
+    driver reports clipping. With a smaller full scale the driver does not detect the saturation.
     """
     limit = ACCELEROMETER_LIMIT_M_S2
     if abs(specific_force_m_s2) >= full_scale_m_s2:
@@ -353,7 +357,7 @@ def gps_message(time_us: int, fix: GpsFix, receiver: GpsReceiver) -> Any:
 
 
 def geodetic(position_ned: Vec3) -> tuple[float, float]:
-    """Return (latitude, longitude) in degrees of a point near home, NED metres."""
+    """Return (latitude, longitude) in degrees of a point near home; the point is in NED, metres."""
     latitude = HOME_LAT_DEG + math.degrees(position_ned[0] / _EARTH_RADIUS_M)
     shrink = math.cos(math.radians(HOME_LAT_DEG))
     return latitude, HOME_LON_DEG + math.degrees(position_ned[1] / (_EARTH_RADIUS_M * shrink))

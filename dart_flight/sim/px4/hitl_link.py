@@ -1,17 +1,18 @@
 """The plant's side of a flight controller in hardware-in-the-loop mode: HIL messages over USB or UDP.
 
 There is no lockstep. PX4 uses its own clock and stamps every HIL_SENSOR, ODOMETRY and HIL_GPS on arrival
-(v1.14 to v1.18), because this link does not answer its TIMESYNC. The time of sending is therefore the stamp:
+(v1.14 to v1.18), because this link does not answer PX4's TIMESYNC. The time of sending therefore acts as the
+stamp. The link and the world follow these rules:
 
 - Missed ticks are not sent later in a burst, because PX4 would treat a burst as one sample of 20 ms and
-  several samples of zero duration. The missed ticks are reported as one message with their mean
+  several samples of zero duration. All missed ticks together give one message with the mean of their samples
   (`Px4Vehicle.step`).
 - A message that the port does not accept is dropped as a whole and counted.
 - After a lost HIL_ACTUATOR_CONTROLS the motors keep their last values, as ESCs do after a lost frame.
-- A gap of more than about 75 ms in HIL_SENSOR (measured on v1.18) shifts PX4's vertical estimate by g times
-  its length, and the vehicle descends to the ground. In flight such a gap ends the simulation, and the gap is
-  reported as the cause. The times of sending and PX4's own stamps reveal the gap; outputs that only arrive
-  late are harmless.
+- A gap of more than about 75 ms in HIL_SENSOR (measured on v1.18) shifts PX4's estimate of the vertical
+  velocity by g times the duration of the gap, and the vehicle descends to the ground. In flight such a gap
+  ends the simulation, and the gap is reported as the cause. The link detects a gap from its times of sending
+  and from PX4's own stamps. A delay in the receipt of PX4's outputs is harmless.
 
 PX4 v1.18 no longer locks the real outputs in this mode. To verify that the motors stay off, the link queries
 PX4's outputs through PX4's shell: only the simulated outputs may change.
@@ -66,7 +67,7 @@ class HitlPort(Protocol):
 
 
 class SerialPort:
-    """A serial device, raw, at a baud rate; USB ports ignore the rate."""
+    """A serial device in raw mode; a USB port ignores the baud rate."""
 
     def __init__(self, device: str, baud: int) -> None:
         self._serial = serial.Serial(device, baud, timeout=0.0)
@@ -128,7 +129,7 @@ class UdpPort:
 
 
 def open_port(url: str) -> HitlPort:
-    """Return the port of a URL of `--hitl`.
+    """Open the port that a URL given with `--hitl` names.
 
     Raises:
         InputError: the port cannot be opened, or is neither serial nor UDP.
@@ -158,11 +159,11 @@ class HitlLink:
     Attributes:
         controls: last actuator outputs.
         answered: whether any actuator outputs have arrived.
-        sent, dropped: numbers of messages that the port has accepted and has not accepted.
+        sent, dropped: number of messages that the port has accepted, and number that it has not accepted.
         outputs_seen: number of output drivers that PX4 reports, including the simulated one; 0 before the
             first report.
-        longest_gap_s: longest gap between two accepted ticks or, by PX4's clock, between two messages with
-            actuator outputs. PX4 sends these at least every 50 ms.
+        longest_gap_s: longest gap between two accepted ticks, or between PX4's stamps of two messages with
+            actuator outputs. PX4 sends such messages at least every 50 ms.
     """
 
     def __init__(self, port: HitlPort) -> None:
@@ -192,8 +193,8 @@ class HitlLink:
 
         Raises:
             Px4LostError: the port is gone, no actuator outputs have arrived for `SILENCE_S`, a gap in flight
-                has exceeded `GAP_S`, or outputs other than the simulated ones change. In the last case this
-                method also disarms the flight controller.
+                has exceeded `GAP_S`, or a real output changes. If a real output changes, this method also
+                disarms the flight controller.
         """
         dropped = self.dropped
         self.send(*others, sensor)

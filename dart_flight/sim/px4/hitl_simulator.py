@@ -1,9 +1,10 @@
 """The world of a flight controller in hardware-in-the-loop mode: plant and sensors in real time.
 
-The flight controller uses its own time, and neither side waits. Ticks follow the host's clock. Ticks that a
-busy computer has missed are computed at once and reported as one tick (`hitl_link`). After a stall of more
-than a quarter of a second the plant does not catch up, as with the embedded autopilot. The plant also pauses
-while an armed flight controller is silent, because constant outputs soon tip a vehicle over.
+The flight controller uses its own time. This process and the flight controller do not wait for each other.
+Ticks follow the host's clock. If a busy computer misses ticks, they are computed without a pause and reported
+as one tick (`hitl_link`). After a stall of more than a quarter of a second the plant does not catch up, as
+with the embedded autopilot. The plant also pauses while an armed flight controller is silent, because a
+vehicle with constant motor outputs soon turns over.
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ class HitlSimulator:
     # -- as `ServedWorld` --
 
     def publish_pose(self) -> None:
-        """Implement `ServedWorld` by doing nothing: poses go to the flight controller over its own link."""
+        """Do nothing: the link to the flight controller carries the poses."""
 
     @property
     def time_us(self) -> int:
@@ -130,7 +131,10 @@ class HitlSimulator:
         """Do nothing: faults are not available with a flight controller."""
 
     def advance(self) -> Plant:
-        """Advance by one tick when it is due; if the next tick is also due, report both together."""
+        """Wait until the next tick is due, and advance by this tick.
+
+        If a further tick is also due, report both ticks together.
+        """
         late_s = time.monotonic() - (self._start_s + (self._ticks + 1) * TICK_S)
         time.sleep(max(0.0, -late_s))
         behind = int(late_s / TICK_S)
@@ -152,5 +156,5 @@ class HitlSimulator:
         return self._vehicle.plant
 
     def is_over(self, alone_s: float) -> bool:
-        """Return whether the flight controller has disarmed, or the app ended more than `_ORPHAN_S` ago."""
+        """Return whether the flight controller is disarmed, or the app ended more than `_ORPHAN_S` ago."""
         return not self._armed or alone_s > _ORPHAN_S

@@ -1,9 +1,10 @@
 """Start and stop of a real PX4 (SITL) from the user's own build or installation, for one flight.
 
-PX4 runs in a new working folder and in a separate session. Its instance number is the first free one and
-defines its ports. Its parameters are set through PX4's own client while PX4 waits for its simulator. Every
-version since v1.14 waits after the airframe's defaults are applied and before estimator and controllers
-start. The user provides PX4; PX4's documentation explains how to build and install it (docs/px4.md).
+PX4 runs in a new working folder and in a separate session. PX4 gets the first free instance number, which
+defines the ports. PX4's own client sets the parameters while PX4 waits for its simulator. During its start
+every version since v1.14 waits for the simulator at the same point: the airframe's defaults are applied, but
+estimator and controllers have not started. The user provides PX4; PX4's documentation explains how to build
+and install PX4 (docs/px4.md).
 """
 
 from __future__ import annotations
@@ -76,7 +77,8 @@ def find_install(directory: str | Path | None) -> Install:
     """Find PX4 in an installation (`bin/px4`, `etc`) or a build folder with the same layout.
 
     Args:
-        directory: folder that the user has named; None or empty: the environment's DART_PX4_DIR.
+        directory: folder that the user has named. If None or empty, the environment variable DART_PX4_DIR
+            names the folder.
 
     Raises:
         InputError: PX4 is not found.
@@ -118,7 +120,9 @@ def parameter_files(position_from: PositionSource) -> list[Path]:
 def flight_parameters(
     vehicle: VehicleConfig, position_from: PositionSource, extra: list[Path] | None = None
 ) -> dict[str, Parameter]:
-    """Return all parameters for PX4, from airframe and configuration and then from the parameter files.
+    """Return all parameters for PX4.
+
+    Airframe and configuration give the first values; the parameter files override these values.
 
     Args:
         vehicle: configuration with masses, motors and the `px4` section.
@@ -207,7 +211,9 @@ def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
 
 
 def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tuple[Motor, ...]:
-    """Return the motors that PX4 will fly with, from its parameters or otherwise from the configuration.
+    """Return the motors that PX4 will assume.
+
+    A value comes from `parameters` if present there, otherwise from the configuration.
 
     Raises:
         InputError: the numbers of motors in the parameters and the configuration differ.
@@ -224,7 +230,8 @@ def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tupl
 def environment() -> dict[str, str]:
     """Return the environment of the PX4 process, without variables of the caller that could affect PX4.
 
-    Since v1.16 PX4 sets parameters from PX4_PARAM_* variables, in an order that depends on the version.
+    Variables are not used to set parameters: PX4 reads PX4_PARAM_* variables only since v1.16, and in an
+    order that depends on the version.
     """
     kept = {name: os.environ[name] for name in ("PATH", "HOME", "LANG", "TZ") if name in os.environ}
     kept["PX4_SIM_MODEL"] = MODEL
@@ -232,7 +239,7 @@ def environment() -> dict[str, str]:
 
 
 def arguments(install: Install, instance: int) -> list[str]:
-    """Return PX4's command line, without a shell (-d); the path must contain a slash."""
+    """Return PX4's command line; -d starts PX4 without a shell. The program's path must contain a slash."""
     return [str(install.program), "-i", str(instance), "-d", str(install.etc)]
 
 
@@ -240,10 +247,10 @@ def arguments(install: Install, instance: int) -> list[str]:
 
 
 class Instance:
-    """A claimed PX4 instance, with its simulator port bound but not yet listening.
+    """A claimed PX4 instance; its simulator port is bound but does not listen yet.
 
     Attributes:
-        number: 0 to 9; it defines the ports.
+        number: number of the instance, 0 to 9, which defines the ports.
     """
 
     def __init__(self, number: int, listener: socket.socket, lease: LinkLease) -> None:
@@ -318,7 +325,10 @@ def _instance_is_locked(instance: int) -> bool:
 
 
 def _die_with_parent() -> None:
-    """Make the kernel kill this child with its parent, because PX4 without a simulator would spin forever."""
+    """Make the kernel kill this child process when the parent process ends.
+
+    PX4 without a simulator would otherwise use the processor forever.
+    """
     ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL)
 
 
@@ -372,10 +382,10 @@ class Px4:
         return f"PX4 ended with status {code}"
 
     def wait_waiting(self, timeout_s: float = 10.0) -> None:
-        """Wait until PX4 waits for its simulator, which must not listen yet.
+        """Wait until PX4 waits for its simulator; the simulator must not listen yet.
 
         Raises:
-            Px4Error: PX4 ends, or does not reach that state in time.
+            Px4Error: PX4 ends, or does not wait for the simulator in time.
         """
         deadline = time.monotonic() + timeout_s
         while not self._console_contains(_WAITING):
@@ -388,10 +398,11 @@ class Px4:
         """Set parameters while PX4 waits for its simulator, and read every one back.
 
         Returns:
-            The parameters that were set, without those that this version does not need.
+            The parameters that were set. A parameter that this version of PX4 does not need is left out.
 
         Raises:
-            Px4Error: PX4 does not answer, or does not know or accept a parameter; the message names it.
+            Px4Error: PX4 does not answer, or a parameter is unknown to PX4 or not accepted; the message names
+                the parameter.
         """
         known = self.parameters()
         if not known:
@@ -414,7 +425,7 @@ class Px4:
             raise Px4Error(f"parameter not accepted: {problem}")
 
     def version(self) -> tuple[int, int, int] | None:
-        """Return PX4's version while it waits for its simulator, or None if not reported."""
+        """Return PX4's version, or None if PX4 does not report it; call while PX4 waits for its simulator."""
         with contextlib.suppress(Px4Error):
             return parse_version(self._answer(_VERSION, "all"))
         return None
@@ -464,7 +475,7 @@ class Px4:
         return parse_listing(self._answer(_CLIENT, "show", "-a"))
 
     def _answer(self, program: str, *arguments: str) -> str:
-        """Return the output of one of PX4's clients.
+        """Run one of PX4's client programs, such as `px4-param`, and return its output.
 
         Raises:
             Px4Error: PX4 does not answer.
@@ -498,7 +509,7 @@ class Px4:
             os.unlink(f"/tmp/px4-sock-{self.instance}")
 
     def keep_log(self) -> Path | None:
-        """Move PX4's ULog into the flight's folder and return its path, or None without a log.
+        """Move PX4's ULog into the flight's folder; return the new path, or None if there is no log.
 
         If there is a log, the working folder is deleted.
         """
@@ -520,7 +531,7 @@ def parse_version(answer: str) -> tuple[int, int, int] | None:
 
 
 def check_version(version: tuple[int, int, int] | None) -> str | None:
-    """Return a remark on a version of PX4; None if docs/px4.md reports flights with this version.
+    """Return a remark if docs/px4.md reports no flights with this version of PX4, otherwise None.
 
     Raises:
         Px4Error: the version is too old.

@@ -1,8 +1,8 @@
 """The world of a real PX4: the plant in lockstep with PX4, in a process that starts PX4 and ends it.
 
-The pipe to the app is that of the embedded autopilot (`pipe`). The process ends PX4 in every case: on request
-of the app, if PX4 ends or hangs, on SIGTERM, and if the app has ended (after PX4's failsafe). If the process
-itself is killed, the kernel kills PX4.
+The pipe to the app is the same as for the embedded autopilot (`pipe`). The process always stops PX4 before
+the process ends: on SIGTERM, if PX4 fails or hangs, and after the app has closed the pipe or ended. If PX4 is
+armed when the app ends, PX4's failsafe acts first. If the process itself is killed, the kernel kills PX4.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Px4Simulator:
 
     @staticmethod
     def _cause(px4: Px4 | None, error: Exception) -> str:
-        """Return the cause of the end: PX4's exit if PX4 has ended, otherwise the error."""
+        """Return the cause of the end: how PX4 ended if the PX4 process has ended, otherwise the error."""
         if px4 is not None and isinstance(error, Px4LostError):
             time.sleep(0.05)  # wait for the process to exit
             return px4.ending() or str(error)
@@ -116,7 +116,7 @@ class Px4Simulator:
         self._log.write(self._ticks * TICK_S, text)
 
     def _prepare(self, px4: Px4) -> None:
-        """Check PX4's version and set its parameters while it waits for its simulator.
+        """Check PX4's version and set PX4's parameters while PX4 waits for the simulator.
 
         Raises:
             Px4Error: PX4 ends, does not answer or is too old, or a parameter was not accepted.
@@ -167,7 +167,7 @@ class Px4Simulator:
         self._report(f"flown at {factor:.2f} times real time, {self._vehicle.clipped} clipped ticks")
 
     def _boot(self, px4: Px4) -> None:
-        """Step while PX4 boots, then check that its start-up script has not changed the parameters.
+        """Advance the world while PX4 boots, then check that PX4's start-up script has kept the parameters.
 
         Raises:
             Px4Error: PX4 does not boot in time, or a parameter differs from its set value.
@@ -187,7 +187,7 @@ class Px4Simulator:
         px4.check_parameters(self._set, answer.result())
 
     def _free_run(self, seconds: float) -> None:
-        """Step as fast as PX4 answers, without reports to the app."""
+        """Advance the world as fast as PX4 answers, without reports to the app."""
         for _ in range(round(seconds / TICK_S)):
             self._vehicle.step()
             self._ticks += 1

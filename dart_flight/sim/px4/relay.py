@@ -1,4 +1,4 @@
-"""Relay of every datagram between PX4 and the application; it also keeps the counts for `sim.lockstep`.
+"""Relay of every datagram between PX4 and the application; the relay records stamps for `sim.lockstep`.
 
 The relay listens on PX4's onboard port; the application listens on another port.
 """
@@ -67,8 +67,8 @@ class Relay:
     def answer_requests(self) -> None:
         """Repeat PX4's last heartbeat once per second of the computer's time.
 
-        PX4 sends a heartbeat every simulated second. MAVSDK reports a lost vehicle after 3 s of the
-        computer's time without a heartbeat.
+        PX4 sends a heartbeat every simulated second. If no heartbeat arrives for 3 s of the computer's time,
+        MAVSDK reports the vehicle as lost.
 
         Raises:
             FlightError: the network has failed.
@@ -136,7 +136,7 @@ class Relay:
 
 
 def frames(data: bytes) -> Iterator[tuple[int, int, bytes, bytes]]:
-    """Yield message id, component id, payload and frame of every MAVLink 2 frame of a datagram."""
+    """Yield (message id, component id, payload, whole frame) for every MAVLink 2 frame in a datagram."""
     at = 0
     while at + _HEADER <= len(data):
         if data[at] != 0xFD:

@@ -21,12 +21,14 @@ Decoder = Callable[[bytes, str, str], RawPose | str]
 
 
 class DatagramSource:
-    """A source that decodes each datagram received at an address; it joins the group of a multicast address.
+    """A source that decodes each datagram received at an address.
+
+    If the address is a multicast address, the source joins the multicast group.
 
     Args:
         address: local address and port, and the name of the body.
-        decode: function that converts datagram, body and sender to a pose, or to the reason why the datagram
-            contains none.
+        decode: function of datagram, body and sender. The function returns the pose, or the reason why the
+            datagram contains no pose of the body.
 
     Attributes:
         ignored: number of ignored datagrams by reason.
@@ -70,7 +72,7 @@ class DatagramSource:
         return int(self._socket.getsockname()[1])
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every further pose on a thread of the source; discard datagrams received before."""
+        """Deliver every further pose on a thread of the source; discard the datagrams received until now."""
         self._socket.settimeout(0.0)
         with contextlib.suppress(OSError):
             while True:

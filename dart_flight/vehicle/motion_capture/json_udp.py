@@ -29,7 +29,7 @@ _DECODER = msgspec.json.Decoder(_Pose)
 
 
 def decode(data: bytes, body: str, sender: str) -> RawPose | str:
-    """Return the pose in a datagram, or the reason why the datagram contains none."""
+    """Return the pose in a datagram, or the reason why the datagram contains no pose."""
     try:
         pose = _DECODER.decode(data)
     except (msgspec.DecodeError, RecursionError) as error:  # a ValidationError is a DecodeError

@@ -1,4 +1,7 @@
-"""A pose source for OptiTrack's Motive (NatNet protocol), unicast or multicast as the server announces."""
+"""A pose source for OptiTrack's Motive (NatNet protocol).
+
+The server announces whether it uses unicast or multicast.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,7 @@ class ServerInfo(NamedTuple):
 
 
 def decode_server_info(data: bytes) -> ServerInfo | None:
-    """Return the announcement in an answer to a connection request, or None for other data."""
+    """Decode a server's answer to a connection request; return None for other data."""
     start = _HEADER.size + _SERVER.size
     if len(data) < start or _HEADER.unpack_from(data)[0] != NatNetClient.NAT_SERVERINFO:
         return None
@@ -50,7 +53,9 @@ def decode_server_info(data: bytes) -> ServerInfo | None:
 
 
 def _query_server(address: PoseAddress) -> tuple[ServerInfo, str, str]:
-    """Return the server's announcement and address, and the address that this computer uses towards it.
+    """Request a connection, and return what the server announces and the addresses of both sides.
+
+    The result is (announcement, the server's address, this computer's address towards the server).
 
     Raises:
         InputError: the host has no address, or no server answers.

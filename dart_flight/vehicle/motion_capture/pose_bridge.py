@@ -1,4 +1,7 @@
-"""The bridge from a pose source to PX4: it delivers every pose and forwards a selection as ODOMETRY."""
+"""The bridge from a pose source to PX4.
+
+The bridge delivers every pose to the core and forwards selected poses to PX4 as ODOMETRY.
+"""
 
 from __future__ import annotations
 
@@ -42,9 +45,10 @@ def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> 
 
     Null fields of the message arrive at PX4 as NaN, and PX4 does not fuse NaN.
 
-    Without an attitude PX4 still fuses the position, and its heading then follows from the gyro alone.
+    Without an attitude PX4 still fuses the position. PX4's heading then follows from the gyro alone.
 
-    The reset counter stays 0. If it changed, PX4's estimate would at once follow a jump of the poses.
+    The reset counter stays 0. If the counter changed, PX4's estimate would immediately follow a jump of the
+    poses.
     """
     x, y, z = position_ned
     fields = {
@@ -75,19 +79,19 @@ class ForwardedPose(msgspec.Struct):
 
     @property
     def attitude(self) -> Quaternion | None:
-        """The attitude, or None if it is withheld."""
+        """The attitude, or None if the message contains no attitude."""
         w, x, y, z = self.q
         return None if w is None or x is None or y is None or z is None else (w, x, y, z)
 
 
 def forwarded_pose(message: Any) -> ForwardedPose:
-    """Return the pose in a message of `odometry`; simulated worlds use it."""
+    """Return the pose in a message of `odometry`; simulated worlds use this function."""
     fields: str = message.fields_json
     return msgspec.json.decode(fields, type=ForwardedPose)
 
 
 class Decimation:
-    """A selection of frames that has a mean rate and is as even as the frames allow.
+    """A selection of frames with a given mean rate, spaced as evenly as possible.
 
     Args:
         rate_hz: mean rate of the selected frames; all frames of a slower source are selected.
@@ -180,7 +184,7 @@ def forwarding(
     clock: Clock,
     deliver: Callable[[PoseSample], None],
 ) -> Iterator[MotionCaptureBridge | None]:
-    """Forward the poses of `config.url` while the context is open; yield None without a URL.
+    """Forward the poses of `config.url` while the context is open; if the URL is None, yield None.
 
     Raises:
         InputError: on entering, if the source cannot be opened.

@@ -28,15 +28,17 @@ _FRESH_US: Final = 500_000  # oldest estimate of PX4 that is compared
 
 
 class PoseFigures(msgspec.Struct, frozen=True):
-    """The statistics of a stream of poses; None: not measurable yet, or not measurable with this source.
+    """The statistics of a stream of poses.
+
+    A value is None if it cannot be measured yet, or cannot be measured with this source.
 
     Attributes:
         rate_hz: tracked poses per second over the last 2 s.
         gaps: number of gaps of more than 0.1 s between tracked poses.
         longest_gap_s: longest time between two tracked poses, including a gap that has not ended.
         lost: share of frames in which the body is not tracked, 0 to 1.
-        age_ms: age of the newest poses. The stamps give the excess over the shortest age; `mocap.delay_ms`,
-            the measured shortest age, is added.
+        age_ms: age of the newest poses: `mocap.delay_ms`, the measured shortest age, plus the excess over the
+            shortest age, which the stamps give.
         age_growth_ms: growth of the age since the first poses.
         distance_to_px4_m: distance of PX4's position from the newest pose.
         angle_to_px4_deg: angle between PX4's attitude and the newest pose.
@@ -55,7 +57,9 @@ class PoseFigures(msgspec.Struct, frozen=True):
 
 
 class PoseStatistics:
-    """The statistics of one source's poses, from inputs in the order of receipt, on any thread.
+    """The statistics of one source's poses.
+
+    Call `update` for every input in the order of receipt; any thread may call it.
 
     Args:
         room: conversion of the poses to local NED.

@@ -1,4 +1,4 @@
-"""A pose source for Qualisys Track Manager (QTM), by its real-time protocol."""
+"""A pose source for Qualisys Track Manager (QTM), which uses QTM's real-time protocol."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _RETRY_S: Final = 1.0
 
 
 def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
-    """Return the names of all 6DOF bodies in QTM's parameters, and of the enabled ones.
+    """Return (names of all 6DOF bodies, names of the enabled 6DOF bodies) from QTM's parameters.
 
     Raises:
         ValueError: the text is not XML.
@@ -82,7 +82,7 @@ class QualisysSource:
         """Connect and read the names of the bodies.
 
         Raises:
-            ValueError: the answer is not QTM's.
+            ValueError: the answer does not come from QTM.
             TimeoutError: nothing answers.
         """
         self._disconnected.clear()

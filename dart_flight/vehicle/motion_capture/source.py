@@ -38,7 +38,7 @@ def lost_pose(body: str, frame_number: int | None, source_us: int | None, sender
 
 
 class PoseSource(Protocol):
-    """A source of poses; `open_source` returns one."""
+    """A source of poses, as returned by `open_source`."""
 
     @property
     def problem(self) -> str | None:
@@ -73,7 +73,7 @@ def parse_url(url: str) -> tuple[str, PoseAddress]:
     """Return the scheme and the address in a pose source's URL.
 
     Raises:
-        InputError: the URL is not a pose source's.
+        InputError: the URL does not name a pose source.
     """
     try:
         parts = urlsplit(url)
