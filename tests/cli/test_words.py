@@ -71,9 +71,9 @@ def test_without_a_near_one_the_commands_are_listed(capsys: pytest.CaptureFixtur
     ("words", "kind"),
     [
         (["check", SCENARIO], "this is a scenario: `dart-flight plan`"),
-        (["dry-run", CONFIG], "this is a vehicle configuration: --config"),
-        (["dry-run", FLIGHT], "this is a flight log: replay"),
-        (["plan", MISSION], "this is a mission: fly"),
+        (["dry-run", CONFIG], "this is a vehicle configuration, which is the argument of --config"),
+        (["dry-run", FLIGHT], "this is a flight log, which is an input of replay"),
+        (["plan", MISSION], "this is a mission, which is an input of fly"),
         (["check", MISSION, "--config", MISSION], "this is a mission"),
         (["replay", MISSION], "this is a mission"),
         (["report", SCENARIO, "-o", "x.html"], "this is a scenario"),
@@ -239,7 +239,9 @@ def test_packed_and_encrypted_logs_are_named(
 
 
 def test_inspect_says_what_takes_our_own_log(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "this is a flight log: replay, report, export" in refused(capsys, "inspect", FLIGHT)
+    assert "this is a flight log, which is an input of replay, report, export" in refused(
+        capsys, "inspect", FLIGHT
+    )
 
 
 @pytest.mark.parametrize(("given", "written"), [("play", "play.mcap"), ("play.bin", "play.bin")])
@@ -281,4 +283,4 @@ def test_two_plans_of_one_name_are_told_apart(capsys: pytest.CaptureFixture[str]
         fly_fast(mission, 1, tmp_path / str(speed))
         logs += [str(path) for path in (tmp_path / str(speed)).rglob("flight.mcap")]
     said = refused(capsys, "report", *logs, "-o", str(tmp_path / "x.html"))
-    assert "of the same name, collisions[0].approach.normal_m_s is -" in said
+    assert "the names agree, but collisions[0].approach.normal_m_s is -" in said

@@ -47,5 +47,5 @@ def test_check_says_before_the_flight_how_near_the_goal_is_passed() -> None:
     replanned = goal_finding("single_wall.yaml")
     assert not replanned.remark
     assert replanned.says.startswith(
-        "replanned after every collision to pass through the goal; with recovery setpoints"
+        "the vehicle replans after every collision to pass through the goal; without replanning"
     )

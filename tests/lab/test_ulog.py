@@ -87,7 +87,7 @@ def test_actuator_motors_come_first_and_only_those_that_turn(tmp_path: Path) -> 
 
 def test_motors_that_do_not_move_are_none(tmp_path: Path) -> None:
     still = ("float[8] output;", [(1e6 + 1e4 * i, [900.0] * 8) for i in range(60)])
-    with pytest.raises(InputError, match="no output of its actuator_outputs varies"):
+    with pytest.raises(InputError, match="no output in actuator_outputs varies"):
         commands(tmp_path, {("actuator_outputs", 0): still})
 
 

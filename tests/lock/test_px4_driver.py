@@ -58,7 +58,7 @@ def test_failures_are_driver_errors(vary: Vary) -> None:
     assert driver.read().pulse_us is None
     with pytest.raises(DriverError, match="outside PX4's output range"):
         driver.set_pulse(2500.0)
-    with pytest.raises(DriverError, match="cannot switch the pulses"):
+    with pytest.raises(DriverError, match="cannot switch off the pulses"):
         driver.release()
 
 

@@ -90,7 +90,7 @@ class FedBringup(Bringup):
                 t.store(make_pose(at, *room.pose_from_ned(tuple(position), tuple(q))))
                 t.store(AttitudeSample(round(1e6 * at) - 30_000, round(1e6 * at), tuple(q)))
 
-        self.hands.acts = {"Waiting": begin, "turn it left": move}
+        self.hands.acts = {"Waiting": begin, "turn the vehicle left": move}
 
     def measure(self) -> StepFinding:
         return self._measure_poses(Link())  # type: ignore[arg-type]

@@ -238,7 +238,9 @@ def test_a_ulog_is_sent_to_the_commands_that_take_it(
 ) -> None:
     path = write_ulog(tmp_path / "a.ulg", {})
     assert main([command, str(path)]) == 2
-    assert "this is a PX4 ULog: inspect, identify and calibrate take it" in capsys.readouterr().err
+    assert (
+        "this is a PX4 ULog, which is an input of inspect, identify and calibrate" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(

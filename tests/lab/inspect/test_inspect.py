@@ -162,7 +162,7 @@ def test_a_thrust_fit_that_fails_on_what_it_has_not_seen_is_refused_by_name(
     flight = felt(write_ulog(tmp_path / "a.ulg", made), capsys)
     assert flight["thrust"] is None
     (says,) = (what for what in flight["unknown"] if what.startswith("thrust:"))
-    assert "half seconds" in says
+    assert "segments of 0.5 s" in says
     assert "limit 10 %" in says
 
 

@@ -160,7 +160,7 @@ def test_sequences_with_too_many_hits_count_as_not_computed(monkeypatch: pytest.
 def test_a_demanded_sequence_may_be_long() -> None:
     result = plan_quickest(between(1.25, [], ["east", "west"] * 3))
     assert result.best.sequence == ("east", "west") * 3
-    with pytest.raises(InputError, match="expected 1 to 16 walls or any, not 18"):
+    with pytest.raises(InputError, match="expected a list of 1 to 16 walls or the word any, not 18"):
         between(1.25, [], ["east", "west"] * 9)
 
 
