@@ -306,7 +306,8 @@ RULES: tuple[Rule, ...] = (
     _found("lock_not_settled", _BREAK_OFF,
            "the lock is not in the planned mode in the approach or at the impact"),
     _found("mode_felt", _BREAK_OFF,
-           "a contact indicates one mode, but the lock reports the other; with `go_on`, only noted",
+           "a contact indicates one mode, but the lock reports the other; with `go_on` the difference is "
+           "only noted",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
            "the lock is not in the planned mode at the vehicle's last chance to stop before the wall, and "
