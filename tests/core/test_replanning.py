@@ -433,6 +433,6 @@ def test_a_trajectory_is_held_to_where_another_one_ends_well_after_it(
     assert refusal_of(planning, answer, request.t_us) is None
     change = planning.trajectory(straight_on(request.begin_us, off_m))
     assert (change.course is not None) is taken
-    why = "" if taken else "the current trajectory reaches the goal sooner"
+    why = "" if taken else "the current trajectory arrives sooner"
     assert change.outputs == (PlanTaken(request.begin_us, request.number, taken, why),)
     assert planning.replan.since_us == (request if taken else first).begin_us
