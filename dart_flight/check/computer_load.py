@@ -119,7 +119,7 @@ def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
     if now.temperature_c is not None:
         hot = now.temperature_c >= _HOT_C
         says = f"{now.temperature_c:.0f} °C" + (
-            ": cool the computer, it slows down from 80 °C" if hot else ""
+            ": cool the computer, because it throttles its clock above 80 °C" if hot else ""
         )
         findings.append(CheckFinding("temperature", now.temperature_c < _TOO_HOT_C, says, remark=hot))
     if now.undervoltage is not None:
@@ -132,8 +132,10 @@ def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
     if now.throttled is not None:
         says = "processor clock: not throttled"
         if now.throttled:
-            says = "processor clock: throttled now by heat or supply, the program would be late in flight"
+            says = (
+                "processor clock: heat or undervoltage throttles it now; the program would be late in flight"
+            )
         elif now.was_throttled:
-            says = "processor clock: throttled since the start of the computer by heat or supply"
+            says = "processor clock: heat or undervoltage has throttled it since the computer started"
         findings.append(CheckFinding("throttling", not now.throttled, says, remark=bool(now.was_throttled)))
     return findings

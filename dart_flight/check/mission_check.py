@@ -172,7 +172,7 @@ def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding
         return [CheckFinding(item, False, f"{speed_m_s:.2f} m/s exceeds limits.speed_m_s {limit:g}")]
     if collision.probe is not None:
         says = (
-            f"the probe for wall {collision.wall.name} reaches its end, if it touches nothing, after "
+            f"if the probe for wall {collision.wall.name} touches nothing, the probe ends after "
             f"{approach.duration_s:.1f} s"
         )
         return [CheckFinding(item, True, says)]
@@ -255,7 +255,7 @@ def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckF
                 worst, where, stops = excess, point, by_stopping
     place = f"({where[0]:.2f}, {where[1]:.2f})"
     if worst > 0.0 and stops:
-        says = f"from the predicted path the vehicle would stop at {place}, {worst:.2f} m outside bounds_m"
+        says = f"if the vehicle brakes on its path, it stops at {place}, {worst:.2f} m outside bounds_m"
         return [CheckFinding("path", False, says)]
     if worst > 0.0:
         says = f"the predicted path leads to {place}, {worst:.2f} m outside bounds_m"
@@ -436,7 +436,7 @@ def check_flown(mission: Mission) -> CheckFinding:
         return CheckFinding("flown", True, says, remark=True)
     if flown.danger is not None:
         return CheckFinding(
-            "flown", False, f"in simulation {flown.danger}: plan a lower speed, or touch the walls first"
+            "flown", False, f"in simulation, {flown.danger}: plan a lower speed, or touch the walls first"
         )
     says = f"flown in simulation by {flown.software}: {flown.summary}"
     figures: dict[str, float] = {}

@@ -46,9 +46,10 @@ def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterato
         margin_m = float(position_margin_m(wall, collision.impact_point))
         if reach_m < margin_m:
             says += (
-                f"; the probe ends {reach_m:.2f} m behind the wall, which may be {margin_m:.2f} m further "
+                f"; the probe ends {reach_m:.2f} m behind the wall, but the wall may be {margin_m:.2f} m "
+                f"further away ({SURE_SD:g} sd)"
             )
-            yield CheckFinding(item, True, f"{says}away ({SURE_SD:g} sd)", remark=True)
+            yield CheckFinding(item, True, says, remark=True)
             return
     yield CheckFinding(item, True, f"{says}, limit {limit_n:g} N")
 
@@ -76,7 +77,7 @@ def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
     says = (
         f"wall {collision.wall.name} is hit at {math.hypot(*collision.approach_m_s):.2f} m/s after a probe "
     )
-    says += "has found it; the space for the run-up is checked then"
+    says += "has found it; the vehicle checks the space for the run-up after the probe"
     yield CheckFinding(f"approach_{collision.index}", True, says)
 
 

@@ -52,7 +52,7 @@ def _offboard_loss(value: float, mission: Mission) -> tuple[bool, str]:
     whole = value + mission.vehicle.guard.deadman_s
     return value <= 1.5, (
         f"PX4's offboard-loss failsafe acts {value:g} s after the last setpoint; if the program hangs, the "
-        f"vehicle flies on for at most {whole:.2f} s, the deadman's timeout included"
+        f"vehicle flies on for at most {whole:.2f} s, including the deadman's timeout"
         + ("" if value <= 1.5 else "; too long near a wall: set it to 1.5 s or less")
     )
 
@@ -110,7 +110,7 @@ def _attitude_limit(value: float, mission: Mission) -> tuple[bool, str]:
     limit = mission.vehicle.guard.tilt_deg
     good = value == 0.0 or value >= limit
     return good, f"PX4 detects a failure above {value:g} degrees, the guard's limit is {limit:g} degrees" + (
-        "" if good else ": an impact could trigger PX4 first"
+        "" if good else ": an impact could trigger PX4's failure detector before the guard"
     )
 
 
@@ -278,7 +278,10 @@ def _evaluate_pose_delay(
     measured_ms = mission.vehicle.mocap.delay_ms
     if measured_ms is None:
         says = f"{delay_ms:g} ms" if difference is None else difference.line()
-        says += "; mocap.delay_ms is not set: measure the age of a pose on arrival at PX4 and set both"
+        says += (
+            "; mocap.delay_ms is not set: measure the age of a pose on arrival at PX4, and set "
+            f"mocap.delay_ms and {POSE_DELAY} to it"
+        )
         return CheckFinding(POSE_DELAY, True, says, remark=True)
     apart_ms = abs(delay_ms - measured_ms)
     says = f"{delay_ms:g} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"

@@ -176,7 +176,9 @@ def evaluate_motor_outputs(
     bank = next((bank for bank in _BANKS if _has_motors(bank, values, motors)), None)
     if bank is None:
         if f"{_BANKS[0]}_FUNC1" in values:
-            says = f"no output 1 to {motors} of {', '.join(_BANKS)} drives a motor: thrust is unknown"
+            says = (
+                f"none of the outputs 1 to {motors} of {', '.join(_BANKS)} drives a motor: thrust is unknown"
+            )
             return [CheckFinding(item, False, says)]
         by_values = (
             f"{observed_scale.describe()}, judged by the values"
@@ -214,8 +216,8 @@ def _problem_of(bank: str, values: Mapping[str, float], motors: int) -> str:
     ]
     if earlier:
         return (
-            f"PX4 reports only {earlier[0]}, the first bank that it starts, but the motors are on {bank}: "
-            f"thrust is unknown; free the outputs of {earlier[0]} or move the motors to {earlier[0]}"
+            f"thrust is unknown: PX4 reports only the bank that it starts first, {earlier[0]}, but the "
+            f"motors are on {bank}; free the outputs of {earlier[0]} or move the motors to {earlier[0]}"
         )
     if _configured_scale(bank, values) is PWM:
         for k in range(1, motors + 1):

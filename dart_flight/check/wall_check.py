@@ -85,8 +85,9 @@ def _check_collision(
         yield CheckFinding(
             f"incidence_{collision.index}",
             False,
-            f"wall {wall.name} may be {off_deg:.0f} degrees off parallel ({_INCIDENCE_SD:g} sd), limit "
-            f"{most_deg:g} degrees with {collision.mode.value} arms: measure its direction",
+            f"wall {wall.name} may be {off_deg:.0f} degrees off parallel to the leading edge "
+            f"({_INCIDENCE_SD:g} sd), limit {most_deg:g} degrees with {collision.mode.value} arms: measure "
+            "the wall's direction",
         )
 
 

@@ -29,7 +29,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "mission", nargs="?", metavar="MISSION", help="mission that names the vehicle and the frame"
     )
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
-    parser.add_argument("--state", type=Path, metavar="DIR", help="folder of progress and records")
+    parser.add_argument(
+        "--state", type=Path, metavar="DIR", help="folder in which progress and records are saved"
+    )
     parser.add_argument("--again", action="store_true", help="repeat the steps that have passed")
     parser.add_argument(
         "--wait",
@@ -65,7 +67,7 @@ def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: fl
         print_status(f"  set mocap.delay_ms to {delay_ms:g} by hand: {error.one_line()}")
     else:
         print_status(
-            f"  wrote mocap.delay_ms {delay_ms:g} into {path}; `parameters --write` sets EKF2_EV_DELAY to it"
+            f"  wrote mocap.delay_ms {delay_ms:g} into {path}; `parameters --write` sets EKF2_EV_DELAY"
         )
 
 
@@ -101,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
             bringup.close()
     print_status(
         "next: `dart-flight parameters` lists the parameters that differ from the measurements, and "
-        "writes them"
+        "`dart-flight parameters --write` writes them"
     )
     if arguments.json:
         emit_json({"steps": record.steps, "vehicle": record.vehicle, "files": [str(p) for p in written]})

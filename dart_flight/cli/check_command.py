@@ -47,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--watch",
         action="store_true",
-        help="repeat check and picture whenever the mission or a file that it uses is saved",
+        help="repeat the check and the picture whenever the mission or one of its files is saved",
     )
 
 

@@ -57,13 +57,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=simulation_speed,
         metavar="X",
-        help="highest simulated seconds per second, 0.1 to 10, or max: no limit "
-        "(default 1; with --runs, max); not with --fast",
+        help="limit the simulation to X times real time, 0.1 to 10, or max for no limit "
+        "(default: 1, or max with --runs); not with --fast",
     )
     parser.add_argument(
         "--realtime",
         action="store_true",
-        help="simulated time does not wait for this program; if busy, it may fail the flight (docs/time.md)",
+        help="simulated time does not wait for this program; on a busy computer, the flight may fail "
+        "(docs/time.md)",
     )
     parser.add_argument(
         "--fast", action="store_true", help="in one process, in simulated time, without MAVLink"
@@ -262,6 +263,8 @@ def _show_runs(
         return EXIT_INTERRUPTED
     for seed, found in summary.unexplained_modes.items():
         console.print(
-            f"seed {seed}: {'; '.join(found)}; no fault of the lock was drawn", style="red", soft_wrap=True
+            f"seed {seed}: {'; '.join(found)}; the lock had no simulated fault",
+            style="red",
+            soft_wrap=True,
         )
     return 0 if summary.completed == summary.runs and not (summary.unexplained_modes or cut) else 1

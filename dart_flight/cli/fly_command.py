@@ -145,7 +145,7 @@ def _flight_summary(mission: Mission, url: str) -> str:
             normal, tangential = c.approach_m_s
             how = f"at {normal:g} m/s normal, {tangential:g} m/s tangential"
         else:
-            how = "by the recovery from the previous collision"
+            how = "reached by the recovery from the previous collision"
         mode = "" if lock is None else f" {c.mode.value}"
         lines.append(f"  hit {c.wall.name} ({c.wall.material}){mode}, {how}")
         lines += [line for after, line in stops if after == c.index]

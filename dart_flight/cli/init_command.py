@@ -18,7 +18,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--vehicle",
         default=DART,
         metavar="NAME",
-        help="vehicle to copy the files of: " + ", ".join(VEHICLES) + f" (default: {DART})",
+        help="copy the files of this vehicle: " + ", ".join(VEHICLES) + f" (default: {DART})",
     )
 
 

@@ -99,7 +99,7 @@ def add_mocap_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mocap",
         metavar="URL",
-        help="forward this motion capture's poses to PX4, such as optitrack://192.168.1.10/dart "
+        help="motion capture whose poses are forwarded to PX4, such as optitrack://192.168.1.10/dart "
         "(default: mocap.url; docs/motion_capture.md)",
     )
 

@@ -112,7 +112,9 @@ def _choose_log(found: list[Px4LogEntry]) -> int:
     """Ask the operator for the flight's log and return its number, or -1 for an invalid answer."""
     print_status("several logs may belong to this flight:", *(f"  {entry.line()}" for entry in found))
     if not sys.stdin.isatty():
-        raise InputError("several logs may belong to this flight: give the number", key=("--log-id",))
+        raise InputError(
+            "several logs may belong to this flight: give the number of one log", key=("--log-id",)
+        )
     sys.stderr.write("Which number? ")
     sys.stderr.flush()
     answer = sys.stdin.readline().strip()

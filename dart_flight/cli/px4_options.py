@@ -18,7 +18,7 @@ def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> 
         nargs="?",
         const="",
         metavar="DIR",
-        help="fly a real PX4 SITL: its build or install, with bin and etc (without DIR: $DART_PX4_DIR)",
+        help="fly a real PX4 SITL from its build or install folder with bin and etc (default: $DART_PX4_DIR)",
     )
     parser.set_defaults(hitl=None)
     if with_hitl:
@@ -36,7 +36,9 @@ def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> 
     place = group.add_mutually_exclusive_group()
     place.add_argument("--indoor", action="store_true", help="motion capture, no GPS (default)")
     place.add_argument("--outdoor", action="store_true", help="GPS, no motion capture")
-    group.add_argument("--gps", choices=("rtk", "plain"), help="the receiver outdoors (default: rtk)")
+    group.add_argument(
+        "--gps", choices=("rtk", "plain"), help="type of GPS receiver with --outdoor (default: rtk)"
+    )
     group.add_argument(
         "--params",
         type=Path,

@@ -87,8 +87,8 @@ def _print(name: str, result: Replay) -> None:
             styled(
                 name,
                 ("equal", "green"),
-                f": {result.outputs} outputs on {result.inputs} inputs, "
-                f"{len(result.recorded)} of them decisions, {how}",
+                f": {result.inputs} inputs gave {result.outputs} outputs, "
+                f"of which {len(result.recorded)} are decisions, compared {how}",
             ),
             soft_wrap=True,
         )
@@ -98,8 +98,8 @@ def _print(name: str, result: Replay) -> None:
         styled(
             name,
             ("different", "red"),
-            f": {len(result.differences)} of {result.outputs} outputs, compared {how}. First at input "
-            f"{first.number}, {(first.t_us - result.zero_us) * 1e-6:.3f} s: {first.text()}",
+            f": {len(result.differences)} of {result.outputs} outputs differ, compared {how}. The first is "
+            f"at input {first.number}, {(first.t_us - result.zero_us) * 1e-6:.3f} s: {first.text()}",
         ),
         soft_wrap=True,
     )

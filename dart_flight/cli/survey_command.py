@@ -80,8 +80,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mocap",
         metavar="URL",
-        help="with --connection: forward this motion capture's poses to PX4 (default: mocap.url); otherwise: "
-        f"fly on an emulated motion capture: {', '.join(KINDS)} (docs/motion_capture.md)",
+        help="with --connection: motion capture whose poses are forwarded to PX4 (default: mocap.url); "
+        f"in simulation: emulated motion capture, {', '.join(KINDS)} (docs/motion_capture.md)",
     )
     add_set_option(parser)
     add_vary_option(parser)
@@ -131,7 +131,9 @@ def run(arguments: argparse.Namespace) -> int:
     if missed:
         console.print(f"not touched: {', '.join(missed)}", style="red", soft_wrap=True)
     if unfit is not None:
-        text = f"written, but the mission cannot be flown with the measured walls; plan it again: {unfit}"
+        text = (
+            f"the mission was written, but it cannot be flown with the measured walls; plan it again: {unfit}"
+        )
         console.print(text, style="red", soft_wrap=True)
     return exit_status(verdict) or bool(missed or unfit)
 

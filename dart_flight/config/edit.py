@@ -70,5 +70,9 @@ def _scalar(root: yaml.Node | None, key: Key, source: str) -> yaml.ScalarNode:
         children = node.value if isinstance(node, yaml.MappingNode) else []
         node = next((value for name, value in children if name.value == part), None)
     if not isinstance(node, yaml.ScalarNode) or not node.value:
-        raise InputError("needs a value at this key, which the command replaces", source=source, key=key)
+        raise InputError(
+            "the file needs a value at this key, because the command replaces that value",
+            source=source,
+            key=key,
+        )
     return node

@@ -13,14 +13,14 @@ from dart_flight.config.document import Document, InputError, open_file
 class FileKind(Enum):
     """Kinds of input files, with a description and what to do with them."""
 
-    MISSION = "a mission: fly, dry-run, simulate and check take it"
-    SCENARIO = "a scenario: `dart-flight plan` makes a mission of it"
-    CONFIGURATION = "a vehicle configuration: --config takes it"
-    FLIGHT_LOG = "a flight log: replay, report, export, identify and calibrate take it"
-    ULOG = "a PX4 ULog: inspect, identify and calibrate take it"
+    MISSION = "a mission, which is an input of fly, dry-run, simulate and check"
+    SCENARIO = "a scenario: `dart-flight plan` makes a mission from it"
+    CONFIGURATION = "a vehicle configuration, which is the argument of --config"
+    FLIGHT_LOG = "a flight log, which is an input of replay, report, export, identify and calibrate"
+    ULOG = "a PX4 ULog, which is an input of inspect, identify and calibrate"
     ENCRYPTED = "an encrypted PX4 log: decrypt it first, PX4's Tools folder has the script"
     COMPRESSED = "a compressed file: unpack it first (gunzip, unzip or unzstd)"
-    TRIAL = "a CSV file: identify takes trials, `predict --batch` wall hits"
+    TRIAL = "a CSV file: `identify` reads trials from it, and `predict --batch` reads wall hits"
 
 
 EXTENDS = "extends"  # key of a configuration that contains only its differences from another one

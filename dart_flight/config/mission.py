@@ -584,7 +584,7 @@ def _check_trajectory(
     """Raise InputError if a trajectory does not lead from the vehicle's position to this impact."""
     key: Key = ("collisions", i, "trajectory")
     if spec.predicted is None:
-        raise document.error(key, "needs the key predicted, the expected impact")
+        raise document.error(key, "needs the key `predicted`, which gives the expected impact")
     planned, end = spec.predicted, written.states()[-1]
     off_m = abs(wall.signed_distance(end.position))
     if off_m > _TRAJECTORY_OFF_M:

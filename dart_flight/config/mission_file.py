@@ -511,9 +511,9 @@ class FlownRecord(Section, frozen=True):
         """
         nominal = self.nominal
         if nominal.uncontrolled:
-            return f"its nominal flight is uncontrolled ({nominal.reason or nominal.outcome.value})"
+            return f"the nominal flight is uncontrolled ({nominal.reason or nominal.outcome.value})"
         if nominal.outcome is not Outcome.COMPLETED:
-            return f"its nominal flight does not complete ({nominal.reason or nominal.outcome.value})"
+            return f"the nominal flight does not complete ({nominal.reason or nominal.outcome.value})"
         if self.drawn is not None and self.drawn.uncontrolled:
             return f"{self.drawn.uncontrolled} of {self.drawn.flights} drawn flights are uncontrolled"
         return None
@@ -529,7 +529,8 @@ class FlownRecord(Section, frozen=True):
             return self.danger
         if (self.drawn.max_tilt_deg or 0.0) > _MOST_TILT_DEG:
             return (
-                f"a drawn flight tilts by {self.drawn.max_tilt_deg:.0f} degrees, more than {_MOST_TILT_DEG:g}"
+                f"in a drawn world, the vehicle tilts by {self.drawn.max_tilt_deg:.0f} degrees, "
+                f"limit {_MOST_TILT_DEG:g}"
             )
         if self.drawn.flights - self.drawn.completed > _MOST_BROKEN_OFF * self.drawn.flights:
             causes = ", ".join(f"{rule} {count}" for rule, count in self.drawn.ended_by.items())

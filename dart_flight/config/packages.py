@@ -42,4 +42,4 @@ def install_command(extra: str, checkout: Path = _CHECKOUT) -> str:
         return f"make{where} install"
     editable = "-e " if is_checkout else ""
     command = f"{sys.executable} -m pip install -c constraints.txt {editable}'.[{extra}]'"
-    return f"{command} in {checkout if is_checkout else 'the checkout that it was installed from'}"
+    return f"{command} in {checkout if is_checkout else 'the checkout of dart-flight'}"

@@ -236,7 +236,7 @@ def motor_commands(log: ULogFile) -> MotorCommands:
     outputs = log.topics.get("actuator_outputs", {})
     found = [d for i, data in sorted(outputs.items()) if (d := _decoded(log, i, data)) is not None]
     if not found:
-        other = "no output of its actuator_outputs varies" if outputs else "no actuator_outputs"
+        other = "no output in actuator_outputs varies" if outputs else "no actuator_outputs"
         raise InputError(f"the log has no actuator_motors, and {other}", source=log.source)
     # Motors vary most: servos, or a copy on another port, vary less.
     return max(found, key=lambda c: float(c.values.std(axis=0).mean()))

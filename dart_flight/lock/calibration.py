@@ -85,9 +85,8 @@ class Calibration:
         if new.us_per_deg < _LEAST_US_PER_DEG:
             turn_deg = abs(new.rigid_deg - new.flexible_deg)
             raise CalibrationError(
-                f"the ends are {abs(rigid - flexible):g} us apart, but it takes "
-                f"{_LEAST_US_PER_DEG * turn_deg:g} us or more to turn the cam by {turn_deg:g} degrees: "
-                "move the servo further to the other end"
+                f"the ends are {abs(rigid - flexible):g} us apart, but a turn of the cam by {turn_deg:g} "
+                f"degrees needs {_LEAST_US_PER_DEG * turn_deg:g} us or more: store the ends further apart"
             )
         return config
 

@@ -159,7 +159,7 @@ class Replanner:
         if request.collision is None:
             to_goal = self._rejoined(found, request, None)
             if to_goal is None and request.under_way:
-                return _no_plan(found, "no way back to the mission's trajectory")
+                return _no_plan(found, "no feasible trajectory leads back to the mission's trajectory")
             to_goal = to_goal or self._choose(found, request, self._to_goal(), None)
             return to_goal or _no_plan(found, "no trajectory to the goal within the limits")
         collision = self._mission.collisions[request.collision - 1]
@@ -174,7 +174,7 @@ class Replanner:
         if rejoined is not None:
             return rejoined
         if request.under_way:
-            return _no_plan(found, "no way back to the mission's trajectory")
+            return _no_plan(found, "no feasible trajectory leads back to the mission's trajectory")
         wall = self._survey.known_wall(collision.wall, request.t_us)
         slack = float(position_margin_m(wall, impact_place(collision, self._planned)))
         for share, (straight_s, slacks) in itertools.product(_SPEED_SHARES, _straights(slack)):

@@ -226,7 +226,7 @@ def _check_version(about: dict[str, str], source: str) -> None:
         raise InputError(f"log format {version!r} is not a number", source=source)
     if int(version) > FORMAT_VERSION:
         raise InputError(
-            f"log format {version} is newer than this program knows ({FORMAT_VERSION}), it was written by "
-            f"dart-flight {about.get('software', '?')}; update dart-flight",
+            f"the log of dart-flight {about.get('software', '?')} has format {version}, which is newer than "
+            f"this program's format {FORMAT_VERSION}: update dart-flight",
             source=source,
         )

@@ -156,7 +156,7 @@ class HitlProcess(SimulatorProcess):
     """Plant that sends simulated sensors to a flight controller."""
 
     ready_timeout_s = 60.0
-    what = "the plant at the flight controller"
+    what = "the simulated vehicle at the flight controller"
 
 
 def fly_simulated(

@@ -269,7 +269,7 @@ class GroundLink:
             says = (
                 "sends telemetry but does not answer requests"
                 if self._system.is_connected()
-                else "has stopped sending; unanswered requests"
+                else "has stopped sending and has not answered these requests"
             )
             raise NoAnswerError(f"the vehicle {says}: {', '.join(unanswered)}", source=self._url)
         with contextlib.suppress(TimeoutError):

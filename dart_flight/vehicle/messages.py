@@ -295,9 +295,11 @@ def _odometry(m: _OdometryFields) -> Odometry | Unusable:
         kind = m.estimator_type
         name = _ESTIMATORS[kind] if kind < len(_ESTIMATORS) else f"type {kind}"
         poses = " without a velocity" if vx is None else ""
-        return Unusable(f"is from PX4's own estimator, only external poses{poses} ({name}; MAV_ODOM_LP)")
+        return Unusable(
+            f"is from PX4's own estimator; they are external poses{poses} ({name}; see MAV_ODOM_LP)"
+        )
     if m.frame_id != _LOCAL_NED:
-        return Unusable(f"is in local NED: the frame is {m.frame_id}, as of an external pose")
+        return Unusable(f"is in local NED: the frame is {m.frame_id}, which is the frame of an external pose")
     if m.child_frame_id != _LOCAL_NED:
         old = ", as before PX4 1.14" if m.child_frame_id == _BODY_FRD else ""
         return Unusable(f"has a velocity in local NED: its frame is {m.child_frame_id}{old}")
@@ -341,7 +343,7 @@ _STATES: Final = tuple(SystemStatus)[1:]  # MAV_STATE's order
 def _heartbeat(m: _HeartbeatFields) -> Heartbeat | Unusable:
     if m.autopilot != _PX4:
         other = _OTHER_AUTOPILOTS.get(m.autopilot, f"autopilot {m.autopilot}")
-        return Unusable(f"is from PX4, only from {other}")
+        return Unusable(f"is from PX4; they are from {other}")
     if not m.base_mode & _CUSTOM_MODE:
         return Unusable("has a flight mode of PX4")
     main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
@@ -507,7 +509,7 @@ HIGHRES_IMU = MessageEntry(
     _imu,
     "body FRD",
     "m/s², rad/s",
-    "a value is NaN, fields_updated lacks accelerometer or gyro, over 600 m/s² or 75 rad/s",
+    "a value is NaN or over 600 m/s² or 75 rad/s, or fields_updated lacks accelerometer or gyro",
     "id",
     (0,),
     "id 0",
@@ -528,7 +530,7 @@ ODOMETRY = MessageEntry(
     _odometry,
     "frame_id and child_frame_id LOCAL_NED, as PX4 sends from 1.14 on",
     "m, m/s",
-    "position or velocity is NaN, quality is -1, over 10 km or 100 m/s",
+    "position or velocity is NaN or over 10 km or 100 m/s, or quality is -1",
     "estimator_type",
     None,
     "estimator_type 8 (autopilot)",
@@ -557,11 +559,11 @@ ACTUATOR_OUTPUT_STATUS = MessageEntry(
     _ActuatorOutputStatusFields,
     _outputs,
     "-",
-    "PWM 1000 to 2000 µs, DShot 0 to 1999 or UAVCAN 0 to 8191; the values decide which",
-    "fewer outputs than motors, a value is NaN or of unknown type, all outputs idle in flight",
+    "PWM 1000 to 2000 µs, DShot 0 to 1999 or UAVCAN 0 to 8191, recognised by the values",
+    "there are fewer outputs than motors, a value is NaN or of unknown type, or all outputs idle in flight",
     None,
     None,
-    "the bank that PX4 started first, because PX4 sends no other",
+    "PX4 sends only the bank that it started first",
 )
 ESC_STATUS = MessageEntry(
     "ESC_STATUS",
@@ -570,7 +572,7 @@ ESC_STATUS = MessageEntry(
     _esc,
     "-",
     "1/min",
-    "a group with the same stamp is missing, over 200 000 1/min",
+    "a group with the same time stamp is missing, or a speed is over 200 000 1/min",
     "index",
     None,
     "groups of four from index 0 on",
@@ -585,7 +587,7 @@ BATTERY_STATUS = MessageEntry(
     "neither voltage nor charge, under 3 V or over 150 V",
     "id",
     None,
-    "one reading per id; the guard checks the worst flight battery",
+    "one reading per id; the guard checks the flight battery with the lowest voltage or charge",
 )
 ESTIMATOR_STATUS = MessageEntry(
     "ESTIMATOR_STATUS",
@@ -597,7 +599,7 @@ ESTIMATOR_STATUS = MessageEntry(
     "standard deviation is negative or over 10 km; NaN means not reported",
     None,
     None,
-    "PX4 sends the selected estimator; the message has no id",
+    "PX4 reports only its selected estimator; the message has no id",
 )
 SYS_STATUS = MessageEntry(
     "SYS_STATUS",

@@ -58,7 +58,7 @@ def test_a_packaged_file_that_does_not_exist_is_named() -> None:
         dart_flight.InputError, match=r"missions/single_wal.yaml: .*did you mean single_wall.yaml"
     ):
         dart_flight.packaged("missions", "single_wal.yaml")
-    with pytest.raises(dart_flight.InputError, match="known: configs, missions"):
+    with pytest.raises(dart_flight.InputError, match="packaged folders: configs, missions"):
         dart_flight.packaged("mission", "single_wall.yaml")
 
 
@@ -133,7 +133,7 @@ def test_the_install_advice_covers_every_extra_with_pinned_versions(tmp_path: Pa
     for extra in [name for name in project if name not in ("dev", "full")]:
         advice = install_command(extra, tmp_path)  # as in a wheel, which has no Makefile
         assert advice.endswith(
-            f"-m pip install -c constraints.txt '.[{extra}]' in the checkout that it was installed from"
+            f"-m pip install -c constraints.txt '.[{extra}]' in the checkout of dart-flight"
         )
         advice = install_command(extra)
         assert advice.endswith("install") if "make" in advice else "-c constraints.txt -e" in advice

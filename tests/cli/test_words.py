@@ -73,9 +73,9 @@ def test_an_unknown_command_is_answered_with_the_list_of_commands(capsys: pytest
     ("words", "kind"),
     [
         (["check", SCENARIO], "this is a scenario: `dart-flight plan`"),
-        (["dry-run", CONFIG], "this is a vehicle configuration: --config"),
-        (["dry-run", FLIGHT], "this is a flight log: replay"),
-        (["plan", MISSION], "this is a mission: fly"),
+        (["dry-run", CONFIG], "this is a vehicle configuration, which is the argument of --config"),
+        (["dry-run", FLIGHT], "this is a flight log, which is an input of replay"),
+        (["plan", MISSION], "this is a mission, which is an input of fly"),
         (["check", MISSION, "--config", MISSION], "this is a mission"),
         (["replay", MISSION], "this is a mission"),
         (["report", SCENARIO, "-o", "x.html"], "this is a scenario"),
@@ -244,7 +244,8 @@ def test_compressed_and_encrypted_logs_are_recognised(
 
 
 def test_inspect_names_the_commands_that_read_a_flight_log(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "this is a flight log: replay, report, export" in refusal_of(capsys, "inspect", FLIGHT)
+    expected = "this is a flight log, which is an input of replay, report, export"
+    assert expected in refusal_of(capsys, "inspect", FLIGHT)
 
 
 @pytest.mark.parametrize(("given", "written"), [("play", "play.mcap"), ("play.bin", "play.bin")])
@@ -290,4 +291,4 @@ def test_two_plans_of_one_name_are_refused_with_their_difference(
         fly_fast(mission, 1, tmp_path / str(speed))
         logs += [str(path) for path in (tmp_path / str(speed)).rglob("flight.mcap")]
     output = refusal_of(capsys, "report", *logs, "-o", str(tmp_path / "x.html"))
-    assert "of the same name, collisions[0].approach.normal_m_s is -" in output
+    assert "the names agree, but collisions[0].approach.normal_m_s is -" in output

@@ -187,7 +187,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         (
             [with_keys(AT_BOARD, length_m=1.2)],
             WALLS,
-            "probe.length_m: wall board is 1.50 m away; give this distance",
+            "probe.length_m: wall board is 1.50 m away; give that distance",
         ),
         ([EAST, EAST], {}, r"collisions\[1\].wall: two probes look for east"),
         ([EAST], {"simulated_walls": {"east": BOARD}}, "a simulated wall already has the name east"),

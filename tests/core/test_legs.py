@@ -168,4 +168,6 @@ def test_a_probe_without_a_contact_ends_at_the_vehicle() -> None:
     assert (flown.progress.phase, flown.progress.index) == (Phase.RECOVERY, 1)
     assert flown.progress.course.target[:2] == state.position[:2]
     assert flown.progress.lock.contact_end_us == state.now_us, "the lock must be free to move"
-    assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == ["no contact on the probe for wall east"]
+    assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
+        "the probe for wall east ended without a contact"
+    ]

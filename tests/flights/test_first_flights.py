@@ -47,5 +47,5 @@ def test_check_reports_the_planned_goal_miss_before_the_flight() -> None:
     replanned = goal_finding("single_wall.yaml")
     assert not replanned.remark
     assert replanned.says.startswith(
-        "replanned after every collision to pass through the goal; with recovery setpoints"
+        "the vehicle replans after every collision to pass through the goal; without replanning"
     )

@@ -119,10 +119,10 @@ def test_a_mission_whose_probes_find_no_wall_completes_on_its_own_branch(tmp_pat
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert (verdict.collisions, verdict.guard, verdict.walls) == ([], [], [])
     assert [e.what for e in all_of(log, ProbeEnd)] == [
-        "no contact on the probe for wall east",
+        "the probe for wall east ended without a contact",
         "waypoint 1 skipped: no contact with wall east",
         "collision 2 skipped: no contact with wall east",
-        "no contact on the probe for wall west",
+        "the probe for wall west ended without a contact",
     ]
     search = ["transit", "prepare", "approach"]
     assert phases(log) == [*search, "recovery", *search, "recovery", "goal", "landing", "done"]

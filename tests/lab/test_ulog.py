@@ -91,7 +91,7 @@ def test_actuator_motors_take_precedence_and_unused_motors_are_omitted(tmp_path:
 
 def test_outputs_that_never_vary_are_refused(tmp_path: Path) -> None:
     constant = ("float[8] output;", [(1e6 + 1e4 * i, [900.0] * 8) for i in range(60)])
-    with pytest.raises(InputError, match="no output of its actuator_outputs varies"):
+    with pytest.raises(InputError, match="no output in actuator_outputs varies"):
         decode_commands(tmp_path, {("actuator_outputs", 0): constant})
 
 

@@ -102,7 +102,7 @@ def test_a_drivers_reading_includes_the_switches(vary: Vary) -> None:
     driver.set_pulse(1980.0)
     reading = driver.read()
     assert (reading.pulse_us, reading.rigid_switch, reading.flexible_switch) == (1980.0, False, None)
-    with pytest.raises(DriverError, match="cannot switch the pulses"):
+    with pytest.raises(DriverError, match="cannot switch off the pulses"):
         driver.release()
     driver.close()
 

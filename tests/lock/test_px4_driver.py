@@ -58,7 +58,7 @@ def test_a_failed_or_impossible_command_is_a_driver_error(vary: Vary) -> None:
     assert driver.read().pulse_us is None
     with pytest.raises(DriverError, match="outside PX4's output range"):
         driver.set_pulse(2500.0)
-    with pytest.raises(DriverError, match="cannot switch the pulses"):
+    with pytest.raises(DriverError, match="cannot switch off the pulses"):
         driver.release()
 
 

@@ -412,7 +412,9 @@ def test_a_trajectory_in_progress_is_not_replaced_by_a_slower_impact() -> None:
         (1.48, 0.0, 1.0), 0, True,
     )  # fmt: skip
     replanner = Replanner(shuttle)
-    assert replanner.answer(late, 0).problem == "no way back to the mission's trajectory"
+    assert (
+        replanner.answer(late, 0).problem == "no feasible trajectory leads back to the mission's trajectory"
+    )
     early = msgspec.structs.replace(
         late, position_mission=(-0.935, 0.01, 1.142), velocity_mission=(2.038, -0.018, 0.074),
         acceleration_mission=(2.88, 0.02, 0.0),

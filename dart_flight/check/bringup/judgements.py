@@ -243,7 +243,7 @@ def evaluate_push(push: Vec2, force: Vec2) -> StepFinding:
     if abs(push_deg) > 2.0 * _AXIS_DEG:
         says = (
             f"the push pointed {_side(push_deg)}, not forward: repeat the push from behind; "
-            "if it pointed forward, repeat imu_axes"
+            "if you did push forward, repeat imu_axes"
         )
         return failed(says, **measured)
     if abs(wrap_deg(force_deg - push_deg)) > _AXIS_DEG:
@@ -292,7 +292,7 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
         return failed(says, **measured)
     travel_s = config.servo.full_travel_s
     return passed(
-        f"the lock reaches both ends; configured time of a full travel {travel_s:.2f} s", **measured
+        f"the lock reaches both ends; a full travel takes {travel_s:.2f} s by the configuration", **measured
     )
 
 

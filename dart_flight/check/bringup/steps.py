@@ -202,7 +202,7 @@ class Bringup(CheckContext[StepFinding]):
         if found.console:
             return (
                 f"a console answers on {link.place} ({found.console!r}), but no MAVLink: set MAV_1_CONFIG to "
-                "that port of the autopilot or disable the login console on it"
+                "the autopilot's port at this cable, or disable the login console on this port"
             )
         if not found.received:
             return f"no data arrives on {link.place}: check TX and RX, MAV_1_CONFIG and the power"
@@ -232,10 +232,13 @@ class Bringup(CheckContext[StepFinding]):
         if wrong is not None:
             return wrong
         tilted = partial(judgements.is_tilted, level)
-        nose = self._wait_until_held("Lift its tail: nose down by about 30 degrees. Hold it still.", tilted)
-        self._wait_until_held("Level it again.", lambda force: not tilted(force))
+        nose = self._wait_until_held(
+            "Lift the vehicle's tail: nose down by about 30 degrees. Hold the vehicle still.", tilted
+        )
+        self._wait_until_held("Level the vehicle again.", lambda force: not tilted(force))
         right = self._wait_until_held(
-            "Lift its left side: right side down by about 30 degrees. Hold it still.", tilted
+            "Lift the vehicle's left side: right side down by about 30 degrees. Hold the vehicle still.",
+            tilted,
         )
         return judgements.evaluate_axes(level, nose, right)
 
@@ -298,9 +301,11 @@ class Bringup(CheckContext[StepFinding]):
             if poses.result is not StepOutcome.PASS:
                 return poses
         forward = self._wait_until_carried(
-            "Hold it level, carry it 0.5 m forward along its nose, and stand still."
+            "Hold the vehicle level, carry it 0.5 m forward along its nose, and stand still."
         )
-        right = self._wait_until_carried("Carry it 0.5 m to its right without turning it, and stand still.")
+        right = self._wait_until_carried(
+            "Carry the vehicle 0.5 m to its right side without turning it, and stand still."
+        )
         position = judgements.evaluate_position(forward, right)
         if poses is None:
             return position
@@ -333,8 +338,8 @@ class Bringup(CheckContext[StepFinding]):
             return None
 
         motion = self._wait(
-            "For 12 s: quickly turn it left and right by 90 degrees, tilt its nose and its side, and carry "
-            "it forward and back by 0.5 m.",
+            "For 12 s: quickly turn the vehicle left and right by 90 degrees, tilt its nose and its side, "
+            "and carry it forward and back by 0.5 m.",
             find,
         )
         return judgements.evaluate_motion(motion, config, link.round_trip_s(), self._heading_offset(motion))
@@ -435,7 +440,7 @@ STEPS: tuple[BenchStep, ...] = (
         "servo",
         Stage.BENCH,
         lambda b: [b.evaluate_servo()],
-        "the lock's servo moves in the right direction; its travel time",
+        "the lock's servo moves in the right direction; this step also measures its travel time",
         True,
     ),
     Check(

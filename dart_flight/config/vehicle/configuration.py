@@ -120,7 +120,7 @@ def packaged(*parts: str) -> Path:
             raise InputError(
                 f"is not a packaged file: {unknown_name(path.name, known)}", source="/".join(parts)
             )
-    raise InputError("is not a packaged file, known: configs, missions", source="/".join(parts))
+    raise InputError("is not a packaged file; packaged folders: configs, missions", source="/".join(parts))
 
 
 def default_config_path() -> Path:

@@ -113,11 +113,11 @@ class EstimatorWatch:
 # fmt: off
 ESTIMATOR_RULES: tuple[Rule, ...] = (
     Rule("estimator_jump", Override.HOLD, Scope.GUIDED, RuleCondition(
-        "position or velocity jumped, and no impact explains it",
+        "position or velocity jumped, and no impact explains the jump",
         f"{POSITION_JUMP_M:g} m, {VELOCITY_JUMP_M_S:g} m/s",
         lambda v: v.estimator.jump or None), (OdometrySample,), noted=True),
     Rule("estimator_reset", Override.HOLD, Scope.GUIDED, RuleCondition(
-        "PX4 reset its estimator, position or velocity stepped, and no impact explains it",
+        "PX4 reset its estimator; position or velocity stepped, and no impact explains the step",
         f"{RESET_POSITION_M:g} m, {RESET_VELOCITY_M_S:g} m/s",
         lambda v: v.estimator.reset_step()), noted=True),
     Rule("heading_reset", Override.BREAK_OFF, Scope.FLYING, RuleCondition(

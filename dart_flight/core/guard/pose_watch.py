@@ -200,7 +200,7 @@ class PoseWatch:
         later_s = 1e-6 * (min(age_us for _, age_us in self._ages) - self._least_age_us)
         if later_s <= LATER_S:
             return None
-        return f"poses arrive {1e3 * later_s:.0f} ms later than at take-off, limit {1e3 * LATER_S:g} ms"
+        return f"the poses' delay grew by {1e3 * later_s:.0f} ms since take-off, limit {1e3 * LATER_S:g} ms"
 
     def _slow(self) -> str | None:
         if len(self._intervals) < _INTERVALS:
@@ -281,10 +281,12 @@ POSE_RULES: tuple[Rule, ...] = (
         "the forwarded poses are wrong: body lost or jumped, poses slow, late, from two senders, or far "
         "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
     Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
-        "the same, and PX4's estimate jumped with the poses, or the body was lost for longer than the limit",
+        "as `pose_source_ground`, and PX4's estimate jumped with the poses, or the body was lost for longer "
+        "than the limit",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
     Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
-        "the same; immediate in an approach, delayed until a contact and its recovery are over",
+        "as `pose_source_ground`; the rule acts at once in an approach, but waits until a contact and its "
+        "recovery are over",
         f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
 )
 # fmt: on

@@ -58,7 +58,7 @@ def _pilot(v: FlightConditions) -> str | None:
     return f"PX4 is in {mode.value}" if mode is not None and not _by_px4(v) else None
 
 
-@condition("PX4 left offboard mode by itself: its failsafe flies")
+@condition("PX4 left offboard mode by itself: PX4's failsafe flies the vehicle")
 def _px4_failsafe(v: FlightConditions) -> str | None:
     mode = v.unrequested_mode
     if mode is None or not _by_px4(v):
@@ -145,7 +145,7 @@ def _battery(v: FlightConditions) -> str | None:
     return ", ".join(battery_figures(status.battery_remaining, status.battery_v))
 
 
-@condition("before the first impact, the thrust differs by more than 25 % from mass and thrust curve")
+@condition("before the first impact, mass and thrust curve predict a thrust that is wrong by over 25 %")
 def _hover_thrust(v: FlightConditions) -> str | None:
     ratio = v.thrust_ratio
     if ratio is None or v.impact is not None or v.phase not in _AFTER_CLIMB or not v.mission.collisions:
@@ -302,16 +302,17 @@ RULES: tuple[Rule, ...] = (
            "the planned impact is below the detection limit at the measured vibration level",
            "detection.noise_sigma"),
     _found("unplanned_hit", _BREAK_OFF,
-           "an impact that is not planned; at the wall just hit, within 1 s, it is only noted"),
+           "an unplanned impact; a second impact at the same wall within 1 s is only noted"),
     _found("no_peak", _BREAK_OFF, "the contact force does not decay", "detection.peak_wait_s"),
     _found("lock_not_settled", _BREAK_OFF,
            "the lock is not in the planned mode in the approach or at the impact"),
     _found("mode_felt", _BREAK_OFF,
-           "a contact indicates the mode that the lock does not report; with `go_on` it is only noted",
+           "a contact indicates one mode, but the lock reports the other; with `go_on` the difference is "
+           "only noted",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
-           "the lock is not in the planned mode at the last point at which the vehicle can still "
-           "stop before the wall, and the impact is not allowed in both modes"),
+           "the lock is not in the planned mode at the vehicle's last chance to stop before the wall, and "
+           "the impact is allowed in one mode only"),
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,

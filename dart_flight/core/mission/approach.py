@@ -198,8 +198,8 @@ def _check_room(mission: Mission, collision: Collision, begin: Vec2) -> None:
         speed_m_s = math.hypot(*collision.approach_velocity())
         raise NoApproachError(
             f"the run-up to wall {collision.wall.name} at {speed_m_s:.2f} m/s starts at "
-            f"({begin[0]:.2f}, {begin[1]:.2f}), {excess:.2f} m outside bounds_m; approach at a lower speed "
-            "or from further along the wall, or move start back along the ray"
+            f"({begin[0]:.2f}, {begin[1]:.2f}), {excess:.2f} m outside bounds_m; lower the approach speed, "
+            "move the impact along the wall, or move start back along the line of the approach"
         )
     excess = mission.bounds.excess2(impact)
     if excess > 0.0:

@@ -438,7 +438,9 @@ class Executive:
         collision = self.progress.collision
         assert collision is not None
         if not state.lock_is_in(collision.mode):
-            p.add_finding("lock_not_settled", f"the lock left {collision.mode.value} during the approach")
+            p.add_finding(
+                "lock_not_settled", f"the lock left the mode {collision.mode.value} during the approach"
+            )
         if collision.probe is not None:
             if self.progress.takes_longer_than(self.progress.course.duration_s + _NOTHING_MET_S, state):
                 self._end_probe(collision, state, p)
@@ -459,7 +461,9 @@ class Executive:
 
     def _end_probe(self, collision: Collision, state: FlightState, p: Proposal) -> None:
         """End a probe without a contact."""
-        p.outputs.append(ProbeEnd(state.now_us, f"no contact on the probe for wall {collision.wall.name}"))
+        p.outputs.append(
+            ProbeEnd(state.now_us, f"the probe for wall {collision.wall.name} ended without a contact")
+        )
         self.progress.course = self.progress.course.hold(state.position)
         self.progress.lock = self.progress.lock.contact_ends(state.now_us)
         self._transition(PhaseTrigger.NOT_MET, state, p)

@@ -48,7 +48,7 @@ _MAX_ERROR = 0.1  # largest error on held-out stretches, as a share of the thrus
 
 # Tests of a window in their order, with the reason for rejection.
 TESTS = {
-    "ground": "on the ground or within a second of it",
+    "ground": "on the ground, or in the second before or after",
     "gap": "too few samples",
     "turning": "mean rate of turning",
     "sideways": "mean force across the thrust axis: wind, drag or a contact",
@@ -56,7 +56,7 @@ TESTS = {
     "fast": "mean speed",
     "accelerating": "change of velocity",
     "unsteady": "commands change",
-    "limit": "a motor near standstill or full",
+    "limit": "a motor near standstill or full command",
 }
 
 
@@ -321,15 +321,15 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     p = _joined(parts)
     if len(p.force) < MIN_POINTS:
         raise InputError(
-            f"{len(p.force)} quiet half seconds of hover, at least {MIN_POINTS} are needed; rejected: "
+            f"{len(p.force)} quiet segments of 0.5 s in hover, at least {MIN_POINTS} are needed; rejected: "
             f"{format_rejected(p.rejected) or 'none'}",
             source=_sources(tracks),
         )
     problem = fit_problem(best_fit(p, vehicle.thrust.square_share)[0])
     if problem:
         raise InputError(
-            f"thrust fitted to {len(p.force)} half seconds, but {problem}; verify the type of the motor "
-            "outputs (check: motor_outputs) and the mass",
+            f"the thrust fit to {len(p.force)} segments of 0.5 s is rejected: {problem}; verify the type of "
+            "the motor outputs (check: motor_outputs) and the mass",
             source=_sources(tracks),
         )
     share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent

@@ -167,7 +167,7 @@ def _inertia_table(r: InertiaCalibration) -> Table:
 
 
 def _table(r: ThrustCalibration) -> Table:
-    table = Table(title=f"thrust curve from {r.segments} half seconds of hover", title_justify="left")
+    table = Table(title=f"thrust curve from {r.segments} segments of 0.5 s in hover", title_justify="left")
     for column in ("", "value", "standard error"):
         table.add_column(column, justify="left" if not column else "right")
 

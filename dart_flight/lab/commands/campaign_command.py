@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     opened = campaigns.open_campaign(_requested_campaign(arguments), arguments.out, arguments.resume)
     if opened.campaign.asked.makes_row:
         raise InputError(
-            "this campaign has its own judge; resume it with the command that started it",
+            "this campaign judges flights with its own function; resume it with the command that began it",
             source=str(opened.folder),
         )
     if arguments.scheduler is not None:
@@ -209,6 +209,6 @@ def _table(summary: Any) -> Any:
     for rule in summary.rules:
         table.add_row(styled((rule.rule, "red")), str(rule.flights), "", "")
     for flight in summary.unexplained_modes[:_MAX_SHOWN]:
-        line = f"{flight.mission}, seed {flight.seed}: {flight.reason}; no fault of the lock was drawn"
+        line = f"{flight.mission}, seed {flight.seed}: {flight.reason}; the lock had no simulated fault"
         table.add_row(styled((line, "red")), "", "", "")
     return table

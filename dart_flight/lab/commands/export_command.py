@@ -24,8 +24,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         metavar="PATH",
-        help="folder of the CSV files (default: csv beside the log; several logs get one folder each in it); "
-        f"with --foxglove the file (default: {FOXGLOVE_NAME} beside the log), or the folder for several logs",
+        help="folder of the CSV files (default: csv beside the log); each of several logs gets a subfolder; "
+        f"with --foxglove: the file (default: {FOXGLOVE_NAME} beside the log), or the folder of the files",
     )
 
 

@@ -30,15 +30,19 @@ _FIT = {
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "trials", nargs="*", metavar="TRIAL", help="CSV, PX4 ULog or flight log; all share one wall"
+        "trials",
+        nargs="*",
+        metavar="TRIAL",
+        help="CSV, PX4 ULog or flight log; all trials must be of one wall",
     )
     parser.add_argument(
         "--mode",
         choices=("rigid", "flexible"),
-        help="state of the arms in the trials; for a flight log, use its collisions in this mode",
+        help="mode of the arms in the trials; of a flight log, only the collisions in this mode are used",
     )
     parser.add_argument(
-        "--surface", help="name of the material, for -o; for a flight log, use its collisions with it"
+        "--surface",
+        help="name of the material, for -o; of a flight log, only collisions with this material are used",
     )
     parser.add_argument(
         "--drop",
@@ -46,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=_height_or_trial,
         const=True,
         metavar="HEIGHT",
-        help="the trials are drops, with gravity along the normal; HEIGHT (m) is compared with them",
+        help="the trials are drops, with gravity along the normal; they are compared with HEIGHT (m)",
     )
     parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
     parser.add_argument(
@@ -54,7 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="M",
-        help="subtract this from normal_m, for recordings of the centre's height above the ground",
+        help="distance to subtract from normal_m if normal_m is the height of the vehicle's centre",
     )
     parser.add_argument(
         "--columns", metavar="NAME=HEADER,...", help="other headers, e.g. time_s=t,normal_m=x"
@@ -134,7 +138,8 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: boo
     console = messages()
     if entry.assumed:
         console.print(
-            f"not determined by these trials, so written as 0 and marked: {', '.join(entry.assumed)}",
+            "these trials do not determine some values, which are written as 0 and marked: "
+            f"{', '.join(entry.assumed)}",
             style="yellow",
             soft_wrap=True,
         )

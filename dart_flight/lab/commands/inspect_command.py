@@ -84,15 +84,15 @@ def _print(flight: InspectedFlight) -> None:
     thrust = flight.thrust
     if thrust is not None:
         out.print(
-            f"thrust fitted from {thrust.windows} half seconds of {thrust.said}: {thrust.full_m_s2:.1f} m/s2 "
-            f"at full command, held-out residual {thrust.held_out_percent:.1f} %",
+            f"thrust fitted from {thrust.windows} segments of 0.5 s ({thrust.said}): "
+            f"{thrust.full_m_s2:.1f} m/s2 at full command, held-out residual {thrust.held_out_percent:.1f} %",
             soft_wrap=True,
         )
     if flight.flight_s > 0.0:
         out.print(
-            f"noise in m/s2: {flight.noise_m_s2:.2f} in a sample, {flight.noise_short_m_s2:.2f} in the short "
-            f"mean, {flight.noise_long_m_s2:.2f} in the long mean; contacts are detected reliably from "
-            f"{flight.floor_rigid_m_s2:.1f} (rigid) and {flight.floor_flexible_m_s2:.1f} m/s2 (flexible)",
+            f"noise: {flight.noise_m_s2:.2f} m/s2 in one sample, {flight.noise_short_m_s2:.2f} in the short "
+            f"mean, {flight.noise_long_m_s2:.2f} in the long mean; contacts are detected reliably above "
+            f"{flight.floor_rigid_m_s2:.1f} m/s2 (rigid) or {flight.floor_flexible_m_s2:.1f} m/s2 (flexible)",
             soft_wrap=True,
         )
     clear = [i for i in flight.impacts if i.kind != "untold"]

@@ -63,7 +63,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=60.0,
         metavar="S",
-        help="objective quickest: return the best plan found after S seconds (60)",
+        help="objective quickest: stop the search after S seconds and return the best plan (default 60)",
     )
     parser.add_argument(
         "--free",
@@ -71,7 +71,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="objective quickest: write and draw the plan without a collision",
     )
     parser.add_argument(
-        "--seed", type=whole_number(0, 2**31 - 1), default=1, help="seed of the draws of robust (1)"
+        "--seed", type=whole_number(0, 2**31 - 1), default=1, help="objective robust: random seed (default 1)"
     )
     parser.add_argument(
         "--no-verify",

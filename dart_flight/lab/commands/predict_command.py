@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--restitution",
         type=float,
         metavar="E",
-        help="ratio of outgoing to incoming normal speed, from `identify`, instead of a surface",
+        help="instead of --surface: ratio of outgoing to incoming normal speed, as `identify` prints it",
     )
     parser.add_argument(
         "--tangential-ratio",
@@ -49,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="DEG",
-        help="angle between leading edge and wall (0)",
+        help="angle between leading edge and wall, degrees (default 0)",
     )
     parser.add_argument(
         "--plot", metavar="FILE", help="plot position, velocity and force over time (PNG, PDF, SVG)"
@@ -125,7 +125,9 @@ def _from_ratios(arguments: argparse.Namespace) -> int:
     if arguments.json:
         emit_json(numbers)
         return 0
-    _print("from restitution and tangential ratio, which do not determine forces and times", numbers)
+    _print(
+        "predicted from restitution and tangential ratio; these do not determine forces and times", numbers
+    )
     return 0
 
 

@@ -144,8 +144,14 @@ def _coefficients(
             notes.append(f"{mode}: neither forces nor enough samples in contact: k and f are unknown")
         found["mu"] = friction(hits) or found["mu"]
     for name, what in (
-        ("mu", "no mu, because the trials show no motion along the wall that friction changes"),
-        ("nu", "no nu, because the trials show no vertical motion that the contact changes"),
+        (
+            "mu",
+            "mu (friction) is unknown, because no trial shows friction that slows a motion along the wall",
+        ),
+        (
+            "nu",
+            "nu (vertical force) is unknown, because no trial shows a contact that changes a vertical motion",
+        ),
     ):
         if found[name] is None:
             notes.append(f"{mode}: {what}")

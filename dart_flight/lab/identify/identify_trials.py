@@ -155,7 +155,9 @@ def _mass_notes(trials: Sequence[Trial], mass_kg: float, replaced: VehicleConfig
     logged = {trial.flown.config.airframe.mass_kg for trial in trials if trial.flown is not None}
     other = sorted(logged - {mass_kg})
     if other:
-        return [f"fitted with {mass_kg:g} kg; the forces in the flight logs assume {other[0]:g} kg"]
+        return [
+            f"the fit uses a mass of {mass_kg:g} kg, but the forces in the flight logs assume {other[0]:g} kg"
+        ]
     if replaced is None:
         return []
     return [

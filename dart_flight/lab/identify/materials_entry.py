@@ -50,7 +50,7 @@ def materials_entry(
     modes = [mode for mode in vehicle.modes if mode.value in found.coefficients]
     if not modes:
         wanted = " or ".join(f"--mode {mode.value}" for mode in vehicle.modes)
-        raise InputError(f"to write an entry the trials need {wanted}", key=("output",))
+        raise InputError(f"an entry can only be written from trials with {wanted}", key=("output",))
     lines, assumed, missing = [], [], []
     for mode in vehicle.modes:
         fallback = known.coefficients(mode) if known else None

@@ -100,7 +100,9 @@ def find_impact(trial: Trial) -> TrialImpact:
         if quick and turn.approach_m_s < -_SLOWEST_M_S and turn.rebound_m_s > 0.0:
             found.append(turn)
     if not found:
-        raise InputError("no impact found: no quick turn from approaching to leaving", source=trial.name)
+        raise InputError(
+            "no impact found: the motion never reverses quickly from approach to departure", source=trial.name
+        )
     strongest = max(turn.rebound_m_s - turn.approach_m_s for turn in found)
     # Later strong turns are bounces, and noise splits one turn into several.
     begun = next(t for t in found if t.rebound_m_s - t.approach_m_s >= 0.6 * strongest)
@@ -115,13 +117,14 @@ def find_impact(trial: Trial) -> TrialImpact:
         )
     if impact.deepest_m < -_DEEPEST_M:
         raise InputError(
-            f"the motion turns {-impact.deepest_m:.2f} m behind the plane, limit {_DEEPEST_M:g} m",
+            f"the motion reverses {-impact.deepest_m:.2f} m behind the plane of first touch, "
+            f"limit {_DEEPEST_M:g} m",
             source=trial.name,
         )
     if impact.deepest_m > _NEAREST_M:
         raise InputError(
-            f"the motion turns {impact.deepest_m:.2f} m before the plane of first touch; if normal_m is the "
-            "distance from the surface, give --contact-distance",
+            f"the motion reverses {impact.deepest_m:.2f} m before the plane of first touch; if normal_m is "
+            "the distance from the surface, give --contact-distance",
             source=trial.name,
         )
     return impact

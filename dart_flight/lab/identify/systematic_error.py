@@ -48,9 +48,9 @@ def widen_intervals(
         if mu is not None:
             found = found | {"mu": Estimate(mu.value, mu.low / (1.0 + slides), mu.high / (1.0 - slides))}
         notes.append(
-            f"the vehicle turned at up to {math.degrees(rate_rad_s):.0f} deg/s in these contacts, so its "
-            f"guards slid up to {100.0 * slides:.0f} % slower or faster than its centre; the law "
-            "ignores rotation, so the interval of mu is widened"
+            f"the vehicle turned at up to {math.degrees(rate_rad_s):.0f} deg/s in these contacts, so the "
+            f"guards slid up to {100.0 * slides:.0f} % slower or faster than the vehicle's centre; the "
+            "contact law ignores rotation, so the interval of mu is widened"
         )
     return {name: _widened(e, shares[name]) for name, e in found.items()}, notes
 

@@ -30,7 +30,9 @@ def plot_fit(
     fitted = zip(trials, found.trials, strict=True)
     shown = [(trial, fit) for trial, fit in fitted if fit.used == "samples" and found.is_known(fit.mode)][:6]
     if not shown or found.plane_m is None:
-        raise InputError("no trial shows its contact in samples, nothing to plot", key=("plot",))
+        raise InputError(
+            "no trial has enough samples during the contact: there is nothing to plot", key=("plot",)
+        )
     figure, axes = panels(PAGE, len(shown))
     for axis, (trial, fit) in zip(axes, shown, strict=True):
         c = found.fitted(fit.mode, Coefficients(k=1.0, f=0.0, mu=0.0, nu=0.0))

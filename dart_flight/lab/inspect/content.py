@@ -37,8 +37,8 @@ _LANDED_S = 1.0  # a shorter landed state above `_HIGH_M` is a motor cut in the 
 _HIGH_M = 2.0
 _LOW_M = 0.5
 _PROFILE = (
-    "SDLOG_PROFILE 17, the default (bit 0) with high rate (bit 4): motors and attitude as fast as they are "
-    "computed"
+    "SDLOG_PROFILE 17 (bit 0, the default, and bit 4, high rate), which logs motors and attitude at their "
+    "full rate"
 )
 
 
@@ -75,7 +75,7 @@ def missing(log: ULogFile) -> list[str]:
     for name in ("sensor_combined", "vehicle_attitude"):
         out += describe_holes(_stamps(log, name), name)
     if log.first("vehicle_status") is None:
-        out.append("no vehicle_status, hence vehicle type and arming")
+        out.append("no vehicle_status: vehicle type and arming are unknown")
     return [*out, *[f"recommended logging: {_PROFILE}"] * slow, *log.damage]
 
 

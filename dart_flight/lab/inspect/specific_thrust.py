@@ -53,13 +53,13 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
         source = "flight at any speed, so the residual includes the effect of speed on the propellers"
         if len(points.force) < MIN_POINTS:
             return (
-                f"{len(points.force)} quiet half seconds, at least {MIN_POINTS} are needed; rejected: "
+                f"{len(points.force)} quiet segments of 0.5 s, at least {MIN_POINTS} are needed; rejected: "
                 f"{format_rejected(slow.rejected) or 'none'}"
             )
     error, best = best_fit(points, vehicle.thrust.square_share)
     problem = fit_problem(error)
     if problem:
-        return f"fitted to {len(points.force)} half seconds of {source}, but {problem}"
+        return f"the fit to {len(points.force)} segments of 0.5 s ({source}) is rejected: {problem}"
     curve = best(points)
     return SpecificThrust(
         full_m_s2=curve.full * points.motors,

@@ -257,7 +257,7 @@ def page(vehicle: VehicleConfig) -> str:
         rows = [row for row in drop_rows(vehicle) if row.onset is onset]
         time = sum(abs(row.contact_time_error) for row in rows) / len(rows)
         speed = sum(abs(row.rebound_error) for row in rows) / len(rows)
-        means.append(f"`{onset.value}` {time:.1%} in contact time and {speed:.1%} in rebound speed")
+        means.append(f"with `{onset.value}`, {time:.1%} in contact time and {speed:.1%} in rebound speed")
     flights = [
         [
             row.mode.value,

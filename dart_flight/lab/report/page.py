@@ -139,8 +139,9 @@ def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
         )
         if alike != first.mission:
             raise InputError(
-                f"the flight is of another mission ({other.verdict.mission}) than {first.log.source} "
-                f"({first.verdict.mission}){_first_difference(first, other)}: compare flights of one mission",
+                f"this flight is of mission {other.verdict.mission}, but {first.log.source} is of another "
+                f"mission, {first.verdict.mission}{_first_difference(first, other)}: "
+                "compare flights of one mission",
                 source=other.log.source,
             )
 
@@ -158,7 +159,7 @@ def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
     )
     for key in there | here:
         if not key.startswith("vehicle") and there.get(key) != here.get(key):
-            return f" of the same name, {key} is {here.get(key)} and not {there.get(key)}"
+            return f" (the names agree, but {key} is {here.get(key)} here and {there.get(key)} there)"
     return ""
 
 
@@ -213,7 +214,7 @@ def outcome_sentence(flight: RecordedFlight) -> str:
     """Return the outcome of a flight as a sentence."""
     v, planned, hit = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
     if flight.mission.standoff_m is not None:
-        hits = "it was a rehearsal, which stops before each wall"
+        hits = "in this rehearsal, the vehicle stopped before each wall"
     elif planned == 0:
         hits = "no collision was planned"
     elif planned == 1:

@@ -178,9 +178,9 @@ def choose_flown(
                 f" with a touch of each wall at {wanted.spec.touch_m_s:g} m/s" if name == "touched" else ""
             )
             if record.failure is not None:
-                lines.append(f"the colliding plan{with_touches} is not offered: {record.failure}")
+                lines.append(f"the plan with collisions{with_touches} is not offered: {record.failure}")
                 continue
-            lines.append(f"the colliding plan{with_touches} succeeds in simulation: {record.summary}")
+            lines.append(f"the plan with collisions{with_touches} succeeds in simulation: {record.summary}")
             if _is_offered(record, free, scenario):
                 return OfferedPlan(hits, wanted, record, lines, flown)
             break

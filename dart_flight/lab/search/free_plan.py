@@ -128,7 +128,7 @@ def _leg_s(
     try:
         import ruckig  # noqa: PLC0415  (an extra)
     except ImportError:
-        raise missing_package("the free plan needs ruckig", "plan") from None
+        raise missing_package("the plan without a collision needs ruckig", "plan") from None
     count = len(begin)
     wanted = ruckig.InputParameter(count)
     wanted.current_position, wanted.current_velocity = list(begin), list(v_begin)

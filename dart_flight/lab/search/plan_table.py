@@ -177,7 +177,7 @@ def describe_quickest(result: QuickestResult) -> str:
             text += "; the scenario requires the collisions"
     if result.free and result.free.cruise_m_s is not None:
         cruises = [f"{plan.cruise_m_s:.2f}" for plan in (result.free, result.colliding) if plan is not None]
-        text += f"; cruising until the wall is seen at {' and '.join(cruises)} m/s"
+        text += f"; the cruise speed until the wall comes into sight is {' and '.join(cruises)} m/s"
     if result.gap_s > _SHOWN_S:
         gap = f"; sequences that were not computed could be faster by at most {result.gap_s:.2f} s"
     if result.most_hits is not None:

@@ -286,7 +286,7 @@ def resolve_scenario(
         normal, tangential = _grids(spec.search, document)
         modes = modes if spec.search.modes is None else tuple(dict.fromkeys(spec.search.modes))
     elif spec.objective is not Objective.QUICKEST:
-        problem = f"missing key search: the objective {spec.objective} needs its grid of approaches"
+        problem = f"missing key search: the objective {spec.objective} needs a grid of approaches"
         raise document.error((), problem)
     if not modes:
         raise document.error(("search", "modes"), "the search is empty: name at least one mode")
@@ -333,9 +333,12 @@ def _check_sight(spec: ScenarioFile, sight: SightSpec, walls: list[Wall], docume
     """Reject scenarios that limited sight does not support."""
     start = spec.start.position_m
     for valid, problem in (
-        (spec.objective is Objective.QUICKEST, "sight is possible only with the objective quickest"),
-        (len(walls) == 1 and not spec.visits, "sight is possible only with one wall and no visits"),
-        (walls[0].spans(start), "sight is straight ahead: move start in front of the wall"),
+        (spec.objective is Objective.QUICKEST, "the key sight is possible only with the objective quickest"),
+        (
+            len(walls) == 1 and not spec.visits,
+            "the key sight is possible only with one wall and without visits",
+        ),
+        (walls[0].spans(start), "the vehicle sees only straight ahead: move start in front of the wall"),
         (
             walls[0].signed_distance(start) > sight.distance_m,
             "the wall must be out of sight at start: move start away from the wall",
@@ -374,7 +377,9 @@ def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...],
     sequence = tuple(spec.sequence)
     most = _MAX_QUICKEST if spec.objective is Objective.QUICKEST else _MAX_COLLISIONS
     if not 1 <= len(sequence) <= most:
-        raise document.error(key, f"expected 1 to {most} walls or any, not {len(sequence)}")
+        raise document.error(
+            key, f"expected a list of 1 to {most} walls or the word any, not {len(sequence)} walls"
+        )
     for i, name in enumerate(sequence):
         if name not in spec.walls:
             raise document.error((*key, i), unknown_name(name, list(spec.walls)))

@@ -53,9 +53,11 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
         ),
         RequiredParameter("COM_PREARM_MODE", PREARM_ALWAYS, "otherwise the servo moves only when armed"),
         RequiredParameter(
-            f"{bank}_MIN{pin}", round(px4.min_pulse_us), "it is the pulse of actuator value -1"
+            f"{bank}_MIN{pin}", round(px4.min_pulse_us), "PX4 outputs this pulse for the actuator value -1"
         ),
-        RequiredParameter(f"{bank}_MAX{pin}", round(px4.max_pulse_us), "it is the pulse of actuator value 1"),
+        RequiredParameter(
+            f"{bank}_MAX{pin}", round(px4.max_pulse_us), "PX4 outputs this pulse for the actuator value 1"
+        ),
         RequiredParameter(
             f"{bank}_DIS{pin}", flexible, "otherwise the servo leaves the flexible end at boot"
         ),
@@ -129,7 +131,7 @@ class Px4Driver:
 
     def release(self) -> None:
         """Raise `DriverError`: PX4 has no command that switches an output's pulses off."""
-        raise DriverError("PX4 cannot switch the pulses of an output off")
+        raise DriverError("PX4 cannot switch off the pulses of an output")
 
     def read(self) -> DriverReading:
         """Return the last commanded pulse width, or None before the first command."""

@@ -105,7 +105,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "heading-reset",
         _P.SENSOR,
-        "the estimated heading is reset by this much, clockwise; motion capture corrects it",
+        "the estimated heading steps clockwise by this angle; motion capture corrects the heading",
         "deg",
         30.0,
         -180.0,
@@ -129,7 +129,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "second-gcs",
         _P.AUTOPILOT,
-        "a second ground station sends setpoints at this distance",
+        "a second ground station sends setpoints at this distance north of the vehicle",
         "m",
         1.0,
         -5.0,
@@ -137,12 +137,18 @@ KINDS: tuple[FaultKind, ...] = (
     ),
     FaultKind("servo-stuck", _P.LOCK, "the lock's servo does not move"),
     FaultKind(
-        "servo-slow", _P.LOCK, "the lock's servo needs this multiple of its time", "x", 4.0, 1.0, 100.0
+        "servo-slow",
+        _P.LOCK,
+        "the lock's servo needs this multiple of its normal travel time",
+        "x",
+        4.0,
+        1.0,
+        100.0,
     ),
     FaultKind("servo-unplugged", _P.LOCK, "the servo's controller does not answer"),
     FaultKind("wall-missing", _P.PLANT, "the walls are missing"),
     FaultKind("wall-nearer", _P.PLANT, "the walls are nearer than planned", "m", 0.3, -1.0, 1.0),
-    FaultKind("other-material", _P.PLANT, "the walls have the stiffest other material"),
+    FaultKind("other-material", _P.PLANT, "the walls are of another material, the stiffest of the others"),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
     FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
     FaultKind(
@@ -163,7 +169,7 @@ KINDS: tuple[FaultKind, ...] = (
         -10.0,
         10.0,
     ),
-    FaultKind("mocap-late", _P.MOCAP, "poses arrive later by this time", "ms", 50.0, 0.0, 1000.0),
+    FaultKind("mocap-late", _P.MOCAP, "poses arrive with this additional delay", "ms", 50.0, 0.0, 1000.0),
     FaultKind("mocap-slow", _P.MOCAP, "poses arrive at this rate", "Hz", 10.0, 1.0, 50.0),
 )
 BY_NAME = {kind.name: kind for kind in KINDS}

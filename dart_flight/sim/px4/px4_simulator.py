@@ -164,7 +164,10 @@ class Px4Simulator:
         begun = time.monotonic()
         ticks = serve(self, writer, commands, self._spec.speed, lockstep, wake)
         factor = ticks * TICK_S / (time.monotonic() - begun)
-        self._report(f"flown at {factor:.2f} times real time, {self._vehicle.clipped} clipped ticks")
+        self._report(
+            f"flown at {factor:.2f} times real time; "
+            f"the accelerometer clipped in {self._vehicle.clipped} ticks"
+        )
 
     def _boot(self, px4: Px4) -> None:
         """Advance the world while PX4 boots, then check that PX4's start-up script has kept the parameters.

@@ -33,11 +33,11 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
     place, names = _BLOCK.size, []
     for _ in range(items):
         if place + _ITEM.size > len(data):
-            return "block of Vicon's object stream with fewer items than it announces"
+            return "fewer items than the header of the block of Vicon's object stream specifies"
         item, size = _ITEM.unpack_from(data, place)
         place += _ITEM.size
         if place + size > len(data) or (item == _OBJECT_ID and size != _OBJECT.size):
-            return "item of Vicon's object stream with a wrong size"
+            return "wrong size of an item in Vicon's object stream"
         if item == _OBJECT_ID:
             raw_name, *values = _OBJECT.unpack_from(data, place)
             name = raw_name.partition(b"\0")[0].decode("utf-8", "replace")

@@ -49,7 +49,7 @@ class ScriptedOperator:
                 "to its right": lambda: vehicle.carry(90.0),
                 "evel": vehicle.tilt,
                 "switch": vehicle.flip_switch,
-                "turn it left": vehicle.move,
+                "turn the vehicle left": vehicle.move,
             }
 
     def instruct(self, text: str) -> None:

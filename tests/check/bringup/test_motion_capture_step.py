@@ -90,7 +90,7 @@ class FedBringup(Bringup):
                 t.store(make_pose(sample_s, *room.pose_from_ned(tuple(position), tuple(q))))
                 t.store(AttitudeSample(round(1e6 * sample_s) - 30_000, round(1e6 * sample_s), tuple(q)))
 
-        self.hands.actions = {"Waiting": begin, "turn it left": move}
+        self.hands.actions = {"Waiting": begin, "turn the vehicle left": move}
 
     def measure(self) -> StepFinding:
         return self._measure_poses(Link())  # type: ignore[arg-type]

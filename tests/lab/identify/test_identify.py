@@ -76,7 +76,7 @@ def test_wall_impacts_give_the_true_coefficients(mode: Mode, onset: Onset) -> No
     assert found.residuals["normal_m"] == pytest.approx(0.001, rel=0.15)
     assert found.coefficients[mode.value]["mu"] is None
     assert found.coefficients[mode.value]["nu"] is None
-    assert any("no mu" in note for note in found.notes)
+    assert any("mu (friction) is unknown" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("mode", list(Mode))

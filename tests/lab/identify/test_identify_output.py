@@ -206,7 +206,7 @@ def test_a_given_mass_overrides_the_logs_mass_with_a_warning(
     log = str(flown("paper_single_wall", 1).log)
     assert main(["identify", log, "--mass", "0.9", "--json"]) == 0
     streams = capsys.readouterr()
-    assert "fitted with 0.9 kg; the forces in the flight logs assume 1.3 kg" in streams.err
+    assert "the fit uses a mass of 0.9 kg, but the forces in the flight logs assume 1.3 kg" in streams.err
     k = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE).k
     assert abs(json.loads(streams.out)["coefficients"]["flexible"]["k"]["value"] / k - 1.0) > 0.1
 

@@ -240,7 +240,9 @@ def test_commands_for_flight_logs_refer_a_ulog_to_the_supporting_commands(
 ) -> None:
     path = write_ulog(tmp_path / "a.ulg", {})
     assert main([command, str(path)]) == 2
-    assert "this is a PX4 ULog: inspect, identify and calibrate take it" in capsys.readouterr().err
+    assert (
+        "this is a PX4 ULog, which is an input of inspect, identify and calibrate" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(

@@ -164,7 +164,7 @@ def test_a_thrust_fit_that_fails_on_held_out_data_is_refused(
     flight = inspect_json(write_ulog(tmp_path / "a.ulg", changed), capsys)
     assert flight["thrust"] is None
     (problem,) = (what for what in flight["unknown"] if what.startswith("thrust:"))
-    assert "half seconds" in problem
+    assert "segments of 0.5 s" in problem
     assert "limit 10 %" in problem
 
 

@@ -137,7 +137,7 @@ def test_a_plan_that_fails_in_simulation_is_offered_only_with_touches(
         return 20.0, not bad or "uncontrolled" in fails, not bad or "uncontrolled" not in fails
 
     offered, flights = choose(planned, ends)
-    assert "the colliding plan is not offered" in offered.says[0]
+    assert "the plan with collisions is not offered" in offered.says[0]
     assert "with a touch of each wall at 0.6 m/s succeeds" in offered.says[1]
     assert offered.plan is planned.colliding
     assert offered.scenario.spec.touch_m_s == 0.6

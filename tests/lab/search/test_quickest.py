@@ -162,7 +162,7 @@ def test_sequences_with_too_many_collisions_are_reported_as_not_computed(
 def test_a_required_sequence_may_have_up_to_sixteen_walls() -> None:
     result = plan_quickest(scenario_between_walls(1.25, [], ["east", "west"] * 3))
     assert result.best.sequence == ("east", "west") * 3
-    with pytest.raises(InputError, match="expected 1 to 16 walls or any, not 18"):
+    with pytest.raises(InputError, match="expected a list of 1 to 16 walls or the word any, not 18"):
         scenario_between_walls(1.25, [], ["east", "west"] * 9)
 
 

@@ -59,7 +59,7 @@ def test_sequence_any_gives_every_order_of_different_walls(tmp_path: Path) -> No
         ("step: 0.025", "step: 0.0", "step"),
         ("step: 0.025", "step: 0.00001", "limit"),
         ("sequence: [wood, acrylic]", "sequence: [wood, acrilic]", "did you mean acrylic"),
-        ("sequence: [wood, acrylic]", "sequence: []", "expected 1 to 4"),
+        ("sequence: [wood, acrylic]", "sequence: []", "expected a list of 1 to 4"),
         ("sequence: [wood, acrylic]", "sequence: [wood, wood]", "twice in a row"),
         ("sequence: [wood, acrylic]", "sequence: some", "sequence"),
         ("acrylic: [0.025, 0.025]}", "}", "acrylic needs gains"),

@@ -132,8 +132,8 @@ def prediction_lines(
         if uncertain:
             lines.append(f"The positions of {' and '.join(uncertain)} are varied within their uncertainty.")
         lines.append(
-            f"With k, f and mu of the walls drawn ± {100 * spread:.0f} %, the goal is missed by {low:.2f} to "
-            f"{high:.2f} m in nine of ten draws"
+            f"If k, f and mu of the walls vary by ± {100 * spread:.0f} %, the vehicle misses the goal by "
+            f"{low:.2f} to {high:.2f} m in nine of ten draws"
             + (
                 f"; {len(drawn) - len(misses)} of {len(drawn)} draws do not reach the goal."
                 if len(misses) < len(drawn)
