@@ -32,6 +32,8 @@ from tools.campaigns.results import markdown
 _SIMULATOR = "simulator"  # the simulator itself sends the poses to PX4
 _MISSIONS = ("dual_collision", "shuttle", "survey")
 _TOUCH_M_S = 0.5
+# True latency and the latency that `bringup` measured (tests/px4/test_measured_latency.py), ms.
+_LATENCIES = (("5", "4.6"), ("20", "16.7"), ("50", "48.7"))
 _FAULTS = (
     "mocap-lost=0.3@approach", "mocap-lost=1@transit", "mocap-lost=1@recovery", "mocap-flip=90@approach",
     "mocap-flip=180@contact", "mocap-other-body@approach", "mocap-other-body@recovery",
@@ -64,19 +66,27 @@ def cases() -> list[dict[str, str]]:
     """Return the cases of all parts: systems and missions, latencies, faults."""
     systems = (_SIMULATOR, "optitrack", "qualisys", "vicon")
     flown = [_case("systems", m, mocap=s) for m in _MISSIONS for s in systems]
-    late = [_case("latency", "dual_collision", delay_ms=d) for d in ("5", "20", "50")]
+    late = [
+        _case("latency", "dual_collision", delay_ms=true, measured_ms=found) for true, found in _LATENCIES
+    ]
     return flown + late + [_case("faults", "dual_collision", fault=f) for f in _FAULTS]
 
 
 def _case(
-    part: str, flown: str, mocap: str = "optitrack", delay_ms: str = "10", fault: str = ""
+    part: str,
+    flown: str,
+    mocap: str = "optitrack",
+    delay_ms: str = "10",
+    measured_ms: str = "10",
+    fault: str = "",
 ) -> dict[str, str]:
-    return {"part": part, "flown": flown, "mocap": mocap, "delay_ms": delay_ms, "fault": fault}
+    delays = {"delay_ms": delay_ms, "measured_ms": measured_ms}
+    return {"part": part, "flown": flown, "mocap": mocap, **delays, "fault": fault}
 
 
 @lru_cache
-def _mission(flown: str, mocap: str, delay_ms: str) -> Mission:
-    delay = [f"simulation.pose_delay_s={float(delay_ms) * 1e-3:g}", f"mocap.delay_ms={delay_ms}"]
+def _mission(flown: str, mocap: str, delay_ms: str, measured_ms: str) -> Mission:
+    delay = [f"simulation.pose_delay_s={float(delay_ms) * 1e-3:g}", f"mocap.delay_ms={measured_ms}"]
     name = "dual_collision" if flown == "survey" else flown
     mission = load_flyable(packaged("missions", f"{name}.yaml"), None, delay)
     if flown == "survey":
@@ -87,7 +97,7 @@ def _mission(flown: str, mocap: str, delay_ms: str) -> Mission:
 def fly(point: Point, seed: int) -> PoseFlight:
     """Fly one case on the PX4 of `--px4`."""
     case = point.case
-    mission = _mission(case["flown"], case["mocap"], case["delay_ms"])
+    mission = _mission(case["flown"], case["mocap"], case["delay_ms"], case["measured_ms"])
     fault = parse_mission_fault(mission, case["fault"]) if case["fault"] else None
     with tempfile.TemporaryDirectory() as folder:
         px4 = os.environ[ENVIRONMENT]
