@@ -113,7 +113,7 @@ def test_poses_are_late_once_the_last_timely_one_is_a_quarter_second_old(feed: F
     feed.pose(later_us=50_000, step_us=250_000)
     assert feed.watch.fault(Phase.TRANSIT) is None
     feed.pose(later_us=50_000, step_us=1)
-    assert (feed.watch.fault(Phase.TRANSIT) or "").startswith("poses arrive 50 ms later")
+    assert (feed.watch.fault(Phase.TRANSIT) or "").startswith("the poses' delay grew by 50 ms")
 
 
 def test_the_timeout_of_the_pose_source_depends_on_the_phase(feed: Feed) -> None:
