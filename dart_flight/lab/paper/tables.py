@@ -300,7 +300,7 @@ def page(vehicle: VehicleConfig) -> str:
     normal, tangential = FLIGHT_APPROACH_M_S
     return f"""# The paper's tables
 
-Computed by `dart-flight tables`. The tables compare the paper's figures with the contact model in closed
+`dart-flight tables` computes these tables. They compare the paper's figures with the contact model in closed
 form, for a mass of {vehicle.airframe.mass_kg:g} kg and with the coefficients of the configuration.
 docs/contact.md explains the onset rules `lcp` and `touch`.
 
@@ -317,11 +317,11 @@ Mean magnitude of the error: {"; ".join(means)}.
 
 ## Drop tests refitted
 
-The stiffness k and the damping f in the table fit the published contact time and rebound speed best, for
-each height alone and for both together. Errors are relative to the published value. One height can be
-fitted exactly, but no pair of k and f fits both.
-The rigid mode fits worst: from the greater height the published contact lasts longer, but the law predicts
-a shorter contact.
+The table has the stiffness k and the damping f with which the model fits the published contact time and
+rebound speed best: for each height alone, and for both together. Errors are relative to the published
+value. One height can be fitted exactly, but no pair of k and f fits both.
+The rigid mode fits worst: with the height the published contact time increases, but the law predicts that
+it decreases.
 
 | mode | onset | fitted to | k N/m | f N s/m | 0.05 m contact | rebound | 0.2 m contact | rebound |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -331,8 +331,8 @@ a shorter contact.
 
 The vehicle hits acrylic at {normal:g} m/s along the normal and {
         tangential:g} m/s along the wall (Sec. V-A). The paper does not give the peak forces.
-The last column is the agreement between predicted and measured peak acceleration over three trials, as the
-paper states it.
+The last column is the paper's agreement between predicted and measured peak acceleration, over three
+trials.
 
 | mode | onset | normal N | friction N | vertical N | normal m/s² | friction m/s² | agreement in the paper |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -342,7 +342,7 @@ paper states it.
 
 The velocities are those at each impact, in the wall's frame. The model begins with the published first
 impact and uses the published recovery gains (Sec. V-B). The paper does not give its controller gains, so the
-flight model uses PX4's defaults. The paper gives no coefficients of wood; the model uses those of the ground.
+flight model uses PX4's defaults. The paper gives no coefficients of wood; the model uses those of concrete.
 
 | wall | mode | normal m/s, paper | along, paper | normal m/s, model | along, model | peak N, model |
 | --- | --- | ---: | ---: | ---: | ---: | ---: |
