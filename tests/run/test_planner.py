@@ -10,13 +10,13 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.planning.replanner import Replanner
 from dart_flight.run.planner_process import PlannerProcess
-from tests.planning.test_contact_fit import AT_WALL, request_from
+from tests.planning.test_contact_fit import AT_WALL, contact_request
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 REQUEST = PlanRequest(
     0, 1, 100_000, 2, (1.0, -1.05, 1.0), (0.3, 0.45, 0.0), (0.0, 0.0, 0.0), (2.6, -0.75, 1.0), 450_000
 )
-CONTACT = request_from([0.0] * 3 + [4.0, 12.0, 18.0, 21.0, 21.0, 18.0, 12.0, 4.0, 0.0])
+CONTACT = contact_request([0.0] * 3 + [4.0, 12.0, 18.0, 21.0, 21.0, 18.0, 12.0, 4.0, 0.0])
 
 
 def test_the_planner_process_answers_like_the_planner_and_reports_its_death() -> None:
@@ -67,7 +67,7 @@ def test_two_contacts_of_maximum_length_fit_into_the_pipe() -> None:
     """A write that would block is reported as a planner that does not answer."""
     answers: queue.SimpleQueue[PlanAnswer | ContactAnswer] = queue.SimpleQueue()
     fits = PlannerProcess(MISSION, ContactRequest, answers.put)
-    long = request_from([0.0] * 4 + [10.0 + 1.0 / (3.0 + i) for i in range(160)])
+    long = contact_request([0.0] * 4 + [10.0 + 1.0 / (3.0 + i) for i in range(160)])
     try:
         for number in (1, 2):
             fits.send(msgspec.structs.replace(long, number=number))
