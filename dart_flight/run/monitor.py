@@ -4,8 +4,7 @@ MAVSDK's thread passes every record to `TelemetryMonitor`. Another thread proces
 several times per second. Batches take a third of the processor time that single records would take. `view`
 returns the data for a screen. The monitor sends nothing except requests for slow streams and the poses of a
 motion capture. If another `dart-flight` process flies over the same link, the monitor does not slow down the
-streams of that flight.
-`dart-flight monitor` uses this module.
+streams of that flight. `dart-flight monitor` uses this module.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ Contacts follow the law in `dart_flight.contact.law`. They act at guards (`conta
 through the centre of mass as in the paper's equations (`simulation.contact.body: point`). Contacts are
 integrated in steps of 0.1 ms, everything else in steps of 1 ms. `contact/cylinders.py` handles posts and the
 ends of walls. `tests/sim/test_plant.py` compares the point body with reference solutions.
-`tests/sim/test_body.py` and `tests/sim/test_ends_and_posts.py` compare the guards with independent models of a
-rigid body.
+`tests/sim/test_body.py` and `tests/sim/test_ends_and_posts.py` compare the guards with independent models of
+a rigid body.
 """
 
 from __future__ import annotations
