@@ -108,8 +108,8 @@ class LockThread:
     """Thread of the lock's state machine, on the core's time base and with a driver that may block.
 
     Args:
-        make_session: function that returns the session, which contains state machine and driver. It is called when the
-            autopilot's time is known. Before that, a session could produce stamps in the autopilot's future.
+        make_session: function that returns the session, which contains state machine and driver. It is called
+            when the autopilot's time is known. An earlier call could give stamps in the autopilot's future.
         states: queue in which the session puts the lock's states, in order.
         clock_known: function that returns whether the autopilot's time is known.
         deliver: callback for every state of the lock.
