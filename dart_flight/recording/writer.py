@@ -1,15 +1,15 @@
 """The flight log: MCAP with JSON messages and their JSON Schemas, which Foxglove opens directly.
 
-Each record type has a channel (`topic` in `base.records`). The inputs of the core are numbered, and each
-message has an input number as its sequence number. An input has its own number. Any other record has the
-number of the input that caused the record. A replay feeds the inputs in the order of their numbers. Log time
-is the autopilot's clock. `ClockOffset` relates this clock to the host's monotonic clock, and the description
-of the flight relates the monotonic clock to the calendar.
+Each record type has a channel (`topic` in `base.records`). The inputs of the core are numbered, and the
+sequence number of each message is an input's number. For a recorded input, this is the input's own number.
+For any other record, this is the number of the input that caused the record. A replay feeds the inputs in the
+order of their numbers. Log times are on the autopilot's clock. `ClockOffset` relates this clock to the host's
+monotonic clock, and the description of the flight relates the monotonic clock to the calendar.
 
-A separate thread encodes and writes the records in small chunks, so a killed process loses at most 0.2 s.
-Once a second the thread syncs the chunks to the disk, because a crash may disconnect the battery. A file that
-reaches `part_bytes` is finished, and the next file (`flight.part2.mcap`, ...) begins. After `most_parts`
-files, only decisions are recorded and telemetry is discarded.
+A separate thread encodes and writes the records in small chunks, so a killed process loses the records of at
+most 0.2 s. Once a second the thread syncs the chunks to the disk, because a crash of the vehicle may
+disconnect the battery. A file that reaches `part_bytes` is finished, and the next file (`flight.part2.mcap`,
+...) begins. After `most_parts` files, only decisions are recorded and telemetry is discarded.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class LogPart:
     def write(self, record: Record, time_us: int, number: int) -> None:
         """Add a record at an autopilot time.
 
-        `number` is the number of the input that is recorded or that caused the record.
+        `number` is the number of the recorded input, or of the input that caused the record.
         """
         time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times; a broken clock does
         channel = self._channels[type(record)]
@@ -84,7 +84,7 @@ class LogPart:
         os.fsync(self._file.fileno())
 
     def finish(self, end: dict[str, str]) -> None:
-        """Write the closing description and the index."""
+        """Write `end` as the last metadata record, then the index."""
         self._writer.add_metadata(END, end)
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.flush()
@@ -110,7 +110,7 @@ class FlightLog:
     Attributes:
         lost: number of records that were not written.
         failure: reason why the log stopped before the flight ended, or None.
-        patience_s: half of the time that `close` waits for the disk.
+        patience_s: timeout of each of the two waits of `close` for the disk, seconds.
 
     Raises:
         OSError: the file cannot be created.
@@ -148,7 +148,7 @@ class FlightLog:
     def put(self, record: Record, number: int) -> None:
         """Queue a record.
 
-        `number` is the number of the input that is recorded or that caused the record.
+        `number` is the number of the recorded input, or of the input that caused the record.
         """
         if len(self._waiting) >= _MAX_WAITING:
             self.lost += 1

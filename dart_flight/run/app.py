@@ -108,9 +108,9 @@ class LockThread:
     """Thread of the lock's state machine, on the core's time base and with a driver that may block.
 
     Args:
-        make_session: function that makes the session of state machine and driver. It is called when the
-            autopilot's time is known. An earlier session could produce stamps in the autopilot's future.
-        states: queue of the session's states, in order.
+        make_session: function that returns the session, which contains state machine and driver. It is called
+            when the autopilot's time is known. An earlier call could give stamps in the autopilot's future.
+        states: queue in which the session puts the lock's states, in order.
         clock_known: function that returns whether the autopilot's time is known.
         deliver: callback for every state of the lock.
         after_poll: callback after every poll of the driver.
@@ -196,7 +196,7 @@ class FlightApp:
     Args:
         mission: mission to fly.
         url: MAVSDK connection URL.
-        observe: callback for every record with its number, on the core thread.
+        observe: callback for every record and the record's input number, on the core thread.
         world: simulated world, or None for a real vehicle.
         progress: callback for every record. It runs on a separate thread, because a terminal may block.
         clock: autopilot's clock, or None for the clock of a vehicle in real time.
@@ -266,7 +266,7 @@ class FlightApp:
         Raises:
             VehicleError: there is no autopilot at the URL.
             NoAnswerError: the autopilot does not answer requests.
-            InputError: the motion capture does not answer, or does not have the configured body.
+            InputError: the motion capture does not answer, or does not know the configured body.
         """
         source = None if self._mocap_url is None else open_source(self._mocap_url)
         try:
@@ -345,7 +345,7 @@ class FlightApp:
         self._shown.append(record)
 
     def stop(self) -> None:
-        """End the flight: the first call leaves the wall and lands, the second releases the vehicle."""
+        """End the flight: the first call leaves the wall and lands, the second stops sending setpoints."""
         self._stops += 1
         self._stopped.set()
         request = Request.LAND if self._stops == 1 else Request.RELEASE
@@ -369,7 +369,7 @@ class FlightApp:
             self._deadman.feed(part)
 
     async def _keep_alive(self) -> None:
-        """Feed the deadman from the event loop, and systemd while the core thread is also alive."""
+        """Feed the deadman from the event loop; while the core thread is alive, also feed systemd."""
         systemd = SystemdNotice()
         systemd.ready(f"flying {self._mission.name}")
         starve_s = self._mission.vehicle.guard.deadman_s
@@ -505,7 +505,7 @@ class FlightApp:
         )
 
     def _after_step(self) -> None:
-        """In lockstep, poll the lock's driver if due, and deliver the planners' answers that are due."""
+        """In lockstep, poll the lock's driver if a poll is due, and deliver due answers of the planners."""
         if self._lock is not None:
             self._lock.poll_if_due()
         self._deliver_answers()

@@ -4,9 +4,9 @@ Only the thread that holds `_owner` steps the core. In real time the core choose
 Near a wall MAVSDK's thread steps the core. Samples arrive on that thread, so no other thread has to wake up
 first (docs/latency.md). Away from walls the core's own thread steps the core.
 
-In lockstep, the simulated world waits until the core has processed its samples. The thread that delivers the
-samples also steps the core with them. Near a wall it steps each sample at once. Away from walls it steps the
-samples in batches of simulated time.
+In lockstep, the simulated world waits until the core has processed the world's samples. The thread that
+delivers the samples also steps the core with them: near a wall with each sample at once, away from walls with
+all samples of 20 ms of simulated time together.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Deadman: a small process that kills the app if the app hangs.
 
 MAVSDK repeats the last setpoint from its own thread, so PX4 would not notice a hang of the app. A hang that
-holds the interpreter lock also stops every watching thread of the app. Therefore the core thread and the
-event loop feed a separate process through a pipe. If either stops feeding, the process kills the app
-(SIGKILL). The setpoints then stop and PX4's failsafe acts.
+holds the interpreter lock also stops every thread of the app that could detect the hang. Therefore the core
+thread and the event loop feed a separate process through a pipe. If either stops feeding, the process kills
+the app (SIGKILL). The setpoints then stop and PX4's failsafe acts.
 
 `SystemdNotice` is the second protection: systemd's watchdog (`Type=notify`, `WatchdogSec`). The event loop
 feeds it only while the core thread is also alive.
@@ -82,7 +82,7 @@ class Deadman:
         self._write(_ARM)
 
     def feed(self, part: bytes) -> None:
-        """Report that `CORE` or `LOOP` is alive; any thread, never blocks, fast enough for every step."""
+        """Report that `CORE` or `LOOP` is alive. Any thread may call this in every step; it never blocks."""
         now = time.monotonic()
         if now - self._fed_s[part] >= self.feed_period_s:
             self._fed_s[part] = now
@@ -158,7 +158,7 @@ def _period_s(starve_s: float) -> float:
 
 
 def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
-    """Read the pipe until the flight or the app ends, or kill the app; return the exit status."""
+    """Read the pipe until the flight or the app ends; kill the app if feeds stop. Return the exit status."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.set_blocking(0, False)

@@ -30,7 +30,7 @@ def fly_vehicle(
         mission: mission to fly.
         url: MAVSDK connection URL.
         log_dir: folder for the flight's folder.
-        progress: callback for every record, on its own thread.
+        progress: callback for every record, on a separate thread.
         lease: lease of the link, or None to acquire a lease for this flight. The lease stores the log's path.
         viewer: callback for every record, on the thread that processed it.
 

@@ -45,10 +45,10 @@ def fly_embedded(
         mission: mission to fly.
         seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder.
-        progress: callback for every record, on its own thread.
+        progress: callback for every record, on a separate thread.
         deadman: whether to start the deadman, which kills this program if it hangs. Used in real time only.
         fault: fault to inject, or None.
-        spreads: standard deviations by name of the quantities to draw at random (`sim.draws`).
+        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
         speed: highest number of simulated seconds per second.
         realtime: whether simulated time advances without waiting for this program. If so, timeouts use the
             host's time.

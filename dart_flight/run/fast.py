@@ -105,7 +105,7 @@ class TelemetrySender:
         self._resets = -1
 
     def samples(self, ticks: int, received: int) -> Iterator[Input]:
-        """Yield the samples that are due at a tick; `received` is their receipt time, host microseconds."""
+        """Yield the samples that are due at a tick; `received` is the host time of receipt, microseconds."""
         a, t_us = self._autopilot, self._autopilot.time_us
         e = a.estimator
         if ticks % _HALF_RATE == 0:
@@ -150,8 +150,8 @@ class FastFlight:
         driver: lock driver, `mock` or `px4`; the other drivers do not work in simulated time. For a vehicle
             without a lock, the driver is ignored.
         faults: faults of the mock servo.
-        observe: callback for every input with its number, then for every output and note with the same
-            number.
+        observe: callback for each input with the input's number. It is then called with this number for each
+            output and each note (such as `SetpointSent`) that the input causes.
         fault: fault to inject, with its time.
         world: simulated world that differs at random from the mission (`sim.draws`), or None for a world
             without differences.
@@ -372,7 +372,7 @@ class FastFlight:
             self.lock.permit(order.permitted)
 
     def forget_setpoint(self) -> None:
-        """Stop repeating the last setpoint: the app's process has ended or stopped, and MAVSDK with it."""
+        """Stop repeating the last setpoint, because the app's process with MAVSDK has ended or stopped."""
         self._last_setpoint = None
 
     def _repeat(self) -> None:
@@ -454,7 +454,7 @@ def fly_fast(
         lock_faults: faults of the mock servo from the start of the flight, or None for the faults that the
             seed draws.
         fault: fault to inject, with its time.
-        spreads: standard deviations by name of the quantities to draw at random (`sim.draws`).
+        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
         keep_record: callback for the complete record; without `log_dir` its log is in memory.
 
     Raises:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class TimeRequest(NamedTuple):
-    """TIMESYNC request to the autopilot, with its host time of sending."""
+    """TIMESYNC request to the autopilot; `sent_us` is the host time of sending."""
 
     sent_us: int
 

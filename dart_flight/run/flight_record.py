@@ -32,7 +32,7 @@ class MemoryLog:
     def put(self, record: Record, number: int) -> None:
         """Append a record.
 
-        `number` is the number of the input that is recorded or that caused the record.
+        `number` is the number of the recorded input, or of the input that caused the record.
         """
         self.log.entries.append(LogEntry(number, record))
 
@@ -50,7 +50,7 @@ class FlightRecord:
         world: world of the flight.
         seed: seed of a simulated flight, or None.
         log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
-        drawn: random quantities of the simulated world, value by name.
+        drawn: random quantities of the simulated world: name -> value.
         viewer: first callback of `viewers`.
         in_memory: whether to keep the log in memory if `log_dir` is None.
 
@@ -114,7 +114,7 @@ class FlightRecord:
     def __call__(self, record: Record, number: int) -> None:
         """Log a record, and pass it to the verdict, the onlookers and the viewers.
 
-        `number` is the number of the input that is recorded or that caused the record.
+        `number` is the number of the recorded input, or of the input that caused the record.
         """
         log = self._log
         if log is not None:

@@ -39,7 +39,7 @@ def fly_hitl(
     spreads: Mapping[str, float] | None = None,
     viewer: Onlooker | None = None,
 ) -> Verdict:
-    """Fly with a flight controller that `check.hitl_check` has found ready; the propellers must be off.
+    """Fly with a flight controller that `check.hitl_check` has found ready; the propellers must be removed.
 
     Args:
         mission: mission to fly, with the driver of the real servo.
@@ -47,11 +47,11 @@ def fly_hitl(
         url: MAVSDK connection URL of the app's own link.
         seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder.
-        progress: callback for every record, on its own thread.
+        progress: callback for every record, on a separate thread.
         motors: motor geometry from the flight controller's parameters, or None to use the configuration's
             geometry.
         position_from: source of PX4's position: a simulated motion capture or a simulated GPS receiver.
-        spreads: standard deviations by name of the quantities to draw at random (`sim.draws`).
+        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
         viewer: callback for every record, on the thread that processed it.
 
     Raises:

@@ -34,8 +34,8 @@ class RunsSummary(msgspec.Struct):
     """Summary of many flights of one mission.
 
     Attributes:
-        unexplained_modes: findings about arms that were not in the lock's mode, by seed (see the function
-            `unexplained_modes`).
+        unexplained_modes: seed -> findings that the arms' mode differed from the lock's mode (see the
+            function `unexplained_modes`).
     """
 
     runs: int
@@ -91,7 +91,7 @@ def fly_fast_many(
         seeds: seeds of the flights.
         log_dir: folder for the flights' folders, or None for no logs.
         done: callback for the verdict of every flight.
-        spreads: standard deviations by name of the quantities that each seed draws (`sim.draws`).
+        spreads: quantities to draw at random for each seed (`sim.draws`): name -> standard deviation.
 
     Raises:
         RunsInterruptedError: the operator has pressed Ctrl-C. Flights in progress were completed, and no
@@ -172,7 +172,7 @@ def summarise(verdicts: list[Verdict]) -> RunsSummary:
 
 
 def unexplained_modes(verdict: Verdict) -> list[str]:
-    """Return the findings about arms that were not in the lock's mode.
+    """Return the findings that the arms' mode differed from the lock's mode.
 
     A flight with a simulated fault of the lock has no findings. In any other simulated flight, a finding
     means that the simulation or the estimated mode is wrong, so the flight is invalid.

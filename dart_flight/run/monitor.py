@@ -1,10 +1,10 @@
-"""Monitor of a vehicle's telemetry: force and contact from the core's senses, without flying.
+"""Monitor of a vehicle's telemetry: the core's senses estimate force and contact; no setpoint is sent.
 
 MAVSDK's thread passes every record to `TelemetryMonitor`. Another thread processes the records in batches
 several times per second. Batches take a third of the processor time that single records would take. `view`
-returns the data for a screen. The monitor sends only requests for slow streams, and the poses of a motion
-capture. If a `dart-flight` flies on the same link, the monitor does not slow down the streams of this flight.
-`dart-flight monitor` uses this module.
+returns the data for a screen. The monitor sends nothing except requests for slow streams and the poses of a
+motion capture. If another `dart-flight` process flies over the same link, the monitor does not slow down the
+streams of that flight. `dart-flight monitor` uses this module.
 """
 
 from __future__ import annotations
@@ -349,8 +349,8 @@ def monitor_log(
 ) -> None:
     """Run the watcher on the log of a flight in progress and show a view every period.
 
-    This uses neither the link nor the flight. It ends after `seconds`, at the end of the log, or when the
-    flight's process has ended.
+    This function does not use the link and does not affect the flight. It ends after `seconds`, at the end of
+    the log, or when the flight's process has ended.
 
     Args:
         watcher: monitor to run.

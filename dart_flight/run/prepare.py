@@ -120,9 +120,9 @@ def emulated_kind(mission: Mission) -> str | None:
 
 
 def with_px4_delays(mission: Mission) -> Mission:
-    """Return the mission with PX4's delays of setpoint and attitude.
+    """Return the mission with PX4's values of `setpoint_delay_s` and `attitude_delay_s`.
 
-    A delay that the configuration sets is kept.
+    If the configuration sets a delay, its value is kept.
     """
     flying = mission.vehicle.flying
     own = {name: default_s for name, default_s in _PX4_DELAYS_S.items() if getattr(flying, name) is None}

@@ -25,7 +25,7 @@ class ProgramFault:
         fault: fault to inject, with its phase.
         app: app with the event loop and the mock servo.
         world: simulated vehicle, for faults of the vehicle, or None.
-        log: path of the flight log. The fault `disk-full` makes writes to this file fail.
+        log: path of the flight log. With the fault `disk-full`, writing to this file fails.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class ProgramFault:
 
 
 def fill_disk_of(path: Path | None) -> None:
-    """Make every write of this process to an open file fail as on a full disk (ENOSPC)."""
+    """Let this process's writes to an open file fail with ENOSPC, as on a full disk."""
     full = os.open("/dev/full", os.O_WRONLY)
     for name in os.listdir("/proc/self/fd"):
         with contextlib.suppress(OSError):

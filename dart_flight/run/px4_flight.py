@@ -52,12 +52,12 @@ def fly_px4(
         directory: PX4's folder with bin and etc, or None to use the environment variable DART_PX4_DIR.
         seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder. The flight's folder also receives PX4's ULog as `px4.ulg`.
-        progress: callback for every record, on its own thread.
+        progress: callback for every record, on a separate thread.
         position_from: source of PX4's position: motion capture (indoors, no GPS) or a GPS receiver.
         speed: highest number of simulated seconds per second.
         realtime: whether simulated time advances without waiting for this program.
         parameter_files: PX4 parameters in addition to `configs/px4/`.
-        spreads: standard deviations by name of the quantities to draw at random (`sim.draws`).
+        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
         fault: fault of the motion capture, or None.
         viewer: callback for every record, on the thread that processed it.
 
@@ -139,10 +139,10 @@ def _px4_figures(ulog: Path, version: str | None, notify: Onlooker) -> Px4Figure
 
 
 def _for_pauses(mission: Mission, speed: float) -> Mission:
-    """Return the mission with longer timeouts of the core's guard, which allow pauses of the simulator.
+    """Return the mission with timeouts of the core's guard that are long enough for pauses of the simulator.
 
-    PX4 and the plant are in lockstep, so a stall of the computer also stops the vehicle's time. Silence is
-    therefore tolerated for at least half a second of the vehicle's time.
+    PX4 and the plant are in lockstep, so a stall of the computer also stops the vehicle's time and is
+    harmless. The guard therefore tolerates missing telemetry for at least 0.5 s divided by `speed`.
     """
     guard = mission.vehicle.guard
     timeout_s = max(guard.stream_timeout_s, _LOCKSTEP_PAUSE_S / speed)

@@ -2,11 +2,11 @@
 
 A new core, built from the mission in the log, gets the inputs in the order of their numbers. Truth and notes
 of the shell are not inputs. On the same kind of machine, outputs must be equal bit for bit. On another kind
-they must agree to a relative error of 1e-9, because the mathematics library may round differently.
+of machine a relative error of 1e-9 is allowed, because the mathematics library may round differently.
 
-With changed settings, the replay shows the decisions on the same samples. Such a replay is open loop. After
-the first command that differs, the samples still come from a vehicle that followed the recorded commands.
-`dart-flight replay` and tests use this module.
+With changed settings, the replay shows how the core decides on the recorded samples. Such a replay is open
+loop. After the first command that differs, the samples still come from a vehicle that followed the recorded
+commands. `dart-flight replay` and tests use this module.
 """
 
 from __future__ import annotations

@@ -53,8 +53,8 @@ class CoreRunner:
     Args:
         core: flight core.
         sink: receiver of the core's commands.
-        observe: callback for every input with its number, then for every output and note with the same
-            number.
+        observe: callback for each input with the input's number. It is then called with this number for each
+            output and each note (such as `SetpointSent`) that the input causes.
         host_us: function that returns the host's monotonic time, microseconds; the fast world simulates it.
     """
 

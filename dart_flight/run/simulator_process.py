@@ -42,7 +42,7 @@ class SimulatorProcess:
 
     Args:
         spec: specification of the simulated vehicle.
-        on_truth: callback for every truth record, on its own thread.
+        on_truth: callback for every truth record, on a separate thread.
     """
 
     ready_timeout_s = 20.0

@@ -92,7 +92,7 @@ class StandbyDesk:
         self._armed = armed
 
     def update_sensors(self, present: int, now_s: float) -> None:
-        """Store whether PX4's sensors include the receiver of a valid remote control."""
+        """Store whether `present`, PX4's sensor bits, contains the bit of a valid remote control."""
         self._radio_s = now_s if present & _RC_RECEIVER else -math.inf
 
     def update_switch(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:

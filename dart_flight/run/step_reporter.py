@@ -51,8 +51,8 @@ class StepReporter:
 
     Args:
         send: function that writes one line to the world; must not block.
-        batches: whether the world may advance by batches. This must be False if poses are forwarded, because
-            the order of poses and samples in a batch would depend on the computer's load.
+        batches: whether the world may advance by a batch of ticks at once. This must be False if poses are
+            forwarded, because the order of poses and samples in a batch would depend on the computer's load.
 
     Attributes:
         clock: clock of simulated time.
@@ -92,9 +92,9 @@ class StepReporter:
             self._open += 1
 
     def completes_batch(self, item: Input) -> bool:
-        """Return whether to step the core now with this input of the vehicle and all inputs in the queue.
+        """Return whether to step the core now with this input from the vehicle and all inputs in the queue.
 
-        Inputs of the vehicle are not counted as tasks, because the world itself counts what it has sent.
+        Inputs from the vehicle are not counted as tasks, because the world itself counts what it has sent.
         """
         with self._guard:
             return not self._hold_us or (isinstance(item, ImuSample) and item.t_us >= self._hold_us)
@@ -168,7 +168,7 @@ class StepReporter:
             return due
 
     def sent(self, setpoint: Setpoint) -> None:
-        """Note the setpoint that was passed to MAVSDK."""
+        """Store the values of the setpoint that was passed to MAVSDK."""
         with self._guard:
             self._sent["setpoint"] = (
                 *setpoint.position_ned,
@@ -177,7 +177,7 @@ class StepReporter:
             )
 
     def sent_pose(self, position_ned: Vec3) -> None:
-        """Note the pose that was passed to MAVSDK."""
+        """Store the position of the pose that was passed to MAVSDK."""
         with self._guard:
             self._sent["pose"] = position_ned
 

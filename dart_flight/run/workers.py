@@ -86,7 +86,7 @@ class FinishedItem(NamedTuple, Generic[I, R]):
 
 
 def attempt(fly: Callable[[I], R], item: I) -> R | Failure:
-    """Fly one item and return the result. After an exception, return a `Failure` with its line of code."""
+    """Fly one item and return the result. After an exception, return a `Failure` that names the code line."""
     try:
         return fly(item)
     except Exception as error:
@@ -175,8 +175,8 @@ def work(
 ) -> Generator[FinishedItem[I, R], None, None]:
     """Fly items in parallel and yield their results in the order of completion.
 
-    If a process dies, the whole pool breaks. The items in progress are then retried one at a time. The item
-    is therefore known if a process dies again.
+    If a process dies, the whole pool breaks. The items in progress are then retried one at a time. If a
+    process dies again, the item that caused this is therefore known.
 
     Args:
         fly: function that flies one item; pickled once for each process.

@@ -126,7 +126,7 @@ class DelayedFilter:
         self._of.ok = self._of.ok or (self._updates > 50 and self._now_s - self._fused_s < _INVALID_AFTER_S)
 
     def shift(self, by_ned: Vec3) -> None:
-        """Shift the position by a step, as EKF2 does at a reset, metres."""
+        """Shift the position by `by_ned` (metres) in one step, like a reset of EKF2."""
         self._of.resets += 1
         self._of.position, self._at_p = add(self._of.position, by_ned), add(self._at_p, by_ned)
         self._outputs = deque((add(p, by_ned), v, q) for p, v, q in self._outputs)
@@ -209,7 +209,7 @@ class DelayedFilter:
     # -- the output predictor, at the present --
 
     def _follow(self, then: tuple[Vec3, Vec3, Quaternion]) -> None:
-        """Correct the outputs towards the filter; `then` is the output at the filter's time."""
+        """Correct the outputs towards the filter's state; `then` is the old output for the filter's time."""
         p, v, q = then
         error = quaternion_multiply(quaternion_conjugate(self._at_q), q)
         sign = -2.0 if error[0] >= 0.0 else 2.0
@@ -226,7 +226,7 @@ class DelayedFilter:
 def _integrate(
     p: Vec3, v: Vec3, q: Quaternion, f: Vec3, rate: Vec3, dt_s: float
 ) -> tuple[Vec3, Vec3, Quaternion]:
-    """Return position, velocity and attitude (NED) after `dt_s` of specific force `f` and body rate, FRD."""
+    """Return position, velocity and attitude (NED) after `dt_s` with constant `f` and `rate` (FRD)."""
     q = quaternion_normalise(advance_attitude(q, rate, dt_s))
     a = add(rotate(q, f), (0.0, 0.0, GRAVITY_M_S2))
     return add(p, add(scale(v, dt_s), scale(a, 0.5 * dt_s * dt_s))), add(v, scale(a, dt_s)), q

@@ -62,7 +62,7 @@ class DrawnWorld(NamedTuple):
 
 
 def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, float]:
-    """Return the spreads by name from settings `NAME[=SD]`.
+    """Return the spreads, name -> standard deviation, from settings `NAME[=SD]`.
 
     `all` selects every quantity that the vehicle has, each with its default spread.
 
@@ -98,7 +98,7 @@ def draw_world(mission: Mission, seed: int, spreads: Mapping[str, float]) -> Dra
     Args:
         mission: the mission that the core assumes.
         seed: seed of the draws; the same seed and spreads give the same world.
-        spreads: standard deviations by name (`parse_vary`).
+        spreads: name of each drawn quantity -> standard deviation (`parse_vary`).
     """
     world = DrawnWorld(mission, None, {})
     for name in NAMES:  # in the table's order, independent of the requested order

@@ -1,8 +1,8 @@
 """The embedded autopilot: a small imitation of PX4 on the plant, without I/O and without a clock.
 
 One `step` is a tick of 4 ms: plant, sensors, estimator, modes and failsafes, control. `run.fast` runs the
-autopilot in the process of the flight core. `sim.embedded_simulator` runs the autopilot in a separate process
-and connects the autopilot over MAVLink.
+autopilot in the process of the flight core. `sim.embedded_simulator` runs the autopilot in a separate
+process, which communicates over MAVLink.
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ class Autopilot:
     def lock_pulse_us(self) -> float | None:
         """Return the pulse of the lock's output, microseconds.
 
-        If the vehicle has no lock, or while PX4 holds the output at the disarmed value, the result is None.
+        The result is None without a lock, and while PX4 holds the output at the disarmed value.
         """
         lock = self.vehicle.lock
         if lock is None:
@@ -290,7 +290,7 @@ class Autopilot:
         return self._hold
 
     def _hold_here(self) -> None:
-        """Hold the position at which the vehicle would stop, at the present heading."""
+        """Hold the present heading, and the position at which the vehicle would stop."""
         e = self.estimator
         # PX4 brakes before it holds; with the gains 0.95 1/s and 1.8 1/s that takes about 0.5 s of flight.
         ahead = 0.5 if self.armed and self.landed is not LandedState.ON_GROUND else 0.0

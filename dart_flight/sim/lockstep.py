@@ -56,10 +56,10 @@ class Lockstep:
     Args:
         autopilot: the autopilot's side of the link.
         answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not
-            answer: time must advance while a request is outstanding, but still waits for the core to process
-            telemetry.
+            answer. With PX4, time therefore advances while a request is outstanding, but waits for the core
+            to process telemetry.
         waits_at_first: whether time stands still until the application's first report.
-        sender_lag_us: largest lag of the autopilot's sender behind the autopilot in simulated microseconds.
+        sender_lag_us: simulated time, microseconds, by which the autopilot's sender may lag the autopilot.
             The lag is 0 unless the sender runs in its own thread.
     """
 

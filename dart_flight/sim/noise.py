@@ -11,7 +11,7 @@ from dart_flight.base.geometry import Vec3
 class GaussianNoise:
     """Independent normal random numbers, computed in pairs from uniform random numbers (Box and Muller).
 
-    The values equal those of `random.Random.gauss`; this copy is compiled (docs/speed.md).
+    The values equal those of `random.Random.gauss`, but this class is compiled (docs/speed.md).
 
     Args:
         rng: source of uniform numbers. Other users of the same source change the sequence.

@@ -5,8 +5,9 @@ once.
 Contacts follow the law in `dart_flight.contact.law`. They act at guards (`contact/propeller_guards.py`), or
 through the centre of mass as in the paper's equations (`simulation.contact.body: point`). Contacts are
 integrated in steps of 0.1 ms, everything else in steps of 1 ms. `contact/cylinders.py` handles posts and the
-ends of walls. `tests/sim/test_plant.py` compares the point body with reference solutions. The guards are
-compared with independent rigid bodies in `tests/sim/test_body.py` and `tests/sim/test_ends_and_posts.py`.
+ends of walls. `tests/sim/test_plant.py` compares the point body with reference solutions.
+`tests/sim/test_body.py` and `tests/sim/test_ends_and_posts.py` compare the guards with independent models of
+a rigid body.
 """
 
 from __future__ import annotations
@@ -262,8 +263,8 @@ class Plant:
 
         Returns:
             The mean specific force over `steps` milliseconds at the IMU's position, body FRD, m/s2, without
-            noise. The force includes the arms' vibration, passes the anti-alias filter and saturates at full
-            scale in each millisecond.
+            noise. The force includes the arms' vibration. In each millisecond the anti-alias filter is
+            applied and the force is limited to full scale.
         """
         fx = fy = fz = 0.0
         most = self._full_scale
@@ -724,8 +725,8 @@ class Plant:
         Arms and body vibrate against each other. The vibration moves the IMU but not the centre of mass, so
         the contact force does not depend on the vibration. Let q be the arms' displacement relative to the
         body and s the arms' share of the mass. The body is then at -s q from the centre of mass. Let w be the
-        natural frequency (rad/s), zeta the damping ratio, and a the acceleration by the contact. Then
-        q'' = -w^2 q - 2 zeta w q' - a, and the IMU measures the additional acceleration -s q''.
+        natural frequency (rad/s), zeta the damping ratio, and c the acceleration by the contact. Then
+        q'' = -w^2 q - 2 zeta w q' - c, and the IMU measures the additional acceleration -s q''.
         """
         freedom = self._arm_freedom() if self._arm_share else 0.0
         if freedom == 0.0:

@@ -1,9 +1,10 @@
 """PX4's allocation pseudo-inverse, computed once per airframe with NumPy (`allocation` uses it).
 
 PX4 builds the effectiveness matrix of the motors from their positions and yaw torques (CA_ROTOR*). PX4 then
-computes the pseudo-inverse and scales its columns (`ControlAllocationPseudoInverse`). The columns of roll and
-pitch share one scale: the larger of their two values sqrt(2 mean(x^2)), where x are the entries that are not
-zero. The column of yaw is divided by its largest entry. The column of lift is divided by its mean.
+computes the pseudo-inverse and scales its columns (`ControlAllocationPseudoInverse`). For each of the columns
+of roll and pitch, it computes sqrt(2 mean(x^2)) of the nonzero entries x. Both columns are divided by the
+larger of these two values. The column of yaw is divided by its largest entry, and the column of lift by its
+mean.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _SHAPE_DIGITS = 9  # further digits are rounding errors of the inverse
 def scaled_mix(motors: Sequence[Motor]) -> tuple[float, list[tuple[float, float, float, float]]]:
     """Return the largest scaled entry of roll and pitch, and (roll, pitch, yaw, lift) of each motor.
 
-    The roll and pitch of each motor are also divided by this largest entry.
+    The returned roll and pitch of each motor are divided by this largest entry.
     """
     mix = np.linalg.pinv(np.array(effectiveness(motors)))
     size = np.abs(mix) > 1e-6

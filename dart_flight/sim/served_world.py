@@ -37,7 +37,7 @@ class Pacer:
         self._due_s = time.monotonic()
 
     def wait(self, period_s: float) -> None:
-        """Wait until this tick is due; the next tick is due `period_s` later, without a wait if 0."""
+        """Wait until this tick is due; the next tick is due `period_s` later (0: at once)."""
         now_s = time.monotonic()
         if self._due_s > now_s:
             time.sleep(self._due_s - now_s)
@@ -55,7 +55,7 @@ def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
 
 
 class ServedWorld(Protocol):
-    """Interface of a world, with any autopilot, that `serve` connects to the app."""
+    """Interface of a world that `serve` connects to the app; the world may have any autopilot."""
 
     @property
     def time_us(self) -> int:

@@ -69,7 +69,7 @@ class VehiclePortLease:
 
 
 def _listen(port: int) -> str | None:
-    """Describe the MAVLink traffic that arrives at a port; None if there is none or the port is in use."""
+    """Describe the MAVLink traffic that arrives at a port. Return None if the port is silent or in use."""
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:

@@ -49,7 +49,7 @@ def report_from_checks(report: Any) -> Report:
 
 
 def report_from_sys_status(sensors: Sensors) -> Report:
-    """Return a report of the unhealthy sensors among the enabled; use it if PX4 sends no health reports."""
+    """Return a report of the enabled but unhealthy sensors, for a PX4 that sends no health reports."""
     bad = sensors.enabled & ~sensors.healthy
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
     refused = not sensors.healthy & _PREARM  # PX4 v1.14 sets this bit only in `healthy`

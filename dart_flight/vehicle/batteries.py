@@ -12,8 +12,8 @@ _LEAST_SHARE = 0.5
 class Batteries:
     """The batteries that BATTERY_STATUS reports, by id.
 
-    PX4 acts on the worst connected battery, so this class also selects the worst battery. The selection
-    ignores a battery of avionics or payload, and a battery whose voltage has never been enough to fly.
+    PX4 reacts to the worst of the connected batteries, so this class also selects the worst battery. The
+    selection ignores a battery of avionics or payload, and a battery whose voltage has never sufficed to fly.
 
     Args:
         lowest_v: voltage below which the vehicle must land.

@@ -30,7 +30,7 @@ class Clock(Protocol):
         """Return the host's monotonic time in microseconds; in lockstep, return the simulated time."""
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record of a request; `sent_us` and `received_us` are host times."""
+        """Return the record of a TIMESYNC round trip; `sent_us` and `received_us` are host times."""
 
     def receive(self, t_us: int, received_us: int) -> int:
         """Return the host time (us) to use as time of receipt of a message with stamp `t_us`."""
@@ -53,9 +53,9 @@ class _RealHost:
     _PACE_KNOWN = True  # whether the autopilot's time advances at the host's pace
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record of a request.
+        """Return the record of a TIMESYNC round trip.
 
-        The autopilot's time is left out, because it may advance at another pace.
+        The record omits the autopilot's time if this time may advance at another pace than host time.
         """
         return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
 
@@ -159,8 +159,8 @@ class LockstepClock(_RealHost):
     """The clock of an autopilot that runs in lockstep with a simulator.
 
     The simulator does not wait for the application. The autopilot's time advances at any pace and stops with
-    the simulator. The best estimate of the autopilot's time is therefore the newest stamp plus the time since
-    its receipt at the target pace, but at most plus 50 ms.
+    the simulator. The autopilot's time is therefore estimated as the newest stamp plus an advance. The
+    advance is the host time since the stamp's receipt times `speed`, but at most 50 ms.
 
     Args:
         speed: the simulator's target pace, simulated seconds per second.

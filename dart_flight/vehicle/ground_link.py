@@ -320,7 +320,7 @@ class GroundLink:
             )
 
     def px4_logs(self) -> Px4Logs:
-        """Return access to PX4's logs; the caller must close the returned object before this link."""
+        """Return access to PX4's logs; the caller must close the returned object, then this link."""
         return Px4Logs(self._system)
 
     def kill(self) -> None:

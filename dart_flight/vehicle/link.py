@@ -75,7 +75,7 @@ class LinkEndpoint(msgspec.Struct, frozen=True):
 def endpoint_of(url: str) -> LinkEndpoint:
     """Return the resource that a MAVSDK connection URL uses.
 
-    An invalid URL also gets a key, because MAVSDK will refuse the URL later.
+    An invalid URL also gets a key: the URL is not refused here but later, by MAVSDK.
     """
     link = parse_link(url)
     if link is None:
@@ -295,7 +295,7 @@ def udp_port_is_free(port: int, host: str = "") -> bool:
 def owner_of_udp_port(port: int) -> str:
     """Return text that names the programs that have a UDP port open.
 
-    Programs of which this user may not list the open files are missing.
+    The text omits a program if this user may not list the program's open files.
     """
     wanted = f":{port:04X}"
     inodes = set()

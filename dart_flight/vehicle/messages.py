@@ -33,7 +33,7 @@ SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "noti
 class Unusable(NamedTuple):
     """The reason why a message is not usable, such as "has a velocity".
 
-    Texts write "none" before the reason: "none has a velocity".
+    The reason is a predicate, so that texts can put "none" before it: "none has a velocity".
     """
 
     reason: str

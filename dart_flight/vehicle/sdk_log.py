@@ -66,7 +66,7 @@ def _log_repetitions() -> None:
 def closing() -> Iterator[None]:
     """Suppress errors of a connection's socket within the context.
 
-    Close the connection within the context.
+    The caller must close the connection within the context.
     """
     global _closing  # noqa: PLW0603  (MAVSDK has one log for the whole process)
     with _lock:

@@ -297,7 +297,7 @@ def servo_channel(vehicle: VehicleConfig) -> int:
 def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
     """Return one axis of HIL_SENSOR, saturated at full scale.
 
-    With a full scale of 16 g, a saturated axis has the largest count of PX4's simulated driver, and the
+    With a full scale of 16 g, a saturated axis has the largest value of PX4's simulated driver, and the
     driver reports clipping. With a smaller full scale the driver does not detect the saturation.
     """
     limit = ACCELEROMETER_LIMIT_M_S2

@@ -156,5 +156,5 @@ class HitlSimulator:
         return self._vehicle.plant
 
     def is_over(self, alone_s: float) -> bool:
-        """Return whether the flight controller is disarmed, or the app ended more than `_ORPHAN_S` ago."""
+        """Return whether the flight controller is disarmed, or the app ended over `_ORPHAN_S` seconds ago."""
         return not self._armed or alone_s > _ORPHAN_S

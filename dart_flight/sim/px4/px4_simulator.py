@@ -106,7 +106,7 @@ class Px4Simulator:
 
     @staticmethod
     def _cause(px4: Px4 | None, error: Exception) -> str:
-        """Return the cause of the end: how PX4 ended if the PX4 process has ended, otherwise the error."""
+        """Return how the PX4 process ended, or the text of the error if the process still runs."""
         if px4 is not None and isinstance(error, Px4LostError):
             time.sleep(0.05)  # wait for the process to exit
             return px4.ending() or str(error)

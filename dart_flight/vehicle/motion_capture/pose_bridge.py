@@ -151,7 +151,7 @@ class MotionCaptureBridge:
         self._source.start(self.forward)
 
     def withhold(self, *, attitude_only: bool) -> None:
-        """Stop sending poses to PX4, or only their attitudes; continue to deliver them."""
+        """Stop sending poses to PX4, or only their attitudes; the core still receives all poses."""
         with self._lock:
             self._attitude_withheld = True
             self._withheld = self._withheld or not attitude_only
