@@ -71,7 +71,7 @@ def test_a_json_pose_is_decoded() -> None:
     ("change", "reason"),
     [
         ({"position_m": [1, 2]}, "not a pose in JSON"),
-        ({"position_m": [1, 2, 2500]}, "exceeds 1000 m"),
+        ({"position_m": [1, 2, 2500]}, "not within 1000 m"),
         ({"position_m": None}, "missing"),
         ({"quaternion_wxyz": [0, 0, 0, 0]}, "length 1"),
         ({"quaternion_wxyz": [1, 1, 0, 0]}, "length 1"),
