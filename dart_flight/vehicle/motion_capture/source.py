@@ -17,7 +17,8 @@ from dart_flight.config.document import InputError
 from dart_flight.config.packages import missing_package
 
 _EXAMPLES: Final = (
-    "use optitrack://SERVER/BODY, qualisys://HOST/BODY, vicon://ADDRESS:51001/BODY or udp://ADDRESS:PORT/BODY"
+    "use optitrack://SERVER/BODY, qualisys://HOST/BODY, vicon://ADDRESS:51001/BODY, vrpn://HOST/BODY "
+    "or udp://ADDRESS:PORT/BODY"
 )
 _MAX_M: Final = 1000.0  # no room is larger; beyond this the sender's unit is not the metre
 
@@ -76,6 +77,7 @@ _SYSTEMS: Final = {
     "optitrack": ("optitrack", 1510),
     "qualisys": ("qualisys", 22223),
     "vicon": ("vicon", 51001),
+    "vrpn": ("vrpn", 3883),
     "udp": ("json_udp", None),
 }
 
