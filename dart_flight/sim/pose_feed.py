@@ -41,11 +41,12 @@ class PoseFeed:
 
     Attributes:
         frames: number of frames published.
+        tracked: whether the newest frame contains the body.
     """
 
     def __init__(self, mocap: MotionCapture, publisher: PosePublisher, other_ned: Vec3) -> None:
         self._room, self._publisher, self._other = mocap.room_frame(), publisher, other_ned
-        self.frames = 0
+        self.frames, self.tracked = 0, True
         self._fault: Fault | None = None
         self._began_s = 0.0
         self._waiting: deque[tuple[float, Pose]] = deque()  # due time (s) and pose
@@ -74,9 +75,10 @@ class PoseFeed:
         elif name == "mocap-flip":
             turn = quaternion_from_rotation_vector((0.0, 0.0, math.radians(value)))
             attitude = quaternion_multiply(attitude, turn)
-        tracked = name != "mocap-lost" or now_s - self._began_s > value
+        self.tracked = name != "mocap-lost" or now_s - self._began_s > value
         self.frames += 1
-        self._publisher.publish(round(1e6 * t_s), *self._room.pose_from_ned(position, attitude), tracked)
+        room_pose = self._room.pose_from_ned(position, attitude)
+        self._publisher.publish(round(1e6 * t_s), *room_pose, self.tracked)
         return True
 
 
@@ -99,18 +101,20 @@ class EmulatedMotionCapture:
         self.feed = PoseFeed(mission.vehicle.mocap, self._server, plant.position)
         self._published_s = -math.inf
         self._heard = False
+        self._sends_lost = kind != "vrpn"  # VRPN has no message for a lost body
 
     def publish(self, now_s: float, pose: Pose | None) -> int | None:
         """Publish a frame if it is due.
 
-        Return the number of the published frame. The result is None if no frame is due, or if no client has
-        connected so far.
+        Return the number of the published frame. The result is None if no frame is due, if no client has
+        connected so far, or if the system does not send a lost body.
         """
         if now_s <= self._published_s:
             return None  # time has not advanced
         self._published_s = now_s
         self._heard = self._heard or self._server.clients > 0
-        return self.feed.frames - 1 if self.feed.tick(now_s, pose) and self._heard else None
+        sent = self.feed.tick(now_s, pose) and (self.feed.tracked or self._sends_lost)
+        return self.feed.frames - 1 if sent and self._heard else None
 
     def close(self) -> None:
         """Close the server."""

@@ -105,7 +105,7 @@ class Hands:
         self._vehicle = vehicle
 
     def instruct(self, text: str) -> None:
-        if "turn it left" in text:
+        if "vehicle left" in text:
             self._vehicle.move()
 
     def confirm(self, question: str) -> bool:

@@ -15,6 +15,7 @@ KINDS: Final = {
     "optitrack": ("natnet_server", "NatNetServer"),
     "qualisys": ("qtm_server", "QtmServer"),
     "vicon": ("vicon_sender", "ViconSender"),
+    "vrpn": ("vrpn_server", "VrpnServer"),
     "udp": ("json_sender", "JsonSender"),
 }
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Final
 
 import msgspec
 from msgspec import Meta
 
-from dart_flight.base.geometry import Quaternion, Vec3, quaternion_normalise
+from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.vehicle.motion_capture.datagram_source import DatagramSource
-from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost_pose
+from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, checked_pose, lost_pose
 
-_MAX_M: Final = 1000.0  # no room is larger; beyond this the sender's unit is not the metre
 _MAX_S: Final = 1e11
 
 
@@ -43,12 +41,8 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
         return lost_pose(body, pose.frame, source_us, sender)
     if pose.position_m is None or pose.quaternion_wxyz is None:
         return "position_m or quaternion_wxyz is missing"
-    if not all(abs(coordinate) <= _MAX_M for coordinate in pose.position_m):
-        return f"position_m exceeds {_MAX_M:g} m"
-    if not 0.9 < math.sqrt(sum(part * part for part in pose.quaternion_wxyz)) < 1.1:
-        return "quaternion_wxyz is not of length 1"
-    attitude = quaternion_normalise(pose.quaternion_wxyz)
-    return RawPose(body, True, pose.position_m, attitude, pose.frame, source_us, sender)
+    found = RawPose(body, True, pose.position_m, pose.quaternion_wxyz, pose.frame, source_us, sender)
+    return checked_pose(found)
 
 
 def open_source(address: PoseAddress) -> DatagramSource:

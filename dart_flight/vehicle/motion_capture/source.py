@@ -7,17 +7,20 @@ thread. Each system has one module in this package, and only that module imports
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Callable
 from typing import Final, NamedTuple, Protocol
 from urllib.parse import unquote, urlsplit
 
-from dart_flight.base.geometry import IDENTITY, Quaternion, Vec3
+from dart_flight.base.geometry import IDENTITY, Quaternion, Vec3, quaternion_normalise
 from dart_flight.config.document import InputError
 from dart_flight.config.packages import missing_package
 
 _EXAMPLES: Final = (
-    "use optitrack://SERVER/BODY, qualisys://HOST/BODY, vicon://ADDRESS:51001/BODY or udp://ADDRESS:PORT/BODY"
+    "use optitrack://SERVER/BODY, qualisys://HOST/BODY, vicon://ADDRESS:51001/BODY, vrpn://HOST/BODY "
+    "or udp://ADDRESS:PORT/BODY"
 )
+_MAX_M: Final = 1000.0  # no room is larger; beyond this the sender's unit is not the metre
 
 
 class RawPose(NamedTuple):
@@ -35,6 +38,15 @@ class RawPose(NamedTuple):
 def lost_pose(body: str, frame_number: int | None, source_us: int | None, sender: str) -> RawPose:
     """Return the pose of a body that the source does not track at present."""
     return RawPose(body, False, (0.0, 0.0, 0.0), IDENTITY, frame_number, source_us, sender)
+
+
+def checked_pose(pose: RawPose) -> RawPose | str:
+    """Return a pose with its attitude normalised, or the reason why the numbers are not a pose in metres."""
+    if not all(abs(coordinate) <= _MAX_M for coordinate in pose.position_room):
+        return f"position is not within {_MAX_M:g} m"
+    if not 0.9 < math.sqrt(sum(part * part for part in pose.q_body_to_room)) < 1.1:
+        return "quaternion is not of length 1"
+    return pose._replace(q_body_to_room=quaternion_normalise(pose.q_body_to_room))
 
 
 class PoseSource(Protocol):
@@ -65,6 +77,7 @@ _SYSTEMS: Final = {
     "optitrack": ("optitrack", 1510),
     "qualisys": ("qualisys", 22223),
     "vicon": ("vicon", 51001),
+    "vrpn": ("vrpn", 3883),
     "udp": ("json_udp", None),
 }
 

@@ -24,12 +24,13 @@ def test_a_url_names_system_host_port_and_body() -> None:
     )
     assert parse_url("vicon://0.0.0.0:51002/my%20drone")[1][2:] == (51002, "my drone")
     assert parse_url("qualisys://lab/3")[1][1:] == ("lab", 22223, "3")
+    assert parse_url("vrpn://lab/dart") == ("vrpn", ("vrpn://lab/dart", "lab", 3883, "dart"))
 
 
 @pytest.mark.parametrize(
     ("url", "fragment"),
     [
-        ("vrpn://10.0.0.1/dart", "optitrack://SERVER/BODY"),
+        ("ros://10.0.0.1/dart", "optitrack://SERVER/BODY"),
         ("optitrack://10.0.0.1", "optitrack://SERVER/BODY"),
         ("udp://0.0.0.0/dart", "add a port"),
         ("udp://0.0.0.0:99999/dart", "udp://ADDRESS:PORT/BODY"),
@@ -73,7 +74,7 @@ def test_a_json_pose_is_decoded() -> None:
     ("change", "reason"),
     [
         ({"position_m": [1, 2]}, "not a pose in JSON"),
-        ({"position_m": [1, 2, 2500]}, "exceeds 1000 m"),
+        ({"position_m": [1, 2, 2500]}, "not within 1000 m"),
         ({"position_m": None}, "missing"),
         ({"quaternion_wxyz": [0, 0, 0, 0]}, "length 1"),
         ({"quaternion_wxyz": [1, 1, 0, 0]}, "length 1"),

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import io
 import math
 import queue
 import socket
@@ -9,6 +10,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from typing import Any
 
@@ -28,7 +30,7 @@ from dart_flight.base.geometry import (
 from dart_flight.config.document import InputError
 from dart_flight.sim.motion_capture import PoseServer, make_server
 from dart_flight.sim.motion_capture.vicon_sender import euler_xyz
-from dart_flight.vehicle.motion_capture import vicon
+from dart_flight.vehicle.motion_capture import vicon, vrpn
 from dart_flight.vehicle.motion_capture.optitrack import ServerInfo, decode_server_info
 from dart_flight.vehicle.motion_capture.qualisys import body_names
 from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
@@ -82,17 +84,19 @@ def test_a_source_reads_its_emulated_system(kind: str) -> None:
         assert (first.source_us, second.source_us) == (1_000_000, 1_020_000)
 
 
-@pytest.mark.parametrize("kind", ["optitrack", "qualisys"])
+@pytest.mark.parametrize("kind", ["optitrack", "qualisys", "vrpn"])
 def test_an_unknown_body_is_refused_with_the_names_of_the_known_bodies(kind: str) -> None:
     server = make_server(kind, BODY)
     try:
-        with pytest.raises(InputError, match=f"no .*body cat, only .*{BODY}.*wand"):
+        with pytest.raises(InputError, match=f"no .* cat, only .*{BODY}.*wand"):
             open_source(server.url.rpartition("/")[0] + "/cat")
     finally:
         server.close()
 
 
-@pytest.mark.parametrize(("scheme", "program"), [("optitrack", "Motive"), ("qualisys", "QTM")])
+@pytest.mark.parametrize(
+    ("scheme", "program"), [("optitrack", "Motive"), ("qualisys", "QTM"), ("vrpn", "9: Connection refused")]
+)
 def test_a_system_that_does_not_answer_is_named(
     scheme: str, program: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -370,3 +374,147 @@ def test_the_transmission_of_an_optitrack_server_is_decoded() -> None:
     assert decode_server_info(data[:270]) == ServerInfo()
     assert decode_server_info(b"\7\0" + data[2:]) is None
     assert decode_server_info(data[:100]) is None
+
+
+# --- VRPN, byte by byte --------------------------------------------------------------------------------
+
+VRPN_COOKIE = b"vrpn: ver. 07.33  0\0\0\0\0\0"
+VRPN_NAMES = (
+    bytes.fromhex("00000024 00000000 00000000 00000002 ffffffff 00000000 00000008")
+    + b"my dart\0\0\0\0\0"
+    + bytes.fromhex("00000032 00000000 00000000 00000005 fffffffe 00000000 00000016")
+    + b"vrpn_Tracker Pos_Quat\0\0\0\0\0\0\0"
+)
+VRPN_HEADER = bytes.fromhex("00000058 00000003 00000007 00000002 00000005 00000029")
+VRPN_POSE = VRPN_HEADER + bytes.fromhex(
+    "00000000 00000000"
+    "3ff4000000000000 c004000000000000 3fe8000000000000"
+    "0000000000000000 0000000000000000 3fe3333333333333 3fe999999999999a"
+)
+NAN = bytes.fromhex("7ff8000000000000")
+
+
+def vrpn_poses(data: bytes) -> list[RawPose | str]:
+    return list(vrpn.read_poses(io.BytesIO(VRPN_COOKIE + data), BODY, "a:1", {}))
+
+
+def test_a_vrpn_pose_is_decoded() -> None:
+    other_sensor = VRPN_POSE[:27] + b"\1" + VRPN_POSE[28:]
+    other_sender = VRPN_POSE[:15] + b"\3" + VRPN_POSE[16:]
+    other_type = VRPN_POSE[:19] + b"\4" + VRPN_POSE[20:]
+    port = bytes.fromhex("0000001d 00000000 00000000 0000c350 fffffffd 00000000") + b"host\0\0\0\0"
+    data = port + VRPN_NAMES + other_sensor + other_sender + other_type + VRPN_POSE
+    (pose,) = vrpn_poses(data + VRPN_POSE[:50])  # the connection is lost in the last message
+    assert isinstance(pose, RawPose)
+    assert pose.position_room == POSITION
+    assert pose.q_body_to_room == pytest.approx((0.8, 0.0, 0.0, 0.6))
+    assert (pose.body, pose.tracked, pose.frame_number, pose.source_us) == (BODY, True, 41, 3_000_007)
+    assert vrpn_poses(VRPN_POSE + VRPN_NAMES[:40] + VRPN_POSE) == []  # before the names are known
+    padded = b"\0\0\0\x28" + VRPN_NAMES[4:40] + b"\0\0\0\x38" + VRPN_NAMES[44:]
+    assert vrpn_poses(padded + VRPN_POSE) == [pose]
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"\0\0\0\x17" + VRPN_POSE[4:], "message of 23 bytes"),
+        (b"\xff\xff\xff\xff" + VRPN_POSE[4:], "message of 4294967295 bytes"),
+        (b"\0\0\0\x50" + VRPN_POSE[4:-8], "pose of 56 bytes"),
+    ],
+)
+def test_nonsense_of_a_vrpn_server_is_an_error(data: bytes, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        vrpn_poses(VRPN_NAMES + data)
+    with pytest.raises(ValueError, match="no cookie of VRPN 7"):
+        list(vrpn.read_poses(io.BytesIO(b"SSH-2.0-OpenSSH_9.2"), BODY, "a:1", {}))
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (VRPN_POSE[:32] + NAN + VRPN_POSE[40:], "not within 1000 m"),
+        (VRPN_POSE[:-8] + NAN, "length 1"),
+        (VRPN_POSE[:56] + bytes(32), "length 1"),
+    ],
+)
+def test_a_vrpn_pose_that_is_none_is_ignored_with_its_reason(data: bytes, reason: str) -> None:
+    (found, pose) = vrpn_poses(VRPN_NAMES + data + VRPN_POSE)
+    assert reason in str(found)
+    assert isinstance(pose, RawPose)
+
+
+@given(st.binary(max_size=300), st.integers(0, 87))
+def test_any_vrpn_bytes_are_poses_or_an_error(data: bytes, place: int) -> None:
+    damaged = VRPN_POSE[:place] + data[:4] + VRPN_POSE[place + 4 :]
+    for nonsense in (data, VRPN_COOKIE + data, VRPN_COOKIE + VRPN_NAMES + damaged + data):
+        with contextlib.suppress(ValueError):
+            for pose in vrpn.read_poses(io.BytesIO(nonsense), BODY, "a:1", {}):
+                assert isinstance(pose, str | RawPose)
+
+
+def test_a_vrpn_source_names_a_silent_body_and_reads_on() -> None:
+    with fed("vrpn") as (server, source, poses):
+        server.publish(1_000_000, POSITION, ATTITUDE)
+        server.publish(1_010_000, POSITION, ATTITUDE, tracked=False)  # only the wand's pose
+        until(lambda: source.problem)
+        assert "no pose of my dart (sensor 0) for" in str(source.problem)
+        server.publish(1_020_000, POSITION, ATTITUDE)
+        first, second = poses.get(timeout=30), poses.get(timeout=30)
+        assert source.problem is None
+    assert first.position_room == pytest.approx(POSITION)
+    assert rotation_angle(first.q_body_to_room, ATTITUDE) < 1e-6
+    assert (first.frame_number, second.frame_number) == (0, 2)
+    assert (first.source_us, second.source_us) == (1_000_000, 1_020_000)
+
+
+def test_a_vrpn_source_survives_nonsense_and_a_restart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vrpn, "_RETRY_S", 0.05)
+    poses: queue.Queue[RawPose] = queue.Queue()
+    greeting = VRPN_COOKIE + VRPN_NAMES
+    listener = socket.create_server(("127.0.0.1", 0))
+    port = listener.getsockname()[1]
+
+    def serve(data: bytes) -> socket.socket:
+        link, _ = listener.accept()
+        cookie = link.recv(100)
+        assert (len(cookie), cookie[:14], cookie[16:19]) == (24, b"vrpn: ver. 07.", b"  0")
+        link.sendall(data)
+        return link
+
+    def is_named(reason: str) -> None:
+        until(lambda: f"VRPN server at 127.0.0.1:{port}: {reason}" == source.problem)
+
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(serve, greeting + VRPN_POSE[:32] + NAN + VRPN_POSE[40:])
+        source = open_source(f"vrpn://127.0.0.1:{port}/my%20dart")
+        link = first.result()
+    source.start(poses.put)
+    try:
+        is_named("position is not within 1000 m")
+        link.close()
+        link = serve(greeting + b"\xff" * 24)
+        is_named("message of 4294967295 bytes")
+        with pytest.raises(ConnectionResetError):  # a reset leaves the server's port free
+            link.recv(1)
+        for data, reason in (
+            (b"HTTP/1.1 400 Bad Request", "no cookie of VRPN 7"),
+            (VRPN_COOKIE, "no answer"),
+            (
+                VRPN_COOKIE + VRPN_NAMES[40:] + VRPN_NAMES[:24] + b"\0\0\0\4cat\0" + bytes(8),
+                "no sender my dart, only cat",
+            ),
+        ):
+            link.close()
+            link = serve(data)
+            is_named(reason)
+        link.close()
+        link = serve(greeting + VRPN_POSE)
+        assert poses.get(timeout=30).position_room == POSITION
+        assert source.problem is None
+        listener.close()
+        link.close()
+        is_named("Connection refused")
+    finally:
+        source.stop()
+        link.close()
+        listener.close()

@@ -1,0 +1,141 @@
+"""A pose source for any VRPN server, over one TCP connection.
+
+The layout is taken from the public description of VRPN's protocol; all numbers are big-endian. Both ends
+first send a cookie with their version. A header and a payload, padded to 8 bytes, are a message. The server
+describes the numbers of its senders and types by names. It sends nothing for a body that is not tracked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import BinaryIO, Final
+
+from dart_flight.config.document import InputError
+from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, checked_pose
+
+_VERSION: Final = b"vrpn: ver. 07."  # the minor version that follows may differ
+_COOKIE: Final = (_VERSION + b"35  0").ljust(24, b"\0")  # 0: the server writes no log
+# Length without padding, stamp (s, µs), sender, type, and the sequence number that VRPN's library adds.
+_HEADER: Final = struct.Struct(">3I2iI")
+_POSE: Final = struct.Struct(">i4x7d")  # sensor, position in metres, attitude as x, y, z, w
+_SENDER_NAME, _TYPE_NAME = -1, -2  # types of the descriptions
+_MAX_MESSAGE: Final = 65536
+_TIMEOUT_S, _SILENT_S, _RETRY_S = 3.0, 1.0, 1.0
+
+
+def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]) -> Iterator[RawPose | str]:
+    """Yield each pose of a body, or the reason why it is none, until the stream ends; add all senders' names.
+
+    Raises:
+        ValueError: the server does not speak VRPN.
+    """
+    if not stream.read(len(_COOKIE)).startswith(_VERSION):
+        raise ValueError("no cookie of VRPN 7")
+    types: dict[int, str] = {}
+    while len(header := stream.read(_HEADER.size)) == _HEADER.size:
+        length, seconds, micros, sender, kind, number = _HEADER.unpack(header)
+        size = length - _HEADER.size
+        if not 0 <= size <= _MAX_MESSAGE:
+            raise ValueError(f"message of {length} bytes")
+        payload = stream.read(size + -size % 8)[:size]
+        if len(payload) < size:
+            return
+        if kind in (_SENDER_NAME, _TYPE_NAME):
+            names = senders if kind == _SENDER_NAME else types
+            names[sender] = payload[4:].partition(b"\0")[0].decode("utf-8", "replace")
+        elif types.get(kind) == "vrpn_Tracker Pos_Quat" and senders.get(sender) == body:
+            if size != _POSE.size:
+                raise ValueError(f"pose of {size} bytes")
+            sensor, px, py, pz, x, y, z, w = _POSE.unpack(payload)
+            if sensor == 0:
+                stamp_us = 1_000_000 * seconds + micros
+                yield checked_pose(RawPose(body, True, (px, py, pz), (w, x, y, z), number, stamp_us, server))
+
+
+class VrpnSource:
+    """A source that reads sensor 0 of one sender, on its own thread.
+
+    Args:
+        address: the server's host and port, and the sender's name.
+
+    Raises:
+        InputError: no VRPN server answers, or the server does not describe the sender.
+    """
+
+    def __init__(self, address: PoseAddress) -> None:
+        self._address, self._server = address, f"{address.host}:{address.port}"
+        self._deliver: Callable[[RawPose], None] = lambda _: None
+        self._senders: dict[int, str] = {}
+        self._error: str | None = None
+        self._pose_s = opened_s = time.monotonic()
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="mocap", daemon=True)
+        self._thread.start()
+        while address.body not in self._names():
+            if self._error is not None or time.monotonic() > opened_s + _TIMEOUT_S:
+                problem = self.problem
+                self.stop()
+                raise InputError(f"mocap URL {address.url}: {problem}")
+            time.sleep(0.01)
+
+    def _names(self) -> list[str]:
+        return sorted({*self._senders.copy().values()} - {"VRPN Control"})  # a sender of every server
+
+    @property
+    def problem(self) -> str | None:
+        """The reason why no poses arrive, or None while they arrive."""
+        body, names, error = self._address.body, self._names(), self._error
+        silent_s = time.monotonic() - self._pose_s
+        if error is None and silent_s > _SILENT_S:
+            error = f"no sender {body}, only {', '.join(names)}" if names else "no answer"
+            if body in names:
+                error = f"no pose of {body} (sensor 0) for {silent_s:.0f} s"
+        return None if error is None else f"VRPN server at {self._server}: {error}"
+
+    def start(self, deliver: Callable[[RawPose], None]) -> None:
+        """Deliver every further pose on the source's thread."""
+        self._deliver = deliver
+
+    def stop(self) -> None:
+        """Stop delivering and close the connection."""
+        self._stopped.set()
+        with contextlib.suppress(OSError, AttributeError):  # not connected
+            self._link.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+
+    def _run(self) -> None:
+        """Read poses until stopped; connect again if the connection is lost."""
+        while not self._stopped.is_set():
+            try:
+                with socket.create_connection(self._address[1:3], _TIMEOUT_S) as self._link:
+                    if not self._stopped.is_set():
+                        self._read(self._link)
+            except (OSError, ValueError) as error:
+                self._error = getattr(error, "strerror", None) or str(error)
+            self._stopped.wait(_RETRY_S)
+
+    def _read(self, link: socket.socket) -> None:
+        link.sendall(_COOKIE)
+        link.settimeout(None)
+        # The source sends nothing more, so only probes detect a server that lost its network.
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT):
+            link.setsockopt(socket.IPPROTO_TCP, option, 2)
+        # Reset the connection on closing: a closed one would keep a restarted server from its port for 60 s.
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self._error, self._senders = None, {}
+        with link.makefile("rb") as stream:
+            for pose in read_poses(stream, self._address.body, self._server, self._senders):
+                self._error = pose if isinstance(pose, str) else None
+                if isinstance(pose, RawPose):
+                    self._pose_s = time.monotonic()
+                    self._deliver(pose)
+        self._error = "connection lost"
+
+
+open_source = VrpnSource
