@@ -453,10 +453,10 @@ def test_any_vrpn_bytes_are_poses_or_an_error(data: bytes, place: int) -> None:
 
 
 def test_a_vrpn_source_names_a_silent_body_and_reads_on() -> None:
-    with fed("vrpn") as (server, source, poses):
+    with connected_source("vrpn") as (server, source, poses):
         server.publish(1_000_000, POSITION, ATTITUDE)
         server.publish(1_010_000, POSITION, ATTITUDE, tracked=False)  # only the wand's pose
-        until(lambda: source.problem)
+        wait_until(lambda: source.problem)
         assert "no pose of my dart (sensor 0) for" in str(source.problem)
         server.publish(1_020_000, POSITION, ATTITUDE)
         first, second = poses.get(timeout=30), poses.get(timeout=30)
@@ -482,7 +482,7 @@ def test_a_vrpn_source_survives_nonsense_and_a_restart(monkeypatch: pytest.Monke
         return link
 
     def is_named(reason: str) -> None:
-        until(lambda: f"VRPN server at 127.0.0.1:{port}: {reason}" == source.problem)
+        wait_until(lambda: f"VRPN server at 127.0.0.1:{port}: {reason}" == source.problem)
 
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(serve, greeting + VRPN_POSE[:32] + NAN + VRPN_POSE[40:])
