@@ -1,6 +1,7 @@
 """Cholesky solution of symmetric, positive definite systems of a few unknowns, in scalar arithmetic.
 
-A matrix H is given by its lower triangle: row i holds at least the first i + 1 numbers of the matrix's row.
+A matrix H is given by its lower triangle: row i of the triangle holds at least the first i + 1 numbers of row
+i of H.
 """
 
 from __future__ import annotations

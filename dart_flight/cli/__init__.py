@@ -120,7 +120,7 @@ def _names(action: argparse.Action) -> list[str]:
 
 
 def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
-    """Return the parser; only the wanted commands are imported and add their arguments."""
+    """Return the parser; import only the wanted commands and add their arguments."""
     parser = _Parser(prog="dart-flight", description="Fly a dual-stiffness quadrotor into walls on purpose.")
     parser.add_argument("--version", action="version", version=f"dart-flight {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)

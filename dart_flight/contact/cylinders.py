@@ -55,7 +55,8 @@ class NearestPoint(NamedTuple):
         normal: NED, horizontal, from the cylinder into the vehicle.
         guard: the point itself as a guard, body FRD.
         share: stiffness and damping at this point, as a share of the whole side's k and f.
-        deflections: number of each guard that carries the point, and its deflection per metre of depth.
+        deflections: for each guard that carries the point, the guard's number and deflection per metre of
+            depth.
     """
 
     x_m: float
@@ -267,7 +268,7 @@ class WallWithEnds:
     def may_touch(self, q: Quaternion, position: Vec3, within_m: float) -> bool:
         """Return whether the wall can press any point while the vehicle's points move by at most `within_m`.
 
-        If none can, update the stored contact state as `touch` would.
+        If the wall can press no point, update the stored contact state as `touch` would.
         """
         end = self.plane.half_length_m + within_m
         feet = list(self._foot_points(q, position))

@@ -112,8 +112,7 @@ class Detection(Section, frozen=True):
             per_axis: the larger of its two components along the mission's axes.
         peak_wait_s: longest wait for the peak after the onset.
         refractory_s: time after a contact in which no new impact is registered.
-        noise_sigma: the threshold is at least this multiple of the measured noise of the force that is
-            compared with it.
+        noise_sigma: the threshold is at least this multiple of the measured noise of the compared force.
     """
 
     force_threshold_n: Annotated[float, Meta(gt=0.0, le=1000.0)]

@@ -22,7 +22,7 @@ class GuardThresholds(Section, frozen=True):
         battery_v: if the battery voltage is below this, the vehicle lands.
         kill_after_s: if the vehicle is still armed in PX4's land mode after this time, the motors are
             stopped; null: never.
-        wall_late_s: if there is no contact this long after the planned impact, the vehicle breaks off.
+        wall_late_s: if no contact occurs within this time after the planned impact, the vehicle breaks off.
         wall_early_m: a contact farther than this in front of the wall's plane is not a contact with the
             planned wall, and the vehicle breaks off.
         deadman_s: if the core thread or the event loop is blocked for longer than this, the program is
@@ -65,9 +65,10 @@ class Flying(Section, frozen=True):
             computed from this sample. The setpoint is therefore the reference at a time that is later by this
             delay. null: 0.024 with PX4, none in the embedded simulator.
         attitude_delay_s: further delay, in addition to setpoint_delay_s, because the attitude's rate loop
-            responds late. Acceleration and jerk are the reference's at a time that is later by both delays.
-            null: 0.05 with PX4, none in the embedded simulator.
-        ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
+            responds late. The acceleration and jerk of the setpoint are those of the reference at a time that
+            is later by both delays. null: 0.05 with PX4, none in the embedded simulator.
+        ready_timeout_s: longest wait for telemetry, for offboard mode, for arming, or for the end of a climb
+            or transit.
         replan_within_s: time from the end of a contact to the start of a trajectory planned in flight; the
             planner must finish within it.
     """
