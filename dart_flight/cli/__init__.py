@@ -67,7 +67,7 @@ _WRONG_VALUE = re.compile(r"argument (?P<name>.+?): invalid (choice|\w+ value): 
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that reports a usage error in one line, with the nearest valid word."""
+    """Parser that reports a usage error in one line, with the valid word most similar to the wrong word."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.exit(EXIT_INPUT, f"{self.prog}: {self._suggest_choice(message)} (see `{self.prog} --help`)\n")

@@ -41,7 +41,7 @@ class Cylinder(NamedTuple):
 
 
 class Corner(NamedTuple):
-    """A corner of the vehicle's outline, with the numbers of all guards at this place."""
+    """A corner of the vehicle's outline, with the indices of all guards at this place."""
 
     guard: PropellerGuard
     numbers: tuple[int, ...]
@@ -55,7 +55,7 @@ class NearestPoint(NamedTuple):
         normal: NED, horizontal, from the cylinder into the vehicle.
         guard: the point itself as a guard, body FRD.
         share: stiffness and damping at this point, as a share of the whole side's k and f.
-        deflections: for each guard that carries the point, the guard's number and deflection per metre of
+        deflections: for each guard that carries the point, the guard's index and deflection per metre of
             depth.
     """
 
@@ -227,7 +227,7 @@ class WallWithEnds:
     Attributes:
         plane: the surface.
         edges: edges at the left and the right end, looking along the normal.
-        beside: numbers of the guards that are behind the surface but did not pass through it.
+        beside: indices of the guards that are behind the surface but did not pass through it.
         depths: deflection of each guard at the last call of `touch`, metres.
     """
 
@@ -344,7 +344,7 @@ class WallWithEnds:
         return _press(points, q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)[0]
 
     def _foot_points(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
-        """Yield each guard's number, height over the surface, and offset from the middle along the wall."""
+        """Yield each guard's index, height over the surface, and offset from the middle along the wall."""
         o = self.plane.point
         offset = (position[0] - o[0], position[1] - o[1], position[2] - o[2])
         n, t = rotate_back(q, self.plane.normal), rotate_back(q, self.plane.tangent)

@@ -16,7 +16,7 @@ class GuardThresholds(Section, frozen=True):
         stream_timeout_s: if the IMU, attitude or odometry is silent for longer than this, the vehicle lands.
         tilt_deg: if the tilt exceeds this angle, the vehicle lands.
         wall_overrun_m: if the vehicle is this far behind the wall's plane without a contact, it breaks off.
-        retreat_m: distance from the wall that is kept after breaking off.
+        retreat_m: distance that the vehicle keeps from the wall after breaking off.
         imu_timeout_s: if only the IMU is silent for longer than this, the vehicle lands.
         battery_remaining: if the remaining charge is below this share, the vehicle lands.
         battery_v: if the battery voltage is below this, the vehicle lands.
