@@ -240,8 +240,9 @@ class Imu(Section, frozen=True):
         rate_hz: rate of the samples that PX4 sends.
         tick_s: time over which one sample is averaged.
         antialias_hz: -3 dB frequency of the accelerometer's own low-pass, first order.
-        position_m: position of the IMU, [forward, right, down] of the centre of mass. The force estimate uses
-            it to remove the accelerations that the vehicle's rotation causes at the IMU.
+        position_m: position of the IMU, [forward, right, down] of the centre of mass. From this position the
+            force estimate computes and removes the accelerations that the vehicle's rotation causes at the
+            IMU.
     """
 
     full_scale_m_s2: Annotated[float, Meta(ge=10.0, le=5000.0)]
