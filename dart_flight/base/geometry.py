@@ -241,7 +241,7 @@ def yaw_ned_of(q_frd_to_ned: Quaternion) -> float:
 
 
 def tilt_of(q_frd_to_ned: Quaternion) -> float:
-    """Return the angle between the body's and the world's vertical, radians."""
+    """Return the angle between the body's vertical axis and the world's vertical, radians."""
     _, x, y, _ = q_frd_to_ned
     return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
 

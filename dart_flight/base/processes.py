@@ -21,8 +21,8 @@ LATE_S = 0.05  # a larger scheduling latency endangers a flight in real time
 def use_idle_priority() -> None:
     """Run this process and its later threads only while a processor is idle.
 
-    A higher nice value alone still leaves the process a share of the processor in time slices of
-    milliseconds. A process of the idle class (sched(7)) yields at once.
+    With only a higher nice value, the process would still receive time slices of milliseconds. A process of
+    the idle class (sched(7)) yields at once.
     """
     with contextlib.suppress(OSError):
         os.nice(_WATCHING_NICE)

@@ -134,7 +134,7 @@ class Phase(StrEnum):
 
 
 class Override(StrEnum):
-    """Action of a guard override; a later action in this list replaces an earlier one."""
+    """Action of a guard override; an action replaces every action that is listed above it."""
 
     NONE = "none"
     GIVE_UP = "give_up"  # on the ground: end the mission before take-off
@@ -146,7 +146,7 @@ class Override(StrEnum):
 
     @property
     def rank(self) -> int:
-        """Position in the list of actions; a higher rank replaces a lower one."""
+        """Position in the list of actions; an action of higher rank replaces an action of lower rank."""
         return _RANKS[self]
 
 
@@ -239,7 +239,7 @@ class StatusSample(Record, frozen=True, gc=False):
 
 
 class EstimatorSample(Record, frozen=True, gc=False):
-    """State of PX4's estimator, from ODOMETRY's reset counter and ESTIMATOR_STATUS; None if not reported."""
+    """State of PX4's estimator (ODOMETRY's reset counter, ESTIMATOR_STATUS); unreported fields are None."""
 
     topic: ClassVar[str] = "/in/estimator"
     frequent: ClassVar[bool] = True
@@ -474,7 +474,7 @@ class LockCommand(Record, frozen=True, gc=False):
 
 
 class LockPermission(Record, frozen=True, gc=False):
-    """Whether the lock's state machine may move the lock: the arms have no contact and are back in place."""
+    """Whether the lock's state machine may move the lock: the arms have no contact and have sprung back."""
 
     topic: ClassVar[str] = "/out/lock_permission"
     t_us: int
@@ -701,7 +701,7 @@ class PhaseChange(Record, frozen=True, gc=False):
 
 
 class PosesWithheld(Record, frozen=True, gc=False):
-    """Notice that this program has stopped forwarding wrong poses; PX4 uses its IMU instead.
+    """End of pose forwarding, because the poses are wrong; PX4 uses its IMU instead.
 
     If only the attitudes of the poses are wrong, the positions are still forwarded.
     """
@@ -723,7 +723,7 @@ class GuardEvent(Record, frozen=True, gc=False):
 
 
 class GoalPassed(Record, frozen=True, gc=False):
-    """Closest approach to the goal after the last contact; then the vehicle holds its place at the goal."""
+    """Closest approach to the goal after the last contact; the vehicle then flies to the goal and holds."""
 
     topic: ClassVar[str] = "/event/goal"
     t_us: int

@@ -27,7 +27,7 @@ class Stream(msgspec.Struct, frozen=True):
 
     @property
     def watched_hz(self) -> float:
-        """Rate requested by a command that does not fly: `rate_hz` for the IMU, at most 62.5 Hz otherwise."""
+        """Rate requested by a command that does not fly: `rate_hz` for the IMU, else at most 62.5 Hz."""
         return self.rate_hz if self.name == "imu" else min(self.rate_hz, 62.5)
 
 

@@ -47,9 +47,9 @@ class Wall(msgspec.Struct, frozen=True):
         material: key of the materials table.
         position_sd_m: standard deviation of the plane's position along the normal; None if not configured.
         yaw_sd_rad: standard deviation of the plane's direction, about `point`; None if not configured.
-        half_vehicle_m: distance from the vehicle's centre to the vehicle's side. Measured along the wall, an
-            impact is at least this distance inside the ends of the wall, and a path past the wall is at least
-            this distance outside the ends.
+        half_vehicle_m: distance from the vehicle's centre to the vehicle's side. An impact is at least this
+            distance inside the ends of the wall. A path past the wall is at least this distance outside the
+            ends. Both are measured along the wall.
         post_radius_m: radius of the post, if the wall is the tangent plane of a post; 0 for a flat wall.
         sought: whether a probe searches for the wall, because the wall's position is unknown. In this case,
             the plane is assumed at the end of the probe's path.

@@ -3,5 +3,5 @@
 `checks` lists all checks by stage, and `stages` runs them. `mission_check` judges a mission alone: bounds,
 walls, speeds, forces, servo times, coefficients. With a connection, `vehicle_reading` reads the vehicle's
 parameters and telemetry; `telemetry_check`, `vehicle_check` and `place_check` judge them. `px4_parameters`
-explains the PX4 parameters that matter in a collision and compares the others with `configs/px4/`.
+explains the PX4 parameters that matter in a collision and compares the other parameters with `configs/px4/`.
 """

@@ -31,7 +31,7 @@ _LEAST_MARGIN = 4.0  # below this, core, log and link together need more than on
 
 
 def check_lateness(mission: Mission) -> CheckFinding:
-    """Measure for half a second how late this program runs.
+    """Measure the lateness of this program for half a second.
 
     The finding is a no-go if the lateness exceeds the guard's `stream_timeout_s`.
     """

@@ -8,7 +8,7 @@ from dart_flight.config.mission import Mission
 
 
 def check_inherited(mission: Mission) -> list[CheckFinding]:
-    """Return a remark that lists the inherited values, contradictions first, or nothing if there are none."""
+    """Return a remark that lists the inherited values, contradictions first; without such values, nothing."""
     source = mission.vehicle_source
     if source is None:
         return []

@@ -305,7 +305,7 @@ def _check_recovery(
 ) -> list[CheckFinding]:
     """Check the place to which a recovery leads.
 
-    If the mission hits the next wall from the recovery, the recovery must lead to that wall. Otherwise the
+    If the vehicle hits the next wall during the recovery, the recovery must lead to that wall. Otherwise the
     recovery must hit no wall and no post.
     """
     hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
@@ -375,9 +375,9 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
 def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
     """Return a finding about the recovery setpoint's distance outside the bounds.
 
-    A setpoint slightly outside is a remark, because the vehicle reaches the place that `first` names before
-    it reaches the setpoint. A setpoint far outside is a no-go, because the collision's gain alpha is probably
-    wrong.
+    The text `first` names the place that the vehicle reaches before the setpoint. Therefore a setpoint
+    slightly outside is only a remark. A setpoint far outside is a no-go, because the collision's gain alpha
+    is probably wrong.
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:

@@ -77,8 +77,8 @@ def read_differences(
         link: connection to the vehicle.
         mission: provides the vehicle and the frame.
         claimed: position source that the operator claims, or None. With None the source is motion capture if
-            the configuration has one; otherwise the vehicle's parameters select the source.
-        restored: file to restore, or None. The wanted values are then the values of this file.
+            the configuration has a motion capture; otherwise the vehicle's parameters select the source.
+        restored: file to restore, which then gives the wanted values, or None.
         progress: receives the number of parameters read and the total number.
 
     Raises:

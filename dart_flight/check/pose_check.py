@@ -16,7 +16,7 @@ _ARRIVES_HZ = 0.2
 
 
 def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFinding]:
-    """Return a finding for each defect of the poses, or one finding that they are in order.
+    """Return a finding for each defect of the poses, or one finding that the poses are correct.
 
     Return nothing if this program forwards no poses.
 

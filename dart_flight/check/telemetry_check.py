@@ -46,7 +46,7 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
 
     Args:
         rates_hz: rate of each stream; the keys are the names in the stream table.
-        unusable: for each stream with an unusable message, the reason.
+        unusable: the reason for each stream that has an unusable message.
     """
     slow = {name: rate < BY_NAME[name].expected_hz for name, rate in rates_hz.items()}
     return [
@@ -60,7 +60,7 @@ def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[C
 
     Args:
         observed: rates and senders.
-        values: parameters read from the vehicle, including `LOOPBACK` if this parameter was read.
+        values: parameters read from the vehicle, including MAV_ODOM_LP (`LOOPBACK`) if it was read.
     """
     findings = []
     for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):

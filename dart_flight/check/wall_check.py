@@ -92,7 +92,7 @@ def _check_collision(
 
 
 def _target_wall_problems(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]:
-    """Yield a phrase for each problem that the uncertain position of the wall to be hit may cause."""
+    """Yield a phrase for each problem that may occur because the target wall's position is uncertain."""
     wall = collision.wall
     if not wall.is_uncertain:
         return
@@ -107,7 +107,7 @@ def _target_wall_problems(mission: Mission, collision: Collision, place: Vec2) -
 
 
 def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
-    """Yield a phrase for each other wall that may block the run-up or the trajectory."""
+    """Yield a phrase for every wall, except the target, that may block the run-up or the trajectory."""
     if collision.trajectory is not None:
         places = [state.position for state in collision.trajectory.states()]
         for wall in mission.walls:

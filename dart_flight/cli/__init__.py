@@ -67,7 +67,7 @@ _WRONG_VALUE = re.compile(r"argument (?P<name>.+?): invalid (choice|\w+ value): 
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that reports a usage error in one line, with the nearest valid word."""
+    """Parser that reports a usage error in one line, with the valid word most similar to the wrong word."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.exit(EXIT_INPUT, f"{self.prog}: {self._suggest_choice(message)} (see `{self.prog} --help`)\n")
@@ -120,7 +120,7 @@ def _names(action: argparse.Action) -> list[str]:
 
 
 def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
-    """Return the parser; only the wanted commands are imported and add their arguments."""
+    """Return the parser; import only the wanted commands and add their arguments."""
     parser = _Parser(prog="dart-flight", description="Fly a dual-stiffness quadrotor into walls on purpose.")
     parser.add_argument("--version", action="version", version=f"dart-flight {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)

@@ -115,7 +115,7 @@ def exit_status(verdict: Verdict) -> int:
 
 
 def next_steps(verdict: Verdict) -> list[str]:
-    """Return the commands that use a flight's log and whose packages are installed."""
+    """Return the commands that use a flight's log, if their packages are installed."""
     if verdict.log is None:
         return []
     log = shlex.quote(verdict.log)
@@ -180,7 +180,7 @@ def verdict_table(verdict: Verdict) -> RenderableType:
 
 
 def _resets_line(verdict: Verdict) -> Text:
-    """Return a line about PX4's estimator resets in the air: the number and the largest steps."""
+    """Return a line with the number of resets of PX4's estimator in the air, and the largest steps."""
     resets = verdict.estimator_resets
     position_m, velocity_m_s = max(r.position_m for r in resets), max(r.velocity_m_s for r in resets)
     heading_deg = max((r.heading_deg for r in resets), key=abs)
@@ -190,7 +190,7 @@ def _resets_line(verdict: Verdict) -> Text:
 
 
 def _goal_line(verdict: Verdict) -> Text:
-    """Return a line about the goal: reached, or the actual and predicted distance."""
+    """Return a line that says "reached", or gives the actual and predicted distance from the goal."""
     if verdict.goal_reached:
         return Text("goal reached")
     text = "goal not reached"
@@ -200,7 +200,7 @@ def _goal_line(verdict: Verdict) -> Text:
 
 
 def _plan_line(verdict: Verdict) -> Text:
-    """Return a line about the plan: followed, or the largest deviations of the flight from the plan."""
+    """Return a line that says "plan followed", or gives the flight's largest deviations from the plan."""
     if verdict.plan_followed:
         return Text("plan followed")
     return Text(f"plan not followed: {format_departures(verdict.deviations)}", style="yellow")

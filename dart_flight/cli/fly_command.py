@@ -88,7 +88,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
 
 
 def _listed(mission: Mission, url: str) -> list[Px4LogEntry] | None:
-    """Return PX4's logs before the flight, or None if they cannot be listed."""
+    """List the logs that PX4 has before the flight; return None if the logs cannot be listed."""
     try:
         return list_px4_logs(url, mission.vehicle.connection.timeout_s)
     except FlightError as error:

@@ -1,4 +1,4 @@
-"""`dart-flight init DIR`: copy the configuration and missions of a vehicle as files to start from."""
+"""`dart-flight init DIR`: copy the configuration and missions of a vehicle to a new project folder."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ _LOCAL = ("127.0.0.1", "::1", "localhost")
 
 
 class LiveView:
-    """The lab's live view of a flight; if the view fails, one line is printed and the flight continues.
+    """The live view from the package `lab`; if the view fails, it prints one line and the flight continues.
 
     Args:
         view: the lab's view, which receives the records.
@@ -85,7 +85,7 @@ def live_view(
 ) -> Iterator[LiveView | None]:
     """Open the live view and print the address; close the view at the end of the context.
 
-    The value of the context is the view, or None without `--live` or after a failure of the lab.
+    The value of the context is the view, or None without `--live` or if the view cannot be opened.
 
     Args:
         arguments: parsed arguments of the command.
@@ -124,7 +124,7 @@ def live_view(
 
 
 def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | None:
-    """Return the view, or None if the lab fails; raise only an InputError, which the operator can correct."""
+    """Return the view, or None after any error except an InputError, which the operator can correct."""
     try:
         return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, print_status))
     except InputError:

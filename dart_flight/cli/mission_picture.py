@@ -25,7 +25,7 @@ def add_plot_option(parser: argparse.ArgumentParser) -> None:
 def write_picture(mission: Mission, path: Path) -> None:
     """Draw a mission with the planner's flight model, and print the path of the picture.
 
-    Apart from the errors below, a failure only prints a message, so that it does not prevent the flight.
+    After any other failure than the errors below, print a message; the flight is not prevented.
 
     Raises:
         InputError: matplotlib is missing, or the file has an unknown extension or cannot be written.

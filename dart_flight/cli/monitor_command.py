@@ -99,13 +99,12 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
 
 
 def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | None:
-    """Return the log of the flight in progress, and a function that returns whether that flight goes on.
+    """Return the log of the flight in progress, and a function that returns whether the flight continues.
 
     The result is None if no flight is in progress.
 
     Raises:
-        InputError: several flights are in progress, and the number of flights on the configuration's link is
-            not one.
+        InputError: several flights are in progress, and not exactly one of them uses the link `url`.
     """
     if log is not None:
         held = [holder for holder in held_links() if holder.log == printable(str(log.resolve()))]

@@ -71,7 +71,7 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_vary_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the quantities of the simulated world that each seed draws at random."""
+    """Add the option for the quantities of the simulated world that are drawn at random for each seed."""
     parser.add_argument(
         "--vary",
         action="append",

@@ -50,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return 0 if no parameter differs or all were written."""
+    """Run the command and return 0 if no parameter differs or all differing parameters were written."""
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
     mission = with_driver(mission, arguments.driver)
     url = link_of(arguments, mission.vehicle.connection)

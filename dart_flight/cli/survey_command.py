@@ -231,7 +231,7 @@ def _write(
 
 
 def _coefficient_lines(wall: MeasuredWall) -> Iterator[str]:
-    """Yield one line per mode: a wall's estimated coefficients, for the vehicle's key `materials`."""
+    """Yield one line per mode with a wall's estimated coefficients, for entry under the key `materials`."""
     for mode, found in wall.coefficients.items():
         figures = ", ".join(f"{name} {value:.4g} ± {100.0 * sd:.0f} %" for name, (value, sd) in found.items())
         yield f"{wall.name}, {mode}: {figures}"

@@ -106,7 +106,7 @@ def stamp_of(path: Path) -> Stamp:
 
 @contextlib.contextmanager
 def noting_files() -> Iterator[dict[Path, Stamp]]:
-    """Collect the files that are opened within the context, and the stamp of each file before reading."""
+    """Collect the files opened within the context, each with the stamp that it had before it was read."""
     noted: dict[Path, Stamp] = {}
     _noting.append(noted)
     try:
@@ -395,7 +395,7 @@ def _name(name: Any, key: Key, source: str) -> str:
 
 
 def _locate_error(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str]:
-    """Return key and message of the smallest part of a value that fails to convert.
+    """Find the smallest part of a value that cannot be converted; return the part's key and message.
 
     msgspec's own path hides the names of dictionary keys (`$.walls[...].normal`), so each part is converted
     again.

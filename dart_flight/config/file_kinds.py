@@ -41,7 +41,7 @@ _MAGIC = {
 
 
 def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:
-    """Return the kind of a YAML file by its keys, or None if no kind or several match."""
+    """Return the kind of a YAML file that matches its keys, or None if no kind or several kinds match."""
     found = [kind for kind, marks in _MARKS.items() if any(mark in tree for mark in marks)]
     return found[0] if len(found) == 1 else None
 

@@ -54,7 +54,8 @@ class Inherited(NamedTuple):
     Attributes:
         file, base: the vehicle's own file, and the file that it inherits from.
         keys: inherited keys with their values, as text.
-        contradictions: for each changed value, the inherited keys that contradict this value, as in `keys`.
+        contradictions: inherited keys that contradict a changed value, listed for each changed value in the
+            format of `keys`.
     """
 
     file: str
@@ -102,10 +103,7 @@ def find_inherited(
 
 
 def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
-    """Return two results: the keys that a file sets itself, and the file from which this file inherits.
-
-    For a packaged file, return None.
-    """
+    """Return the keys that a file sets itself, and the file that it inherits from; None if packaged."""
     own = Document.load(path).tree
     try:
         original = packaged("configs", path.name)

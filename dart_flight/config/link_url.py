@@ -37,7 +37,7 @@ def parse_link(url: str) -> LinkAddress | None:
 
 
 def link_problem(url: str) -> str | None:
-    """Return the problem of a URL's form and the allowed forms, or None."""
+    """Return a text with the error in a URL's form and the allowed forms, or None if the form is valid."""
     link = parse_link(url)
     if link is None:
         return f"{url!r} is not a connection URL, expected: {FORMS}"

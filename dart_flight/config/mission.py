@@ -194,14 +194,14 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return (*self.walls, *self.simulated_walls)
 
     def altitude_at(self, flown: int) -> float:
-        """Return the altitude after `flown` collisions and their waypoints, metres."""
+        """Return the altitude, metres, after the first `flown` collisions and their waypoints."""
         reached = [w.position[2] for w in self.waypoints if w.after <= flown and w.position is not None]
         return reached[-1] if reached else self.altitude_m
 
     def place_before(self, flown: int) -> Vec2 | None:
-        """Return the position of the vehicle at rest after `flown` collisions and their waypoints.
+        """Return the vehicle's resting position after the first `flown` collisions and their waypoints.
 
-        The result is None if the vehicle does not rest then, but flies the recovery from a collision.
+        The result is None if the vehicle does not rest, but flies the recovery from a collision.
         """
         reached = [w.position for w in self.waypoints if w.after == flown and w.position is not None]
         if reached:
@@ -232,7 +232,8 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     def digest(self) -> str:
         """Fingerprint of mission and vehicle, without file names, autopilot connection and lock driver.
 
-        Keys at their defaults do not count, so a later version can add keys without changing the fingerprint.
+        Keys with default values are excluded, so a later version can add keys without changing the
+        fingerprint.
         """
         bare = msgspec.structs.replace(self, source="", vehicle_source=None, flown=None, standoff_m=None)
         tree = without_defaults(bare)
@@ -269,7 +270,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
         Args:
             changes: value by dotted key of the mission file, such as `{"collisions[0].approach.normal_m_s":
-                -1.2}`. `vehicle.KEY` is a key of the vehicle's configuration, and `vehicle` a whole
+                -1.2}`. `vehicle.KEY` is a key of the vehicle's configuration; `vehicle` is a whole
                 configuration.
 
         Raises:
@@ -310,7 +311,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
 
 def _waypoints_as_written(mission: Mission) -> Iterator[WaypointSpec]:
-    """Yield waypoints and pauses as a file specifies them, without values that follow from others."""
+    """Yield waypoints and pauses as a file specifies them, without values that follow from other values."""
     altitude_m, usual_m_s = mission.altitude_m, mission.vehicle.flying.transit_speed_m_s
     for one in mission.waypoints:
         keys = shared_keys(one, WaypointKeys)
@@ -581,7 +582,7 @@ def _check_trajectory(
     wall: Wall,
     document: Document,
 ) -> None:
-    """Raise InputError if a trajectory does not lead from the vehicle's position to this impact."""
+    """Raise InputError if a trajectory does not lead from the vehicle's position to the expected impact."""
     key: Key = ("collisions", i, "trajectory")
     if spec.predicted is None:
         raise document.error(key, "needs the key `predicted`, which gives the expected impact")
@@ -607,7 +608,7 @@ def _check_replanned(mission: MissionFile, key: Key, document: Document) -> None
 
 
 def _rest_before(mission: MissionFile, flown: int) -> Vec2 | None:
-    """Return the resting position after `flown` collisions, or None if the vehicle flies a recovery then."""
+    """Return the resting position after the first `flown` collisions, or None if a recovery follows."""
     reached = [w.position_m for w in mission.waypoints if w.after == flown and w.position_m is not None]
     return reached[-1] if reached else mission.start.position_m if flown == 0 else None
 
@@ -622,7 +623,7 @@ def _check_from_rest(written: TrajectoryPieces, place: Vec2 | None, key: Key, do
 
 
 def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
-    """Raise InputError if the trajectory to the goal cannot be flown or does not end there at rest."""
+    """Raise InputError if the trajectory to the goal cannot be flown or does not end at rest at the goal."""
     written, key = mission.goal_trajectory, ("goal_trajectory",)
     if written is None:
         return

@@ -39,8 +39,8 @@ class FrameSpec(Section, frozen=True):
 
     Attributes:
         origin: local: PX4's local origin, displaced by north_m and east_m (motion capture, surveyed room);
-            takeoff: the origin is chosen so that start is directly above the take-off point, then displaced
-            in the same way.
+            takeoff: the origin is chosen so that the mission's start is directly above the take-off point,
+            then displaced in the same way.
         anchored_by: none: PX4's position is used as it is; touch: the position drifts, and every contact with
             a wall of the mission corrects the frame along the wall's normal.
         north_m, east_m: displacement of the frame's origin, m.
@@ -58,7 +58,7 @@ class StartSpec(Section, frozen=True):
     """Start of the mission, in the air.
 
     Attributes:
-        position_m: [x, y], mission frame; in simulation the vehicle takes off below it.
+        position_m: [x, y], mission frame; in simulation the vehicle takes off below this position.
         altitude_m: altitude above the take-off point; kept until a waypoint changes it.
     """
 
@@ -146,9 +146,9 @@ MOTIONS = {"automatic": (3.0, 4.0), "position": (5.0, 8.0), "replanning": (5.9, 
 class Limits(Section, frozen=True):
     """Limits of the mission, checked before and during the flight.
 
-    The default peak force stays below the accelerometer's full scale, 204 N, on every surface that was flown
-    with a real PX4 (docs/px4.md). At the default speed limit, 3 m/s, a rigid impact on acrylic has a peak
-    force of 191 N.
+    The default peak force stays below the accelerometer's full scale, 204 N, on every surface that was hit in
+    flights with a real PX4 (docs/px4.md). At the default speed limit, 3 m/s, a rigid impact on acrylic has a
+    peak force of 191 N.
 
     Attributes:
         speed_m_s: largest speed of an approach and of the flight.
@@ -158,7 +158,7 @@ class Limits(Section, frozen=True):
         acceleration_m_s2: largest acceleration of transits and run-ups. If this key is given, the speed of
             transits and run-ups may reach speed_m_s; otherwise flying.acceleration_m_s2 and
             flying.transit_speed_m_s apply.
-        jerk_m_s3: largest jerk; without it flying.jerk_m_s3 applies.
+        jerk_m_s3: largest jerk; if not given, flying.jerk_m_s3 applies.
         closing_m_s: largest velocity along a wall's normal at an impact.
         sliding_m_s: largest velocity along a wall at an impact.
         friction_ratio: largest ratio of friction to normal force at an impact; a friction coefficient
@@ -203,7 +203,7 @@ class ApproachSpec(Section, frozen=True):
     """Velocity at the impact in the wall's collision frame.
 
     Attributes:
-        normal_m_s: velocity along the wall's normal; negative, towards the wall.
+        normal_m_s: velocity along the wall's normal; negative because it points towards the wall.
         tangential_m_s: velocity along the wall, positive to the right when looking along the normal.
     """
 
@@ -218,7 +218,7 @@ class ProbeSpec(Section, frozen=True):
         from_m: [x, y] of its start, mission frame.
         from_here: true: the leg starts at the vehicle's resting place, which is assumed to be near from_m;
             false: the leg starts at from_m. Direction and length are the same in both cases. If the frame
-            drifts, true saves a transit.
+            drifts, the value true saves a transit.
         direction: [x, y], any length; may be omitted for a wall of the mission, which is then approached
             along its normal.
         length_m: length of the leg, flown by the vehicle's centre.
@@ -242,7 +242,7 @@ class PlaceAtWall(Section, frozen=True):
 
     Attributes:
         wall: a wall that an earlier probe searches for, or any other wall of the mission.
-        away_m: distance of the vehicle's centre from its position at first touch, along the wall's normal.
+        away_m: distance of the vehicle's centre from the plane on which the centre lies at first touch.
         along_m: distance from the wall's middle, or from the point of contact if a probe has found the wall;
             positive to the right when looking along the normal.
     """
@@ -337,9 +337,9 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
             optional.
         predicted: written by plan.
         trajectory: trajectory to this wall. If the collision has an approach, the trajectory starts at rest.
-            Without an approach, the trajectory starts at the predicted end of the previous collision; with
-            after_impact: replan, a new trajectory from the actual end replaces it in flight. Without a
-            trajectory the approach is straight, with a run-up.
+            Without an approach, the trajectory starts at the predicted end of the previous collision. If
+            after_impact is replan, a trajectory from the actual end replaces this trajectory in flight.
+            Without a trajectory the approach is straight, with a run-up.
         if_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
             touched.
         if_not_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
@@ -361,8 +361,8 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
         approach: velocity at the impact; required for the first collision. Without it the recovery of the
             previous collision leads to this wall.
         probe: search for the wall; a collision with a probe has neither an approach nor gains.
-        impact_point_m: [x, y] on the wall's plane; default: the point of the plane that a straight line from
-            start in the direction of the approach reaches. For a post it is required: the position of the
+        impact_point_m: [x, y] on the wall's plane; default: where a straight line from start, in the
+            direction of the approach, meets the plane. For a post it is required: the position of the
             vehicle's centre at first touch.
         impact_along_m: the impact point as a distance along the wall from its middle, positive to the right
             when looking along the normal; give at most one of impact_point_m and impact_along_m. At a wall
@@ -491,8 +491,8 @@ class FlownRecord(Section, frozen=True):
             null if the nominal flight failed.
         free_time_s: median duration of flights without collisions, simulated in the same random worlds; null
             if not flown.
-        saving_s: median time that this mission saves against those flights; negative if the mission is
-            slower.
+        saving_s: median time that this mission saves, compared with the flights without collisions; negative
+            if the mission is slower.
     """
 
     software: str
@@ -564,8 +564,8 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
         flown: written by plan.
         goal_trajectory: trajectory to the goal, from the predicted end of the last collision, or from rest at
             start.
-        after_impact: setpoint: fly the paper's recovery setpoint; replan: fly this setpoint, plan a
-            trajectory from the measured impact in flight, and switch to the trajectory once it is ready.
+        after_impact: setpoint: fly the paper's recovery setpoint; replan: fly this setpoint, meanwhile plan a
+            trajectory that starts from the measured impact, and switch to the trajectory once it is ready.
         tolerance: allowed differences between flight and plan; for the goal, goal.capture_radius_m applies.
         mode_mismatch: response to a contact that indicates another mode than the lock reports; go_on:
             record it in log and verdict; land: the guard lands.

@@ -15,8 +15,8 @@ IN_FULL: Final = ("sim", "identify", "report", "live", "plan", "mocap")  # what 
 def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -> InputError:
     """Return the error that names a missing package and the command that installs it.
 
-    Call this function while the import error is handled. If the package is installed but does not load, the
-    message contains the import error.
+    Call this function in the `except` block of the import error. If the package is installed but does not
+    load, the message contains the import error.
 
     Args:
         what: the missing package and its use, such as "a picture needs matplotlib".

@@ -64,7 +64,8 @@ class Parameter(msgspec.Struct, frozen=True):
         reason: comment lines directly above it, joined; empty if there are none.
         absent: builds of PX4 that do not have the parameter under this name, such as "before v1.16" or
             "without gyro_fft"; empty for none.
-        renamed: name of the parameter in those builds; None if they do not need it.
+        renamed: name of the parameter in the builds of `absent`; None if these builds do not need the
+            parameter.
         tolerance: largest difference from the vehicle's value that counts as equal.
     """
 
@@ -122,7 +123,7 @@ def load_parameters(path: str | Path) -> dict[str, Parameter]:
         The parameters by name, in the file's order.
 
     Raises:
-        InputError: the file cannot be read, or a line is not a parameter, a duplicate or out of range.
+        InputError: the file cannot be read, or a line is a duplicate, is out of range or is not a parameter.
     """
     text = read_text(path)
     parameters: dict[str, Parameter] = {}

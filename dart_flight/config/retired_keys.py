@@ -1,8 +1,8 @@
 """Retired keys of the vehicle configuration, which are now constants.
 
-For one release a file with such a key still loads: the key is ignored with a warning. Then its row is
-removed, and the key becomes unknown. The constant and its reason are in the module that uses it; a test
-compares the values.
+For one release a file with such a key still loads: the key is ignored with a warning. Then the key's row in
+`RETIRED` is removed, and the key becomes unknown. The constant and its reason are in the module that uses it;
+a test compares the values.
 
 To retire a key, remove it from its type and from configs/dart.yaml, and add a row here.
 """

@@ -2,9 +2,9 @@
 
 The meaning of a key is written once, under `Attributes:` in the docstring of its section, next to its type.
 `make docs` copies it from there to the JSON Schemas, the tables in docs/ and the comments of
-configs/dart.yaml. The docstring states what the key's name does not: meaning, sign, frame, effect of null,
-and the unit if the name has none. If a key's type is itself a section, the docstring of that section may
-explain the key; the key then needs no entry.
+configs/dart.yaml. The docstring states what the key's name omits: meaning, sign, frame, effect of null, and
+the unit if the name has none. If a key's type is itself a section, the docstring of that section may explain
+the key; the key then needs no entry.
 
 A key that is added later has a default, which applies to files and logs without it. If the key changes
 decisions, the default keeps the old behaviour, and the shipped configurations set the better value.
@@ -51,7 +51,7 @@ def _default_of(field: msgspec.structs.FieldInfo) -> Any:
 
 
 def shared_keys(section: Section, kind: type[Section]) -> dict[str, Any]:
-    """Return the section's values of the keys that `kind` defines, by name.
+    """Return names and values of the section's keys that `kind` defines.
 
     The conversions from a file to its resolved form and back use this function, so that neither direction
     loses a key.

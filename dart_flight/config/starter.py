@@ -1,10 +1,9 @@
 """The files of a new project: those of `configs/`, `missions/` and `docs/schemas/`, at the same paths.
 
-The paths are preserved because the files refer to each other by relative paths: a mission to its
-configuration, and the first line of each file to its schema. A file named after a vehicle
-(`configs/rigid_cage.yaml`, the folder `missions/rigid_cage`) belongs to that vehicle. If the vehicle's
-configuration extends another configuration, that configuration is copied too. Other files belong to DART;
-PX4's parameters and the schemas are common.
+The paths are preserved because the files contain relative paths: a mission names its configuration, and the
+first line of each file names its schema. A file named after a vehicle (`configs/rigid_cage.yaml`, the folder
+`missions/rigid_cage`) belongs to that vehicle. If the vehicle's configuration extends another configuration,
+that configuration is copied too. Other files belong to DART; PX4's parameters and the schemas are common.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ _SHARED = (".params", ".json")
 
 
 def starter_files(vehicle: str = DART) -> dict[Path, Path]:
-    """Return the packaged files to copy, in order, by their relative path in the new folder.
+    """Return the packaged files to copy; the keys are the relative paths in the new folder.
 
     Raises:
         InputError: there is no such vehicle.

@@ -68,7 +68,7 @@ def lock_file(descriptor: int, path: Path, remedy: str, *, shared: bool = False)
 
 
 class HeldError(Exception):
-    """Another process or part of this one holds the file.
+    """Another process, or another part of this process, holds the file.
 
     Attributes:
         content: content that the holder has written; empty if the holder has not written anything yet.
@@ -140,7 +140,7 @@ class HeldFile:
             raise InputError(f"cannot write: {error.strerror}; {REMEDY}", source=str(self._path)) from None
 
     def release(self) -> None:
-        """Unlock and remove the file, if it is held; a file that cannot be removed stays, unlocked."""
+        """Unlock and remove the file, if it is held; if the file cannot be removed, only unlock it."""
         if self._descriptor is not None:
             with contextlib.suppress(OSError):
                 self._path.unlink()

@@ -20,9 +20,10 @@ w = sqrt(1 - zeta^2) and A = theta / w,
     deepest point      exp(-zeta (pi / w - A))       exp(-zeta A)
     peak force         exp(-zeta A)                  exp(-zeta (3 A - pi / w)); 2 zeta if zeta >= 1/2
 
-The rows are in units of 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp` contact
-never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force and, if a is
-not 0, the release have no elementary form. A safeguarded Newton iteration finds both to machine precision.
+The units of the four rows are 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp`
+contact never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force and,
+if a is not 0, the release have no elementary form. A safeguarded Newton iteration finds both to machine
+precision.
 
 All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); normal < 0 approaches.
 """
@@ -61,7 +62,7 @@ _NEAR_CRITICAL = 1e-8  # of 1 - zeta^2
 
 
 class WallHit(NamedTuple, Generic[T]):
-    """Result of a wall hit in the collision frame; `T` is an array or a float.
+    """Result of a wall hit, with contact force (lx, ly, lz) in the collision frame; `T`: an array or a float.
 
     Attributes:
         normal_out_m_s, tangential_out_m_s: velocity when the force returns to zero.
@@ -89,7 +90,7 @@ class Drop(NamedTuple, Generic[T]):
     Attributes:
         contact_time_s: time during which the force is above zero; infinite if the vehicle stays down.
         max_rebound_speed_m_s: largest upward speed, reached in contact at lx = m g.
-        peak_force_n: largest lx.
+        peak_force_n: largest contact force lx.
         penetration_m: largest distance of the vehicle's centre below its plane of first touch.
         impulse_n_s: time integral of lx.
         onset_s: time from the release to the first force.
@@ -170,7 +171,8 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
         tau = acot((zeta + r)/w)/w,   Q = 1 + 2 zeta r + r^2,   phi = exp(-zeta tau)/sqrt(Q),
         xi' = -phi (r + 2 zeta).
     Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. A `touch` contact follows the same
-    solution at c * scale, but begins later. Its r is at most `entry`, the value of r at that onset.
+    solution with c times `_Shape.scale`, but begins later. Then r is at most `_Shape.entry`, the value of r
+    at this beginning.
     """
     two_zeta = 2.0 * s.zeta
     rate = -s.zeta / s.w
@@ -276,7 +278,7 @@ def _solve_with_push(
 def _pushed_friction_peak(c: Oscillation, events: ContactTimes, rub: Array) -> Array:
     """Return the largest l exp(-rub P).
 
-    Here l is phi - alpha, and P is the integral of l. At the maximum l' = rub l^2.
+    Here l is phi - alpha, P is the integral of l, and `rub` is mu V. At the maximum l' = rub l^2.
     """
 
     def excess(tau: Array) -> tuple[Array, Array]:
@@ -354,8 +356,8 @@ def contact_map(
     """Predict wall hits (paper, Sec. IV-B) in closed form.
 
     Args:
-        coefficients: one set, one set per collision (any shape that broadcasts with the velocities), or, with
-            `rows`, a table of shape (n,).
+        coefficients: one set, or one set per collision (any shape that broadcasts with the velocities). With
+            `rows`: a table of shape (n,).
         mass_kg: vehicle mass; broadcasts with `coefficients`.
         normal_m_s: velocity along the outward normal at the onset, collision frame. If the vehicle does not
             approach, it does not touch the wall: the velocity is unchanged, and force and contact time are 0.

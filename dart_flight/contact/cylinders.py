@@ -41,7 +41,7 @@ class Cylinder(NamedTuple):
 
 
 class Corner(NamedTuple):
-    """A corner of the vehicle's outline, with the numbers of all guards at this place."""
+    """A corner of the vehicle's outline, with the indices of all guards at this place."""
 
     guard: PropellerGuard
     numbers: tuple[int, ...]
@@ -55,7 +55,8 @@ class NearestPoint(NamedTuple):
         normal: NED, horizontal, from the cylinder into the vehicle.
         guard: the point itself as a guard, body FRD.
         share: stiffness and damping at this point, as a share of the whole side's k and f.
-        deflections: number of each guard that carries the point, and its deflection per metre of depth.
+        deflections: for each guard that carries the point, the guard's index and deflection per metre of
+            depth.
     """
 
     x_m: float
@@ -226,7 +227,7 @@ class WallWithEnds:
     Attributes:
         plane: the surface.
         edges: edges at the left and the right end, looking along the normal.
-        beside: numbers of the guards that are behind the surface but did not pass through it.
+        beside: indices of the guards that are behind the surface but did not pass through it.
         depths: deflection of each guard at the last call of `touch`, metres.
     """
 
@@ -267,7 +268,7 @@ class WallWithEnds:
     def may_touch(self, q: Quaternion, position: Vec3, within_m: float) -> bool:
         """Return whether the wall can press any point while the vehicle's points move by at most `within_m`.
 
-        If none can, update the stored contact state as `touch` would.
+        If the wall can press no point, update the stored contact state as `touch` would.
         """
         end = self.plane.half_length_m + within_m
         feet = list(self._foot_points(q, position))
@@ -343,7 +344,7 @@ class WallWithEnds:
         return _press(points, q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)[0]
 
     def _foot_points(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
-        """Yield each guard's number, height over the surface, and offset from the middle along the wall."""
+        """Yield each guard's index, height over the surface, and offset from the middle along the wall."""
         o = self.plane.point
         offset = (position[0] - o[0], position[1] - o[1], position[2] - o[2])
         n, t = rotate_back(q, self.plane.normal), rotate_back(q, self.plane.tangent)

@@ -1,8 +1,8 @@
 """A contact as a damped oscillator: initial state, motion in time, and times of its events.
 
-The symbols are those of `dart_flight.contact.contact_map`, the only module that uses this one. With V the
-speed scale, the force is lx = m V omega (phi - alpha) and the normal velocity V xi'. phi, xi and xi' all
-solve z'' + 2 zeta z' + z = 0 in tau = omega t. Any damping is covered, from none to far above critical.
+The symbols are those of `dart_flight.contact.contact_map`, the only module that uses this one. V is the speed
+scale, the force is lx = m V omega (phi - alpha), and the normal velocity is V xi'. phi, xi and xi' all solve
+z'' + 2 zeta z' + z = 0 in tau = omega t. Any damping is covered, from none to far above critical.
 
 All arguments and results are float64 arrays of one shape (or shapes that broadcast).
 """
@@ -23,7 +23,7 @@ _NEWTON_STEPS = 60
 
 
 def oscillator(c: CoefficientArrays, mass: Array) -> tuple[Array, Array, Array]:
-    """Return omega, zeta, and w^2 = 1 - zeta^2 without cancellation."""
+    """Return omega, zeta and w^2 = 1 - zeta^2; w^2 is computed without numerical cancellation."""
     omega = np.sqrt(c.k / mass)
     zeta = 0.5 * c.f / np.sqrt(c.k * mass)
     return omega, zeta, (1.0 - zeta) * (1.0 + zeta)

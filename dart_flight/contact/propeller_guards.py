@@ -4,9 +4,9 @@ A vehicle touches a wall with guard points, two on each of its four sides. They 
 centre of mass, `guard_along_m` to either side of the middle, and `guard_height_m` above the centre of mass.
 The published law for a point applies to each guard, with that guard's share of the coefficients. If both
 guards of a side are at the same depth, their k/2 and f/2 sum to the k and f of the point law. A symmetric hit
-therefore has the normal force, contact time and exit velocity of the point law. Friction is -mu lambda ydot
-with the guard's own sliding velocity. The vertical force of all guards together is -nu L/(1 + L), where L is
-the sum of the normal forces on the wall.
+therefore has the normal force, contact time and exit velocity of the point law. Friction on a guard is -mu
+times the guard's normal force times the guard's own sliding velocity. The vertical force of all guards
+together is -nu L/(1 + L), where L is the sum of the normal forces on the wall.
 
 The paper does not specify how much friction rotates the vehicle, nor the lever arm of the vertical force.
 Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at the reduced lever,
@@ -199,7 +199,7 @@ def fold_angles(
 
     Args:
         body: positions of the guards.
-        share: share of a guard's penetration by which its arm yields.
+        share: movement of an arm as a share of the guard's penetration.
         depths: penetration of each guard in the order of `propeller_guards`, m; 0 without contact.
 
     Returns:
@@ -217,7 +217,7 @@ def fold_angles(
 
 
 def arm_of(x: float, y: float) -> int:
-    """Return the number of the arm in a point's quadrant, FRD: front right 0, front left 1, then behind."""
+    """Return the arm in a point's quadrant, FRD: front right 0, front left 1, back right 2, back left 3."""
     return (0 if x >= 0.0 else 2) + (0 if y >= 0.0 else 1)
 
 

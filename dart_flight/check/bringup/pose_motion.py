@@ -4,9 +4,9 @@ The operator moves the vehicle by hand. Gyro and accelerometer are the reference
 on the room's axes nor on the cameras' clock.
 
 Let R be the attitude (FRD to NED), f the specific force and w the body rate. If the room is rotated by A and
-the marker body by B, the poses show the attitude A R B, the rate B'w and the acceleration A (R f + g).
-Therefore the rates give the age and B. The accelerations then give the scale and A g, the room's vertical.
-A mirrored room does not change the rates, because a rate is an axial vector. A mirrored room reverses the
+the marker body by B, the poses show the attitude A R B, the rate B^-1 w and the acceleration A (R f + g).
+Therefore the rates give the age and B. The accelerations then give the scale and A g, the room's vertical. A
+mirrored room does not change the rates, because a rate is an axial vector. A mirrored room reverses the
 accelerations, so a negative correlation of the accelerations reveals the mirroring.
 
 Gyro and accelerometer pass the same Gaussian filters as the poses. The noisy positions are filtered with the
@@ -41,7 +41,7 @@ class MotionEstimate(NamedTuple):
         latency_s: time of receipt of a pose minus the time of the motion that it shows.
         rate_correlation: correlation of the pose's and the gyro's rates at that latency, -1 to 1.
         turned_rad_s: root mean square of the gyro's rates about the axes, FRD.
-        body_to_frd: rotation from the pose's body axes to the gyro's, 3 x 3; identity if they agree.
+        body_to_frd: rotation from the pose's body axes to the gyro's axes, 3 x 3; identity if the axes agree.
         up_room: upward vertical in the poses' frame; (0, 0, -1) if this frame is NED.
         force_correlation: correlation of the accelerations; negative if the room is mirrored.
         carried_m_s2: root mean square of the horizontal acceleration measured by the IMU.
@@ -160,7 +160,7 @@ def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: A
 
 
 def _best_latency(pose_rate: Array, gyro_at: Callable[[float], Array]) -> float:
-    """Return the latency at which the poses' rates, optimally rotated, best match the gyro's, seconds."""
+    """Return the latency, seconds, at which the optimally rotated rates of the poses best match the gyro."""
 
     def agreement(latency_s: float) -> float:
         # The sum of the singular values, signed for a proper rotation, is Kabsch's best inner product.

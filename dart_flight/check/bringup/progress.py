@@ -77,7 +77,7 @@ def store_finding(record: BringupRecord, name: str, finding: StepFinding) -> Non
 
 
 def save_record(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
-    """Write the stored progress, today's record and today's page; return the paths of today's two files.
+    """Write `bringup.json`, today's record and today's page; return the paths of today's two files.
 
     Raises:
         InputError: the folder cannot be written.

@@ -111,7 +111,7 @@ class Telemetry:
             self.modes.setdefault(record.flight_mode.value)
 
     def clear(self) -> None:
-        """Discard the samples; keep the newest mode."""
+        """Discard the samples; keep the newest flight mode."""
         for kept in (self.imu, self.attitude, self.odometry, self.poses):
             kept.clear()
         self.modes = dict.fromkeys(list(self.modes)[-1:])

@@ -127,7 +127,7 @@ Newton = Annotated[float, Meta(ge=0.0, le=500.0)]
 
 
 class Thrust(Section, frozen=True):
-    """Thrust of one motor: full_n * (model_factor u² + (1 - model_factor) u), or a table; first-order lag.
+    """Thrust of one motor with first-order lag: full_n * (model_factor u² + (1 - model_factor) u) or a table.
 
     The command u is from 0 to 1.
 
@@ -225,7 +225,7 @@ class Thrust(Section, frozen=True):
 
 
 def _interpolate(points: tuple[tuple[float, float], ...], x: float, given: int) -> float:
-    """Interpolate a rising polyline: `x` is coordinate 0 or 1 (`given`); return the other coordinate."""
+    """Interpolate a rising polyline: `x` is the coordinate of index `given`; return the other coordinate."""
     i = max(1, bisect_left(points, x, key=itemgetter(given)))
     before, after = points[i - 1], points[i]
     share = (x - before[given]) / (after[given] - before[given])
@@ -240,8 +240,9 @@ class Imu(Section, frozen=True):
         rate_hz: rate of the samples that PX4 sends.
         tick_s: time over which one sample is averaged.
         antialias_hz: -3 dB frequency of the accelerometer's own low-pass, first order.
-        position_m: position of the IMU, [forward, right, down] of the centre of mass; with it the force
-            estimate removes the accelerations that the vehicle's rotation causes at the IMU.
+        position_m: position of the IMU, [forward, right, down] of the centre of mass. From this position the
+            force estimate computes and removes the accelerations that the vehicle's rotation causes at the
+            IMU.
     """
 
     full_scale_m_s2: Annotated[float, Meta(ge=10.0, le=5000.0)]

@@ -48,10 +48,10 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
         mpc_z_p: velocity per vertical position error, 1/s.
         mpc_xy_vel_p_acc: acceleration per horizontal velocity error, 1/s.
         mpc_xy_vel_i_acc: acceleration per integral of the horizontal velocity error, 1/s2.
-        mpc_xy_vel_d_acc: opposed acceleration per measured horizontal acceleration.
+        mpc_xy_vel_d_acc: opposing acceleration, as a share of the measured horizontal acceleration.
         mpc_z_vel_p_acc: acceleration per vertical velocity error, 1/s.
         mpc_z_vel_i_acc: acceleration per integral of the vertical velocity error, 1/s2.
-        mpc_z_vel_d_acc: opposed acceleration per measured vertical acceleration.
+        mpc_z_vel_d_acc: opposing acceleration, as a share of the measured vertical acceleration.
         mpc_xy_vel_max: largest horizontal velocity setpoint, m/s.
         mpc_z_vel_max_up: largest climbing velocity setpoint, m/s.
         mpc_z_vel_max_dn: largest sinking velocity setpoint, m/s.
@@ -64,15 +64,15 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
         mc_yaw_p: yaw rate per yaw error, 1/s.
         mc_rollrate_p: normalised torque per roll rate error, s/rad.
         mc_rollrate_i: normalised torque per integral of the roll rate error, 1/rad.
-        mc_rollrate_d: opposed normalised torque per roll acceleration, s2/rad.
+        mc_rollrate_d: opposing normalised torque per roll acceleration, s2/rad.
         mc_pitchrate_p: normalised torque per pitch rate error, s/rad.
         mc_pitchrate_i: normalised torque per integral of the pitch rate error, 1/rad.
-        mc_pitchrate_d: opposed normalised torque per pitch acceleration, s2/rad.
+        mc_pitchrate_d: opposing normalised torque per pitch acceleration, s2/rad.
         mc_yawrate_p: normalised torque per yaw rate error, s/rad.
         mc_yawrate_i: normalised torque per integral of the yaw rate error, 1/rad.
         mis_takeoff_alt: height of PX4's own take-off, m.
         com_of_loss_t: time without setpoints after which PX4's failsafe acts, s.
-        com_disarm_land: time on the ground after which PX4 disarms, s; not positive: never.
+        com_disarm_land: time on the ground after which PX4 disarms, s; 0 or negative: never.
         mpc_veld_lp: cut-off of the low-pass on the derivative in the velocity loop's D terms, Hz.
     """
 

@@ -16,13 +16,13 @@ class GuardThresholds(Section, frozen=True):
         stream_timeout_s: if the IMU, attitude or odometry is silent for longer than this, the vehicle lands.
         tilt_deg: if the tilt exceeds this angle, the vehicle lands.
         wall_overrun_m: if the vehicle is this far behind the wall's plane without a contact, it breaks off.
-        retreat_m: distance from the wall that is kept after breaking off.
+        retreat_m: distance that the vehicle keeps from the wall after breaking off.
         imu_timeout_s: if only the IMU is silent for longer than this, the vehicle lands.
         battery_remaining: if the remaining charge is below this share, the vehicle lands.
         battery_v: if the battery voltage is below this, the vehicle lands.
         kill_after_s: if the vehicle is still armed in PX4's land mode after this time, the motors are
             stopped; null: never.
-        wall_late_s: if there is no contact this long after the planned impact, the vehicle breaks off.
+        wall_late_s: if no contact occurs within this time after the planned impact, the vehicle breaks off.
         wall_early_m: a contact farther than this in front of the wall's plane is not a contact with the
             planned wall, and the vehicle breaks off.
         deadman_s: if the core thread or the event loop is blocked for longer than this, the program is
@@ -65,9 +65,10 @@ class Flying(Section, frozen=True):
             computed from this sample. The setpoint is therefore the reference at a time that is later by this
             delay. null: 0.024 with PX4, none in the embedded simulator.
         attitude_delay_s: further delay, in addition to setpoint_delay_s, because the attitude's rate loop
-            responds late. Acceleration and jerk are the reference's at a time that is later by both delays.
-            null: 0.05 with PX4, none in the embedded simulator.
-        ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
+            responds late. The acceleration and jerk of the setpoint are those of the reference at a time that
+            is later by both delays. null: 0.05 with PX4, none in the embedded simulator.
+        ready_timeout_s: longest wait for telemetry, for offboard mode, for arming, or for the end of a climb
+            or transit.
         replan_within_s: time from the end of a contact to the start of a trajectory planned in flight; the
             planner must finish within it.
     """

@@ -43,8 +43,8 @@ class Servo(Section, frozen=True):
         direction: 1: the cam angle increases with the pulse width; -1: it decreases.
         min_pulse_us: shortest allowed pulse.
         max_pulse_us: longest allowed pulse.
-        tolerance_us: the servo counts as at an end if its pulse width differs from that of the end by at most
-            this value.
+        tolerance_us: the servo is considered to be at an end if its pulse width differs from the end's pulse
+            width by at most this value.
         supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
         s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
@@ -100,7 +100,7 @@ class Servo(Section, frozen=True):
 
     @property
     def s_per_deg(self) -> float:
-        """Seconds per degree, from the measured travel, or from the catalogue's times at this voltage."""
+        """Seconds per degree, from the measured travel time, or from the catalogue's times at `supply_v`."""
         if self.travel_s is not None:
             return self.travel_s / abs(self.rigid_deg - self.flexible_deg)
         share = (self.supply_v - 4.8) / (6.0 - 4.8)
@@ -257,8 +257,8 @@ class LockConfig(Section, frozen=True):
         home_mode: end to which `home` moves.
         relaxation_s: time that the lock waits after a contact before it may move, so that the arms can spring
             back.
-        timeout_s: longest travel, and longest time without a reading of a limit switch. If one of the two is
-            exceeded, the lock is in fault.
+        timeout_s: longest travel time, and longest time without a reading of a limit switch. If one of the
+            two is exceeded, the lock is in fault.
         debounce_s: time for which a change of a limit switch or a loss of the pulse must last before it
             counts.
         limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, with one or
@@ -321,7 +321,7 @@ class LockConfig(Section, frozen=True):
 
     @property
     def switch_time_s(self) -> float:
-        """Seconds from the driver's acceptance of a command to `settled`: travel, speed limit and margin."""
+        """Seconds from the driver's acceptance of a command to `settled`: speed-limited travel and margin."""
         travel, servo = self.servo.full_travel_s, self.servo
         if self.ramp_us_s is not None:
             travel = max(travel, abs(servo.rigid_pulse_us - servo.flexible_pulse_us) / self.ramp_us_s)

@@ -32,8 +32,8 @@ class ContactBody(Section, frozen=True):
         friction_lever_share: lever arm of friction about the centre of mass, as a share of the guards' lever
             arm; 0: friction acts at the centre of mass, 1: at the guards.
         vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
-        fold_share: movement of an unlocked arm, as a share of the penetration of its guard; the motor moves
-            with the arm; 0: motors do not move.
+        fold_share: movement of an unlocked arm and its motor, as a share of the guard's penetration; 0:
+            motors do not move.
         scatter: relative standard deviation of the coefficients between impacts.
         half_engaged: whether the rods stop half-way, so that the arms are neither locked nor unlocked.
     """
@@ -55,7 +55,7 @@ class ImuRinging(Section, frozen=True):
     Attributes:
         white_m_s2: white noise, in addition to imu_noise_m_s2.
         tone_m_s2: amplitude of one tone.
-        tone_hz_low: lower end of the frequency range in which the tone drifts within seconds.
+        tone_hz_low: lower end of the range in which the tone's frequency drifts over seconds.
         tone_hz_high: upper end of that range.
     """
 

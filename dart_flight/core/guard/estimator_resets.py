@@ -24,7 +24,7 @@ class EstimatorReset:
     Attributes:
         t_us: autopilot time at which the counter rose.
         position_m, velocity_m_s: largest steps that the motion does not explain.
-        heading_rad: largest step of the heading, positive clockwise from above.
+        heading_rad: largest step of the heading, positive clockwise seen from above.
     """
 
     def __init__(self, t_us: int) -> None:
