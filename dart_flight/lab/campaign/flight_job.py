@@ -57,7 +57,7 @@ class FlownFlight(NamedTuple):
 
 
 def fly_point(point: Point, seed: int) -> FlownFlight:
-    """Fly the mission of a point in the fast world, with the draws of the seed."""
+    """Fly the mission of a grid point in faster-than-real-time simulation; the seed gives the draws."""
     records: list[FlightRecord] = []
     verdict = fly_fast(point.mission, seed, None, spreads=point.spreads, keep_record=records.append)
     return FlownFlight(point, seed, verdict, records[0].log)
