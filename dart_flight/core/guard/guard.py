@@ -273,8 +273,8 @@ class Guard:
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
         """Return whether the vehicle, after breaking off, rests far from `hold`, as after a large tilt.
 
-        The guard then holds the vehicle where it rests: on the way back PX4's integrator would push the vehicle
-        past `hold`, towards the wall.
+        The guard then holds the vehicle where it rests: on the way back PX4's integrator would push
+        the vehicle past `hold`, towards the wall.
         """
         if self.action is not Override.BREAK_OFF or norm(state.velocity) > _STOPPED_M_S:
             return False

@@ -25,7 +25,7 @@ _SAME_NORMAL: Final = 0.98  # cosine: an anchor in nearly the same direction rep
 
 
 class Anchor(NamedTuple):
-    """One contact: wall's normal (mission frame), autopilot time, and standard deviation of the measurement."""
+    """One contact: wall's normal (mission frame), autopilot time, standard deviation of the measurement."""
 
     normal: Vec2
     t_us: int

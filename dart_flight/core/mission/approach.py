@@ -235,7 +235,7 @@ class TransitSegment(NamedTuple):
 
 
 def transit_segments(mission: Mission) -> list[TransitSegment]:
-    """Return the segments to the waypoints, and to the goal unless a recovery leads to the goal."""
+    """Return the segments to the waypoints and, if no recovery leads to the goal, to the goal."""
     found: list[TransitSegment] = []
     here: Vec3 | None = (*mission.start, mission.altitude_m)
     flown = 0

@@ -29,7 +29,7 @@ class Course(NamedTuple):
     Attributes:
         target: position to reach, mission frame, metres.
         altitude_m: present altitude of the mission.
-        trajectory: trajectory to the target, or into a wall; None for a step to the target.
+        trajectory: trajectory to the target, or into a wall; None if only the target is commanded.
     """
 
     target: Vec3

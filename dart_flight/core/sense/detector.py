@@ -486,7 +486,7 @@ class ImpactDetector:
 def confirmed_force(
     fx: float, fy: float, previous: tuple[Vec2, Vec2], noise_n: float, config: Detection
 ) -> Vec2:
-    """Return the mean force of the newest two samples, newton; of three if the noise is too large for two."""
+    """Return the mean force of the newest two samples, newton; if two are too noisy, of three."""
     (ax, ay), (bx, by) = previous
     if _FAR_SIGMA * noise_n <= config.force_threshold_n:
         return (0.5 * (fx + ax), 0.5 * (fy + ay))

@@ -8,9 +8,9 @@ of the normal force at the onset. With sigma = f/(2m) and w^2 = k/m, the normal 
 
 The impulse of F has the closed form P = B t + (C - F' - 2 sigma F)/w^2. A reading is the mean over a tick.
 The fit compares a reading with the model's mean over the same tick, (P(b) - P(a))/(b - a), so averaging needs
-no correction. The anti-alias filter delays the pulse by its lag and lowers the top by the fraction (w
-lag)^2/2. The fit corrects both. A reading at full scale is a lower bound, so the fit uses this reading only
-if the model is below the bound. Friction is -mu F v_t, and the tangential velocity v_t decays with the
+no correction. The anti-alias filter delays the pulse by its lag and lowers the top by the fraction
+(w lag)^2/2. The fit corrects both. A reading at full scale is a lower bound, so the fit uses this reading
+only if the model is below the bound. Friction is -mu F v_t, and the tangential velocity v_t decays with the
 impulse. The mean friction over a tick follows from the change of v_t.
 
 The impact detector uses this module once per impact, for some tens of samples. It needs scalar floats only.

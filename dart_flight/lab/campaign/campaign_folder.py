@@ -131,7 +131,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def read_rows(opened: CampaignFolder) -> list[JudgedRow]:
-    """Return the rows so far of a campaign whose specification names a judge.
+    """Return the rows so far of a campaign that has a judge function.
 
     Raises:
         InputError: the table cannot be read.

@@ -186,7 +186,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         rules: causes of failure.
         drawn: success rate as a function of each drawn quantity; empty if all or no flights completed.
         varied: goal miss and peak forces as functions of the drawn quantities, in the completed flights.
-        tried: figure -> number of drawn quantities that can affect it, significant or not.
+        tried: figure -> number of drawn quantities that can affect the figure, significant or not.
         not_followed: planned figures out of tolerance, the most frequent first.
         failed: flights that did not complete, at most 1000.
         unexplained_modes: flights in which arms and lock were in different modes although no lock fault was
