@@ -1,7 +1,7 @@
 """The style of every figure, and functions that save figures or convert them to SVG.
 
-Lines differ in darkness and dash as well as in colour, so that a grey print stays readable. Letters stay
-text: text in SVG, embedded TrueType (type 42) in PDF.
+Lines differ in darkness and dash as well as in colour, so that a grey print stays readable. Letters are
+not converted to outlines: SVG files contain text, and PDF files embed TrueType fonts (type 42).
 """
 
 from __future__ import annotations

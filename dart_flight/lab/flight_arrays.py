@@ -74,8 +74,8 @@ class FlightArrays:
             move the frame (`frame_at`); each position is converted with the frame valid at its time.
         estimated: the motion estimated by PX4; empty without a frame.
         true: the true motion of a simulated vehicle; empty for a real vehicle.
-        estimated_force: the force estimated by the flight core. The times state when the force acted, because
-            the lag of the IMU's reading is subtracted.
+        estimated_force: the force estimated by the flight core. The lag of the IMU's reading is subtracted,
+            so the times are those at which the force acted.
         true_force: the true force of a simulated vehicle; empty for a real vehicle.
     """
 

@@ -1,4 +1,4 @@
-"""The guard's monitoring of PX4's estimator: jumps, resets, heading steps, and its own flags.
+"""The guard's monitoring of PX4's estimator: jumps, resets, heading steps, and the estimator's flags.
 
 A contact disturbs the estimator. For a while after an impact only the heading is evaluated.
 """
@@ -74,7 +74,7 @@ class EstimatorWatch:
             self._unhealthy = not item.healthy
 
     def finish(self, position_ok: bool) -> None:
-        """Finish a step; `position_ok` is PX4's flag in the slow state."""
+        """Finish a step; `position_ok` is the flag in PX4's status."""
         if (position_ok and not self._unhealthy) or self._excused:
             self._invalid_since_us = None
         elif self._invalid_since_us is None and self._now_us:  # 0: no stamped sample has arrived yet

@@ -44,11 +44,11 @@ class FailsafeEvidence:
             self._rank, self._words, self._text_us = rank, words, now_us
 
     def is_mentioned(self, now_us: int) -> bool:
-        """Return whether PX4 has mentioned a failsafe; a change of mode is then PX4's own."""
+        """Return whether PX4 has mentioned a failsafe; if so, PX4 itself changes the mode, not a pilot."""
         return self._rank_at(now_us) >= _MENTIONED
 
     def announcement(self, now_us: int) -> str | None:
-        """Return PX4's text if it announced a change of mode, or None."""
+        """Return the text in which PX4 announced a change of mode, or None."""
         return self._words if self._rank_at(now_us) >= _ANNOUNCED else None
 
     def hands_to_sticks(self, now_us: int) -> bool:

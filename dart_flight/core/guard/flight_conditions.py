@@ -137,7 +137,7 @@ class FlightConditions:
 
     @property
     def circumstances(self) -> str:
-        """Further findings to append when a stream fails, or an empty string."""
+        """Text to append to a stream's failure: other vehicles, pauses of this program; may be empty."""
         other = self.others.other_system
         known = f"; {other}" if other is not None else ""
         if self._pause_us and self.state.host_us - self._paused_us < _PAUSE_MEMORY_US:
@@ -170,7 +170,7 @@ class FlightConditions:
 
     @property
     def failsafe_words(self) -> str:
-        """PX4's text about the cause of a failsafe, or a sentence that PX4 gave no cause."""
+        """PX4's text about the cause of a failsafe; without such a text, a sentence that says so."""
         return self._failsafe.words(self.state.now_us) or "PX4 reports a failsafe and gives no cause"
 
     @property
@@ -204,9 +204,9 @@ class FlightConditions:
     def mode_change_unexplained(self) -> bool:
         """Whether PX4 seems to have left offboard a moment ago, by itself or by a pilot's switch.
 
-        The reported mode may be that of another vehicle that has sent nothing else so far. During this moment
-        the guard makes no decision and sends nothing. If PX4 has announced the mode change, or a gap explains
-        it, the mode change is certain.
+        Another vehicle, not yet detected, may have sent the reported mode. During this moment the guard makes
+        no decision and sends nothing. If PX4 has announced the mode change, or a gap explains it, the mode
+        change is certain.
         """
         if self._left_since_us is None or self.failsafe_reported or self.streams.was_cut_off:
             return False
@@ -224,7 +224,7 @@ class FlightConditions:
 
     @property
     def status_unreliable(self) -> bool:
-        """Whether another vehicle is detected or suspected, and may have sent the slow state."""
+        """Whether another vehicle is detected or suspected; the status may then be that vehicle's."""
         return self.others.is_suspected(self.streams.host_us)
 
     def duration_s(self, since_us: int | None) -> float:
@@ -264,7 +264,7 @@ class FlightConditions:
         self.others.add_sample(name, item)
 
     def _record_pause(self, host_us: int) -> None:
-        """Record the time since the previous step as a pause of this program: no tick has arrived since."""
+        """Record that this program paused: no tick has arrived since the previous step."""
         pause_us = host_us - self._stepped_us
         if pause_us > self._pause_us or host_us - self._paused_us > _PAUSE_MEMORY_US:
             self._pause_us, self._paused_us = pause_us, host_us

@@ -69,7 +69,7 @@ class Guard:
 
     Args:
         mission: the mission, for bounds, limits and thresholds.
-        rules: the table; tests may use another one.
+        rules: the table of rules; tests may pass a different table.
     """
 
     def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:
@@ -178,7 +178,7 @@ class Guard:
     def _apply_explanation(
         self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
     ) -> None:
-        """Replace the rule in force by `rule` and its reason, if `rule` explains why the former fired."""
+        """If `rule` explains why the rule in force fired, replace the rule in force and its reason."""
         if detail is not None and self._rule is not None and self._rule.name in rule.explains:
             if rule.of_streams:
                 detail += self._watch.circumstances
@@ -271,10 +271,10 @@ class Guard:
             self._land(state, out)
 
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
-        """Return whether the vehicle rests well away from its break-off point, as happens after a large tilt.
+        """Return whether the vehicle, after breaking off, rests far from `hold`, as after a large tilt.
 
-        The guard then holds it there: on the way back PX4's integrator would push the vehicle past the point,
-        towards the wall.
+        The guard then holds the vehicle where it rests: on the way back PX4's integrator would push
+        the vehicle past `hold`, towards the wall.
         """
         if self.action is not Override.BREAK_OFF or norm(state.velocity) > _STOPPED_M_S:
             return False

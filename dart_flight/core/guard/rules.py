@@ -250,7 +250,7 @@ _OPERATOR_RELEASES = RuleCondition(
 def _found(
     name: str, action: Override, description: str, threshold: str = "", of_streams: bool = False
 ) -> Rule:
-    """Return a rule that a finding of the mission fires, because only the mission knows the plan."""
+    """Return a rule that fires on a finding; only the mission, which knows the plan, can make the finding."""
     return Rule(name, action, Scope.ALWAYS, RuleCondition(description, threshold), of_streams=of_streams)
 
 

@@ -1,7 +1,7 @@
 """Detection of a second vehicle that shares the link and the system id.
 
-In MAVLink the two vehicles are one system, so their samples alternate: two clocks, or two positions with one
-clock. A clock reset, a restart or a jump of the estimate changes only once and does not change back.
+In MAVLink the two vehicles are one system, so their samples alternate between two clocks or two positions.
+After a clock reset, a restart or a jump of the estimate, clock and position do not change back.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Accuracy of the mission frame when PX4's position drifts, and its correction by contacts with walls.
+"""Accuracy of the mission frame when PX4's position drifts, and the frame's correction by contacts.
 
 A contact measures the place of its wall along the wall's normal only, with an error of 1 to 2 cm. Afterwards
 PX4 integrates its velocity, so the position drifts. The velocity error is nearly constant, so the standard
@@ -6,7 +6,8 @@ deviation of the drift grows in proportion to the age of the contact (docs/ancho
 
     information = sum over anchors n n' / (s^2 + (drift age)^2),    sd along n = sqrt(n' information^-1 n)
 
-The start is an anchor in every direction, because the vehicle was placed there.
+Here n is a wall's normal, s the standard deviation of its contact, and drift that of the velocity error. The
+start is an anchor in every direction, because the vehicle was placed there.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _SAME_NORMAL: Final = 0.98  # cosine: an anchor in nearly the same direction rep
 
 
 class Anchor(NamedTuple):
-    """One contact: the wall's normal (mission frame), the autopilot time and the standard deviation."""
+    """One contact: wall's normal (mission frame), autopilot time, standard deviation of the measurement."""
 
     normal: Vec2
     t_us: int
@@ -82,7 +83,7 @@ class FrameAnchors:
         )
 
     def add_recorded(self, recorded: FrameAnchor) -> None:
-        """Add an anchor recorded by the core; the planner's process uses this."""
+        """Add an anchor that the core recorded; the planner's process calls this function."""
         self.begin(recorded.start_us)
         self.add(Anchor(recorded.normal, recorded.felt_us, recorded.sd_m))
 

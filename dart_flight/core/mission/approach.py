@@ -54,8 +54,8 @@ def run_up(
 
     The approach follows a ray that ends at the impact. If the mission's start lies on this ray and far enough
     from the wall, the run-up begins there. Otherwise the run-up begins on the ray at the distance that the
-    acceleration and the steady run need. This distance is measured from the nearest position that the wall's
-    standard deviations allow.
+    acceleration and the steady run need. This distance is measured from the wall, shifted towards the
+    vehicle by three standard deviations.
 
     Args:
         start: start of the mission.
@@ -128,10 +128,10 @@ def segments_to_impact(
     The function's argument is the obstacle, a wall. Each segment is (a, b, required clearance at b).
 
     Args:
-        start: previous resting position; if it is known, the segment to the run-up point is listed too.
+        start: previous resting position, from which the vehicle flies to the run-up point.
         begin, impact: ends of the run-up.
         wall: the wall to be hit; the run-up ends on its plane.
-        first: whether `start` is known, as before a mission's first collision.
+        first: whether `start` is known; if so, the segment from `start` is listed too.
     """
 
     def against(other: Wall) -> list[tuple[tuple[Number, Number], tuple[Number, Number], float]]:
@@ -235,7 +235,7 @@ class TransitSegment(NamedTuple):
 
 
 def transit_segments(mission: Mission) -> list[TransitSegment]:
-    """Return the segments to the waypoints, and to the goal unless a recovery leads to the goal."""
+    """Return the segments to the waypoints and, if no recovery leads to the goal, to the goal."""
     found: list[TransitSegment] = []
     here: Vec3 | None = (*mission.start, mission.altitude_m)
     flown = 0
@@ -296,7 +296,7 @@ def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_t
 def standoff_point(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:
     """Return the stopping point of a rehearsal: on the line to the impact, `standoff_m` before the plane.
 
-    The distance is measured from the nearest position that the wall's standard deviations allow.
+    The distance is measured from the wall, shifted towards the vehicle by three standard deviations.
     """
     standoff = (mission.standoff_m or 0.0) + float(position_margin_m(collision.wall, impact))
     here, there = collision.wall.signed_distance(begin), collision.wall.signed_distance(impact)

@@ -1,9 +1,9 @@
 """The last moment for stopping: whether to fly on towards a wall while the lock is still moving.
 
-While a hold would still stop the vehicle before the wall, an approach continues. After that moment the
-approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the impact, and
-the impact must be acceptable in *either* mode. If a servo without feedback is stuck, the impact occurs in the
-other mode. Executive, planner and `check` use this rule.
+While a hold would still stop the vehicle before the wall, an approach continues. Later, when a hold would be
+too late, the approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the
+impact, and the impact must be acceptable in *either* mode. If a servo without feedback is stuck, the impact
+occurs in the other mode. Executive, planner and `check` use this rule.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ into the wall. Its D term opposes acceleration: if the wall pushes back harder, 
 further into the wall. At 1 m/s and `MPC_XY_VEL_D_ACC` 0.2 the D term causes more than half of the tilt after
 an impact (docs/results/body.md). From onset to peak the setpoint is therefore the measured motion, so that
 PX4 does not push. The feed-forward also cancels the D term's response to the contact. This part of the
-feed-forward is also added to the recovery setpoint, until PX4's filter has decayed.
+feed-forward is also added to the recovery setpoint, until the D term's filter has decayed.
 """
 
 from __future__ import annotations
@@ -33,14 +33,15 @@ _AGAINST_PLAN: Final = 1.3  # factor on a lean into the wall if the plan leans o
 def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:
     """Return the acceleration to add, away from the wall, m/s2, so that the impact rotates the vehicle less.
 
-    A lean into the wall by the angle `height_m / out_m` brings the guards to the level of the centre of mass.
-    The acceleration of such a lean points into the wall, so the result is negative for a positive height.
+    A lean into the wall by `height_m / out_m` radians brings the propeller guards level with the centre of
+    mass. The acceleration of such a lean points into the wall, so the result is negative for a positive
+    height.
 
     Args:
         height_m: height above the centre of mass at which the wall's force acts; None if unknown.
-        out_m: horizontal distance of the guards from the centre of mass, metres.
-        planned: mode of the arms if the impact ends the mission's own trajectory, which leans off the wall
-            for rigid arms. For a replanned impact, at which the vehicle leans less, planned is None.
+        out_m: horizontal distance of the propeller guards from the centre of mass, metres.
+        planned: mode of the arms, if the impact ends a trajectory of the mission. With rigid arms the vehicle
+            then leans off the wall. None for a replanned impact, at which the vehicle leans less.
     """
     if height_m is None:
         return 0.0

@@ -29,7 +29,7 @@ class Course(NamedTuple):
     Attributes:
         target: position to reach, mission frame, metres.
         altitude_m: present altitude of the mission.
-        trajectory: trajectory to the target, or into a wall; None for a step to the target.
+        trajectory: trajectory to the target, or into a wall; None if only the target is commanded.
     """
 
     target: Vec3
@@ -41,7 +41,7 @@ class Course(NamedTuple):
         return Course((point[0], point[1], self.altitude_m), self.altitude_m)
 
     def move_frame(self, by: Vec2) -> Course:
-        """Keep the target in place when the mission frame's origin moves by `by`, in the frame's axes."""
+        """Keep the target in place when the mission frame's origin moves by a vector in frame axes."""
         x, y, z = self.target
         return self._replace(target=(x - by[0], y - by[1], z))
 

@@ -320,7 +320,7 @@ class Executive:
             self._fly_to_goal()
 
     def _skip_legs(self, state: FlightState, p: Proposal) -> None:
-        """Skip each leg that depends on a wall if its condition is not met."""
+        """Skip each leg whose condition on a wall is not met."""
         while (leg := self.progress.waypoint or self.progress.collision) is not None:
             reason = skip_reason(leg, self.progress.walls)
             if reason is None:

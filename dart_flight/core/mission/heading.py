@@ -1,10 +1,10 @@
-"""The return to the wanted heading after a contact, as fast as PX4's yaw control permits; also its duration.
+"""The return to the wanted heading after a contact, as fast as PX4's yaw control permits, and its duration.
 
 An oblique wall rotates the vehicle. The motors correct the yaw slowly, because only their drag torque acts
 about the vertical axis. If the heading command is a large step, PX4 overshoots, because its integrator winds
 up while the torque is at its limit. The next contact is then oblique again. The commanded heading is
 therefore limited in two ways. First, the commanded heading leads the actual heading by no more than the
-torque can follow. Second, the resulting rotation is never so fast that the same torque cannot stop it in
+torque can follow. Second, the resulting rotation is always slow enough that the same torque can stop it in
 time.
 """
 
@@ -100,7 +100,7 @@ class HeadingControl:
         return last * _STEP_S
 
     def _torque(self, to: float, rate: float) -> float:
-        """Return the normalised torque that rotates by `to` (rad), reduced early enough to stop there."""
+        """Return the normalised torque that rotates the vehicle by `to` (rad) and brakes in time."""
         braking = _BRAKING * self._most_rad_s2
         linear = braking / self._per_s**2
         wanted = self._per_s * to

@@ -63,7 +63,7 @@ class LockCommands:
         return LockPermission(now_us, permitted)
 
     def ready_us(self, lock: LockCommandState, mode: Mode, state: FlightState) -> int | None:
-        """Return the time at which the lock will be settled in a mode if nothing fails, autopilot time.
+        """Return the autopilot time at which the lock, if nothing fails, will be settled in a mode.
 
         The result is None if the lock is in fault or overdue.
         """

@@ -41,7 +41,7 @@ class MissionState:
         course: target and trajectory of the vehicle.
         heading: wanted and commanded heading.
         lock: contacts and commands that affect the lock.
-        replan: requests to the planner, and its trajectory.
+        replan: requests to the planner, and the planner's trajectory.
         walls: walls as estimated from contacts.
         anchors: contacts that corrected the mission frame; None if PX4's position does not drift.
         expected: the next expected contact.
@@ -134,7 +134,7 @@ class Change(NamedTuple):
         mode: wanted mode of the lock.
         course, heading, replan: new values of the state.
         approach: trajectory of the approach to the next collision.
-        frame, stood_at_ned: the mission frame, and the vehicle's position when it was set.
+        frame, stood_at_ned: the mission frame, and the vehicle's position when the frame was set.
         end: end of the mission.
     """
 

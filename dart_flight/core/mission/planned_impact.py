@@ -8,9 +8,10 @@ from dart_flight.contact.law import Onset
 
 
 def impact_velocity(collision: Collision) -> tuple[float, float] | None:
-    """Return the (normal, tangential) impact velocity in m/s, collision frame: planned, or else predicted.
+    """Return the planned (normal, tangential) impact velocity in m/s, collision frame.
 
-    If the mission has neither velocity, the result is None, for example for a wall to which a recovery leads.
+    Without a planned velocity, return the predicted one. If a recovery leads to the wall, the mission may
+    have neither; the result is then None.
     """
     if collision.approach_m_s is not None:
         return collision.approach_m_s

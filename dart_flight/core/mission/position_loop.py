@@ -33,7 +33,7 @@ def stop_share(
 ) -> Number:
     """Return the stopping distance, divided by the distance that the vehicle flies in `STOP_TIME_S`.
 
-    The share is 1 in the open. It is smaller if a wall ahead stops the vehicle earlier.
+    The quotient is 1 without a wall ahead, and less than 1 if a wall would stop the vehicle earlier.
 
     Args:
         walls: walls of the mission.
@@ -89,7 +89,7 @@ def predict_impact(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> PlaneImpact | None:
-    """Predict when a vehicle on its way to a setpoint meets a plane; None if not within the horizon.
+    """Predict when a vehicle on its way to a setpoint meets a plane; return None if not within the horizon.
 
     Args: as in `least_distance_m`.
     """
@@ -125,8 +125,8 @@ def least_distance_m(
         horizon_s: length of the prediction.
 
     Returns:
-        The smallest signed distance within the horizon, metres; if the distance only increases, the present
-            one.
+        The smallest signed distance within the horizon, metres. If the distance only increases, this is the
+        present distance.
     """
     nearest = distance_m
     for x, v in _course(

@@ -58,8 +58,7 @@ class ReplanRequests:
             state: state of the vehicle.
             sensed: results of the last input.
             square_us: time at which the vehicle, rotated by the contact, is square to the wall again.
-            coasts: whether the setpoint commands only thrust. A position setpoint ahead then does not pull
-                the vehicle.
+            coasts: whether the setpoint commands only thrust, so that no position setpoint pulls the vehicle.
         """
         replan = progress.replan
         again = self._should_repeat(replan, state.now_us)
@@ -120,10 +119,10 @@ class ReplanRequests:
         )
 
     def _should_repeat(self, replan: Replan, now_us: int) -> bool:
-        """Return whether to repeat the request.
+        """Return whether to repeat the request, in a mission with its own trajectories.
 
-        The mission's own trajectory must have been flown for a while and not be nearly over. The request is
-        also repeated if the trajectory was not flown because the vehicle was not at its beginning.
+        Some time after the last request, repeat the request if the active trajectory is not nearly over. Also
+        repeat it if no trajectory is active, because the vehicle was not at the beginning of the new one.
         """
         trajectory, asked = replan.trajectory, replan.request
         if asked is None or self._mission.goal_trajectory is None or now_us - asked.t_us < _AGAIN_US:
@@ -133,7 +132,7 @@ class ReplanRequests:
         return now_us + self._within_us + _NOT_AGAIN_US < replan.begin_us + trajectory.duration_s * 1e6
 
     def accept(self, replan: Replan, answer: PlanAnswer, now_us: int) -> Change:
-        """Keep an answer until it begins, or record why it is rejected."""
+        """Keep an answer until its trajectory begins, or record why the answer is rejected."""
         refusal = _refusal(replan, answer, now_us)
         if refusal is None:
             return Change(replan=replan._replace(answer=answer))
@@ -142,7 +141,7 @@ class ReplanRequests:
     # -- accepted answers --
 
     def approach(self, progress: MissionState, now_us: int) -> Change:
-        """Return the approach from rest at the impact velocity of the planner's answer, if there is room."""
+        """Return the approach from rest to the impact velocity that the planner chose, if there is room."""
         answer, following = progress.replan.answer, progress.collision
         if answer is None or not progress.replan.from_rest or following is None:
             return NO_CHANGE
@@ -182,7 +181,7 @@ class ReplanRequests:
         return Change(outputs=(taken,), replan=replan, course=progress.course.follow(trajectory))
 
     def is_late(self, replan: Replan, wall: Wall, state: FlightState) -> bool:
-        """Return whether the trajectory is overdue at a wall."""
+        """Return whether the trajectory's impact with a wall is overdue."""
         if replan.impact_us is None:
             return False
         closing_m_s = -(state.velocity[0] * wall.normal[0] + state.velocity[1] * wall.normal[1])
@@ -233,7 +232,7 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
-    """Return whether the vehicle is on its active trajectory, which ends well before the new one."""
+    """Return whether the vehicle follows its active trajectory and would arrive well before the new one."""
     flown = replan.trajectory
     if flown is None or not replan.must_not_be_later:
         return False

@@ -192,9 +192,9 @@ class SetpointSelection:
     def _timing_correction_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
         """Return the thrust to add along a wall's normal if the vehicle is ahead of or behind its trajectory.
 
-        The change is the trajectory's thrust at the time that corresponds to the vehicle's own time to
-        impact, minus the trajectory's thrust now. Without this change, a vehicle ahead of its trajectory
-        would meet the wall before the vehicle leans off the wall.
+        The vehicle's own time to impact gives a point of the trajectory. The result is the thrust at this
+        point minus the thrust now. Without this correction, a vehicle ahead of its trajectory would meet the
+        wall before leaning off the wall.
 
         Args:
             progress: state of the mission, with the trajectory to the wall.

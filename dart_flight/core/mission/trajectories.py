@@ -44,7 +44,8 @@ def transit_time_s(
 ) -> Number:
     """Return the duration of the fastest rest-to-rest quintic over a distance, within the limits.
 
-    Quintic over d: peak speed 1.875 d/T, peak acceleration 5.774 d/T^2, peak jerk 60 d/T^3.
+    A quintic over a distance d in a time T has the peak speed 1.875 d/T, acceleration 5.774 d/T^2 and jerk
+    60 d/T^3.
     """
     time_s = maximum(1.875 * way_m / speed_m_s, sqrt(5.774 * way_m / acceleration_m_s2))
     if jerk_m_s3 is None:

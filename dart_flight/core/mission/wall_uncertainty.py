@@ -25,7 +25,7 @@ _SURE_DIRECTION_RAD = 0.05  # a direction estimated less accurately does not cha
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return the tolerance of the plane's position opposite a place, metres.
+    """Return the tolerance of the plane's position, metres, where the plane is nearest to a place.
 
     The tolerance is 0 if the wall has no standard deviations.
 
@@ -40,7 +40,8 @@ def end_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
     """Return the distance to keep from the wall's end, metres.
 
     An impact must lie at least this far inside the wall's end. A path that passes the wall must stay at least
-    this far outside the end. The distance is half a vehicle plus the tolerance of the wall's position.
+    this far outside the end. The distance is half the vehicle's width plus the tolerance of the wall's
+    position.
     """
     return wall.half_vehicle_m + position_margin_m(wall, place)
 
@@ -84,7 +85,7 @@ class EstimatedWalls:
             self._turned[wall.name] = angle_between(wall.normal, estimate.plane_normal_mission)
 
     def rotation(self, wall: Wall) -> float:
-        """Return the estimated rotation of a wall from the mission's direction, rad; positive to the left."""
+        """Return the rotation from the mission's wall to the estimated wall, rad, counter-clockwise."""
         return self._turned.get(wall.name, 0.0)
 
     def is_measured(self, name: str) -> bool:
@@ -92,7 +93,7 @@ class EstimatedWalls:
         return name in self._found
 
     def move_frame(self, by: Vec2) -> None:
-        """Keep the measured walls in place when the mission frame's origin moves by `by`, in frame axes."""
+        """Keep the measured walls in place when the frame's origin moves by a vector, in frame axes."""
         for name, wall in self._found.items():
             self._found[name] = wall.displaced(-(by[0] * wall.normal[0] + by[1] * wall.normal[1]))
 

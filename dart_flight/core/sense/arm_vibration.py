@@ -42,7 +42,7 @@ class ArmFilter:
         self._x = self._vx = self._y = self._vy = 0.0
 
     def add(self, ax: float, ay: float) -> tuple[float, float]:
-        """Return the IMU reading if a contact accelerates the vehicle over one tick, m/s2.
+        """Return the IMU reading over a tick in which a contact gives this acceleration, both in m/s2.
 
         This function is the inverse of `remove`.
         """

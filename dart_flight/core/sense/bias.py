@@ -36,7 +36,7 @@ class HoverBias:
 
     Attributes:
         bias_x, bias_y: accelerometer bias, body FRD, m/s2. The accelerometer's readings include the bias.
-        scale: true thrust divided by the thrust of the curve. Its difference from 1 is limited.
+        scale: true thrust divided by the thrust of the curve, limited to a range about 1.
         thrust_ratio: the same ratio without a limit, or None before the ratio has settled.
         noise_m_s2: standard deviation of the white noise in one sample of one axis.
     """

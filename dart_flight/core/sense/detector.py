@@ -257,7 +257,7 @@ class ImpactDetector:
 
     @property
     def noise_n(self) -> tuple[float, float]:
-        """Learnt standard deviation of one component of the short and of the long mean, newton."""
+        """Learnt standard deviations of the short mean and of the long mean, per component, newton."""
         return (self._windows[2].noise_n, self._windows[3].noise_n)
 
     def _report_floor(self, t_us: int, expected: ExpectedContact) -> Events:
@@ -355,7 +355,7 @@ class ImpactDetector:
         return smooth[-1] < top - drop
 
     def _smoothing(self, top: float) -> int:
-        """Return the number of samples to average so that their noise is small compared with the top."""
+        """Return the number of samples to average so that their noise is small compared with `top`."""
         ratio = self._noise / max(_SMOOTH_SHARE * top, 1e-6)
         return max(1, min(_MAX_SMOOTH, round(ratio * ratio)))
 
@@ -486,7 +486,7 @@ class ImpactDetector:
 def confirmed_force(
     fx: float, fy: float, previous: tuple[Vec2, Vec2], noise_n: float, config: Detection
 ) -> Vec2:
-    """Return the mean of the newest two samples, or of three if the noise is too large for two, newton."""
+    """Return the mean force of the newest two samples, newton; if two are too noisy, of three."""
     (ax, ay), (bx, by) = previous
     if _FAR_SIGMA * noise_n <= config.force_threshold_n:
         return (0.5 * (fx + ax), 0.5 * (fy + ay))
@@ -496,8 +496,8 @@ def confirmed_force(
 def _onset_of_mean(samples: list[_Sample], along: Vec2) -> int:
     """Return the stamp of the onset of a pulse that a window mean has detected.
 
-    Each force is reduced by half of the present force. The onset is the stamp from which the sum of the
-    reduced forces is largest.
+    Half of the present force is subtracted from each force. The reduced forces are summed from each stamp to
+    the newest. The stamp with the largest sum is the onset.
     """
     forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
     # Find the largest sum of samples up to the newest, each minus half of the present force.

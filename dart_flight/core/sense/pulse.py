@@ -8,10 +8,10 @@ of the normal force at the onset. With sigma = f/(2m) and w^2 = k/m, the normal 
 
 The impulse of F has the closed form P = B t + (C - F' - 2 sigma F)/w^2. A reading is the mean over a tick.
 The fit compares a reading with the model's mean over the same tick, (P(b) - P(a))/(b - a), so averaging needs
-no correction. The anti-alias filter delays the pulse by its lag and lowers the top by the share (w lag)^2/2.
-The fit corrects both. A reading at full scale is a lower bound, so the fit uses this reading only if the
-model is below the bound. Friction is -mu F v_t, and the tangential velocity v_t decays with the impulse. The
-mean friction over a tick follows from the change of v_t.
+no correction. The anti-alias filter delays the pulse by its lag and lowers the top by the fraction
+(w lag)^2/2. The fit corrects both. A reading at full scale is a lower bound, so the fit uses this reading
+only if the model is below the bound. Friction is -mu F v_t, and the tangential velocity v_t decays with the
+impulse. The mean friction over a tick follows from the change of v_t.
 
 The impact detector uses this module once per impact, for some tens of samples. It needs scalar floats only.
 """
@@ -87,7 +87,7 @@ def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, f
 def _solution(
     s: float, decay: float, w2: float, wd: float, sigma: float
 ) -> tuple[float, float, float, float]:
-    """Return `_terms` from the decay exp(-sigma s), w^2 and the damped frequency."""
+    """Return the result of `_terms`, given the decay exp(-sigma s), w^2 and the damped frequency wd."""
     sine = decay * math.sin(wd * s) / wd
     force = 1.0 - decay * math.cos(wd * s) - sigma * sine
     return force, s - (w2 * sine + 2.0 * sigma * force) / w2, sine, force / w2
@@ -147,10 +147,9 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 class _Ends:
     """The pulse at the end of a reading: force, impulse per slope, impulse, and the impulse's derivative.
 
-    The derivative with respect to the log frequency is a finite difference between two frequencies whose
-    logarithms differ by 1e-4. The damping and hence the decay are the same for both frequencies. The
-    constants of both frequencies are computed only once, because the setpoint after an impact waits for this
-    loop.
+    The derivative is with respect to the log frequency. It is a finite difference between two frequencies
+    whose logarithms differ by 1e-4, with the same damping and decay. Each frequency's constants are computed
+    only once, because the setpoint after an impact waits for the fit.
     """
 
     def __init__(self, omega: float, sigma: float, push: float, slope: float) -> None:
@@ -161,7 +160,7 @@ class _Ends:
         self._sigma, self._push, self._slope = sigma, push, slope
 
     def at(self, s: float) -> tuple[float, float, float, float]:
-        """Return the class's four quantities, force to impulse derivative, `s` seconds after the onset."""
+        """Return the four quantities that the class's docstring lists, `s` seconds after the onset."""
         if s <= 0.0:
             return 0.0, 0.0, 0.0, 0.0
         sigma, push, slope = self._sigma, self._push, self._slope

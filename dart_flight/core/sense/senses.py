@@ -49,8 +49,8 @@ class Sensed:
         in_contact: whether a contact has begun and not ended.
         torque: external torque, or None if the input yields none.
         contact: records of a contact that has ended: the request for its fit, or the results of the fit.
-        wall: estimate of a planned wall and of the mode of the arms, one of the records in `contact`; None if
-            the input yields none.
+        wall: estimate of a planned wall and of the mode of the arms, or None. This record is also in
+            `contact`.
         height_m: height above the centre of mass at which the walls' force acts, metres, or None if not
             known.
         thrust_ratio: thrust from mass and accelerometer, divided by thrust from the curve, in the last

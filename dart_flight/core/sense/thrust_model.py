@@ -1,8 +1,8 @@
 """Thrust model: total thrust and thrust per motor, for the force and torque estimators.
 
-`estimation.thrust_source` selects the source. From measured motor speeds, the thrust is c rpm^2 with
-c = `estimation.esc_thrust_n_per_rpm2`, without a lag and without the voltage. From motor commands, the thrust
-follows through the curve of `thrust:`, a first-order lag and the battery voltage. `auto` uses the motor
+`estimation.thrust_source` selects the source. With measured motor speeds, the thrust is c rpm^2 with c =
+`estimation.esc_thrust_n_per_rpm2`; lag and voltage are not needed. With motor commands, the thrust is
+computed by the curve of `thrust:`, with a first-order lag and the battery voltage. `auto` uses the motor
 speeds only if they arrive often enough to resolve the controller's reaction to a contact. The thrust scale
 learnt in hover corrects the thrust of either source (`core/sense/bias.py`). docs/force.md has the equations.
 """

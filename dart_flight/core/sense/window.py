@@ -1,9 +1,9 @@
 """Means of the horizontal force over windows as long as a contact, and the noise of these means.
 
-A mean over 30 or 100 ms reduces motor vibration and white noise. The mean hardly reduces a contact that lasts
-as long as the window. The reduction of a vibration depends on its frequency, so the noise of a mean does not
-follow from the noise of a sample. Each window therefore learns the variance of its own mean outside of
-contacts (docs/force.md). The impact detector uses this module.
+A mean over 30 or 100 ms reduces motor vibration and white noise. The mean hardly reduces the force of a
+contact that lasts as long as the window. The reduction of a vibration depends on its frequency, so the noise
+of a mean does not follow from the noise of a sample. Each window therefore learns the variance of its own
+mean outside of contacts (docs/force.md). The impact detector uses this module.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class AxisInertia(msgspec.Struct):
 
 
 class InertiaCalibration(msgspec.Struct):
-    """Inertia about the three axes, and what determined it.
+    """Inertia about the three axes, and the data from which it was estimated.
 
     Attributes:
         windows: number of windows of `WINDOW_S` seconds.
@@ -121,7 +121,8 @@ def calibrate_inertia(tracks: Iterable[Track], vehicle: VehicleConfig) -> Inerti
         vehicle: supplies the thrust curve, the motors' positions and their lag.
 
     Raises:
-        InputError: a log has another number of motors or too low a rate, or no axis can be estimated.
+        InputError: a log's number of motors differs from the vehicle's, its sample rate is too low, or no
+            axis can be estimated.
     """
     tracks = list(tracks)
     for track in tracks:

@@ -61,7 +61,9 @@ TESTS = {
 
 
 class Points(msgspec.Struct):
-    """Quiet segments: means of u^2 and u summed over the motors, force in newton, voltage (NaN if unknown).
+    """Quiet segments: means of u^2 and u (u: motor command) summed over the motors, force (N), voltage.
+
+    An unknown voltage is NaN.
 
     Attributes:
         start_s: start of each segment.
@@ -134,7 +136,7 @@ def quiet_points(
 def _point(
     track: Track, start: float, mass_kg: float, lag_s: float, most_speed_m_s: float
 ) -> tuple[float, float, float, float] | str:
-    """Return a window's point of the curve, or the test that rejects it."""
+    """Return a window's point of the curve, or the test that rejects the window."""
     stop = start + WINDOW_S
     if any(a - _GROUND_MARGIN_S < stop and b + _GROUND_MARGIN_S > start for a, b in track.ground):
         return "ground"

@@ -42,7 +42,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
     Args:
         log: log of a simulated flight; the log contains the truth.
         mission: the mission that was flown.
-        visits: places, each with the distance within which it counts as passed, metres.
+        visits: places, each with the distance, metres, within which the vehicle must pass the place.
     """
     truth, phases = log["/truth/state"], log["/event/phase"]
     changes = list(zip(phases["t_us"], map(str, phases["after"]), phases["collision"], strict=True))

@@ -1,4 +1,4 @@
-"""The folder of a campaign: creation, continuation, and the loop that flies what is missing."""
+"""The folder of a campaign: creation, continuation, and the loop that flies the missing flights."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> Cam
         resume: whether to continue an existing campaign.
 
     Raises:
-        InputError: the specification is invalid. Or the folder already contains a campaign, and `resume` is
-            False or the specification differs.
+        InputError: the specification is invalid, or the folder contains a campaign that cannot be continued:
+            `resume` is False, or its specification differs.
         FlightError: the folder cannot be written.
     """
     path = folder / ASKED
@@ -131,7 +131,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def read_rows(opened: CampaignFolder) -> list[JudgedRow]:
-    """Return the rows of a judged campaign so far.
+    """Return the rows so far of a campaign that has a judge function.
 
     Raises:
         InputError: the table cannot be read.

@@ -49,8 +49,8 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         keep: the flights whose logs are kept.
         cases: further variations of the flights. Each case is a mapping key -> value, and the table has one
             column for each key. Instead of a list, a function that returns the cases can be named.
-        fly: function that flies a point with a seed and returns the flown flight. If `fly` is empty, the
-            mission is flown in the fast world.
+        fly: function that flies a grid point (`Point`) with a seed and returns the flown flight. If `fly` is
+            empty, the mission is flown in simulated time.
         judge: function that converts a flown flight to a `msgspec.Struct`. The fields of the struct are
             columns of the table. If `judge` is empty, `fly` returns the struct. If both are empty, the
             columns are those of `dart-flight campaign`.
@@ -69,7 +69,7 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def makes_row(self) -> str:
-        """The name of the function that returns the row; empty for the columns of `dart-flight campaign`."""
+        """The name of the function that returns the row; empty if the row has the default columns."""
         return self.judge or self.fly
 
 

@@ -46,7 +46,7 @@ _OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
 
 
 class FigureSpread(msgspec.Struct, frozen=True):
-    """The distribution of a figure over the flights in which it is known."""
+    """The distribution of a flight's numerical result over the flights in which this result is known."""
 
     flights: int
     median: float
@@ -106,7 +106,7 @@ class FigureTrend(msgspec.Struct, frozen=True):
 
 
 class Departure(msgspec.Struct, frozen=True):
-    """A planned figure that some flights missed by more than its tolerance.
+    """A planned value from which some flights deviated by more than the tolerance.
 
     Attributes:
         mission: file of the mission.
@@ -186,7 +186,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         rules: causes of failure.
         drawn: success rate as a function of each drawn quantity; empty if all or no flights completed.
         varied: goal miss and peak forces as functions of the drawn quantities, in the completed flights.
-        tried: figure -> number of drawn quantities that can affect it, significant or not.
+        tried: figure -> number of drawn quantities that can affect the figure, significant or not.
         not_followed: planned figures out of tolerance, the most frequent first.
         failed: flights that did not complete, at most 1000.
         unexplained_modes: flights in which arms and lock were in different modes although no lock fault was
@@ -352,7 +352,7 @@ def _success_by_quantity(rows: Sequence[_SummaryRow], names: Sequence[str]) -> l
 def _figure_trends(
     rows: Sequence[_SummaryRow], names: Sequence[str], figures: Sequence[str]
 ) -> tuple[list[FigureTrend], dict[str, int]]:
-    """Return the trends of goal miss and peak forces with the most correlated quantities, and `tried`."""
+    """Return how goal miss and peak forces vary with drawn quantities, and `CampaignSummary.tried`."""
     found: list[FigureTrend] = []
     tried: dict[str, int] = {}
     for j, figure in enumerate(figures):
@@ -383,7 +383,7 @@ def _figure_trends(
 def _can_affect(name: str, figure: str, mission: Mission) -> bool:
     """Return whether a drawn quantity can affect a figure.
 
-    A quantity of a wall and mode can affect the figure only if the vehicle hits that wall in that mode. The
+    A quantity that belongs to a wall and mode matters only if the vehicle hits that wall in that mode. The
     hit must be the collision that the figure describes, or an earlier collision.
     """
     kind, _, rest = name.partition(".")

@@ -48,7 +48,7 @@ class Flown(NamedTuple):
 
 
 class FlownFlight(NamedTuple):
-    """The input of a judge: point, seed, verdict, and log (with the truth) of a simulated flight."""
+    """The input of a judge function: point, seed, verdict and log (with the truth) of a simulated flight."""
 
     point: Point
     seed: int
@@ -57,7 +57,7 @@ class FlownFlight(NamedTuple):
 
 
 def fly_point(point: Point, seed: int) -> FlownFlight:
-    """Fly the mission of a point in the fast world, with the draws of the seed."""
+    """Fly the mission of a grid point in simulated time; the seed determines the draws."""
     records: list[FlightRecord] = []
     verdict = fly_fast(point.mission, seed, None, spreads=point.spreads, keep_record=records.append)
     return FlownFlight(point, seed, verdict, records[0].log)
@@ -140,7 +140,7 @@ def _judged_cells(row: msgspec.Struct) -> dict[str, Cell]:
 
 
 class JudgedRow(NamedTuple):
-    """A row of a judged campaign; `row` is None if the flight ended with a program error."""
+    """A row of a campaign with a judge function; `row` is None if the flight ended with a program error."""
 
     mission: str
     values: dict[str, str]
@@ -150,7 +150,7 @@ class JudgedRow(NamedTuple):
 
 
 def judged_rows(campaign: Campaign, rows: Iterable[Mapping[str, str]]) -> Iterator[JudgedRow]:
-    """Return the rows of a judged campaign's table as the judge returned them."""
+    """Return the rows of a campaign's table as its judge function returned them."""
     kind = row_type(campaign.asked.makes_row)
     types = get_type_hints(kind)
     keys = campaign.columns[1 : campaign.columns.index("seed")]

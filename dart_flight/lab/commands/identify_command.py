@@ -152,7 +152,7 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: boo
 
 
 def _estimates(title: str, rows: Any) -> None:
-    """Print a table of estimates from rows of name, estimate or None, and unit."""
+    """Print a table of estimates; each row is (name, estimate, unit), and an unknown estimate is None."""
     from rich.table import Table
 
     table = Table(title=title)

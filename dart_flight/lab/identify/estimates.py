@@ -50,8 +50,8 @@ class TrialFit(NamedTuple):
         used: `samples` if the samples were fitted, `whole` if only speeds, peak and duration were used.
         normal_out_m_s, tangential_out_m_s: velocity after the contact, measured without a contact law.
         peak_force_n: measured peak; None if no force was recorded, or the sensor clipped.
-        force_delay_s: delay of the force samples' clock relative to the position samples' clock; None unless
-            both were recorded.
+        force_delay_s: delay of the force samples' clock relative to the position samples' clock; None if
+            forces or positions were not recorded.
         misfit: ratio of the residual in contact to the noise in free flight, for the worst channel.
         set_aside: samples that the fit ignores.
     """
@@ -113,8 +113,8 @@ class HeldOut(NamedTuple):
         hits: number of predicted hits.
         law: errors of the paper's law; None if the hits do not determine the law's coefficients.
         baselines: baseline -> errors; each baseline predicts only one of the two quantities.
-        scatter: prediction errors if the median of the hits at one speed predicts these hits; None if no
-            speed was repeated.
+        scatter: errors if each hit is predicted from the median of all hits at its speed; None if no speed
+            was repeated.
         earned: whether the law predicts better than the baselines in every assessable quantity.
         sentence: the comparison as a sentence.
     """

@@ -1,7 +1,7 @@
 """`identify`: contact coefficients and restitution from recorded trials.
 
 Every trial is first measured as a whole, without a contact law: incoming and outgoing speed, peak and
-duration. One solver with one computation of intervals (`solver`) then fits the law:
+duration. Then `solver` fits the law and computes the intervals:
 
 - to the samples of all trials jointly (`joint_fit`), if enough position samples show the contact;
 - to the measurements of whole hits (`hit_fit`), if the law misses the samples by several times the noise, or

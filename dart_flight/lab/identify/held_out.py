@@ -107,7 +107,7 @@ def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
 
 
 def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
-    """Return the errors if the median of the hits at one speed predicts these hits.
+    """Return the errors if each hit is predicted from the median of all hits at its speed.
 
     No law has smaller errors.
     """
@@ -121,7 +121,7 @@ def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
 
 
 def _compare(law: Errors, ratios: Errors, words: str) -> tuple[bool, str]:
-    """Return whether the law is better in every assessable quantity, and the comparison as a sentence."""
+    """Return whether the law has smaller errors in every assessable quantity, and a sentence about it."""
     named = zip(("peak force", "outgoing speed"), (FORCE_PROPORTIONAL, CONSTANT_RESTITUTION), strict=True)
     judged = [
         (name, mine, base)

@@ -51,7 +51,7 @@ class MeasuredImpact:
         peak_force_n: largest measured normal force.
         contact_s: duration of the contact.
         compression_m: largest displacement into the wall since first touch.
-        acceleration_m_s2: acceleration along the normal that the contact does not cause, -9.81 in a drop.
+        acceleration_m_s2: acceleration along the normal without a contact, -9.81 in a drop.
         begin_s, end_s: start and end of the contact in the recording, widened to whole samples.
         samples_in_contact: position samples in this interval.
         clipped: whether the sensor saturated, so that the peak is unknown.
@@ -230,7 +230,7 @@ def _extent(
 def _tangential_velocities(
     trial: Trial, begin: float, end: float
 ) -> tuple[float | None, float | None, float]:
-    """Return the velocity along the wall before and after the contact, and the larger standard deviation."""
+    """Return the velocities along the wall before and after contact, and the larger of their deviations."""
     for name, slope in (("tangential_m", True), ("tangential_m_s", False)):
         if name not in trial.series:
             continue
@@ -317,7 +317,7 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
 
 
 def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
-    """Measure a drop from an accelerometer along the normal: rest, fall, pulse, flight, next pulse."""
+    """Measure a drop by accelerometer readings along the normal: rest, fall, pulse, flight, next pulse."""
     if trial.acceleration_m_s2 >= 0.0:
         raise InputError(
             "an accelerometer alone does not give the impact speed at a wall; record normal_m or normal_m_s, "
@@ -367,10 +367,10 @@ def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
 
 
 def _find_pulse(time: Array, value: Array, noise: float, name: str) -> int:
-    """Return the first sample of a pulse after free fall, or of any strong pulse without free fall.
+    """Return the first sample of the pulse after free fall; if there is none, of a pulse above 3 g.
 
     The pulse of a soft drop hardly exceeds 1 g. The sensor also reads 1 g while the vehicle is held. The
-    samples before the pulse therefore decide: they must show free fall.
+    samples before the pulse must therefore show free fall, unless the pulse exceeds 3 g.
     """
     largest = float(value.max())
     strong = np.flatnonzero(value > max(0.1 * largest, 15.0 * noise))

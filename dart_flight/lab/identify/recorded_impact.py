@@ -78,7 +78,7 @@ def find_impact(trial: Trial) -> TrialImpact:
     """Find the first strong turn from approach to departure in a recording of any length.
 
     Raises:
-        InputError: there is no impact, or its position or speed is implausible in metres and seconds.
+        InputError: there is no impact, or its position or speed is too large for the units metre and second.
     """
     refuse_unusable(trial)
     time, value = trial.normal

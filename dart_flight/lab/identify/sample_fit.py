@@ -216,7 +216,7 @@ class SampleFit:
         return np.concatenate([*blocks, prior])
 
     def span(self, theta: Array, i: int) -> tuple[float, float, ContactMotion]:
-        """Return the onset and release of trial i by the law, as times in the recording, and the contact."""
+        """Return the law's onset and release of trial i (times in the recording), and the contact."""
         contact = self.contact(theta, i)
         begin = float(theta[self.parameters.own[i]["onset"]])
         return begin, begin + (contact.end_s if math.isfinite(contact.end_s) else 0.3), contact

@@ -3,8 +3,8 @@
 A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns.
 The intervals hold even if the law is wrong. Every unknown has two standard deviations. The statistical
 deviation follows from the information of data and priors, and holds if the law is right. The resampled
-deviation describes how the estimate changes if the data are resampled, to first order. If the interval of the
-resampled deviation is wider than chance explains, this interval is used. Otherwise the interval of the
+deviation describes, to first order, how the estimate changes if the data are resampled. If the interval of
+the resampled deviation is wider than chance explains, this interval is used. Otherwise the interval of the
 statistical deviation is used.
 """
 
@@ -52,7 +52,7 @@ class LawProblem(Protocol):
 
 
 def descend(problem: LawProblem, theta: Array, losses: Sequence[str]) -> Array:
-    """Minimise the residuals with each loss in turn, and reweight the data after each but the last.
+    """Minimise the residuals with each loss in turn; between two losses, reweight the data.
 
     Raises:
         InputError: SciPy is missing.
@@ -93,7 +93,7 @@ def covariance(jacobian: Array) -> Array:
 
 
 def half_widths(problem: LawProblem, theta: Array) -> Array:
-    """Return the half widths of the 95 % intervals of all unknowns of a solved problem."""
+    """Return half the width of each unknown's 95 % interval, for a solved problem."""
     jacobian, residuals = problem.jacobian(theta), problem.residuals(theta)
     inverse = covariance(jacobian)
     statistical = Z95 * np.sqrt(np.diag(inverse) * problem.variance(theta))

@@ -131,9 +131,9 @@ def read_csv(path: Path, reading: TrialReading) -> list[Trial]:
 def _trial(source: str, series: dict[str, Series], reading: TrialReading) -> Trial:
     """Return a trial with series in the form that the fits require.
 
-    Acceleration becomes specific force, which excludes gravity, as an accelerometer measures it. Together
-    with positions, specific force becomes force. If only the velocity was recorded, it is integrated to a
-    position, because the impact is searched in the position.
+    Acceleration becomes specific force, which excludes gravity, as an accelerometer measures it. If there are
+    positions, specific force times mass becomes force. If only the velocity was recorded, it is integrated to
+    a position, because the impact is searched in the position.
     """
     series = dict(series)
     acceleration = series.pop("normal_acceleration_m_s2", None)
@@ -180,8 +180,8 @@ def read_ulog(path: Path, reading: TrialReading) -> list[Trial]:
     """Read a PX4 ULog: local position and velocity, and the force along the normal from the IMU.
 
     At a wall, the mean horizontal specific force before the impact is subtracted, because thrust and tilt
-    cause this mean in a steady approach. The force is the mass times the difference. In a drop, the specific
-    force itself is read.
+    cause this mean in a steady approach. The force is the mass times the remaining specific force. In a drop,
+    the specific force itself is read.
 
     Raises:
         InputError: pyulog is missing, the file is not a ULog, topics are missing, or no wall was given.

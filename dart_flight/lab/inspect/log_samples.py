@@ -23,8 +23,9 @@ Sample = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 def samples_of(track: Track, curve: SpecificThrust | None, motors: int) -> Iterator[Sample]:
     """Yield the samples of a log in the order of their stamps.
 
-    Attitude samples have the IMU's rate, because the gyro propagates the logged attitude. All `motors` get
-    the same command: the collective command, converted by the curve and interpolated between logged values.
+    There is one attitude sample per IMU sample, because the gyro propagates the logged attitude. All `motors`
+    get the same command: the collective command, converted by the curve and interpolated between logged
+    values.
     """
     stamps, attitude_us = _us(track.imu_s), _us(track.attitude_s)
     f, rate, q = track.specific_force, track.rate, track.q

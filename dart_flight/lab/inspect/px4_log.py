@@ -52,7 +52,7 @@ def read_px4_log(path: str | Path, version: str | None = None) -> Px4Figures:
 
 
 def _within(topic: dict[str, Any], begin_us: int, end_us: int, field: str) -> Any:
-    """Return the samples of a field between two times, with the last sample before them."""
+    """Return a field's samples between two times, preceded by the last sample before the first time."""
     stamps = topic["timestamp"]
     first = max(0, int((stamps < begin_us).sum()) - 1)
     last = int((stamps <= end_us).sum())

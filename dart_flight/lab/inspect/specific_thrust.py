@@ -40,7 +40,7 @@ class SpecificThrust(msgspec.Struct):
 
 
 def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust | str:
-    """Fit the specific thrust over the motor commands to the quiet segments of a flight.
+    """Fit the specific thrust, as a function of the motor commands, to the quiet segments of a flight.
 
     Returns:
         The curve, or the reason for having none.

@@ -1,6 +1,6 @@
 """The paper's published figures on collisions compared with the model: the tables of `dart-flight tables`.
 
-The published figures are data here; the model's are computed from the vehicle's configuration.
+This module contains the published figures. It computes the model's from the vehicle's configuration.
 """
 
 from __future__ import annotations
