@@ -391,7 +391,10 @@ class Replanner:
     def _stays_clear(
         self, x: Array, y: Array, duration_s: Array, wall: Wall | None, obstacles: list[Wall]
     ) -> NDArray[np.bool_]:
-        """Return a mask: True if a trajectory keeps bounds and speed limit and touches no wall but `wall`."""
+        """Return a mask of the trajectories within the bounds and the speed limit.
+
+        These trajectories also touch no wall except `wall`.
+        """
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
         states = (_derivative(c, times, order).astype(np.float32) for order in (0, 1) for c in (x, y))
         window = GridWindow(np.linspace(0.0, 1.0, _SAMPLES), *states)

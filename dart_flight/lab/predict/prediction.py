@@ -53,8 +53,8 @@ def condition(
     """Validate the user's choices and return the condition.
 
     Raises:
-        InputError: the configuration lacks the surface, the vehicle does not support the mode, the onset rule
-            is unknown, or the incidence is outside 0 to 45°.
+        InputError: the surface, the mode or the onset rule is unknown, the vehicle does not support the mode,
+            or the incidence is outside 0 to 45°.
     """
     if mode not in list(Mode):
         raise InputError(f"{mode!r} is not allowed, only: {', '.join(Mode)}", key=("mode",))

@@ -123,8 +123,8 @@ def plan_quickest(
     """Search a scenario with the objective `quickest`.
 
     Args:
-        scenario: supplies visits, walls and limits. If the scenario names a sequence, the plan must hit its
-            walls.
+        scenario: supplies visits, walls and limits. The plan must hit the walls of the scenario's sequence,
+            if there is a sequence.
         within_s: time limit of the search, seconds; the best plan found until then is refined and returned.
         progress: called with the number of computed sequences and the number of known sequences.
 
