@@ -1,4 +1,4 @@
-"""Table of the lab's entry points, the flight part's only access to the lab (docs/architecture.md).
+"""Table of the lab's entry points. The flight part uses the lab only through it (docs/architecture.md).
 
 No module that flies imports `dart_flight.lab`. Commands and scripts load an entry by its name when they need
 it. A flight therefore loads nothing of the lab, and runs without the lab's packages.

@@ -69,10 +69,9 @@ class Separation(NamedTuple):
     """The separation of two groups by a quantity (Mann and Whitney's U).
 
     Attributes:
-        chance: probability that a value of the first group exceeds one of the second, with ties counted half;
-            0.5 is no separation.
-        z: deviation of `chance` from 0.5, divided by the standard deviation that `chance` has if the groups
-            do not differ.
+        chance: probability that a value of the first group exceeds a value of the second group. A tie counts
+            half. 0.5 is no separation.
+        z: (`chance` - 0.5) / s, where s is the standard deviation of `chance` for groups that do not differ.
     """
 
     chance: float
@@ -91,7 +90,7 @@ def separation(first: Sequence[float], second: Sequence[float]) -> Separation:
 def rank_correlation(pairs: Sequence[tuple[float, float]]) -> float:
     """Return Spearman's rank correlation. Equal values share a rank.
 
-    The first values of the pairs must not all be equal, and neither must the second values.
+    The pairs must have at least two different first values and two different second values.
     """
 
     def ranks(values: Sequence[float]) -> list[float]:

@@ -59,7 +59,7 @@ class LockSession:
         return self._execute(self.machine.command(self._clock_us(), mode))
 
     def permit(self, permitted: bool) -> None:
-        """Set whether the arms are clear of contact and back in place."""
+        """Set whether locking is permitted (the arms have no contact and have returned to their place)."""
         self._execute(self.machine.permit(self._clock_us(), permitted))
 
     def release(self) -> CommandRefused | None:

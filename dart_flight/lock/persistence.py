@@ -135,7 +135,7 @@ class ServoInUseError(Exception):
 
 
 class ServoOwnership(Lease):
-    """The right to move the servo: a `HeldFile`, `lock.pid`, that contains the owner's process number."""
+    """The right to move the servo: the owner holds the file `lock.pid`, which contains its process number."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = HeldFile((folder or state_dir()) / "lock.pid")

@@ -48,7 +48,7 @@ class ServoModel:
     """The horn's true motion in simulated time: constant speed to the commanded pulse width.
 
     Without pulses the horn keeps its position by gear friction. Time never runs backwards: a `t_us` before
-    the last one counts as the last one.
+    the previous `t_us` is replaced by the previous value.
     """
 
     def __init__(self, servo: Servo, pulse_us: float, faults: ServoFaults = NO_FAULTS) -> None:
@@ -101,7 +101,7 @@ class ServoModel:
     def _reachable(self) -> tuple[float, float]:
         """Return the lowest and highest pulse width that the horn can reach.
 
-        If the servo stalls at a point, the horn can reach only the side of this point on which it is.
+        If the servo stalls at a point, the horn cannot leave its present side of this point.
         """
         low, high = self.servo.min_pulse_us, self.servo.max_pulse_us
         if self._faults.stall_fraction is None:

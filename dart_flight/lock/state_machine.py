@@ -10,8 +10,8 @@ time with its margin is over, and a later reading still shows the commanded puls
 
 A shell calls `start` once, then `command` and `permit` as the core requests. The shell executes the returned
 actions in order. After `Driver.set_pulse` has returned, the shell answers a `SetPulse` with `confirm_sent`.
-If the driver failed, the shell answers with `driver_failed`. At least every 20 to 50 ms the shell supplies a
-`reading`, stamped with the time *before* the reading, and calls `step`. `state` is a new object after every
+If the driver failed, the shell answers with `driver_failed`. Every 20 to 50 ms or sooner, the shell supplies
+a `reading`, stamped with the time *before* the reading, and calls `step`. `state` is a new object after every
 change.
 """
 
@@ -169,10 +169,10 @@ class LockStateMachine:
         """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
         If a limit switch is closed, the lock adopts the end with this switch. If no switch is closed but the
-        hardware outputs the pulse of an end, the lock adopts the end of this pulse. The travel time begins
-        now, because the command may be recent. If there is no such switch or pulse, or if the inputs
-        contradict each other, the lock stays `unknown`. A command stored by the last run does not prove the
-        position of the horn.
+        hardware outputs the pulse of an end, the lock adopts the end of this pulse. The travel time begins at
+        `t_us`, because the servo's command may be recent. If there is no such switch or pulse, or if the
+        inputs contradict each other, the lock stays `unknown`. A command stored by the last run does not
+        prove the position of the horn.
         """
         if self.config.startup is LockStartup.HOME:
             return self.command(t_us, self.config.home_mode)
@@ -212,7 +212,7 @@ class LockStateMachine:
         return [PulsesOff()]
 
     def permit(self, t_us: int, permitted: bool) -> list[Action]:
-        """Set whether locking is permitted, because the arms are clear of contact and back in place.
+        """Set whether locking is permitted (the arms have no contact and have returned to their place).
 
         Initially locking is not permitted. If the permission ends while the lock moves to rigid, the machine
         unlocks again: the rods must not move into the slots during a contact.

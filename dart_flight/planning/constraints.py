@@ -240,7 +240,7 @@ class Constraints:
         return codes
 
     def lock_in_time(self, leg: SetpointResponse, wall: Wall) -> NDArray[np.bool_]:
-        """Return whether the vehicle would stop in front of the wall if it held position from each state.
+        """Return, for each state, whether a command to hold position would stop the vehicle before the wall.
 
         The executive decides by the same prediction (`least_distance_m`).
         """
@@ -336,9 +336,10 @@ def _hits_post(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
 def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
     """Return tables of the braking distance for `lock_in_time`, computed by the executive's rule.
 
-    The braking distance is proportional to the sum of the speed and the scaled acceleration. The tables give
-    the distance for a sum of 1 m/s. The first table holds for an acceleration towards the wall, the second
-    for an acceleration away from the wall. The third array is the argument of both tables: speed / sum.
+    The braking distance is proportional to a sum: the speed plus `ATTITUDE_LAG_S` times the acceleration. The
+    tables give the distance for a sum of 1 m/s. The first table holds for an acceleration towards the wall,
+    the second for an acceleration away from the wall. A third array contains the ratio speed / sum of each
+    entry.
     """
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0

@@ -9,7 +9,7 @@ distance d (`contact_distance_m`) from the centre:
 
     x_g = x - g a sin i + d (1 - cos i)        depth of a guard
     F   = sum of max(0, -(k x_g + f dx_g/dt)/2)
-    T   = -mu F (v_t + b d di/dt)              friction acts at the lever b d
+    T   = -mu F (v_t + b d di/dt)              friction has the lever b d; b is `_LEVER_SHARE`
     M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T              torque, positive turns to the right
     m dv/dt = force + push by thrust and drag
 
@@ -23,7 +23,7 @@ starts, dampings and derivatives; each combination is called a lane. The evidenc
     2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
 
 `ContactFitter` answers the core's `ContactRequest` (docs/felt.md, docs/torque.md). In flights over MAVSDK it
-runs in its own process (`run.planner_process`), in the fast world in the same process (`run.fast`).
+runs in its own process (`run.planner_process`), in the fast world in the flight's process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ class Contact(NamedTuple):
     """The readings of one contact and what was known before the fit.
 
     Attributes:
-        ticks: readings from a few ticks before the first touch until shortly after the last.
+        ticks: readings from a few ticks before the first touch until shortly after the contact.
         touched_s: approximate time from the beginning of the first tick to the first touch, s.
         velocity: PX4's velocity at the touch along the planned wall's axes, m/s.
         incidence_rad: angle between the leading edge and the planned wall at the touch.
@@ -399,9 +399,10 @@ class ContactFit:
         return Hypothesis(float(evidence + seen), misfit, belief, *at, theta)
 
     def _wall_factor(self, factor: float, variance: float, before_sd: float) -> tuple[float, float]:
-        """Return the factor on a wall's coefficient and its relative standard deviation, after one contact.
+        """Return a wall's posterior after a contact: factor on the coefficient, relative standard deviation.
 
-        `factor` and `variance` are the estimate from this contact, and `before_sd` is the wall's prior.
+        `factor` and `variance` are the estimate from this contact, and `before_sd` is the wall's prior
+        standard deviation.
 
         A contact's coefficient is the wall's coefficient times a random factor, the scatter. Let sd2 be the
         wall's prior variance, s2 the sum of sd2 and the scatter's variance, and G = sd2/s2. The wall's
@@ -519,7 +520,7 @@ class ContactFitter:
         """Return the fit of a request's samples, and the stamp at which the first tick begins, microseconds.
 
         Raises:
-            ValueError: the readings are too few, or the vehicle did not fly at the wall.
+            ValueError: the readings are too few, or the vehicle did not fly towards the wall.
         """
         onset, wall, imu = request.onset, request.wall, self._vehicle.imu
         (nx, ny), (vx, vy, _) = request.normal, onset.velocity_mission
@@ -596,7 +597,7 @@ class ContactFitter:
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
     def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
-        """Return the configured material that the coefficients fit best, or None if they fit none."""
+        """Return the configured material with the coefficients nearest to `felt`; None if none are near."""
         spread2 = self._vehicle.estimation.walls.spread**2
 
         def misfit(name: str) -> float:
@@ -613,7 +614,7 @@ def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mo
 
     The largest of many noisy samples is biased. A mean over a tick underestimates the peak that occurs when
     the second guard touches the wall. The model therefore gives the shape of the torque about the vertical,
-    and the samples near its peak give the size. The remaining torque is smoothed.
+    and the samples near the model's peak give the size. The remaining torque is smoothed.
     """
     torque, down = np.array(request.torque_frd), _down(request.q_frd_to_ned)
     model = fit.forces(fit.contact.ticks, found.theta[:, None], np.array([mode]), _FINE)[2][:, :, 0]
@@ -657,7 +658,7 @@ def _down(q: Sequence[Quaternion]) -> Array:
 
 
 def _turned(normal: Array | float, along: Array | float, co: Array, so: Array) -> tuple[Array, Array]:
-    """Return a vector's components along normal and tangent of a wall rotated counter-clockwise."""
+    """Convert a vector to the axes of a wall that is rotated counter-clockwise (co: cosine, so: sine)."""
     return normal * co - along * so, along * co + normal * so
 
 

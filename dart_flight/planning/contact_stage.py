@@ -18,9 +18,9 @@ is the distance. The controller's error is e = kp (s - q) - u, and its thrust ad
 
 In these equations, lx is the normal force of the contact law alone, at the speed of the onset. The force lx
 also determines the peak friction force. The recovery setpoint (`core/mission/recovery.py`) is the position at
-the force peak plus the peak normal and friction forces, each times its gain. The motion along the normal is
-therefore linear, with one constant matrix per material and mode. The matrix exponential gives this matrix
-exactly.
+the force peak plus the peak normal and friction forces, each times its gain. All equations along the normal
+are linear. One constant matrix per material and mode therefore describes the motion along the normal. The
+matrix exponential gives this matrix exactly.
 
 The motion along the wall needs only integrals of exp(-c (1 + xi')). Here c is mu times the normal speed at
 the onset, and xi' is the normal velocity divided by this speed. Gauss quadrature is accurate to about 1e-10.
@@ -137,10 +137,10 @@ class TangentialOut(NamedTuple):
 
 
 class TangentialShape(NamedTuple):
-    """The linear response of the motion along the wall to its inputs, one array element per normal speed.
+    """The linear response of the motion along the wall to four inputs, one array element per normal speed.
 
     The inputs are the velocity v, acceleration a and integral i at the onset, and the recovery setpoint s.
-    The last letter of a field's name is the input. The two distances respond to v.
+    The last letter of a field's name is the input. `distance_to_peak` and `distance` respond to v.
     """
 
     distance_to_peak: Array
@@ -281,7 +281,7 @@ def build_stages(
 
 
 def _time_of_drop(course: Oscillation, peak: Array, end: Array, fraction: float) -> Array:
-    """Return the time at which the force has dropped by a fraction of its peak, in units of 1/omega."""
+    """Return the time, in units of 1/omega, at which the force has dropped by a fraction of its peak."""
     finite = np.where(np.isfinite(end), end, 2.0 * peak + 1.0)
     level = (1.0 - fraction) * motion(course, peak)[0]
 
@@ -329,7 +329,7 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
 class _Phases:
     """Quadrature over a contact's two phases: before and after the recovery setpoint.
 
-    Each phase has J nodes. An integral is a matrix that is multiplied by the values of f at all 2 J nodes.
+    Each phase has J nodes. An integral of f is a matrix times the values of f at all 2 J nodes.
     """
 
     def __init__(self, first_s: float, second_s: float) -> None:

@@ -80,7 +80,7 @@ def speed_warning(collision: Collision) -> str | None:
 def incidence_deg(mission: Mission, collision: Collision) -> float:
     """Return the planned angle of incidence of a collision, degrees, 0 to 45.
 
-    An approach turns the vehicle parallel to its wall; a recovery keeps the heading.
+    An approach turns the vehicle parallel to the wall that it approaches; a recovery keeps the heading.
     """
     yaw = 0.0
     for one in mission.collisions[: collision.index]:
@@ -112,7 +112,7 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def heights_flown_m(normal_m_s: float) -> tuple[float, float]:
-    """Return the heights of the guards that flights have covered at a normal speed.
+    """Return the range of guard heights that flights covered, for a speed along the wall's normal.
 
     Returns:
         Largest distance of the guards below and above the vehicle's centre of mass, metres.

@@ -188,7 +188,7 @@ class Grid(NamedTuple):
 
 
 class SeriesSolution:
-    """Solutions near one time per candidate, as power series in the difference from that time."""
+    """Solutions as power series about a time, which differs between candidates."""
 
     def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes
@@ -207,7 +207,7 @@ class SeriesSolution:
         return direction[0] * self.x + direction[1] * self.y
 
     def leg_at(self, d: Array) -> SetpointResponse:
-        """Return the states a time `d` after the grid point, with the same setpoints."""
+        """Return the states at `d` seconds after the grid point, with the same setpoints."""
         states = []
         for axis, z in zip(self._flight.axes, (self._zx, self._zy), strict=True):
             terms = (axis.series.reshape(-1, 4) @ z).reshape(_ORDER + 1, 4, -1)
@@ -283,8 +283,8 @@ def closest(
     Args:
         x, y: power series (order + 1, n) of the position about the grid point.
         goal: position of the goal.
-        low, high: range of the search, seconds from the grid point. It is one grid step to either side. If
-            the flight begins or ends at the grid point, that side of the range is 0.
+        low, high: range of the search, seconds from the grid point. It is one grid step to either side.
+            `low` is 0 if a flight begins at the grid point, and `high` is 0 if a flight ends there.
 
     Returns:
         Time from the grid point, distance, and position and velocity there (x, y, vx, vy), each (n,).

@@ -7,8 +7,8 @@ derivatives reach zero. The trajectory therefore keeps the optimised shape, the 
 the plan, with small additional accelerations.
 
 In the last tenths of a second before a wall, only two differences from the plan remain. The end is shifted to
-the estimated wall, and the final acceleration gives the wanted lean. If the correction lasted until the
-impact, the vehicle would still be rotating at the impact.
+the estimated wall, and the final acceleration gives the wanted tilt of the vehicle. If the correction lasted
+until the impact, the vehicle would still be rotating at the impact.
 """
 
 from __future__ import annotations

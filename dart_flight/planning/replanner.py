@@ -9,11 +9,11 @@ trajectory of its own (`trajectory`, `goal_trajectory`), the replanner first tri
 trajectory. For this it adds a polynomial to the mission's trajectory (`planning.rejoining`).
 
 A `WallEstimate` replaces the wall's configured coefficients and its planned plane. No other state is kept
-between requests, so an answer can be computed again from the log. If a collision is approached from rest, its
-approach stays as planned. If the estimated impact would exceed a limit, the approach is flown more slowly.
+between requests, so an answer can be computed again from the log. An approach from rest stays as planned,
+except that its speed is lower if the estimated impact would exceed a limit.
 
 The replanner does not run within the core's step. In flights over MAVSDK it runs in its own process
-(`run.planner_process`), in the fast world in the same process (`run.fast`).
+(`run.planner_process`), in the fast world in the flight's process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -253,7 +253,7 @@ class Replanner:
         return None
 
     def _thrust_off(self, wall: Wall, written: Trajectory) -> float:
-        """Return the thrust's acceleration away from a wall, m/s2, where the mission's trajectory ends."""
+        """Return the thrust per mass, m/s2, at the end of the mission's trajectory; positive off the wall."""
         end = written.at(written.duration_s)
         drag_n, _ = drag_along(wall, self._mission.vehicle.airframe.drag_per_s)
         return wall.to_collision(end.acceleration)[0] + drag_n * wall.to_collision(end.velocity)[0]
@@ -365,8 +365,8 @@ class Replanner:
         """Check the acceleration and jerk of trajectories.
 
         Returns:
-            Rows of the trajectories within the limits. For every trajectory, the largest horizontal
-            acceleration divided by the acceleration limit from PX4's tilt limit.
+            Indices of the trajectories within the limits, and an array over all trajectories: the largest
+                horizontal acceleration divided by the acceleration limit from PX4's tilt limit.
         """
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
         push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
@@ -375,7 +375,7 @@ class Replanner:
         return rows[jerk <= self._planned_m_s3], push / self._most_m_s2
 
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
-        """Return the known walls, for a trajectory from (position, velocity, acceleration) in x and y.
+        """Return the known walls; `start` is (position, velocity, acceleration) of the vehicle in x and y.
 
         The vehicle may start slightly behind the plane of the wall that it has just left. The reasons are
         that flexible arms release while still compressed, and that a wall's place is uncertain. The plane of
@@ -391,7 +391,10 @@ class Replanner:
     def _stays_clear(
         self, x: Array, y: Array, duration_s: Array, wall: Wall | None, obstacles: list[Wall]
     ) -> NDArray[np.bool_]:
-        """Return a mask of the trajectories within bounds and speed that touch no wall except `wall`."""
+        """Return a mask of the trajectories within the bounds and the speed limit.
+
+        These trajectories also touch no wall except `wall`.
+        """
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
         states = (_derivative(c, times, order).astype(np.float32) for order in (0, 1) for c in (x, y))
         window = GridWindow(np.linspace(0.0, 1.0, _SAMPLES), *states)
@@ -440,8 +443,8 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 def _straights(slack: float) -> list[tuple[float, float]]:
     """Return the options for the straight flight before a wall, best first: pairs (duration in s, count).
 
-    `slack` is the tolerance of the wall's position, metres. The straight flight begins earlier by `count`
-    times this distance.
+    `slack` is the tolerance of the wall's position, metres. `count` times `slack` is the additional length of
+    the straight flight, which begins earlier.
     """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]

@@ -246,7 +246,10 @@ class Rollout:
         return self._arrive(_merge(fronts)) if fronts else []
 
     def _weight(self, collision: int) -> int:
-        """Return the number of mode sequences that agree in the modes of the first `collision` walls."""
+        """Return the number of mode sequences that begin with the same modes at the first walls.
+
+        `collision` is the number of these walls.
+        """
         return int(len(self.task.modes) ** (len(self.walls) - collision))
 
     def _refuse(self, codes: NDArray[np.int8], collision: int) -> NDArray[np.bool_]:
@@ -511,7 +514,7 @@ class Rollout:
     def _search_goal(self, front: _Released) -> tuple[Rows, Rows]:
         """Find the grid point at which each candidate is closest to the goal.
 
-        The search ends when the goal counts as passed by the executive's rule (`core/mission/recovery.py`).
+        The search ends when the vehicle has passed the goal (rule in `core/mission/recovery.py`).
 
         Returns:
             The grid index of the closest approach for each remaining candidate, and the candidate's index.
@@ -603,7 +606,7 @@ def _actual_approach(
 
 
 def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
-    """Return the component of (x, y) along a direction; skip the product of an axis with a zero component."""
+    """Return the component of (x, y) along a direction; if the direction is an axis, multiply only once."""
     nx, ny = x.dtype.type(direction[0]), y.dtype.type(direction[1])
     along: NDArray[Any] = x * nx if ny == 0.0 else y * ny if nx == 0.0 else x * nx + y * ny
     return along

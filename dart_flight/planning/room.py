@@ -255,7 +255,7 @@ def _crossing(a: RoomWall, b: RoomWall) -> Vec2 | None:
 
 
 def contacts_from_walls(walls: Sequence[Any], directions_rad: Sequence[float]) -> list[RoomContact]:
-    """Return the contacts of a flight that `plan_star` planned in these directions.
+    """Return the contacts of a flight whose probes `plan_star` planned in these directions.
 
     Args:
         walls: `MeasuredWall`s of the flight's verdict.

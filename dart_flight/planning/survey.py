@@ -29,7 +29,7 @@ _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 class SurveyPlan(NamedTuple):
     """A mission that touches walls, and the walls that it cannot reach.
 
-    `unreachable` gives the reason by the name of the wall.
+    `unreachable` maps the name of such a wall to the reason.
     """
 
     mission: Mission
@@ -40,8 +40,8 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
     """Return a mission that touches the walls of the given mission.
 
     Args:
-        mission: mission whose flat walls are measured. The survey keeps its start, bounds, limits and
-            vehicle, and returns to its start.
+        mission: mission whose flat walls are measured. The survey has the same start, bounds, limits and
+            vehicle, and ends at the start.
         speed_m_s: speed of the contacts.
 
     Raises:
@@ -175,8 +175,8 @@ def surveyed_collisions(
 ) -> list[dict[str, Any]]:
     """Return the keys of a mission's collisions, expressed relative to the measured walls.
 
-    Gains along the mission's axes and places in the mission frame would not fit walls that were measured
-    elsewhere.
+    Gains along the mission's axes, and places in the mission frame, would be wrong for a wall that was found
+    at another place.
 
     Args:
         mission: mission as loaded.

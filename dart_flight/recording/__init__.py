@@ -1,1 +1,1 @@
-"""The record of a flight: MCAP files, written during the flight and readable up to a cut-off end."""
+"""The record of a flight: MCAP files, written during the flight; a cut-off file is readable up to the cut."""

@@ -65,7 +65,7 @@ def machine() -> str:
 
 @lru_cache(maxsize=1)
 def software_version() -> str:
-    """Return the package's version, with the commit if it runs from a checkout."""
+    """Return the package's version; if the package runs from a checkout, also the commit."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return __version__
@@ -136,7 +136,7 @@ def parse_written(mission: Document, vehicle: Document) -> Mission:
 def armed_span(log: Log) -> tuple[datetime, datetime] | None:
     """Return the first and the last time at which a recorded vehicle was armed, by the host's calendar.
 
-    None: the log does not contain these times, or the flight was in the fast world.
+    Return None if the log does not contain these times, or the flight was in the fast world.
     """
     started, monotonic = log.about.get("started_utc"), log.about.get("started_monotonic_us", "")
     armed = [

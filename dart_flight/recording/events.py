@@ -69,8 +69,8 @@ class EventFormatter:
     """Converts the records of a flight, in order, to events.
 
     Args:
-        every_problem: whether to report also problems in other flight modes than the present mode. They are
-            reported only while PX4's checks list no problem in the present mode.
+        every_problem: whether to report problems in other flight modes as well. They are reported only while
+            PX4's checks list no problem in the present mode.
     """
 
     def __init__(self, every_problem: bool = False) -> None:
@@ -78,7 +78,7 @@ class EventFormatter:
         self._problems: tuple[str, ...] = ()
 
     def format_event(self, record: Record) -> Event | None:
-        """Return the event of a record, or None if it has none."""
+        """Return the event of a record, or None if the record has no event."""
         if record.frequent:  # the usual case
             return None
         if isinstance(record, PhaseChange):

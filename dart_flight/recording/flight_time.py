@@ -32,7 +32,7 @@ class FlightTime:
 
 
 def find_zero(records: Iterable[Record]) -> int:
-    """Return the autopilot time of 0 s of a recorded flight, microseconds.
+    """Return the zero of a recorded flight's time, as autopilot time in microseconds.
 
     Without an IMU sample the first record with a time is the zero.
     """

@@ -24,7 +24,7 @@ class LogFollower:
         path: file of the log's first part.
 
     Attributes:
-        about: description of the flight, once read.
+        about: description of the flight; empty until it has been read.
         ended: whether the writer has finished the log.
     """
 

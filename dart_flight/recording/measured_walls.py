@@ -114,7 +114,7 @@ class WallMeasurements:
         return found
 
     def _true_wall(self, name: str, estimate: WallEstimate, drawn: Mapping[str, float | str]) -> Wall | None:
-        """Return the simulated wall that the vehicle touched, or None if there is no such standing wall."""
+        """Return the simulated wall that the vehicle touched, or None if there is no such wall."""
         near = [t for t in self._truths if abs(t.t_us - estimate.first_us) < _SAME_US]
         if not near or near[0].wall not in self._standing:
             return None

@@ -35,7 +35,7 @@ DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
 class MissingDataError(InputError):
-    """A flight log without the wanted data: the flight ended early, or the log was cut near its start.
+    """The flight log lacks the wanted data: the flight ended early, or the log was cut near its start.
 
     If several logs are given, a log without the data is skipped, and a message says so.
     """
@@ -61,7 +61,7 @@ class Log(msgspec.Struct, dict=True):
     Attributes:
         source: the file, or `IN_MEMORY`.
         about: description of the flight (`recording.about`).
-        end: data known only at the end; `lost` is the number of records that could not be written.
+        end: data known only at the end, such as `lost`: the number of records that could not be written.
         entries: records in the order written.
         complete: whether all parts of the log exist and the last part has its closing description.
     """

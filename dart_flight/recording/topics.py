@@ -20,7 +20,7 @@ _BY_TOPIC = {kind.topic: kind for kind in RECORD_TYPES}
 
 
 class Topic:
-    """The records of one channel: every field by its name, as an array over the records.
+    """The records of one channel: one array per field, with one entry per record.
 
     A number has shape (n,); a vector or a list of constant length, such as the motors, has shape (n, k). A
     missing value is NaN, so integers and booleans that may be missing are floats. A text field is

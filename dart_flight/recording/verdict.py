@@ -58,7 +58,7 @@ _KEPT = 1024  # samples of estimate and truth that wait for each other: 8 s at 1
 class ResetFigures(msgspec.Struct):
     """One reset of PX4's estimator.
 
-    The steps are the largest within 0.1 s of the change of PX4's reset counter.
+    PX4's reset counter changes at a reset. The steps are the largest within 0.1 s of this change.
 
     Attributes:
         position_m, velocity_m_s: steps that the motion does not explain.
@@ -141,8 +141,8 @@ class PositionError:
     """Largest distance between the estimated and the true position at the same stamp.
 
     The true position is interpolated between two samples. Estimate and truth arrive on separate threads, in
-    either order. Each estimate waits until the truth of its time arrives. At most `_KEPT` samples wait, so
-    memory is bounded.
+    either order. Each estimate waits until a true position of the same or a later time arrives. At most
+    `_KEPT` samples wait, so memory is bounded.
 
     Attributes:
         worst_m: largest distance so far, metres, or None if no estimate was compared.
@@ -343,8 +343,8 @@ class VerdictBuilder:
     def _goal_reached(self) -> bool | None:
         """Return whether the vehicle came within the goal's capture radius, or None before the flight's end.
 
-        The nearest distance is the miss distance if the vehicle passed the goal. Otherwise it is the final
-        error of a completed flight.
+        The nearest distance is the miss distance if the vehicle passed the goal. Otherwise it is a completed
+        flight's final distance from the goal.
         """
         if self.end is None:
             return None

@@ -112,14 +112,14 @@ class ContactMotion:
         mass_kg: vehicle mass.
         normal_m_s: normal velocity at the onset, collision frame; negative or 0.
         onset: onset rule.
-        acceleration_m_s2: constant acceleration along the normal that the contact does not cause, such as
+        acceleration_m_s2: constant acceleration along the normal from other causes than the contact, such as
             gravity in a drop. This acceleration also acts before and after the contact.
 
     Attributes:
         has_contact: whether there is a contact.
         end_s: time of the release; infinite if the vehicle never leaves the wall, 0 without a contact.
         peak_s: time of the largest normal force.
-        turn_s: time of the largest outward speed in contact.
+        turn_s: time at which the outward speed is largest during the contact.
         onset_m: normal position at the onset, m.
     """
 

@@ -53,8 +53,8 @@ def condition(
     """Validate the user's choices and return the condition.
 
     Raises:
-        InputError: the surface is not in the configuration, mode or onset is unknown or unsupported by the
-            vehicle, or the incidence is outside 0 to 45°.
+        InputError: the surface, the mode or the onset rule is unknown, the vehicle does not support the mode,
+            or the incidence is outside 0 to 45°.
     """
     if mode not in list(Mode):
         raise InputError(f"{mode!r} is not allowed, only: {', '.join(Mode)}", key=("mode",))
@@ -90,7 +90,7 @@ def onset_rule(vehicle: VehicleConfig, onset: str | None) -> Onset:
 
 
 def hit_problem(normal_m_s: float, tangential_m_s: float) -> tuple[str, str] | None:
-    """Return (component, reason) if a velocity component cannot occur in a wall hit; None if both can."""
+    """Return (component, reason) if a velocity component cannot occur in a wall hit, otherwise None."""
     for name, value in (("normal", normal_m_s), ("tangential", tangential_m_s)):
         if not abs(value) <= _FASTEST_M_S:
             return name, f"{value:g} m/s, expected at most {_FASTEST_M_S:g}"

@@ -381,7 +381,8 @@ def _mean(values: Sequence[float]) -> tuple[float, float]:
 def beyond(disagreement: dict[str, tuple[float, float]]) -> bool:
     """Return whether the measured peak forces of a material contradict the contact law.
 
-    They do if the magnitude of a mean disagreement exceeds `AGREES` and half the width of its 95 % interval.
+    The condition: the magnitude of a mean disagreement exceeds `AGREES`, and half the width of its 95 %
+    interval.
     """
     return any(abs(mean) > max(half, AGREES) for mean, half in disagreement.values())
 

@@ -1,7 +1,7 @@
 """The data of a flight's animation, which `player.js` draws.
 
-All data are in the page. Without scripts the page shows the map instead, and the animation starts only on
-request.
+All data are in the page. The animation starts only on request. If the browser runs no scripts, the page shows
+the map instead.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def _room(mission: Mission) -> dict[str, Any]:
 
 
 def _thinned(line: Array) -> list[Vec2]:
-    """Return points some centimetres apart, with both ends."""
+    """Return points of the line that are some centimetres apart, including both ends."""
     kept = [line[0]]
     for point in line[1:-1]:
         if math.dist(point[:2], kept[-1][:2]) > _PLANNED_STEP_M:

@@ -183,8 +183,8 @@ class Timing(msgspec.Struct):
     """Latencies and jitter of a flight, milliseconds; arrays (n,).
 
     Attributes:
-        setpoint_interval_ms: intervals between successive setpoints. The time of a setpoint is here the time
-            at which the sample that triggered the setpoint was received.
+        setpoint_interval_ms: intervals between successive setpoints. A setpoint is timed here by the receipt
+            of the sample that triggered it.
         imu_delay_ms: delays from the stamp of an IMU sample to its receipt, minus the smallest delay.
         recovery_ms: latencies of recoveries. Each begins when the sample that triggers the recovery is
             received, and ends when the recovery setpoint is sent.
@@ -196,7 +196,7 @@ class Timing(msgspec.Struct):
 
 
 class RecordedFlight:
-    """A recorded flight with a newly computed verdict, replayed on request.
+    """A recorded flight with a newly computed verdict; `replay` repeats the core's decisions on request.
 
     Raises:
         InputError: the log does not contain its mission.
@@ -265,12 +265,12 @@ class RecordedFlight:
         return found
 
     def armed_utc(self) -> str | None:
-        """Return the UTC time of arming by the host's clock. PX4 names its own log after the arming time."""
+        """Return the UTC time of arming, from the host's clock. PX4 names its own log after this time."""
         span = armed_span(self.log)
         return None if span is None else f"{span[0]:%Y-%m-%d %H:%M:%S} UTC"
 
     def replanned(self) -> list[tuple[PlanRequest, PlanAnswer | None, PlanTaken | None]]:
-        """Return (request, answer, decision) for each request to the planner in flight.
+        """Return (request, answer, decision) for each request that the core sent to the planner in flight.
 
         The answer is None if the planner did not answer. The decision states whether the plan was used. The
         decision is None if the log contains no decision.

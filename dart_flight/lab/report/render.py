@@ -49,7 +49,7 @@ class PageTable(NamedTuple):
 
 
 def is_number(value: Cell) -> bool:
-    """Return whether a cell is a number, or None for an unknown number."""
+    """Return whether a cell is a number; None counts as an unknown number."""
     return isinstance(value, Number) or not isinstance(value, str | dict)
 
 

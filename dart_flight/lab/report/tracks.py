@@ -66,7 +66,7 @@ class Power(NamedTuple):
     """Thrust and battery.
 
     Attributes:
-        time_s, thrust_n: total thrust by the core's model (`core/sense/thrust_model.py`), arrays (n,).
+        time_s, thrust_n: total thrust from the core's model (`core/sense/thrust_model.py`), arrays (n,).
         motor_time_s, lowest, highest: smallest and largest command to a motor, 0 to 1, arrays (m,).
         battery_time_s, battery_v: battery voltage, arrays (k,).
     """
@@ -104,9 +104,9 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return, for each time in `at_s`, the index of the latest entry of `times` that is not later.
+    """Return, for each time in `at_s`, the index of the last entry of `times` up to this time.
 
-    The second array states whether there is such an entry.
+    A second array states whether there is such an entry.
     """
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0
@@ -129,7 +129,7 @@ def tracking(course: FlightArrays) -> tuple[Array, Array, Array]:
 
 
 def power(course: FlightArrays, mission: Mission) -> Power:
-    """Return the thrust by the core's model, the motors' commands, and the battery."""
+    """Return the thrust from the core's model, the motors' commands, and the battery."""
     model = ThrustModel(mission.vehicle)
     thrust: list[tuple[float, float]] = []
     for record in course.records:

@@ -60,7 +60,7 @@ class Downsampler:
     """A filter that receives the records of a flight in order and passes on those that a display needs.
 
     Periods are measured in the autopilot's time. The filter passes on a period's strongest sample when the
-    period ends. Other records that are newer than this sample may therefore precede it.
+    period ends. The output may therefore contain newer records before this sample.
     """
 
     def __init__(self) -> None:

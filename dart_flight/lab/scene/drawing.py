@@ -149,7 +149,7 @@ def _bounds(mission: Mission, t_us: int) -> SceneEntity:
 
 
 def height_over(mission: Mission) -> float:
-    """Return the height at which walls are drawn, metres, above every vehicle within the bounds."""
+    """Return the height up to which walls are drawn, metres; vehicles within the bounds stay lower."""
     return mission.bounds.z[1] + _OVER_BOUNDS_M
 
 
@@ -215,7 +215,10 @@ def goal_altitude_m(mission: Mission) -> float:
 
 
 def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity:
-    """Return the planned path by mission and flight model: lines, balls at hits, small balls at waypoints."""
+    """Return the path that mission and flight model predict.
+
+    The path consists of lines, balls at hits, and small balls at waypoints.
+    """
     lines = [[leg.begin, leg.end] for leg in transit_segments(mission) if leg.begin is not None]
     for index, approach in flight.approaches.items():
         z = mission.altitude_at(index - 1)

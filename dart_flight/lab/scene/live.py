@@ -43,7 +43,7 @@ class LiveViewSpec(msgspec.Struct):
         show_room: whether to show the mission's room.
         frame_known: whether the origin of the mission frame is known from the beginning of the flight. If
             not, the flight's anchor record provides the origin.
-        from_truth: whether to show only a simulated vehicle, at its true pose.
+        from_truth: whether to show the true pose of a simulated vehicle (`SceneTranslator`).
     """
 
     mission: Mission

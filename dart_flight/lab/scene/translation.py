@@ -89,8 +89,8 @@ class Message(NamedTuple):
 
 
 class FlownTrajectory:
-    """The path flown so far, as points at least a step apart; if there are too many, half of them are
-    dropped.
+    """The path flown so far, as points at least `_step_m` apart; if there are too many, every second
+    point is dropped.
     """
 
     def __init__(self) -> None:

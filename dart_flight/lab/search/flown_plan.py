@@ -1,7 +1,7 @@
 """Simulated flights of plans in the fast world, and the choice of the plan to offer; used by `plan`.
 
-`fly_mission` flies a mission once nominally, and twenty times in worlds that differ from it at random
-(docs/draws.md); these are called drawn worlds. `choose_flown` compares the flight times with and without
+`fly_mission` flies a mission once in the nominal world, and twenty times in drawn worlds: worlds that differ
+at random from the nominal world (docs/draws.md). `choose_flown` compares the flight times with and without
 hits. The times count from take-off to landing, so they include touches of the walls before the hits.
 """
 
@@ -108,7 +108,7 @@ def fly_mission(
 
 
 def compare(colliding: FlownMission, free: FlownMission) -> FlownRecord:
-    """Return the record of the mission with hits, completed with the median time that the hits save.
+    """Return the record of the mission with hits, and add the median time that the hits save.
 
     The median is taken over the drawn worlds in which both missions were completed.
     """

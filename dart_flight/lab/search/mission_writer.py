@@ -109,7 +109,7 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
     Each wall to be hit is touched once, and the vehicle rests at the start after each touch.
 
     The touches measure each wall's direction and vertical force. Without touches, a first hit succeeds only
-    at up to 2 m/s (docs/results/faster_hits.md). If the wall is rotated, the hit turns the vehicle.
+    at up to 2 m/s (docs/results/faster_hits.md). A hit on a rotated wall turns the vehicle.
     """
     modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # a wall's first hit decides
     touches = [
@@ -136,9 +136,9 @@ def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Ve
     """Return the gains (A_n, A_t) of a hit's recovery setpoint, m/N.
 
     The recovery setpoint is active from the peak of the hit until the replanned trajectory begins. The gains
-    keep the thrust per mass at its value at the hit, u = a + drag v_in, with the incoming velocity v_in.
-    PX4's position loop commands kv (kp A F - v_out), with the gain A, the peak force F and the outgoing
-    velocity v_out. kp is MPC_XY_P, and kv is MPC_XY_VEL_P_ACC. The gains make this command equal to u.
+    keep the thrust per mass u of the moment of the hit. u is a + drag v_in, with the acceleration a and the
+    velocity v_in at the onset. PX4's position loop commands kv (kp A F - v_out), with the gain A, the peak
+    force F, the outgoing velocity v_out, kp = MPC_XY_P and kv = MPC_XY_VEL_P_ACC. This command equals u.
     """
     response, px4 = ContactResponse.at_wall(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
@@ -183,7 +183,7 @@ def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | N
     Args:
         scenario: the planned scenario.
         plan: the chosen plan.
-        text: text of the mission file; None: the text of `mission_text`.
+        text: text of the mission file; by default the text from `mission_text`.
     """
     source = Path(scenario.source)
     document = Document(text or mission_text(scenario, plan, source), str(source))

@@ -3,12 +3,12 @@ problem.
 
 Between two events the jerk is constant over each of several equal intervals. Position, velocity and
 acceleration are therefore polynomials of the time, and the states at the ends of an interval are exact
-(direct multiple shooting). The duration of each part is free. A hit changes the velocity by the contact law
-in closed form (`ContactResponse`) and lasts as long as the contact. For `dead_s` after the hit the thrust
-stays constant, because the attitude cannot jump and the next leg is planned meanwhile. The drag is
-proportional to the velocity. CasADi states the problem and its derivatives, and IPOPT solves the problem
-(extra `plan`). To keep clear of walls and posts, each part of a path stays inside half-planes and outside
-discs.
+(direct multiple shooting). The solver chooses the duration between two events. A hit changes the velocity by
+the contact law in closed form (`ContactResponse`) and lasts as long as the contact. For `dead_s` after the
+hit the thrust stays constant, because the attitude cannot jump and the next leg is planned meanwhile. The
+drag is proportional to the velocity. CasADi states the problem and its derivatives, and IPOPT solves the
+problem (extra `plan`). To keep clear of walls and posts, each part of a path stays inside half-planes and
+outside discs.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class Hit(NamedTuple):
 
 
 class RouteCorner(NamedTuple):
-    """The corner of a path past a wall's end, at which the path enters another half-plane.
+    """The corner at which a path around a wall's end enters another half-plane.
 
     `place` is an initial guess of the corner.
     """

@@ -1,9 +1,9 @@
 """The fastest flight from the start through the visits to the goal, with any number of hits that save time.
 
 The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time: the
-time of straight flight along the shortest path through the events, at the same limits, plus the time of the
-contacts. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of the
-best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds
+least time for the shortest path through the events, in straight legs within the same limits, plus the time of
+the contacts. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of
+the best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds
 places, velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is faster
 and the servo has enough time.
 """
@@ -95,8 +95,7 @@ class QuickestResult(msgspec.Struct, frozen=True):
         colliding: the fastest plan with hits; None if no plan with hits can be faster than the free plan.
         computed, pruned: number of computed sequences, and number of sequences excluded by their bounds.
         gap_s: largest time by which a sequence that was not computed could be faster than the best plan.
-        most_hits: limit on the number of hits, if the search omitted longer sequences that could be faster;
-            otherwise None.
+        most_hits: limit on the number of hits; None if no longer sequence could be faster than the best plan.
         elapsed_s: duration of the search.
     """
 
@@ -124,7 +123,8 @@ def plan_quickest(
     """Search a scenario with the objective `quickest`.
 
     Args:
-        scenario: supplies visits, walls and limits. If it names a sequence, the plan must hit these walls.
+        scenario: supplies visits, walls and limits. The plan must hit the walls of the scenario's sequence,
+            if there is a sequence.
         within_s: time limit of the search, seconds; the best plan found until then is refined and returned.
         progress: called with the number of computed sequences and the number of known sequences.
 
@@ -235,9 +235,9 @@ class LeastTimes:
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
-        """Return the time and the distance between an end of a leg and the point at which a speed is reached.
+        """Return the time and the distance between an end of a leg and the point with a given speed.
 
-        Both are arrays with one entry per speed of the grid. If `levels` is True, the acceleration must be
+        Both are arrays with one entry for each of `_speeds`. If `levels` is True, the acceleration must be
         zero when the speed is reached.
         """
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
@@ -345,7 +345,7 @@ class _Search:
         return [Visit(v.position_m, _TOLERANCE_USED * v.within_m) for v in self.scenario.visits]
 
     def _serving_sequences(self) -> Iterator[tuple[Event, ...]]:
-        """Yield each way to pass the visits in order.
+        """Yield each sequence of events that passes the visits in order.
 
         The vehicle passes a visit in flight, or by a hit if the visit lies at a wall.
         """
@@ -407,8 +407,8 @@ class _Search:
     def _largest_speed_after_hit_m_s(self) -> float:
         """Return an upper bound on the speed after any hit.
 
-        The bound assumes the largest velocity along the wall and no friction. It assumes the largest normal
-        velocity that the speed limit then permits, reduced by the restitution.
+        The bound assumes the largest velocity along the wall and no friction. The normal velocity is limited
+        by the rest of the speed limit, and reduced by the restitution.
         """
         fastest, hits, left = self.limits.speed_m_s, self.hits, 0.0
         for wall, mode in itertools.product(self.walls, self.scenario.modes):
@@ -474,7 +474,7 @@ class _Search:
         )
 
     def _servo_has_time(self, found: OptimalTrajectory) -> bool:
-        """Return whether the lock settles before each hit whose mode differs from the previous one."""
+        """Return whether the lock settles before each hit whose mode differs from the previous hit's mode."""
         lock = self.vehicle.lock
         if lock is None:
             return True

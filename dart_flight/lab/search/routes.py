@@ -1,8 +1,8 @@
-"""Shortest polylines past walls and posts, and regions that keep the parts of a polyline clear of them.
+"""Shortest polylines past walls and posts, and regions that keep each part of a polyline clear of obstacles.
 
 Each part of a path stays on one side of every wall: in a half-plane in front of the wall or behind it. If a
-part leads past a wall's end, the part stays beyond this end. Its distance from the wall's edge is at least
-half a vehicle plus a margin, as at a post.
+part leads past a wall's end, the part stays beyond this end. From walls' edges and from posts, a part keeps a
+distance of at least half a vehicle plus a margin.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def _within_bounds(places: Sequence[Vec2], bounds: BoundsSpec) -> list[Vec2]:
 def _cuts(disc: Disc, a: Vec2, b: Vec2) -> bool:
     """Return whether a straight path enters a disc.
 
-    If an end of the path is in the disc, the path must also come nearer to the centre than both path ends.
+    If the path begins or ends in the disc, it enters only if it comes nearer to the centre than both ends.
     """
     nearest_m = distance_to_segment(disc.centre, a, b)
     return nearest_m < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))

@@ -137,9 +137,9 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
         version: version of the file format.
         walls: the walls by name; walls outside the sequence are obstacles.
         posts: posts by name, as obstacles; only with the objective quickest.
-        touch_m_s: speed of touches before the hits; only with the objective quickest. Each wall to be hit is
-            first touched at this speed, from the start and back to the start. The touches measure the
-            direction of the walls and their vertical force. Without this key there are no touches.
+        touch_m_s: speed of touches before the hits; only with the objective quickest. Before the hits, the
+            vehicle flies from the start to each wall to be hit, touches it at this speed, and returns. The
+            touches measure the walls' direction and vertical force. Without this key there are no touches.
         sequence: walls in the order of the hits: up to four, or up to 16 with the objective quickest. With
             `any` the planner chooses walls and order. With `any` and quickest it may also choose no wall.
         search: the approaches to try; the objective quickest does not use this key.
@@ -152,7 +152,8 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
             shortest time from rest at the start through the visits to rest at the goal. Plans with quickest
             contain only hits that save time or that `sequence` demands.
         visits: places to pass, in this order; only with the objective quickest.
-        sight: late detection of the only wall, in front of the start; only with the objective quickest.
+        sight: late detection of the scenario's only wall, which must be in front of the start; only with the
+            objective quickest.
         uncertainty: standard deviations for the objective robust.
     """
 

@@ -419,7 +419,7 @@ def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
 
 
 def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
-    """Return the draws of `robust`, equal for all candidates and independent per wall and mode."""
+    """Return the draws of `robust`. All candidates get the same draws; walls and modes are independent."""
     u = scenario.uncertainty
     rng = np.random.default_rng(seed)
     draws = []

@@ -115,7 +115,7 @@ class MaestroDriver:
     # -- the line --
 
     def _command(self, code: int, value: int) -> None:
-        """Send a command until the controller reports no serial error after it."""
+        """Send a command, up to `_ATTEMPTS` times, until the controller reports no serial error."""
         self.open()
         message = bytes((code, self._config.channel, value & 0x7F, (value >> 7) & 0x7F))
         bits = 0
@@ -154,7 +154,7 @@ class MaestroDriver:
         raise self._connection_error("the controller gave no valid answer to the error query")
 
     def _query(self, query: bytes, size: int) -> bytes | None:
-        """Return the answer to a query, or None if it is short or other bytes are on the line."""
+        """Return the answer to a query, or None if the answer is too short or more bytes follow."""
         port = self._write(query, clear=True)
         try:
             answer = bytes(port.read(size))

@@ -22,7 +22,7 @@ class MockFaults(msgspec.Struct, frozen=True):
     Attributes:
         servo: faults of the servo itself: stuck, slow or stalled.
         unplugged: the controller does not answer; the servo keeps the last pulse.
-        brown_out: every travel causes a voltage drop `BROWN_OUT_S` after the start of the travel. The
+        brown_out: the voltage drops during every travel, at `BROWN_OUT_S` after the start of the travel. The
             controller then restarts, and outputs no pulses until the next command.
         switch_silent: the limit switches never close.
     """

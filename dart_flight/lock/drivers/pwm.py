@@ -63,7 +63,7 @@ class PwmDriver:
         self._period_ns = round(config.pwm.period_us * 1000.0)
 
     def open(self) -> None:
-        """Export the channel, and set the frame's period and the polarity where they differ from the setting.
+        """Export the channel, and correct the period and the polarity if they differ from the wanted values.
 
         Raises:
             DriverError: the chip or the channel does not exist, is not writable, or rejects a value. `key` of

@@ -57,8 +57,8 @@ def place_labels(
     """Write every label at the position near its point where the label covers the least.
 
     If a label is far from its point, a thin line connects the two. Each label takes the best position on
-    several rings around its point. The cost of a position counts first the overlap with existing text, then
-    the covered lines, then the distance. Set the limits and the aspect of the axis before the call.
+    several rings around its point. The cost of a position grows with the overlap with existing text, with
+    the covered lines, and with the distance. Set the limits and the aspect of the axis before the call.
 
     Args:
         axis: an axis with an equal aspect.

@@ -1,4 +1,4 @@
-"""The elements of every map: walls, bounds, start, goal, and the vehicle to scale."""
+"""The elements of every map: walls, bounds, start, goal, and the vehicle drawn to scale."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def draw_north(axis: Any, mission: Mission) -> None:
 
 
 def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = THICKNESS_M) -> None:
-    """Draw the wall behind its surface, and a thin line where the vehicle's centre is at first touch."""
+    """Draw the wall behind its surface, and a thin line through the vehicle's positions at first touch."""
     plane, surface = np.array(wall.ends), np.array(airframe.wall_surface(wall).ends)
     back = surface - thickness_m * np.array(wall.normal)
     axis.fill(
@@ -206,7 +206,7 @@ def points_per_unit(axis: Any) -> float:
 
 
 def placed(points: list[Vec2], at: Vec2, yaw_rad: float) -> Array:
-    """Return points of the body (forward, left) in the mission frame, (n, 2)."""
+    """Convert points from body axes (forward, left) to the mission frame, (n, 2)."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return np.array([(at[0] + c * x - s * y, at[1] + s * x + c * y) for x, y in points])
 
@@ -263,7 +263,7 @@ def draw_arrow(axis: Any, begin: Array | Vec2, end: Array | Vec2, colour: str, *
 def draw_hit(
     axis: Any, airframe: Airframe, at: Vec2, yaw_rad: float, mode: Mode | None, set_point: Vec2 | None
 ) -> list[Array]:
-    """Draw the vehicle at its hit, and a line to the setpoint that follows.
+    """Draw the vehicle at its hit, and a line to the recovery setpoint.
 
     Returns:
         The lines (n, 2) that labels should not cover.
@@ -294,12 +294,12 @@ def along(line: Array, step_m: float = 0.03) -> Array:
 
 
 def fit_map(figure: Any, axis: Any, *, below: Any = None, note: str = "") -> None:
-    """Set the figure's height from its map's aspect, and put the map's legend in columns below.
+    """Set the figure's height from the map's aspect, and put the legend in columns under the map.
 
     Args:
         figure: a figure with constrained layout.
         axis: the map.
-        below: another axis with an equal aspect and the same width.
+        below: another view under the map, with an equal aspect and the map's width.
         note: lines of text under the legend.
     """
     unique = {label: line for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}

@@ -186,7 +186,7 @@ def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
 
 
 def _from_rest(mission: Mission, planned: PredictedFlight) -> list[Array]:
-    """Return the rest-to-rest segments, including those after a predicted recovery: (2, 3), metres."""
+    """Return the straight segments from rest to rest, also those after a recovery: (2, 3), metres."""
     segments = predicted_segments(mission, planned.hits)
     return [np.array([segment.begin or segment.end, segment.end]) for segment in segments]
 
@@ -302,7 +302,7 @@ def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
 
 
 def _side_by_side(mission: Mission, planned: PredictedFlight) -> list[tuple[Vec2, str]]:
-    """Return the positions (x, z) of the hits with the numbers of the hits.
+    """Return the position (x, z) and the number of each hit.
 
     Hits that are close together at the same altitude share one position.
     """

@@ -81,7 +81,7 @@ def motion(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 @in_style
 def poses(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Draw the horizontal position from motion capture and from PX4's estimate, and their 3D distance."""
+    """Draw x and y from motion capture and from PX4's estimate, and the 3D distance of the two positions."""
     figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
     raw, estimated = flight.course.posed, flight.course.estimated
     for j in (0, 1):
@@ -112,7 +112,7 @@ def attitude(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 @in_style
 def tracking_error(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Draw the distance of estimated position and velocity from the active setpoint."""
+    """Draw the position error and the velocity error: estimate against the active setpoint."""
     figure, axes = new_figure(look, 2.9, 2, 1, sharex=True)
     times, *errors = tracking(flight.course)
     for axis, values, name in zip(axes, errors, ("position, m", "velocity, m/s"), strict=True):
@@ -126,7 +126,7 @@ def tracking_error(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 @in_style
 def thrust_and_battery(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Draw the total thrust by the core's model, the lowest and highest motor command, and the battery."""
+    """Draw the total thrust from the core's model, the lowest and highest motor command, and the battery."""
     figure, axes = new_figure(look, 4.0, 3, 1, sharex=True)
     p = power(flight.course, flight.mission)
     _plot(axes[0], flight, p.time_s, p.thrust_n, **ESTIMATED)

@@ -15,9 +15,9 @@ from dart_flight.lab.report.recorded_flight import RecordedFlight
 
 
 def figures_of(flights: Sequence[RecordedFlight]) -> Iterator[tuple[str, Any]]:
-    """Yield (name, figure) for each figure of a report, `COLUMN` wide.
+    """Yield (name, figure) for each figure of a report; each figure is `COLUMN` wide.
 
-    Several flights must be of one mission.
+    All flights must be of the same mission.
     """
     yield "map", flight_map(flights, look=COLUMN)
     if len(flights) > 1:

@@ -1,4 +1,4 @@
-"""Figures of a campaign over the drawn quantities (docs/draws.md): success rates and flight figures."""
+"""Plots of a campaign over its random quantities (docs/draws.md): success rates and flight results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _HIGH_IN = 2.3
 
 @in_style
 def success_figure(drawn: Drawn) -> Any:
-    """Draw the share of completed flights over one drawn quantity, with 95 % intervals."""
+    """Plot the share of completed flights over one random quantity, with 95 % intervals."""
     figure, axis = new_figure(PAGE, _HIGH_IN)
     numbers = [each for each in drawn.bins if each.low is not None and each.high is not None]
     shown, places, line = [], [], ""
@@ -37,7 +37,7 @@ def success_figure(drawn: Drawn) -> Any:
 
 @in_style
 def varied_figure(varied: FigureTrend, words: str) -> Any:
-    """Draw a figure of the completed flights over one drawn quantity, one point per flight."""
+    """Plot one result of the completed flights over one random quantity, one point per flight."""
     figure, axis = new_figure(PAGE, _HIGH_IN)
     axis.plot(*zip(*varied.points, strict=True), ".", color=ESTIMATED["color"], markersize=4)
     axis.set(xlabel=varied.name, ylabel=words)
