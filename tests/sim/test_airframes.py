@@ -73,7 +73,7 @@ def test_arm_lengths_define_the_motors_of_px4s_quadrotor_in_x() -> None:
         ("airframe: {arm_x_m: 0.1}", "arm_x_m and motors both define the motor positions"),
         (
             "airframe: {motors: null}",
-            "missing key arm_x_m; an airframe other than a quadrotor in X needs motors",
+            "missing key arm_x_m; an airframe other than a quadrotor in X needs `motors`",
         ),
         ("airframe: {motors: null, arm_x_m: 0.1}", "missing key arm_y_m"),
         ("airframe: {motors: [{x_m: 0.1, y_m: 0.1, yaw_torque_per_thrust_m: 0.1}]}", "length >= 4"),

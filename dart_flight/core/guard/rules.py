@@ -157,7 +157,7 @@ def _hover_thrust(v: FlightConditions) -> str | None:
     return f"{text}{mass_kg:g}: ratio {ratio:.2f}, limits {1.0 - allowed:.2f} to {1.0 + allowed:.2f}"
 
 
-@condition("the tilt exceeds the angle from which PX4 reliably recovers", "guard.tilt_deg")
+@condition("the tilt exceeds the largest angle from which PX4 reliably recovers", "guard.tilt_deg")
 def _tilt(v: FlightConditions) -> str | None:
     tilt = math.degrees(v.state.tilt_rad)
     return f"{tilt:.0f} deg, limit {v.config.tilt_deg:g} deg" if tilt > v.config.tilt_deg else None

@@ -63,7 +63,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=60.0,
         metavar="S",
-        help="for the objective quickest: return the best plan after a search of S seconds (default 60)",
+        help="for the objective quickest: stop the search after S seconds and return the best plan "
+        "(default 60)",
     )
     parser.add_argument(
         "--free",

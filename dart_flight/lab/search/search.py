@@ -54,7 +54,9 @@ ADVICE = {
     Refusal.SPEED: "raise limits.speed_m_s or lower the wall's gain alpha",
     Refusal.BOUNDS: "widen bounds_m or lower the wall's gain alpha",
     Refusal.OBSTACLE: "move or shorten the wall that blocks the path, or add this wall to `sequence`",
-    Refusal.WALL_NOT_REACHED: "raise the previous wall's gain alpha, or move or lengthen this wall",
+    Refusal.WALL_NOT_REACHED: (
+        "raise the previous wall's gain alpha, move this wall nearer, or lengthen this wall"
+    ),
     Refusal.INCIDENCE: "turn the wall: the vehicle hits it with the heading of the first approach",
     Refusal.TOO_SOON: "move the walls apart or lower detection.refractory_s",
     Refusal.SERVO_TRAVEL: "allow the same mode at both walls, a faster servo, or more distance between them",
