@@ -86,7 +86,7 @@ def test_arm_lengths_define_the_motors_of_px4s_quadrotor_in_x() -> None:
         ),
         ("thrust: {full_n: 2.0}", "to hover 1.6 kg, limit 80 %"),
         ("thrust: {table: [[0.5, 3.0], [1.0, 6.0]]}", "full_n and model_factor and table both define"),
-        ("thrust: {full_n: null}", "missing key full_n, or a table"),
+        ("thrust: {full_n: null}", "missing key full_n; alternatively, give the measured thrust as `table`"),
         (
             "thrust: {full_n: null, model_factor: null, table: [[0.5, 3.0], [0.5, 4.0], [1.0, 6.0]]}",
             "command and thrust must both rise from [0.5, 3] to [0.5, 4]",
