@@ -206,7 +206,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
             r"collisions\[1\]: needs an approach, because the vehicle rests after a probe",
         ),
         ([EAST], {"waypoints": [STAY | {"after": 0}]}, r"waypoints\[0\].at_wall.wall: .*east"),
-        ([EAST], {"waypoints": [STAY | {"position_m": [0, 0]}]}, "exactly one of position_m, at_wall"),
+        ([EAST], {"waypoints": [STAY | {"position_m": [0, 0]}]}, "exactly one key: position_m or at_wall"),
         ([EAST], {"waypoints": [{"after": 1, "position_m": [0, 0], "if_met": "west"}]}, r"if_met: .*west"),
         (
             [EAST],

@@ -243,7 +243,7 @@ WRONG = [
         "waypoints: [{hold_s: 1}]",
         "waypoints[0]: give exactly one key: position_m or at_wall for a waypoint, or pause",
     ),
-    ("waypoints: [{position_m: [0, 0], pause: operator}]", "waypoints[0]: give exactly one of"),
+    ("waypoints: [{position_m: [0, 0], pause: operator}]", "waypoints[0]: give exactly one key"),
     ("waypoints: [{pause: operator, hold_s: 1}]", "waypoints[0].hold_s: a pause cannot have this key"),
     (
         "waypoints: [{position_m: [0, 0], timeout_s: 9}]",
