@@ -77,7 +77,7 @@ def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
     says = (
         f"wall {collision.wall.name} is hit at {math.hypot(*collision.approach_m_s):.2f} m/s after a probe "
     )
-    says += "has found it; the vehicle checks the space for the run-up after the probe"
+    says += "has located the wall; after the probe, the vehicle checks the space for the run-up"
     yield CheckFinding(f"approach_{collision.index}", True, says)
 
 
@@ -96,7 +96,8 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
             says = (
                 f"collision {by[-1].index} corrects the frame along the normal of wall {collision.wall.name}"
             )
-            says += f" about {age_s:.0f} s before the impact: the wall is then known to {sd_m:.2f} m (1 sd)"
+            says += f" about {age_s:.0f} s before the impact; at the impact, the wall "
+            says += f"is known to {sd_m:.2f} m (1 sd)"
             yield CheckFinding(item, True, says, figures={"age_s": age_s, "sd_m": sd_m})
         elif collision.probe is None:
             says = (

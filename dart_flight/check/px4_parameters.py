@@ -100,7 +100,7 @@ def _imbalance(value: float, _: Mission) -> tuple[bool, str]:
 def _rc_exception(value: float, _: Mission) -> tuple[bool, str]:
     ignores = round(value) & 4
     return True, (
-        "PX4 ignores a loss of the remote control in offboard mode: the pilot cannot take over then"
+        "PX4 ignores a loss of the remote control in offboard mode; after a loss, the pilot cannot take over"
         if ignores
         else "a loss of the remote control ends offboard mode, which cannot start without a remote control"
     )
@@ -280,7 +280,7 @@ def _evaluate_pose_delay(
         says = f"{delay_ms:g} ms" if difference is None else difference.line()
         says += (
             "; mocap.delay_ms is not set: measure the age of a pose on arrival at PX4, and set "
-            f"mocap.delay_ms and {POSE_DELAY} to it"
+            f"mocap.delay_ms and {POSE_DELAY} to this age"
         )
         return CheckFinding(POSE_DELAY, True, says, remark=True)
     apart_ms = abs(delay_ms - measured_ms)

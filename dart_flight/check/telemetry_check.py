@@ -183,7 +183,7 @@ def evaluate_motor_outputs(
         by_values = (
             f"{observed_scale.describe()}, judged by the values"
             if observed_scale
-            else "all outputs are 0 while disarmed: type not known yet"
+            else "all outputs are 0 while disarmed: the output type is not known yet"
         )
         return [CheckFinding(item, True, by_values)]
     wrong = _problem_of(bank, values, motors)

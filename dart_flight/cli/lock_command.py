@@ -36,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--release",
         action="store_true",
-        help="switch the pulses off once settled (default: keep them on, which holds the rods)",
+        help="switch the pulses off when the lock has settled (default: keep them on to hold the rods)",
     )
     parser.add_argument("--yes", action="store_true", help="with calibrate: write without confirmation")
 

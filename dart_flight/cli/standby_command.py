@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
         for mission in flown[1:]:
             if (mission.vehicle.lock, mission.vehicle.mocap) != (vehicle.lock, vehicle.mocap):
                 raise InputError(
-                    "its lock or motion capture differs from the first mission's",
+                    "the lock or motion capture of this mission differs from the first mission's",
                     source=mission.source,
                 )
     elif arguments.driver is not None and vehicle.lock is not None:

@@ -222,8 +222,8 @@ def resolve_alphas(
         if ax != ay and not across and abs(wall.normal[1]) >= _AXIS_TOLERANCE:
             raise document.error(
                 (*key, "alpha_m_per_n"),
-                "different gains per mission axis could point into a wall that is not along an axis; "
-                "use alpha_wall_m_per_n: [normal, tangential]",
+                "the wall is oblique to the mission's axes, so different gains per axis could lead the "
+                "recovery into the wall; use alpha_wall_m_per_n: [normal, tangential]",
             )
         alphas = (ay, ax) if across else (ax, ay)
     if not alphas[0] > 0.0:

@@ -483,12 +483,12 @@ def _resolve_waypoints(
 def _check_order(one: WaypointSpec, flown: int, spec: MissionFile, key: Key, document: Document) -> None:
     """Raise InputError if an entry mixes keys of a waypoint and a pause, or if `after` is out of order."""
     if [one.position_m, one.at_wall, one.pause].count(None) != 2:
-        raise document.error(key, "give exactly one of position_m, at_wall (waypoints) and pause")
+        raise document.error(key, "give exactly one key: position_m or at_wall for a waypoint, or pause")
     others = ("timeout_s",) if one.pause is None else ("altitude_m", "speed_m_s", "hold_s")
     for name in others:
         if getattr(one, name) is not None:
             what = "a waypoint" if one.pause is None else "a pause"
-            raise document.error((*key, name), f"{what} has no such key")
+            raise document.error((*key, name), f"{what} cannot have this key")
     count = len(spec.collisions)
     if not flown <= one.after <= count:
         text = f"{one.after}, expected {flown} to {count}: the list is in the order of the flight"
@@ -554,7 +554,7 @@ def _resolve_collision(
             raise document.error(
                 (*key, "approach"),
                 f"meets the plane of wall {wall.name} at ({impact[0]:.3f}, {impact[1]:.3f}), "
-                f"beyond its length of {wall.length_m:g} m",
+                f"beyond the end of the wall, which is {wall.length_m:g} m long",
             )
     elif i == 0:
         raise document.error(key, "the first collision needs an approach")
@@ -604,7 +604,7 @@ def _check_trajectory(
 
 def _check_replanned(mission: MissionFile, key: Key, document: Document) -> None:
     if mission.after_impact is not AfterImpact.REPLAN:
-        raise document.error(key, "a trajectory after a collision needs after_impact: replan")
+        raise document.error(key, "a trajectory after a collision needs `after_impact: replan`")
 
 
 def _rest_before(mission: MissionFile, flown: int) -> Vec2 | None:
@@ -615,10 +615,10 @@ def _rest_before(mission: MissionFile, flown: int) -> Vec2 | None:
 
 def _check_from_rest(written: TrajectoryPieces, place: Vec2 | None, key: Key, document: Document) -> None:
     if place is None:
-        raise document.error(key, "a trajectory from rest needs a waypoint before it")
+        raise document.error(key, "a trajectory from rest must follow a waypoint")
     off_m = math.dist(written.position_m, place)
     if off_m > _TRAJECTORY_OFF_M or any((*written.velocity_m_s, *written.acceleration_m_s2)):
-        text = f"must begin at rest at ({place[0]:g}, {place[1]:g}), not {off_m:.2f} m away"
+        text = f"must begin at rest at ({place[0]:g}, {place[1]:g}); its first point is {off_m:.2f} m away"
         raise document.error(key, text)
 
 
@@ -649,7 +649,7 @@ def _impact_point(
     """Return the impact point: as given, or where the approach from the start crosses the plane."""
     given, along = spec.impact_point_m, spec.impact_along_m
     if given is not None and along is not None:
-        raise document.error((*key, "impact_along_m"), "give this or impact_point_m, not both")
+        raise document.error((*key, "impact_along_m"), "give impact_along_m or impact_point_m, not both")
     if wall.sought:
         if given is not None:
             text = f"the position of wall {wall.name} is unknown: give impact_along_m"

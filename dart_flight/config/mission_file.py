@@ -543,7 +543,7 @@ class FlownRecord(Section, frozen=True):
         """Flights, times and saving in one line, for `plan`, `check` and the mission's picture."""
         drawn = self.drawn
         if drawn is None:
-            return self.danger or "nominal flight completed, not flown in drawn simulations"
+            return self.danger or "the nominal flight completes; no flights in drawn worlds were simulated"
         text = (
             f"{drawn.completed} of {drawn.flights} drawn flights complete, {drawn.uncontrolled} uncontrolled"
         )

@@ -155,7 +155,7 @@ def resolve_probe(
     assert probe is not None
     for name in _NOT_OF_PROBES:
         if getattr(spec, name) is not None:
-            raise document.error((*key, name), "a probe has no such key")
+            raise document.error((*key, name), "a probe cannot have this key")
     if not wall.sought and probe.material is not None:
         raise document.error(
             (*key, "probe", "material"),
@@ -181,7 +181,10 @@ def resolve_probe(
         raise document.error((*key, "probe"), text)
     reach_m = wall.signed_distance(probe.from_m) / -normal_m_s * probe.speed_m_s
     if reach_m > probe.length_m + _ON_PLANE_M:
-        text = f"wall {wall.name} is {reach_m:.2f} m away; give that distance plus the wall's uncertainty"
+        text = (
+            f"wall {wall.name} is {reach_m:.2f} m away; length_m must be this distance plus the wall's "
+            "uncertainty"
+        )
         raise document.error((*key, "probe", "length_m"), text)
     met = reach_m / probe.length_m
     impact = (

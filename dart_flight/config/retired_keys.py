@@ -130,7 +130,9 @@ def ignore_retired(document: Document) -> None:
     for key in found:
         if len(same) > 1 and key in same:
             continue
-        text = f"is ignored, because it is now fixed at {json.dumps(RETIRED[key].value)}: remove it"
+        text = (
+            f"is ignored, because its value is now fixed at {json.dumps(RETIRED[key].value)}: remove the key"
+        )
         warnings.warn(document.error(tuple(key.split(".")), text).one_line(), RetiredKeyWarning, stacklevel=2)
 
 

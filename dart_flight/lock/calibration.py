@@ -127,7 +127,7 @@ class Calibration:
     def _store_end(self) -> None:
         mode = self.current_end
         if mode is None:
-            raise CalibrationError("both ends are stored already")
+            raise CalibrationError("the pulses of both ends are already stored")
         self.found[mode] = self.pulse_us
         if self.current_end is None:
             try:

@@ -347,7 +347,7 @@ class LockStateMachine:
             return by_pulse, ""
         if reading.pulse_us is None:
             return None, "no position found: pulses are off"
-        return None, f"no position found: {reading.pulse_us:.0f} us is not the pulse of an end"
+        return None, f"no position found: the pulse of {reading.pulse_us:.0f} us belongs to neither end"
 
     # -- changes --
 

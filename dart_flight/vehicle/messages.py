@@ -366,7 +366,7 @@ _LANDED: Final = {
 
 
 def _landed(m: _ExtendedSysStateFields) -> LandedState | Unusable:
-    return _LANDED.get(m.landed_state) or Unusable("has a state of the land detector")
+    return _LANDED.get(m.landed_state) or Unusable("reports whether the vehicle has landed")
 
 
 def _outputs(m: _ActuatorOutputStatusFields) -> Outputs | Unusable:
@@ -521,7 +521,7 @@ ATTITUDE_QUATERNION = MessageEntry(
     _attitude,
     "body FRD to NED",
     "unit quaternion, ms",
-    "a value is NaN, the length is not 1",
+    "a value is NaN, or the length is not 1",
 )
 ODOMETRY = MessageEntry(
     "ODOMETRY",
@@ -542,7 +542,7 @@ HEARTBEAT = MessageEntry(
     _heartbeat,
     "-",
     "PX4's main and sub mode, MAV_STATE",
-    "the autopilot is not PX4, no custom mode",
+    "the autopilot is not PX4, or there is no custom mode",
 )
 EXTENDED_SYS_STATE = MessageEntry(
     "EXTENDED_SYS_STATE",
@@ -560,7 +560,7 @@ ACTUATOR_OUTPUT_STATUS = MessageEntry(
     _outputs,
     "-",
     "PWM 1000 to 2000 µs, DShot 0 to 1999 or UAVCAN 0 to 8191, recognised by the values",
-    "there are fewer outputs than motors, a value is NaN or of unknown type, or all outputs idle in flight",
+    "there are fewer outputs than motors, a value is NaN or of unknown type, or all are idle in flight",
     None,
     None,
     "PX4 sends only the bank that it started first",
@@ -616,9 +616,9 @@ STATUSTEXT = MessageEntry(
     _StatusTextFields,
     _status_text,
     "-",
-    "MAV_SEVERITY, UTF-8 in parts of 50 bytes",
-    "severity is over 7, text is empty",
-    which="parts with one id are joined",
+    "MAV_SEVERITY; text in UTF-8, in parts of 50 bytes",
+    "the severity is over 7, or the text is empty",
+    which="parts with the same id are joined",
 )
 TIMESYNC = MessageEntry(
     "TIMESYNC",
@@ -627,7 +627,7 @@ TIMESYNC = MessageEntry(
     _timesync,
     "-",
     "ns",
-    "a request (tc1 0), an answer to another program's request",
+    "a request (tc1 0), or an answer to another program's request",
 )
 GPS_RAW_INT = MessageEntry(
     "GPS_RAW_INT",
@@ -645,7 +645,7 @@ RC_CHANNELS = MessageEntry(
     _radio,
     "-",
     "pulses in µs",
-    "no channels, the signal is 0",
+    "there are no channels, or the signal is 0",
 )
 
 ENTRIES: Final = (

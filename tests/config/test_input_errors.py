@@ -57,7 +57,12 @@ WRONG: list[tuple[str, str, str, str]] = [
     ("limits: {", "limits: [", "18", "not valid YAML"),
     ("capture_radius_m: 0.15", "capture_radius_m: true", "9: goal.capture_radius_m", "got true or false"),
     ("capture_radius_m: 0.15", "capture_radius_m: -1", "9: goal.capture_radius_m", "a number >"),
-    ("tangential_m_s: 0.5", "tangential_m_s: 2.9", "16: collisions[0].approach", "beyond its length"),
+    (
+        "tangential_m_s: 0.5",
+        "tangential_m_s: 2.9",
+        "16: collisions[0].approach",
+        "beyond the end of the wall",
+    ),
     ("approach: {normal_m_s: -0.6, tangential_m_s: 0.5}, ", "", "16: collisions[0]", "needs an approach"),
     ("vehicle: ../configs/dart.yaml", "vehicle: ../configs/none.yaml", "none.yaml", "cannot read"),
     ("hold_s: 2.0", "hold_s: 123456789012345678901", "9: goal.hold_s", "number too large"),

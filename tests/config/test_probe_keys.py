@@ -148,10 +148,10 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         (
             [EAST | {"approach": {"normal_m_s": -1.0}}],
             {},
-            r"collisions\[0\].approach: a probe has no such key",
+            r"collisions\[0\].approach: a probe cannot have this key",
         ),
-        ([EAST | {"impact_along_m": 0.1}], {}, "impact_along_m: a probe has no such key"),
-        ([EAST | {"alpha_wall_m_per_n": [0.1, 0.1]}], {}, "alpha_wall_m_per_n: a probe has no such key"),
+        ([EAST | {"impact_along_m": 0.1}], {}, "impact_along_m: a probe cannot have this key"),
+        ([EAST | {"alpha_wall_m_per_n": [0.1, 0.1]}], {}, "alpha_wall_m_per_n: a probe cannot have this key"),
         (
             [with_keys(AT_BOARD, material="wood")],
             WALLS,
@@ -187,7 +187,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         (
             [with_keys(AT_BOARD, length_m=1.2)],
             WALLS,
-            "probe.length_m: wall board is 1.50 m away; give that distance",
+            "probe.length_m: wall board is 1.50 m away; length_m must be this distance",
         ),
         ([EAST, EAST], {}, r"collisions\[1\].wall: two probes look for east"),
         ([EAST], {"simulated_walls": {"east": BOARD}}, "a simulated wall already has the name east"),
@@ -206,7 +206,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
             r"collisions\[1\]: needs an approach, because the vehicle rests after a probe",
         ),
         ([EAST], {"waypoints": [STAY | {"after": 0}]}, r"waypoints\[0\].at_wall.wall: .*east"),
-        ([EAST], {"waypoints": [STAY | {"position_m": [0, 0]}]}, "exactly one of position_m, at_wall"),
+        ([EAST], {"waypoints": [STAY | {"position_m": [0, 0]}]}, "exactly one key: position_m or at_wall"),
         ([EAST], {"waypoints": [{"after": 1, "position_m": [0, 0], "if_met": "west"}]}, r"if_met: .*west"),
         (
             [EAST],

@@ -67,10 +67,15 @@ def test_a_file_with_a_retired_key_loads_with_one_warning(key: str, tmp_path: Pa
         path = write_configuration(tmp_path, {key: value})
         vehicle, lines = load_with_warnings(path)
         assert vehicle == VEHICLE
-        assert lines == [f"{path}:2: {key}: is ignored, because it is now fixed at {fixed}: remove it"]
+        assert lines == [
+            f"{path}:2: {key}: is ignored, because its value is now fixed at {fixed}: remove the key"
+        ]
         assert load_with_warnings(DART, f"{key}={json.dumps(value)}") == (
             VEHICLE,
-            [f"--set {key}={json.dumps(value)}: is ignored, because it is now fixed at {fixed}: remove it"],
+            [
+                f"--set {key}={json.dumps(value)}: is ignored, because its value is now fixed at {fixed}: "
+                "remove the key"
+            ],
         )
 
 
@@ -85,7 +90,9 @@ def test_retired_keys_at_their_constants_share_one_warning(tmp_path: Path) -> No
         in shared
     )
     assert all(key in shared for key in RETIRED if key != "guard.imu_stuck_s")
-    assert own.endswith("guard.imu_stuck_s: is ignored, because it is now fixed at 0.1: remove it")
+    assert own.endswith(
+        "guard.imu_stuck_s: is ignored, because its value is now fixed at 0.1: remove the key"
+    )
 
 
 def test_a_misspelt_retired_key_is_refused(tmp_path: Path) -> None:
@@ -112,7 +119,9 @@ def test_the_command_line_shows_one_warning_on_standard_error(
     assert main([*command, "--velocity", "-1.0", "0.0"]) == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out)["vehicle"]["source"] == str(path)
-    warning = f"{path}:2: guard.imu_stuck_s: is ignored, because it is now fixed at 0.1: remove it"
+    warning = (
+        f"{path}:2: guard.imu_stuck_s: is ignored, because its value is now fixed at 0.1: remove the key"
+    )
     assert [line for line in shown.err.splitlines() if "imu_stuck" in line] == [warning]
 
 

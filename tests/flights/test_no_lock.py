@@ -85,7 +85,7 @@ def test_a_vehicle_with_a_lock_needs_flexible_coefficients(folder: Path) -> None
     with pytest.raises(InputError) as error:
         load_vehicle("lacks.yaml")
     assert str(error.value).startswith("lacks.yaml:")
-    assert "materials.concrete: missing key flexible: the vehicle has a lock" in str(error.value)
+    assert "materials.concrete: missing key `flexible`: the vehicle has a lock" in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -241,13 +241,13 @@ WRONG = [
     ("waypoints: [{position_m: [0, 0], speed_m_s: 3.5}]", "waypoints[0].speed_m_s: 3.5 m/s exceeds limits"),
     (
         "waypoints: [{hold_s: 1}]",
-        "waypoints[0]: give exactly one of position_m, at_wall (waypoints) and pause",
+        "waypoints[0]: give exactly one key: position_m or at_wall for a waypoint, or pause",
     ),
-    ("waypoints: [{position_m: [0, 0], pause: operator}]", "waypoints[0]: give exactly one of"),
-    ("waypoints: [{pause: operator, hold_s: 1}]", "waypoints[0].hold_s: a pause has no such key"),
+    ("waypoints: [{position_m: [0, 0], pause: operator}]", "waypoints[0]: give exactly one key"),
+    ("waypoints: [{pause: operator, hold_s: 1}]", "waypoints[0].hold_s: a pause cannot have this key"),
     (
         "waypoints: [{position_m: [0, 0], timeout_s: 9}]",
-        "waypoints[0].timeout_s: a waypoint has no such key",
+        "waypoints[0].timeout_s: a waypoint cannot have this key",
     ),
     ("waypoints: [{pause: pilot}]", "waypoints[0].pause: 'pilot' is not allowed, only: operator"),
     ("waypoints: [{pause: operator, after: 1}]", "waypoints[0].after: 1, expected 0 to 0"),

@@ -467,7 +467,12 @@ def test_homing_to_rigid_needs_permission(vary: Vary) -> None:
     [
         (None, None, False, "no position found: the driver gave no reading"),
         (DriverReading(None), None, False, "no position found: pulses are off"),
-        (DriverReading(1500.0), None, False, "no position found: 1500 us is not the pulse of an end"),
+        (
+            DriverReading(1500.0),
+            None,
+            False,
+            "no position found: the pulse of 1500 us belongs to neither end",
+        ),
         (DriverReading(1980.0), Mode.RIGID, False, None),
         (DriverReading(None, rigid_switch=True), Mode.RIGID, True, None),
         (DriverReading(1020.0, flexible_switch=True), Mode.FLEXIBLE, True, None),

@@ -71,7 +71,10 @@ def test_arm_lengths_define_the_motors_of_px4s_quadrotor_in_x() -> None:
     ("text", "message"),
     [
         ("airframe: {arm_x_m: 0.1}", "arm_x_m and motors both define the motor positions"),
-        ("airframe: {motors: null}", "missing key arm_x_m (of a quadrotor in X), or motors"),
+        (
+            "airframe: {motors: null}",
+            "missing key arm_x_m; an airframe other than a quadrotor in X needs `motors`",
+        ),
         ("airframe: {motors: null, arm_x_m: 0.1}", "missing key arm_y_m"),
         ("airframe: {motors: [{x_m: 0.1, y_m: 0.1, yaw_torque_per_thrust_m: 0.1}]}", "length >= 4"),
         (
@@ -83,7 +86,7 @@ def test_arm_lengths_define_the_motors_of_px4s_quadrotor_in_x() -> None:
         ),
         ("thrust: {full_n: 2.0}", "to hover 1.6 kg, limit 80 %"),
         ("thrust: {table: [[0.5, 3.0], [1.0, 6.0]]}", "full_n and model_factor and table both define"),
-        ("thrust: {full_n: null}", "missing key full_n, or a table"),
+        ("thrust: {full_n: null}", "missing key full_n; alternatively, give the measured thrust as `table`"),
         (
             "thrust: {full_n: null, model_factor: null, table: [[0.5, 3.0], [0.5, 4.0], [1.0, 6.0]]}",
             "command and thrust must both rise from [0.5, 3] to [0.5, 4]",

@@ -83,7 +83,9 @@ class Airframe(Section, frozen=True, kw_only=True):
             )
         if self.listed is None and len(arms) < 2:
             missing = "arm_y_m" if arms == ["arm_x_m"] else "arm_x_m"
-            raise ValueError(f"missing key {missing} (of a quadrotor in X), or motors (of any other)")
+            raise ValueError(
+                f"missing key {missing}; an airframe other than a quadrotor in X needs `motors` instead"
+            )
 
     @property
     def motors(self) -> tuple[Motor, ...]:
@@ -150,7 +152,7 @@ class Thrust(Section, frozen=True):
         if self.table is None:
             if len(given) < 2:
                 missing = "model_factor" if given == ["full_n"] else "full_n"
-                raise ValueError(f"missing key {missing}, or a table of measured thrust")
+                raise ValueError(f"missing key {missing}; alternatively, give the measured thrust as `table`")
             return
         if given:
             raise ValueError(

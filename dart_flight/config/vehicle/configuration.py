@@ -215,7 +215,7 @@ def parse_vehicle(document: Document) -> VehicleConfig:
     config = document.convert(VehicleConfig)
     for name, material in config.materials.items():
         if config.has_lock and material.flexible is None:
-            text = "missing key flexible: the vehicle has a lock (if not, set lock.driver to none)"
+            text = "missing key `flexible`: the vehicle has a lock (if not, set lock.driver to none)"
             raise document.error(("materials", name), text)
     _refuse_unflyable(config, document)
     return config

@@ -172,7 +172,7 @@ class Pwm(DriverSection, frozen=True):
         """Raise ValueError if the longest pulse is not shorter than the period of the pulses."""
         if servo.max_pulse_us >= self.period_us:
             raise ValueError(
-                f"servo.max_pulse_us must be below pwm.period_us {self.period_us:g}, the servo's frame"
+                f"servo.max_pulse_us must be below pwm.period_us {self.period_us:g}, the period of the pulses"
             )
 
 
@@ -302,7 +302,7 @@ class LockConfig(Section, frozen=True):
                 )
         if self.timeout_s <= self.switch_time_s:
             raise ValueError(
-                f"timeout_s {self.timeout_s:g} must be longer than the travel with its margin, "
+                f"timeout_s {self.timeout_s:g} must be longer than the travel time plus its margin, "
                 f"{self.switch_time_s:.3f} s"
             )
         if self.driver_section is not None:

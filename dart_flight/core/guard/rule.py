@@ -23,7 +23,7 @@ class Scope(StrEnum):
     ALWAYS = "always"
     GROUND = "before take-off"
     AIR = "in the air"
-    GUIDED = "while mission or guard flies"  # not while landing
+    GUIDED = "while the mission or the guard flies"  # not while landing
     FLYING = "while the mission flies"  # not while landing or once overruled
 
 

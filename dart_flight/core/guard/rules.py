@@ -157,7 +157,7 @@ def _hover_thrust(v: FlightConditions) -> str | None:
     return f"{text}{mass_kg:g}: ratio {ratio:.2f}, limits {1.0 - allowed:.2f} to {1.0 + allowed:.2f}"
 
 
-@condition("the vehicle tilts further than PX4 reliably recovers from", "guard.tilt_deg")
+@condition("the tilt exceeds the largest angle from which PX4 reliably recovers", "guard.tilt_deg")
 def _tilt(v: FlightConditions) -> str | None:
     tilt = math.degrees(v.state.tilt_rad)
     return f"{tilt:.0f} deg, limit {v.config.tilt_deg:g} deg" if tilt > v.config.tilt_deg else None
@@ -311,8 +311,8 @@ RULES: tuple[Rule, ...] = (
            "only noted",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
-           "the lock is not in the planned mode at the vehicle's last chance to stop before the wall, and "
-           "the impact is allowed in one mode only"),
+           "at the last chance to stop before the wall, the lock is not in the planned mode, and the "
+           "impact is allowed in one mode only"),
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,

@@ -479,7 +479,9 @@ class Executive:
         guard = self.mission.vehicle.guard
         if overrun > overrun_m(guard, wall, (x, y)) and not sensed.in_contact:
             p.add_finding(
-                "wall_not_met", f"no contact {overrun:.2f} m behind the plane of wall {collision.wall.name}"
+                "wall_not_met",
+                f"no contact, but the vehicle is {overrun:.2f} m behind the plane of wall "
+                f"{collision.wall.name}",
             )
 
     # -- impact --

@@ -48,7 +48,7 @@ _MAX_ERROR = 0.1  # largest error on held-out stretches, as a share of the thrus
 
 # Tests of a window in their order, with the reason for rejection.
 TESTS = {
-    "ground": "on the ground, or in the second before or after",
+    "ground": "on the ground, or within 1 s of take-off or landing",
     "gap": "too few samples",
     "turning": "mean rate of turning",
     "sideways": "mean force across the thrust axis: wind, drag or a contact",

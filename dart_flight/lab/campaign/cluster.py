@@ -131,7 +131,10 @@ def _refuse_unfit(client: Any, url: str) -> None:
 def _own_version() -> str:
     import distributed  # noqa: PLC0415
 
-    return f"distributed is {distributed.__version__} here: install that version on scheduler and workers"
+    return (
+        f"this computer has distributed {distributed.__version__}: install that version on scheduler and "
+        "workers"
+    )
 
 
 def _one_line(error: BaseException) -> str:

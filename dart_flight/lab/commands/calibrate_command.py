@@ -172,7 +172,7 @@ def _table(r: ThrustCalibration) -> Table:
         table.add_column(column, justify="left" if not column else "right")
 
     def error(value: float | None) -> str:
-        return "unchanged: these flights do not determine it" if value is None else f"{value:.3g}"
+        return "unchanged: these flights do not determine this value" if value is None else f"{value:.3g}"
 
     table.add_row("full thrust of one motor, N", f"{r.full_n:.3f}", error(r.full_n_error))
     table.add_row("model factor", f"{r.model_factor:.3f}", error(r.model_factor_error))

@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     opened = campaigns.open_campaign(_requested_campaign(arguments), arguments.out, arguments.resume)
     if opened.campaign.asked.makes_row:
         raise InputError(
-            "this campaign judges flights with its own function; resume it with the command that began it",
+            "another program's function judges these flights; resume the campaign with that program",
             source=str(opened.folder),
         )
     if arguments.scheduler is not None:

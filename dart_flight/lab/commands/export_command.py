@@ -24,8 +24,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         metavar="PATH",
-        help="folder of the CSV files (default: csv beside the log); each of several logs gets a subfolder; "
-        f"with --foxglove: the file (default: {FOXGLOVE_NAME} beside the log), or the folder of the files",
+        help="folder of the CSV files (default: csv beside the log); with several logs, one subfolder each; "
+        f"with --foxglove: the file (default: {FOXGLOVE_NAME} beside the log); with several logs, the folder "
+        "of the files",
     )
 
 

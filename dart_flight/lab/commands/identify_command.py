@@ -38,11 +38,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mode",
         choices=("rigid", "flexible"),
-        help="mode of the arms in the trials; of a flight log, only the collisions in this mode are used",
+        help="mode of the arms in the trials; a flight log contributes only its collisions in this mode",
     )
     parser.add_argument(
         "--surface",
-        help="name of the material, for -o; of a flight log, only collisions with this material are used",
+        help="name of the material, for -o; a flight log contributes only its collisions with this material",
     )
     parser.add_argument(
         "--drop",
@@ -50,7 +50,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=_height_or_trial,
         const=True,
         metavar="HEIGHT",
-        help="the trials are drops, with gravity along the normal; they are compared with HEIGHT (m)",
+        help="the trials are drops, with gravity along the normal; their impact speed is compared with a "
+        "fall from HEIGHT (m)",
     )
     parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
     parser.add_argument(

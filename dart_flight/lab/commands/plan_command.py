@@ -63,15 +63,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=60.0,
         metavar="S",
-        help="objective quickest: stop the search after S seconds and return the best plan (default 60)",
+        help="for the objective quickest: stop the search after S seconds and return the best plan "
+        "(default 60)",
     )
     parser.add_argument(
         "--free",
         action="store_true",
-        help="objective quickest: write and draw the plan without a collision",
+        help="for the objective quickest: write and draw the plan without a collision",
     )
     parser.add_argument(
-        "--seed", type=whole_number(0, 2**31 - 1), default=1, help="objective robust: random seed (default 1)"
+        "--seed",
+        type=whole_number(0, 2**31 - 1),
+        default=1,
+        help="random seed of the objective robust (default 1)",
     )
     parser.add_argument(
         "--no-verify",

@@ -41,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--tangential-ratio",
         type=float,
         metavar="R",
-        help="with --restitution: ratio of the speeds along the wall",
+        help="with --restitution: ratio of outgoing to incoming speed along the wall",
     )
     parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
     parser.add_argument(

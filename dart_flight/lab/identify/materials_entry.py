@@ -50,7 +50,7 @@ def materials_entry(
     modes = [mode for mode in vehicle.modes if mode.value in found.coefficients]
     if not modes:
         wanted = " or ".join(f"--mode {mode.value}" for mode in vehicle.modes)
-        raise InputError(f"an entry can only be written from trials with {wanted}", key=("output",))
+        raise InputError(f"to write an entry, identify the trials with {wanted}", key=("output",))
     lines, assumed, missing = [], [], []
     for mode in vehicle.modes:
         fallback = known.coefficients(mode) if known else None
@@ -59,7 +59,7 @@ def materials_entry(
             missing.append(mode.value)
             lines.append(
                 f"    # {mode.value}: unknown from these trials, but required; identify trials with "
-                f"--mode {mode.value} and add it here"
+                f"--mode {mode.value} and add the result here"
             )
             continue
         values, marks = [], []

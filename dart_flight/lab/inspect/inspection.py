@@ -57,7 +57,7 @@ def inspect_log(
     curve = None if isinstance(fitted, str) else fitted
     if curve is not None and are_motors_slow(track):
         unknown.append(
-            f"thrust between motor outputs (below {THRUST_KNOWN_HZ:.0f} Hz); only hover is evaluated"
+            f"thrust: motor outputs are logged at less than {THRUST_KNOWN_HZ:.0f} Hz; only hover is evaluated"
         )
     flying = flights_of(log, track)
     unknown += describe_cut(log, track, flying)

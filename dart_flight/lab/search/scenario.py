@@ -287,10 +287,10 @@ def resolve_scenario(
         normal, tangential = _grids(spec.search, document)
         modes = modes if spec.search.modes is None else tuple(dict.fromkeys(spec.search.modes))
     elif spec.objective is not Objective.QUICKEST:
-        problem = f"missing key search: the objective {spec.objective} needs a grid of approaches"
+        problem = f"missing key `search`: the objective {spec.objective} needs a grid of approaches"
         raise document.error((), problem)
     if not modes:
-        raise document.error(("search", "modes"), "the search is empty: name at least one mode")
+        raise document.error(("search", "modes"), "no mode is listed: name at least one mode")
     for mode, key in [(spec.transit_mode, ("transit_mode",)), *((m, ("search", "modes")) for m in modes)]:
         refuse_mode(mode, vehicle, key, document)
     count = sum(len(normal) * len(tangential) * len(modes) ** len(s) for s in sequences)
@@ -334,10 +334,13 @@ def _check_sight(spec: ScenarioFile, sight: SightSpec, walls: list[Wall], docume
     """Reject scenarios that limited sight does not support."""
     start = spec.start.position_m
     for valid, problem in (
-        (spec.objective is Objective.QUICKEST, "the key sight is possible only with the objective quickest"),
+        (
+            spec.objective is Objective.QUICKEST,
+            "the key `sight` is possible only with the objective quickest",
+        ),
         (
             len(walls) == 1 and not spec.visits,
-            "the key sight is possible only with one wall and without visits",
+            "the key `sight` is possible only with one wall and without visits",
         ),
         (walls[0].spans(start), "the vehicle sees only straight ahead: move start in front of the wall"),
         (
@@ -379,7 +382,7 @@ def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...],
     most = _MAX_QUICKEST if spec.objective is Objective.QUICKEST else _MAX_COLLISIONS
     if not 1 <= len(sequence) <= most:
         raise document.error(
-            key, f"expected a list of 1 to {most} walls or the word any, not {len(sequence)} walls"
+            key, f"expected a list of 1 to {most} walls or the word `any`, not {len(sequence)} walls"
         )
     for i, name in enumerate(sequence):
         if name not in spec.walls:
@@ -419,7 +422,9 @@ def _alphas(
     for name in sorted({name for sequence in sequences for name in sequence}):
         per_axis, per_wall = spec.alpha_m_per_n.get(name), spec.alpha_wall_m_per_n.get(name)
         if per_axis is None and per_wall is None:
-            raise document.error(("alpha_m_per_n",), f"wall {name} needs gains here or in alpha_wall_m_per_n")
+            raise document.error(
+                ("alpha_m_per_n",), f"wall {name} needs gains in alpha_m_per_n or alpha_wall_m_per_n"
+            )
         key: Key = ("alpha_wall_m_per_n" if per_axis is None else "alpha_m_per_n", name)
         alphas[name] = resolve_alphas(per_axis, per_wall, walls[name], key, document)
     return alphas

@@ -116,7 +116,10 @@ class PwmDriver:
             channel = board.gpio18
         if board is not None and channel < board.gpio18:
             right = board.gpio18
-            says = f"GPIO 18 is channel {right} on a {board.board}, not {channel}: set {right} or null"
+            says = (
+                f"GPIO 18 is channel {right} on a {board.board}, not {channel}: set the channel to {right} "
+                "or null"
+            )
             raise DriverError(says, ("pwm", "channel"))
         has = self._number(self._chip / "npwm")
         if channel >= has:

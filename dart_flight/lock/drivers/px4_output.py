@@ -49,7 +49,7 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
     flexible = round(config.servo.flexible_pulse_us)
     return (
         RequiredParameter(
-            f"{bank}_FUNC{pin}", function, f"otherwise no pin outputs actuator {px4.actuator_index}"
+            f"{bank}_FUNC{pin}", function, f"otherwise actuator {px4.actuator_index} has no output pin"
         ),
         RequiredParameter("COM_PREARM_MODE", PREARM_ALWAYS, "otherwise the servo moves only when armed"),
         RequiredParameter(

@@ -75,7 +75,7 @@ _P = FaultSite
 KINDS: tuple[FaultKind, ...] = (
     FaultKind("hang-core", _P.APP, "the core thread hangs"),
     FaultKind("hang-loop", _P.APP, "the event loop hangs"),
-    FaultKind("hang-lock", _P.APP, "a call in C holds the interpreter lock"),
+    FaultKind("hang-lock", _P.APP, "a call in C holds Python's interpreter lock"),
     FaultKind("sigstop", _P.APP, "the program is stopped (SIGSTOP)"),
     FaultKind("sigkill", _P.APP, "the program is killed (SIGKILL, as when memory runs out)"),
     FaultKind("disk-full", _P.APP, "the disk of the flight log is full"),
@@ -148,7 +148,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("servo-unplugged", _P.LOCK, "the servo's controller does not answer"),
     FaultKind("wall-missing", _P.PLANT, "the walls are missing"),
     FaultKind("wall-nearer", _P.PLANT, "the walls are nearer than planned", "m", 0.3, -1.0, 1.0),
-    FaultKind("other-material", _P.PLANT, "the walls are of another material, the stiffest of the others"),
+    FaultKind("other-material", _P.PLANT, "the walls are of the stiffest other material"),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
     FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
     FaultKind(

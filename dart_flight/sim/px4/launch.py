@@ -171,7 +171,7 @@ def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, f
         elif not parameter.absent or parameter.renamed is not None:
             raise Px4Error(
                 f"this PX4 has no parameter {name} (wanted {parameter.value:g}): "
-                "docs/px4.md does not list its version, or the name is wrong"
+                "docs/px4.md does not list this version of PX4, or the name is wrong"
             )
     return chosen
 

@@ -33,7 +33,7 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
     place, names = _BLOCK.size, []
     for _ in range(items):
         if place + _ITEM.size > len(data):
-            return "fewer items than the header of the block of Vicon's object stream specifies"
+            return "a block of Vicon's object stream has fewer items than its header specifies"
         item, size = _ITEM.unpack_from(data, place)
         place += _ITEM.size
         if place + size > len(data) or (item == _OBJECT_ID and size != _OBJECT.size):

@@ -141,7 +141,10 @@ def test_an_incompatible_version_of_dask_is_reported(
     setattr(client, where, TypeError("identity() got an unexpected\nkeyword argument 'n_workers'"))
     status, line = campaign()
     assert status == 2
-    assert "unexpected keyword argument 'n_workers'; distributed is 2026.8.0 here: install that" in line
+    assert (
+        "unexpected keyword argument 'n_workers'; this computer has distributed 2026.8.0: install that"
+        in line
+    )
 
 
 @pytest.mark.parametrize(

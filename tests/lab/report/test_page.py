@@ -215,7 +215,10 @@ def test_the_page_of_an_aborted_flight_shows_the_reason_and_the_guards_action(
     page = Page(text)
     assert page.headings == [s for s in SECTIONS if s != "Force of each impact"]
     assert "dual-collision, fast: aborted" in text
-    assert "<p class=reason>wall_not_met: no contact 0.15 m behind the plane of wall wood" in text
+    assert (
+        "<p class=reason>wall_not_met: no contact, but the vehicle is 0.15 m behind the plane of wall wood"
+        in text
+    )
     assert any(row[1:3] == ["wall_not_met", "break_off"] for row in page.rows if len(row) == 4)
 
 

@@ -121,4 +121,4 @@ def test_missions_with_trajectories_claim_no_success_rate_over_draws() -> None:
     shuttle = dart_flight.load_mission(dart_flight.packaged("missions", "shuttle.yaml"))
     words = " ".join(prediction_lines(shuttle, predict_mission(shuttle), []))
     assert "in nine of ten draws" not in words
-    assert "This version has not been flown in simulation" in words
+    assert "This mission has not been flown in simulation" in words

@@ -162,7 +162,7 @@ def test_sequences_with_too_many_collisions_are_reported_as_not_computed(
 def test_a_required_sequence_may_have_up_to_sixteen_walls() -> None:
     result = plan_quickest(scenario_between_walls(1.25, [], ["east", "west"] * 3))
     assert result.best.sequence == ("east", "west") * 3
-    with pytest.raises(InputError, match="expected a list of 1 to 16 walls or the word any, not 18"):
+    with pytest.raises(InputError, match="expected a list of 1 to 16 walls or the word `any`, not 18"):
         scenario_between_walls(1.25, [], ["east", "west"] * 9)
 
 
@@ -366,7 +366,7 @@ def test_plan_reports_the_time_that_the_collision_saves(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"objective": "nearest"}, "missing key search"),
+        ({"objective": "nearest"}, "missing key `search`"),
         (
             {"objective": "nearest", "posts": {"mast": POST}, "visits": [], "search": SEARCH},
             "posts: this key is possible only",
@@ -398,7 +398,7 @@ def test_a_trajectory_with_other_end_states_is_refused(tmp_path: Path) -> None:
         ({"start.position_m": [0.5, 0.0]}, "must begin at rest"),
         ({"collisions[0].predicted.normal_m_s": -1.0}, "not at the predicted velocity"),
         ({"goal.position_m": [0.5, 0.0]}, "from the goal"),
-        ({"after_impact": "setpoint"}, "needs after_impact: replan"),
+        ({"after_impact": "setpoint"}, "needs `after_impact: replan`"),
     ]
     mission = dart_flight.load_mission(tree)
     for change, message in changes:

@@ -147,7 +147,9 @@ def _flown_line(mission: Mission) -> str:
     """Return a sentence on the simulated flights recorded in the mission file."""
     record = mission.flown
     if record is None or record.digest != mission.digest:
-        return "This version has not been flown in simulation; its trajectories may not be flyable."
+        return (
+            "This mission has not been flown in simulation as written; its trajectories may not be flyable."
+        )
     return f"Flown in simulation: {record.summary}."
 
 
