@@ -32,7 +32,8 @@ def arm(instance: int) -> bool:
             answer = link.recv_match(type="COMMAND_ACK", blocking=True, timeout=0.2)
         except ConnectionError:  # PX4 does not listen yet
             answer = None
-        if answer is not None and answer.result == mavlink.MAV_RESULT_ACCEPTED:
+        # PX4 forwards its answers to the application's commands to this link as well.
+        if answer is not None and (answer.command, answer.result) == (order, mavlink.MAV_RESULT_ACCEPTED):
             return True
         time.sleep(0.05)
     return False

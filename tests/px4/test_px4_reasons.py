@@ -104,9 +104,12 @@ def test_a_refusal_is_explained_in_terminal_log_and_verdict(
 
 
 def test_an_offboard_refusal_is_explained_in_terminal_log_and_verdict(px4_dir: Path, tmp_path: Path) -> None:
-    """A disarmed PX4 accepts every mode, so the test arms it first and lets every setpoint time out."""
+    """A disarmed PX4 accepts every mode, so the test arms it first and lets every setpoint time out.
+
+    PX4 permits arming shortly before the mission begins; at a low speed this leaves time on a busy computer.
+    """
     changes: dict[str, int | float] = {"COM_OF_LOSS_T": 0.0, "COM_DISARM_PRFLT": -1.0}
-    flight = DryRun(px4_dir, tmp_path, changes, "--outdoor")
+    flight = DryRun(px4_dir, tmp_path, changes, "--outdoor", "--speed", "0.4")
     assert arm(flight.instance())
     assert_reason_is_quoted(
         flight.wait_for_refusal(), "offboard_refused: PX4 refused offboard mode; PX4 ", "No offboard signal"
