@@ -25,6 +25,8 @@ _VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 ignores the type MOCAP
 _POSITION_SD_M: Final = 0.01  # PX4 uses EKF2_EVP_NOISE if that is larger
 _ANGLE_SD_RAD: Final = 0.01
 _EARLY: Final = 0.125  # share of a period by which a frame may be early because of jitter
+_STALE_US: Final = 300_000  # above any latency with which PX4 can fly
+_JUMPED_US: Final = 1_000_000  # a burst of waiting frames is shorter
 _DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # indices in the upper triangle of a 6 x 6 matrix
 
 
@@ -112,6 +114,35 @@ class Decimation:
         return True
 
 
+class StaleFrames:
+    """A filter of stale frames: after an outage, TCP delivers all frames that waited, in one burst.
+
+    PX4 stamps a pose by its arrival, so a stale pose would move PX4's estimate to a former position.
+    """
+
+    def __init__(self) -> None:
+        self._least_us: int | None = None  # smallest offset between receipt and stamp
+        self._since_us: int | None = None
+
+    def contains(self, stamp_us: int, received_us: int) -> bool:
+        """Return whether a frame is more than 0.3 s older on arrival than the youngest frame was.
+
+        If all frames of one second are stale, the source's clock has jumped; then they count as fresh.
+        """
+        offset_us = received_us - stamp_us
+        if self._least_us is None or offset_us < self._least_us:
+            self._least_us = offset_us
+        if offset_us - self._least_us <= _STALE_US:
+            self._since_us = None
+            return False
+        if self._since_us is None:
+            self._since_us = received_us
+        if received_us - self._since_us > _JUMPED_US:
+            self._least_us, self._since_us = offset_us, None
+            return False
+        return True
+
+
 class MotionCaptureBridge:
     """A forwarder of one source's poses to PX4, on the source's thread.
 
@@ -136,7 +167,7 @@ class MotionCaptureBridge:
     ) -> None:
         self._source, self._send, self._clock, self._deliver = source, send, clock, deliver
         self._room = config.room_frame()
-        self._decimation = Decimation(config.rate_hz)
+        self._decimation, self._stale = Decimation(config.rate_hz), StaleFrames()
         self._lock = threading.Lock()
         self._stopped = self._withheld = self._attitude_withheld = False
         self.sent = 0
@@ -163,14 +194,15 @@ class MotionCaptureBridge:
         self._source.stop()
 
     def forward(self, raw: RawPose) -> None:
-        """Deliver a pose, and send it to PX4 if it is tracked and due."""
+        """Deliver a pose, and send it to PX4 if it is tracked, due and not stale."""
         received = self._clock.host_us()
         t_us = self._clock.to_autopilot(received)
         stamp = raw.source_us if raw.source_us is not None else received
         with self._lock:
             if self._stopped:
                 return
-            if raw.tracked and not self._withheld and self._decimation.selects(stamp):
+            stale = self._stale.contains(stamp, received)
+            if raw.tracked and not (stale or self._withheld) and self._decimation.selects(stamp):
                 position, attitude = self._room.pose_to_ned(raw.position_room, raw.q_body_to_room)
                 self._send(odometry(t_us, position, None if self._attitude_withheld else attitude))
                 self.sent += 1

@@ -12,7 +12,12 @@ from hypothesis import strategies as st
 from dart_flight.base.records import PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.vehicle.clock import SimulatedTime
-from dart_flight.vehicle.motion_capture.pose_bridge import Decimation, MotionCaptureBridge, forwarded_pose
+from dart_flight.vehicle.motion_capture.pose_bridge import (
+    Decimation,
+    MotionCaptureBridge,
+    StaleFrames,
+    forwarded_pose,
+)
 from dart_flight.vehicle.motion_capture.source import RawPose, lost_pose
 
 
@@ -110,3 +115,41 @@ def test_decimation_continues_after_a_clock_jump(jump_us: int) -> None:
     assert decimation.selects(jump_us)
     assert not decimation.selects(jump_us + 5_000)
     assert decimation.selects(jump_us + 20_000)
+
+
+def test_only_the_newest_poses_of_a_burst_after_an_outage_are_sent() -> None:
+    """The core receives them all, and the rule `pose_source` acts on the outage."""
+    source, clock = HandSource(), SimulatedTime()
+    sent: list[Any] = []
+    delivered: list[PoseSample] = []
+    bridge = MotionCaptureBridge(MotionCapture(), source, sent.append, clock, delivered.append)
+    bridge.start()
+
+    def forward(stamps_us: range, received_us: int | None = None) -> int:
+        before = len(sent)
+        for stamp_us in stamps_us:
+            clock.receive(received_us or stamp_us + 10_000, 0)
+            bridge.forward(pose(stamp_us))
+        return len(sent) - before
+
+    assert forward(range(0, 1_000_000, 20_000)) == 50
+    assert forward(range(1_000_000, 4_000_000, 20_000), 4_000_000) == 15  # those of the last 0.31 s
+    assert forward(range(4_000_000, 5_000_000, 20_000)) == 50
+    assert len(delivered) == 250
+
+
+@given(st.lists(st.integers(0, 300_000), min_size=1, max_size=50))
+def test_a_pose_within_the_allowed_growth_of_latency_is_never_stale(latencies_us: list[int]) -> None:
+    stale = StaleFrames()
+    for number, latency_us in enumerate(latencies_us):
+        assert not stale.contains(20_000 * number, 20_000 * number + latency_us)
+
+
+@pytest.mark.parametrize("jump_us", [-10_000_000, 10_000_000])
+def test_poses_are_fresh_within_a_second_of_a_clock_jump_of_the_source(jump_us: int) -> None:
+    stale = StaleFrames()
+    times_us = range(0, 3_000_000, 10_000)
+    found = [stale.contains(t + (jump_us if t >= 1_000_000 else 0), t) for t in times_us]
+    assert not any(found[:100])
+    assert sum(found) <= 101
+    assert not any(found[-50:])
