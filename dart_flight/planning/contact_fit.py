@@ -9,13 +9,13 @@ distance d (`contact_distance_m`) from the centre:
 
     x_g = x - g a sin i + d (1 - cos i)        depth of a guard
     F   = sum of max(0, -(k x_g + f dx_g/dt)/2)
-    T   = -mu F (v_t + b d di/dt)              friction has the lever b d; b is `_LEVER_SHARE`
+    T   = -mu F (v_t + b d di/dt)              friction has the lever b d
     M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T              torque, positive turns to the right
     m dv/dt = force + push by thrust and drag
 
 Attitude and gyro give the angle of incidence to the planned wall. Subtracting the angle between the real and
 the planned wall gives i. The fit estimates k, f and mu as multiples of their prior values. It also estimates
-the wall's angle, and the initial distance and velocity.
+the wall's angle, the initial distance and velocity, and b, the lever of the friction as a share of d.
 Rigid and flexible arms obey the same law with different coefficients, so both modes are fitted.
 Levenberg-Marquardt steps from several angles lead to the most probable values. One array holds all modes,
 starts, dampings and derivatives; each combination is called a lane. The evidence is Laplace's approximation:
@@ -70,18 +70,18 @@ _MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which 
 _VELOCITY_M_S: Final = 0.04  # deviation of PX4's velocity, at rest and of the speed
 _VELOCITY_SHARE: Final = 0.02
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
-_LEVER_SHARE: Final = 0.3  # lever at which friction is expected to act, in distances to the wall
-_LEVER_SD: Final = 0.3
+_LEVER_SHARE: Final = 0.3  # prior mean of the lever at which friction acts, in distances to the wall
+_LEVER_SD: Final = 0.3  # its prior deviation, so that a contact may also have no lever or twice as much
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
-_TORQUE_ERROR: Final = 0.1  # correlated between ticks
+_TORQUE_ERROR: Final = 0.05  # correlated between ticks
 _SURE_SIGMA: Final = 5.0  # of the sum of the readings: below it there was no contact
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
 # Incidences at which a fit begins.
 _STARTS_RAD = np.radians([-19, -14, -10, -7, -4, -1.5, 0, 1.5, 4, 7, 10, 14, 19])
-_SCREENED: Final = 2  # steps, after which only the best starts are kept
+_SCREENED: Final = 3  # steps, after which only the best starts are kept
 _KEPT: Final = 4
 _STEPS: Final = 10
 _SETTLED: Final = 1e-2  # a smaller reduction of the cost ends the search
@@ -94,7 +94,7 @@ _QUADRATIC = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35.0
 _NEAR_TOP: Final = 0.6  # share of the torque's top above which samples determine its size
 _SURE_TORQUE: Final = 4.0  # a fitted torque below this many times the noise does not give the peak's shape
 _QUARTER: Final = 0.5 * math.pi
-_K, _F, _X, _V, _D, _MU, _W = range(7)  # k, f, place, velocity, angle, mu, velocity along
+_K, _F, _X, _V, _D, _MU, _W, _B = range(8)  # k, f, place, velocity, angle, mu, velocity along, lever
 _FACTORS = [_K, _F, _MU]
 # Fields of a `WallEstimate` in the order of a `Belief`.
 _ESTIMATED = ("k_n_per_m", "f_ns_per_m", "mu_s_per_m", "nu_n", "k_sd", "f_sd", "mu_sd", "nu_sd")
@@ -188,7 +188,7 @@ class Hypothesis(NamedTuple):
         belief: posterior coefficients of the wall in this mode.
         incidence_rad, incidence_sd: angle of incidence at the first tick and its standard deviation.
         place_m, place_sd: signed distance of the centre to the wall's plane at the first tick's beginning.
-        theta: all fitted parameters (7,).
+        theta: all fitted parameters (8,).
     """
 
     evidence: float
@@ -229,14 +229,15 @@ class ContactFit:
         top, rub = t.normal.max(axis=0), np.abs(t.along).max(axis=0)
         model2 = (_MODEL_ERROR * top) ** 2
         along2 = (_FRICTION_ERROR * rub) ** 2 + 0.04 * model2
-        torque2 = (_TORQUE_ERROR * self._along * top) ** 2 + (_LEVER_SD * self._out * rub) ** 2
+        torque2 = (_TORQUE_ERROR * self._along * top) ** 2
         torque_noise2 = contact.noise_nm**2 / t.samples[:, None]
         self._weights = [e**-0.5 for e in (noise2 + model2, noise2 + along2, torque_noise2 + torque2)]
         vn, vt = contact.velocity
         speed_sd = _VELOCITY_M_S + _VELOCITY_SHARE * math.hypot(vn, vt)
         spread = np.hypot([[b.k_sd, b.f_sd, b.mu_sd] for b in before], scatter).T
-        self._sd = np.full((7, len(before)), speed_sd)
+        self._sd = np.full((8, len(before)), speed_sd)
         self._sd[_FACTORS], self._sd[_X], self._sd[_D] = spread, contact.place_sd, contact.angle_sd
+        self._sd[_B] = _LEVER_SD
 
     def run(self) -> list[Hypothesis]:
         """Fit every mode and return the most probable parameters of each."""
@@ -257,7 +258,7 @@ class ContactFit:
             gradient = -np.einsum("prl,rl->lp", jacobian, residuals)
             tried_damping = damping[:, None] * _DAMPINGS[: 1 if step < _SCREENED else None]
             scale = np.einsum("lpp->lp", curvature)[:, None] * tried_damping[:, :, None]
-            damped = curvature[:, None] + scale[..., None] * np.eye(7)
+            damped = curvature[:, None] + scale[..., None] * np.eye(8)
             steps = np.linalg.solve(damped, gradient[:, None, :, None])[..., 0]
             tried = _moved(theta[:, :, None], np.moveaxis(steps, 2, 0))
             costs, jacobians, new = self._linearized(tried, mode)
@@ -290,17 +291,17 @@ class ContactFit:
         k = np.where(believed, before[0], np.clip(k, 0.5 * before[0], 2.0 * before[0]))
         place = -normal * (c.touched_s + before[1] / k) + self._along * np.sin(np.abs(lead))
         one = np.ones_like(lead)
-        return np.stack([k / before[0], one, place, normal, angle, one, along])
+        return np.stack([k / before[0], one, place, normal, angle, one, along, _LEVER_SHARE * one])
 
     def _linearized(self, theta: Array, mode: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Return cost (L, D), Jacobian (7, R, L, D) and residuals (R, L, D) at parameters (7, L, D).
+        """Return cost (L, D), Jacobian (8, R, L, D) and residuals (R, L, D) at parameters (8, L, D).
 
         L counts the starts in all modes, D the dampings and R the residuals.
         """
-        shifts = np.concatenate([np.zeros((7, 1)), _DIFFERENCE * np.eye(7)], axis=1)
+        shifts = np.concatenate([np.zeros((8, 1)), _DIFFERENCE * np.eye(8)], axis=1)
         shifted = theta[..., None] + shifts[:, None, None, :]
         lanes = np.broadcast_to(mode[:, None, None], shifted.shape[1:])
-        residuals = self._residuals(shifted.reshape(7, -1), lanes.ravel()).reshape(-1, *shifted.shape[1:])
+        residuals = self._residuals(shifted.reshape(8, -1), lanes.ravel()).reshape(-1, *shifted.shape[1:])
         at = residuals[..., 0]
         cost = np.nan_to_num((at * at).sum(axis=0), nan=math.inf)
         jacobian = np.moveaxis((residuals[..., 1:] - at[..., None]) / _DIFFERENCE, 3, 0)
@@ -320,7 +321,9 @@ class ContactFit:
         # Rotate the measured velocity to the same axes.
         (vn, vt), one = c.velocity, np.ones_like(co)
         normal, sliding = _turned(vn, vt, co, so)
-        means = np.stack([one, one, -vn * c.touched_s * one, normal, 0.0 * one, one, sliding])
+        means = np.stack(
+            [one, one, -vn * c.touched_s * one, normal, 0.0 * one, one, sliding, _LEVER_SHARE * one]
+        )
         return np.concatenate([*parts, (theta - means) / self._sd[:, mode]])
 
     def forces(
@@ -330,7 +333,7 @@ class ContactFit:
 
         Args:
             t: ticks to integrate over.
-            theta: parameters of the lanes (7, L).
+            theta: parameters of the lanes (8, L).
             mode: modes of the lanes (L,).
             substeps: number of steps per tick (S).
 
@@ -370,7 +373,8 @@ class ContactFit:
         # Friction: the speed along the wall decays with the normal impulse.
         h_s = h[:, None, None]
         decay = np.exp(-mu / m * h_s * np.maximum(0.0, force))
-        slip = (_LEVER_SHARE * out * turning * ci)[:, None]
+        lever = theta[_B] * out
+        slip = (lever * turning * ci)[:, None]
         added = h_s * drive[:, None] * np.sqrt(decay) - slip * (1.0 - decay)
         speeds = np.empty((len(h) * substeps + 1, len(mode)))
         speeds[0] = w
@@ -379,7 +383,7 @@ class ContactFit:
             speeds[n + 1] = speeds[n] * kept[n] + gained[n]
         along = m * (np.diff(speeds, axis=0).reshape(force.shape) / h_s - drive[:, None])
         uneven = a * ci[:, None] * (bears[:, :, 0] - bears[:, :, 1]) - out * si[:, None] * force
-        return force, along, uneven - _LEVER_SHARE * out * along
+        return force, along, uneven - lever * along
 
     def _hypothesis(self, m: int, theta: Array, cost: float, jacobian: Array) -> Hypothesis:
         t, b, sd = self._ticks, self.before[m], self._sd[:, m]
@@ -671,4 +675,5 @@ def _moved(theta: Array, step: Array) -> Array:
     old = theta[_FACTORS]
     moved[_FACTORS] = np.clip(moved[_FACTORS], np.maximum(0.5 * old, _MIN_FACTOR), 2.0 * old)
     moved[_D] = np.clip(moved[_D], -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD)
+    moved[_B] = np.clip(moved[_B], 0.0, 1.0)  # from the centre of mass to the guards
     return moved

@@ -100,7 +100,9 @@ def pulse(
     return Contact(ticks_of(ticks), 0.0137, (normal, along), 0.0, NOISE_N, 0.1)
 
 
-def guard_contact(c: Coefficients, degrees: float, seed: int = 0, along: float = 0.3) -> Contact:
+def guard_contact(
+    c: Coefficients, degrees: float, seed: int = 0, along: float = 0.3, lever: float = 0.3
+) -> Contact:
     """Simulate a contact of two guards; the leading guard turns the vehicle towards its own side."""
     rng, a, out = random.Random(seed), 0.13, 0.2
     lead = incidence = math.radians(degrees)
@@ -123,7 +125,7 @@ def guard_contact(c: Coefficients, degrees: float, seed: int = 0, along: float =
             v, w = v + h * (right + left) / MASS, w + h * friction / MASS
             x, incidence = x + 0.5 * h * v, incidence + h * turning
             uneven = (right - left) * a * ci - (right + left) * out * si
-            found = (right + left, friction, uneven - 0.3 * out * friction)
+            found = (right + left, friction, uneven - lever * out * friction)
             sums = [s + f / STEPS for s, f in zip(sums, found, strict=True)]
         read, rub = (value + rng.gauss(0.0, NOISE_N) * (seed > 0) for value in sums[:2])
         ticks.append((TICK_S, read, rub, 0.0, 0.0, 0.0, turned, turning, sums[2], False))
@@ -170,6 +172,22 @@ def test_incidence_is_estimated_if_one_guard_touches_first(degrees: float, mode:
     assert found.belief.k == pytest.approx(true.k, rel=0.04)
     assert math.degrees(found.incidence_rad) == pytest.approx(degrees, abs=1.0)
     assert found.misfit < 1.5
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("lever", [0.0, 0.6, 0.9])
+def test_the_lever_of_friction_is_found(lever: float, mode: Mode) -> None:
+    true = VEHICLE.materials["wood"].coefficients(mode)
+    found = fit_contact(guard_contact(true, 7.0, 1, 0.6, lever), belief_of("wood", mode))
+    assert found.theta[7] == pytest.approx(lever, abs=0.15)
+    assert math.degrees(found.incidence_rad) == pytest.approx(7.0, abs=1.0)
+
+
+@pytest.mark.parametrize("lever", [-1.0, 2.0])
+def test_the_lever_stays_within_its_limits(lever: float) -> None:
+    true = VEHICLE.materials["wood"].coefficients(Mode.FLEXIBLE)
+    found = fit_contact(guard_contact(true, 7.0, along=0.6, lever=lever), belief_of("wood", Mode.FLEXIBLE))
+    assert found.theta[7] == np.clip(lever, 0.0, 1.0)
 
 
 @pytest.mark.parametrize("mode", list(Mode))
@@ -417,7 +435,7 @@ def answer_with_odds(
     request = contact_request([0.0] * 3 + [9.0] * 5, reported=reported)
 
     def run(fit: ContactFit) -> list[Hypothesis]:
-        theta = np.array([1.0, 1.0, 0.03, -1.0, 0.0, 1.0, 0.0])
+        theta = np.array([1.0, 1.0, 0.03, -1.0, 0.0, 1.0, 0.0, 0.3])
         found = Hypothesis(odds, misfit, after[Mode.RIGID], 0.01, 0.02, 0.03, 0.004, theta)
         return [found, found._replace(evidence=0.0, belief=after[Mode.FLEXIBLE])]
 
