@@ -56,7 +56,7 @@ def test_the_command_writes_the_thrust_curve_to_the_configuration(
     result = json.loads(capsys.readouterr().out)
     assert load_vehicle(config).thrust.full_n == pytest.approx(result["full_n"], abs=1e-3)
     assert result["full_n"] == pytest.approx(7.0, rel=0.04)
-    assert "# thrust at full command, at the voltage\n" in config.read_text()
+    assert "# thrust at full command and at the battery voltage\n" in config.read_text()
 
 
 def write_climbing_ulog(
