@@ -68,7 +68,8 @@ class VarianceEstimate:
     def update(self, square: float, dt_s: float, least_share: float = 0.0) -> float:
         """Update the variance with the next square; return the new variance.
 
-        The time since the previous square is `dt_s`. The weight of the new square is at least `least_share`.
+        The time since the previous square is `dt_s`. The new square has at least the weight `least_share` (0
+        to 1) in the mean.
         """
         share = (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / self._time_s
         share = share if share > least_share else least_share

@@ -97,7 +97,7 @@ def quaternion_conjugate(q: Quaternion) -> Quaternion:
 
 
 def quaternion_normalise(q: Quaternion) -> Quaternion:
-    """Return the unit quaternion of the same direction.
+    """Return the quaternion divided by its length.
 
     Raises:
         ValueError: the quaternion is zero or not finite.

@@ -70,9 +70,9 @@ def identify_scale(lowest: float, highest: float) -> OutputScale | None:
 class MotorOutputDecoder:
     """Converter of a stream of raw outputs into motor throttles.
 
-    The scale follows from the smallest and the largest value since the start. The motors of an armed vehicle
-    pass through small values before take-off. These values distinguish DShot from PWM. UAVCAN is recognised
-    once a motor passes a quarter of full throttle. Before that, UAVCAN values are read as DShot.
+    The scale follows from the smallest and the largest value since the start. Before take-off, the outputs of
+    an armed vehicle pass through small values, which distinguish DShot from PWM. UAVCAN is recognised once a
+    motor passes a quarter of full throttle. Before that, UAVCAN values are read as DShot.
 
     Args:
         motors: number of motors; the motors are the first outputs.

@@ -32,7 +32,7 @@ def use_idle_priority() -> None:
 
 
 def measure_lateness_s() -> float:
-    """Return the worst scheduling latency of this program, seconds, measured in short sleeps for 0.5 s."""
+    """Measure short sleeps of this program for 0.5 s; return the worst scheduling latency, seconds."""
     worst_s, end_s = 0.0, time.monotonic() + _MEASURE_S
     while (now_s := time.monotonic()) < end_s:
         time.sleep(_NAP_S)

@@ -1,8 +1,8 @@
 """The immutable records that flow through the flight core.
 
 Units are SI. `t_us` is the autopilot's time in integer microseconds; `received_us` is the host's monotonic
-time at receipt. The core receives an `Input` and returns an `Output`: a command for the shell, or an estimate
-or decision that is only logged.
+time at receipt. The core receives an `Input` and returns an `Output`. An output is a command for the shell
+(the program around the core), or an estimate or decision that is only logged.
 """
 
 from __future__ import annotations
@@ -474,7 +474,7 @@ class LockCommand(Record, frozen=True, gc=False):
 
 
 class LockPermission(Record, frozen=True, gc=False):
-    """Whether the lock's state machine may move the lock: the arms have no contact and have sprung back."""
+    """Whether the lock may move: only if the arms have no contact and have sprung back."""
 
     topic: ClassVar[str] = "/out/lock_permission"
     t_us: int
@@ -543,8 +543,8 @@ class Silence(Record, frozen=True, gc=False):
 class ForceEstimate(Record, frozen=True, gc=False):
     """External force on the vehicle at an IMU sample, mission frame, newton (docs/force.md).
 
-    A sample is the mean over one IMU tick, the interval that ends at `t_us`. A clipped sample is a lower
-    bound of the true force.
+    A sample is the mean over one IMU tick, the interval that ends at `t_us`. If the accelerometer was at full
+    scale (`clipped`), the sample is a lower bound of the true force.
     """
 
     topic: ClassVar[str] = "/estimate/force"
@@ -742,7 +742,7 @@ class PlanTaken(Record, frozen=True, gc=False):
 
 
 class ProbeEnd(Record, frozen=True, gc=False):
-    """End of a probe without contact, or omission of a leg that depends on a probe."""
+    """A probe that has ended without contact, or a skipped leg that depends on a probe."""
 
     topic: ClassVar[str] = "/event/probe"
     t_us: int

@@ -1,8 +1,8 @@
 """The telemetry streams: requested rates, required rates and messages.
 
-`vehicle` requests the rates, the guard checks the age of samples in host time, and `check` compares the
-measured rates. PX4 rounds the interval between two messages to a multiple of 4 ms. Therefore the requested
-rate of the IMU is 250 Hz, not 200 Hz.
+`vehicle` requests the rates, and `check` compares the measured rates with the required rates. The guard
+checks the age of samples in host time. PX4 rounds the interval between two messages to a multiple of 4 ms.
+Therefore the requested rate of the IMU is 250 Hz, not 200 Hz.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ class Stream(msgspec.Struct, frozen=True):
 
     Attributes:
         name: name of the stream in the log's topics.
-        message: MAVLink message that carries it.
+        message: MAVLink message of the stream.
         rate_hz: requested rate.
         expected_hz: lowest rate that a mission needs.
     """

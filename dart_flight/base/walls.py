@@ -47,9 +47,9 @@ class Wall(msgspec.Struct, frozen=True):
         material: key of the materials table.
         position_sd_m: standard deviation of the plane's position along the normal; None if not configured.
         yaw_sd_rad: standard deviation of the plane's direction, about `point`; None if not configured.
-        half_vehicle_m: distance from the vehicle's centre to the vehicle's side. An impact is at least this
-            distance inside the ends of the wall. A path past the wall is at least this distance outside the
-            ends. Both are measured along the wall.
+        half_vehicle_m: distance from the vehicle's centre to the vehicle's side. Measured along the wall, an
+            impact is at least this distance inside the wall's ends, and a path past the wall is at least this
+            distance outside the ends.
         post_radius_m: radius of the post, if the wall is the tangent plane of a post; 0 for a flat wall.
         sought: whether a probe searches for the wall, because the wall's position is unknown. In this case,
             the plane is assumed at the end of the probe's path.
@@ -155,8 +155,8 @@ class Wall(msgspec.Struct, frozen=True):
         """Return the nearest heading at which the vehicle's leading edge is parallel to the wall.
 
         The vehicle is four-fold symmetric, so four headings are parallel to the wall. The result is the
-        heading nearest to `yaw_mission_rad`. Between two perpendicular walls, the vehicle does not need to
-        turn (`docs/concepts.md`, yaw).
+        heading nearest to `yaw_mission_rad`. From a wall to a perpendicular wall, the vehicle does not need
+        to turn (`docs/concepts.md`, yaw).
         """
         facing = math.atan2(-self.normal[1], -self.normal[0])
         quarter = 0.5 * math.pi

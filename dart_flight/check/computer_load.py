@@ -84,7 +84,7 @@ def measure_step_s(mission: Mission) -> float:
     """Return the processor time that the core needs per IMU period in flight, seconds.
 
     In one period the core processes an IMU sample and the other inputs that arrive with this sample. The time
-    is measured with two seconds of inputs from a vehicle at rest, and scaled to flight.
+    is measured with two seconds of inputs from a vehicle at rest. A fixed factor converts it to flight.
 
     Raises:
         InputError: the mission cannot be flown.

@@ -24,7 +24,7 @@ _MOTORS = range(101, 113)  # output functions "Motor 1" to "Motor 12"
 
 
 def hitl_parameters() -> dict[str, Parameter]:
-    """Return, by name, the parameters that hardware in the loop needs besides the vehicle's parameters."""
+    """Return name -> parameter: the additional parameters for hardware in the loop."""
     return load_parameters(packaged("configs", "px4", "hitl.params"))
 
 

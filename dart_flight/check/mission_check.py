@@ -375,9 +375,9 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
 def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
     """Return a finding about the recovery setpoint's distance outside the bounds.
 
-    The text `first` names the place that the vehicle reaches before the setpoint. Therefore a setpoint
-    slightly outside is only a remark. A setpoint far outside is a no-go, because the collision's gain alpha
-    is probably wrong.
+    A setpoint slightly outside is only a remark, because the vehicle must reach the place `first` (a text)
+    before the setpoint. A setpoint far outside is a no-go, because the collision's gain alpha is probably
+    wrong.
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:

@@ -78,7 +78,7 @@ def read_differences(
         mission: provides the vehicle and the frame.
         claimed: position source that the operator claims, or None. With None the source is motion capture if
             the configuration has a motion capture; otherwise the vehicle's parameters select the source.
-        restored: file to restore, which then gives the wanted values, or None.
+        restored: file to restore, or None. If a file is given, its values are the wanted values.
         progress: receives the number of parameters read and the total number.
 
     Raises:

@@ -247,7 +247,7 @@ def _is_absent(
 
 
 def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[CheckFinding]:
-    """Judge gains and IMU position, and remove them from the differences; skip values that were not read."""
+    """Remove gains and IMU position from `different`; return a finding for each of them that was read."""
     findings = []
     for name in (*GAINS, *IMU_POSITION):
         difference = different.pop(name, None)
@@ -271,7 +271,7 @@ def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[Chec
 def _evaluate_pose_delay(
     mission: Mission, delay_ms: float, difference: ParameterDifference | None
 ) -> CheckFinding:
-    """Compare the pose delay that PX4 assumes with the measured one.
+    """Compare the pose delay that PX4 assumes with the measured delay.
 
     If no delay has been measured, the text reports `difference`, the deviation from PX4's usual value.
     """
@@ -345,7 +345,7 @@ def evaluate_position(
 
 
 def evaluate_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
-    """Judge a position source for a mission; append `addition` to the text about plain GPS."""
+    """Judge a position source for a mission; append `addition` to a finding about plain GPS."""
     findings = []
     source = effective_source(mission, source)
     if source is PositionSource.ANCHORED:

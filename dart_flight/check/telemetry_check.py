@@ -27,7 +27,7 @@ class StreamRate(NamedTuple):
         name: name in the stream table.
         rate_hz: rate of usable samples.
         enough: whether the rate is sufficient for a mission.
-        unusable: the reason why messages are unusable, if the rate is too low for that reason.
+        unusable: if the rate is too low, the reason why messages are unusable; None if no message is.
     """
 
     name: str
@@ -46,7 +46,7 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
 
     Args:
         rates_hz: rate of each stream; the keys are the names in the stream table.
-        unusable: the reason for each stream that has an unusable message.
+        unusable: for each stream with unusable messages, the reason why they are unusable.
     """
     slow = {name: rate < BY_NAME[name].expected_hz for name, rate in rates_hz.items()}
     return [

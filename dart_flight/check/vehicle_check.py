@@ -23,7 +23,7 @@ def round_trip_limit_s(mission: Mission) -> float:
 
 
 def evaluate_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
-    """Judge by the round trip whether samples are in time; `seconds` is None if no request was answered."""
+    """Judge the round trip, which delays the samples; `seconds` is None if no request was answered."""
     item, limit_s = "round_trip", round_trip_limit_s(mission)
     if seconds is None:
         return CheckFinding(item, True, "the vehicle does not answer TIMESYNC", remark=True)
@@ -77,8 +77,9 @@ def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
 def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
     """Compare PX4's motors with the motors of the configuration.
 
-    A different number, order or direction of the motors invalidates the estimated thrust and torque.
-    Different distances only scale the torque, and PX4 accepts distances in any unit.
+    A different number, order or direction of the motors invalidates the estimated thrust and torque. A
+    difference of the motors' distances is only a remark: distances only scale the torque, and PX4 accepts
+    them in any unit.
 
     Args:
         mission: provides the vehicle.

@@ -49,7 +49,7 @@ class VehicleReading(msgspec.Struct, frozen=True):
 
     @property
     def motors(self) -> tuple[Motor, ...] | None:
-        """The motors that PX4's parameters describe, or None if they describe none."""
+        """The motors in PX4's parameters, or None if the parameters describe no motors."""
         if not rotor_names(self.values.get(COUNT, 0.0)):
             return None
         return motors_from_parameters(self.values, "the flight controller")

@@ -70,7 +70,7 @@ class ParameterRow(msgspec.Struct, frozen=True):
 
 
 def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[str, Parameter]:
-    """Return the wanted parameters by name; measured values replace the placeholders of the files.
+    """Return name -> wanted parameter; measured values replace the placeholders of the files.
 
     Args:
         mission: provides the vehicle and the frame.
@@ -105,7 +105,8 @@ def with_lock_output(
     Args:
         mission: provides the lock.
         wanted: the other wanted parameters.
-        values: the vehicle's values. If a parameter has a mask, the bits outside the mask are kept.
+        values: the vehicle's values. If a wanted parameter has a bit mask, the vehicle's bits outside the
+            mask are kept.
     """
     lock, found = mission.vehicle.lock, dict(wanted)
     if lock is None or lock.driver is not LockDriver.PX4:

@@ -1,9 +1,9 @@
 """Command line: one module per command, imported only when that command runs.
 
-The lab's commands are in `lab/commands/` and are loaded through `lab_entries`. A command module has
-`configure(parser)` and `run(arguments) -> int`. It parses arguments, calls other packages and prints, without
-logic of its own. If a command raises `InputError`, `main` prints the error as one line and returns exit
-status 2.
+The commands for analysis and planning are in `lab/commands/` and are loaded through `lab_entries`. A command
+module has `configure(parser)` and `run(arguments) -> int`. It parses arguments, calls other packages and
+prints, without logic of its own. If a command raises `InputError`, `main` prints the error as one line and
+returns exit status 2.
 """
 
 from __future__ import annotations

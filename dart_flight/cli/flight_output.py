@@ -115,7 +115,7 @@ def exit_status(verdict: Verdict) -> int:
 
 
 def next_steps(verdict: Verdict) -> list[str]:
-    """Return the commands that use a flight's log, if their packages are installed."""
+    """Return the commands that use a flight's log, except commands whose packages are not installed."""
     if verdict.log is None:
         return []
     log = shlex.quote(verdict.log)

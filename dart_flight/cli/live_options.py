@@ -21,7 +21,7 @@ _LOCAL = ("127.0.0.1", "::1", "localhost")
 
 
 class LiveView:
-    """The live view from the package `lab`; if the view fails, it prints one line and the flight continues.
+    """The live view of the package `lab`; if it fails, the flight continues, and the operator is informed.
 
     Args:
         view: the lab's view, which receives the records.
@@ -85,7 +85,7 @@ def live_view(
 ) -> Iterator[LiveView | None]:
     """Open the live view and print the address; close the view at the end of the context.
 
-    The value of the context is the view, or None without `--live` or if the view cannot be opened.
+    The context yields the view. It yields None without `--live`, or if the view cannot be opened.
 
     Args:
         arguments: parsed arguments of the command.
@@ -124,7 +124,7 @@ def live_view(
 
 
 def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | None:
-    """Return the view, or None after any error except an InputError, which the operator can correct."""
+    """Return the view, or None after an error; raise errors that the operator can correct (InputError)."""
     try:
         return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, print_status))
     except InputError:

@@ -25,7 +25,7 @@ def add_plot_option(parser: argparse.ArgumentParser) -> None:
 def write_picture(mission: Mission, path: Path) -> None:
     """Draw a mission with the planner's flight model, and print the path of the picture.
 
-    After any other failure than the errors below, print a message; the flight is not prevented.
+    If the picture fails for a reason not listed below, only print a message: the flight can begin.
 
     Raises:
         InputError: matplotlib is missing, or the file has an unknown extension or cannot be written.

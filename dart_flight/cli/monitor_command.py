@@ -104,7 +104,7 @@ def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | Non
     The result is None if no flight is in progress.
 
     Raises:
-        InputError: several flights are in progress, and not exactly one of them uses the link `url`.
+        InputError: several flights are in progress, and none or more than one of them uses the link `url`.
     """
     if log is not None:
         held = [holder for holder in held_links() if holder.log == printable(str(log.resolve()))]

@@ -133,7 +133,7 @@ def _report_written(rows: list[ParameterRow]) -> None:
 def _shown(what: str) -> Iterator[Callable[[int, int], None]]:
     """Show progress on a terminal until the context ends.
 
-    The value of the context is a function that receives the number of finished items and the total number.
+    The context yields a function. Its arguments are the number of finished items and the total number.
     """
     from rich.progress import Progress  # slow to import
 

@@ -1,4 +1,4 @@
-"""`dart-flight standby [MISSION ...]`: keep link and lock open, and obey the buttons of a ground station."""
+"""`dart-flight standby [MISSION ...]`: stay connected to vehicle and lock; obey a ground station's buttons."""
 
 from __future__ import annotations
 

@@ -210,7 +210,7 @@ def _write(
     """Write the mission with the measured walls.
 
     Returns:
-        The reason why the new mission cannot be flown, such as a blocked trajectory, or None if it can.
+        None if the new mission can be flown, otherwise the reason why not, such as a blocked trajectory.
     """
     path, tree = arguments.output, dict(written)
     tree["walls"] = {**tree.get("walls", {}), **surveyed_walls(mission, walls)}
@@ -231,7 +231,7 @@ def _write(
 
 
 def _coefficient_lines(wall: MeasuredWall) -> Iterator[str]:
-    """Yield one line per mode with a wall's estimated coefficients, for entry under the key `materials`."""
+    """Yield a wall's estimated coefficients, one line per mode; the user enters them under `materials`."""
     for mode, found in wall.coefficients.items():
         figures = ", ".join(f"{name} {value:.4g} ± {100.0 * sd:.0f} %" for name, (value, sd) in found.items())
         yield f"{wall.name}, {mode}: {figures}"

@@ -250,8 +250,8 @@ class Document:
     def error(self, key: Key, message: str) -> InputError:
         """Return an error at a key of this document, with the line of the key.
 
-        If the key is not in the file, the line is that of the nearest key above the missing key. If an option
-        such as `--set` has set the key, the error names this option instead of file and line.
+        If the key is not in the file, the error has the line of the nearest key above the missing key. If an
+        option such as `--set` has set the key, the error names this option instead of file and line.
         """
         for given, setting in self.set_by.items():
             # The error is at the setting, below it, or in a section that only the setting created.
@@ -513,7 +513,7 @@ def unknown_name(name: str, known: list[str], what: str = "") -> str:
 
 
 def suggest_known(name: str, known: Iterable[str]) -> str:
-    """Return the continuation of a message on an unknown name: the nearest known name, or all of them."""
+    """Return the end of a message about an unknown name: the nearest known name, or all known names."""
     names = list(known)
     return did_you_mean(name, names) or f", known: {', '.join(names)}"
 

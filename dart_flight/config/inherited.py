@@ -54,8 +54,8 @@ class Inherited(NamedTuple):
     Attributes:
         file, base: the vehicle's own file, and the file that it inherits from.
         keys: inherited keys with their values, as text.
-        contradictions: inherited keys that contradict a changed value, listed for each changed value in the
-            format of `keys`.
+        contradictions: for each changed value, the inherited keys that contradict it; both in the format of
+            `keys`.
     """
 
     file: str
@@ -103,7 +103,7 @@ def find_inherited(
 
 
 def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
-    """Return the keys that a file sets itself, and the file that it inherits from; None if packaged."""
+    """Return the keys that a file sets itself, and its base file; None for an unchanged packaged file."""
     own = Document.load(path).tree
     try:
         original = packaged("configs", path.name)

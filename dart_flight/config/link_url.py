@@ -47,7 +47,7 @@ def link_problem(url: str) -> str | None:
 
 
 def usable_link(url: str, key: str = "--connection") -> str:
-    """Return a URL unchanged if it can be opened, as far as can be checked without opening it.
+    """Check a URL without opening it, and return it unchanged.
 
     Raises:
         InputError: the URL has the wrong form, or the serial port does not exist.

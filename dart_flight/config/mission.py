@@ -245,7 +245,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         """Return the resolved mission and its vehicle with the keys of a file; `load_mission` can read them.
 
         Walls have `given_at: centre`, and gains are in the wall's axes. An impact point that follows from
-        start and approach is omitted. The file that the vehicle came from is not included.
+        start and approach is omitted. The name of the vehicle's file is not included.
         """
         return {**self._own_keys(), "vehicle": self.vehicle.to_dict()}
 

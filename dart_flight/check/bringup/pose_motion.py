@@ -5,13 +5,13 @@ on the room's axes nor on the cameras' clock.
 
 Let R be the attitude (FRD to NED), f the specific force and w the body rate. If the room is rotated by A and
 the marker body by B, the poses show the attitude A R B, the rate B^-1 w and the acceleration A (R f + g).
-Therefore the rates give the age and B. The accelerations then give the scale and A g, the room's vertical. A
-mirrored room does not change the rates, because a rate is an axial vector. A mirrored room reverses the
-accelerations, so a negative correlation of the accelerations reveals the mirroring.
+Matching the rates to the gyro therefore gives the age and B. The accelerations then give the scale and A g,
+the room's vertical. A mirrored room does not change the rates, because a rate is an axial vector. A mirrored
+room reverses the accelerations, so a negative correlation of the accelerations reveals the mirroring.
 
-Gyro and accelerometer pass the same Gaussian filters as the poses. The noisy positions are filtered with the
-second derivative of the Gaussian, which differentiates them twice. The mean of each acceleration is
-subtracted, because the mean measured by the accelerometer contains gravity.
+Gyro and accelerometer pass the same Gaussian filters as the poses. The second derivative of the Gaussian
+filters the noisy positions and differentiates them twice. From each acceleration its mean is subtracted,
+because the accelerometer also measures gravity.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class MotionEstimate(NamedTuple):
     """The result of `estimate_motion`.
 
     Attributes:
-        latency_s: time of receipt of a pose minus the time of the motion that it shows.
+        latency_s: time of receipt of a pose minus the time at which the vehicle had this pose.
         rate_correlation: correlation of the pose's and the gyro's rates at that latency, -1 to 1.
         turned_rad_s: root mean square of the gyro's rates about the axes, FRD.
         body_to_frd: rotation from the pose's body axes to the gyro's axes, 3 x 3; identity if the axes agree.
@@ -196,7 +196,7 @@ def _resample(at_s: Array, times_s: Array, values: Array) -> Array:
 
 
 def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.bool_]:
-    """Return a mask of the times whose distance to every gap exceeds `reach_s`, the filter's half width."""
+    """Return a mask of the times farther than `reach_s` (the filter's half width) from any gap in the poses."""
     whole = np.ones(len(grid), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(times_s) > _GAP_S):
         whole &= (grid < times_s[k] - reach_s) | (grid > times_s[k + 1] + reach_s)

@@ -81,7 +81,7 @@ class NotDoneError(Exception):
 
 
 class Telemetry:
-    """The samples since the last `clear`, one queue per stream; `force_at` estimates the force from them."""
+    """The samples since the last `clear`, one queue per stream, and a force estimate (`force_at`)."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -313,7 +313,7 @@ class Bringup(CheckContext[StepFinding]):
         return StepFinding(position.result, f"{poses.message}; {position.message}", measured)
 
     def _measure_poses(self, link: GroundLink) -> StepFinding:
-        """Judge the poses, compared with gyro and accelerometer while the operator moves the vehicle."""
+        """Compare the poses with gyro and accelerometer while the operator moves the vehicle."""
         t, config = self._telemetry, self._mission.vehicle.mocap
         t.clear()
         with contextlib.suppress(NotDoneError):
