@@ -40,8 +40,8 @@ class FrameSpec(Section, frozen=True):
 
     Attributes:
         origin: local: PX4's local origin, displaced by north_m and east_m (motion capture, surveyed room);
-            takeoff: the origin is chosen so that the mission's start is directly above the take-off point,
-            then displaced in the same way.
+            takeoff: the origin is chosen so that the mission's start is directly above the take-off point;
+            then north_m and east_m displace it.
         anchored_by: none: PX4's position is used as it is; touch: the position drifts, and every contact with
             a wall of the mission corrects the frame along the wall's normal.
         north_m, east_m: displacement of the frame's origin, m.
@@ -162,8 +162,8 @@ class Limits(Section, frozen=True):
         jerk_m_s3: largest jerk; if not given, flying.jerk_m_s3 applies.
         closing_m_s: largest velocity along a wall's normal at an impact.
         sliding_m_s: largest velocity along a wall at an impact.
-        friction_ratio: largest ratio of friction to normal force at an impact; a friction coefficient
-            measured at low sliding speed is valid up to about 0.5.
+        friction_ratio: largest ratio of friction to normal force at an impact. Above a ratio of about 0.5, a
+            friction coefficient measured at low sliding speed is not valid.
         peak_force_n: largest contact force, normal and friction together.
         collision_timeout_s: longest duration of a recovery. After this time the vehicle flies to the goal; if
             the recovery leads to another wall, the vehicle breaks off instead.
@@ -218,11 +218,11 @@ class ProbeSpec(Section, frozen=True):
     Attributes:
         from_m: [x, y] of its start, mission frame.
         from_here: true: the leg starts at the vehicle's resting place, which is assumed to be near from_m;
-            false: the leg starts at from_m. Direction and length are the same in both cases. If the frame
-            drifts, the value true saves a transit.
+            false: the leg starts at from_m. Direction and length are the same in both cases. The value true
+            saves the transit to from_m, in which a drifting frame would drift further.
         direction: [x, y], any length; may be omitted for a wall of the mission, which is then approached
             along its normal.
-        length_m: length of the leg, flown by the vehicle's centre.
+        length_m: length of the leg, for the vehicle's centre.
         speed_m_s: speed of the leg. At this speed the vehicle may be unable to stop before a wall, but an
             impact must stay within the limits.
         back_m: distance from the point of contact at which the vehicle waits afterwards.
@@ -339,8 +339,8 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
         predicted: written by plan.
         trajectory: trajectory to this wall. If the collision has an approach, the trajectory starts at rest.
             Without an approach, the trajectory starts at the predicted end of the previous collision. If
-            after_impact is replan, a trajectory from the actual end replaces this trajectory in flight.
-            Without a trajectory the approach is straight, with a run-up.
+            after_impact is replan, it is replaced in flight by a trajectory from the previous collision's
+            actual end. Without a trajectory the approach is straight, with a run-up.
         if_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
             touched.
         if_not_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
@@ -358,13 +358,13 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
     """One planned collision.
 
     Attributes:
-        wall: a key of walls, or of posts; with a probe also the name of an unknown wall.
+        wall: a key of walls or posts. With a probe, the name of an unknown wall is also allowed.
         approach: velocity at the impact; required for the first collision. Without it the recovery of the
             previous collision leads to this wall.
         probe: search for the wall; a collision with a probe has neither an approach nor gains.
         impact_point_m: [x, y] on the wall's plane; default: where a straight line from start, in the
-            direction of the approach, meets the plane. For a post it is required: the position of the
-            vehicle's centre at first touch.
+            direction of the approach, meets the plane. For a post, the key is required: it is the position of
+            the vehicle's centre at first touch.
         impact_along_m: the impact point as a distance along the wall from its middle, positive to the right
             when looking along the normal; give at most one of impact_point_m and impact_along_m. At a wall
             that a probe has found, 0 is the point of contact.
@@ -448,7 +448,7 @@ class NominalFlight(Section, frozen=True):
     Attributes:
         outcome: completed, aborted or released.
         uncontrolled: whether the vehicle tumbled, crashed or left the bounds (docs/interfaces.md).
-        time_s: duration from take-off to landing, touches included; null if the vehicle did not land.
+        time_s: duration from take-off to landing, including probes; null if the vehicle did not land.
         max_tilt_deg: largest tilt.
         reason: why the flight did not complete.
     """
@@ -469,7 +469,7 @@ class DrawnFlights(Section, frozen=True):
         completed: number of completed flights.
         uncontrolled: number of uncontrolled flights, completed or not.
         ended_by: number of incomplete flights for each cause; a cause is a guard rule or another reason.
-        median_time_s: median duration of completed flights from take-off to landing, touches included.
+        median_time_s: median duration of completed flights from take-off to landing, including probes.
         max_tilt_deg: largest tilt in any flight.
     """
 
@@ -487,7 +487,8 @@ class FlownRecord(Section, frozen=True):
 
     Attributes:
         software: version of the software that flew the mission.
-        digest: fingerprint of mission and vehicle at that time; `check` compares it.
+        digest: fingerprint of mission and vehicle at that time; `check` compares the present fingerprint with
+            it.
         nominal, drawn: the flight in the nominal world, and the flights with random differences; drawn is
             null if the nominal flight failed.
         free_time_s: median duration of flights without collisions, simulated in the same random worlds; null

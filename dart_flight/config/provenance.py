@@ -84,7 +84,7 @@ def _is_packaged(path: Path) -> bool:
 
 
 def unused_configurations(source: VehicleSource) -> list[str]:
-    """Return configurations that the operator may have meant although the packaged one is used.
+    """Return configurations that the operator may have wanted instead of the packaged configuration.
 
     Candidates are the file that $DART_FLIGHT_CONFIG names, and the files in the working folder and in its
     subfolder `configs/`. The result is a list of paths. It is empty unless the packaged configuration is

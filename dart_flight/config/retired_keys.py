@@ -1,8 +1,8 @@
 """Retired keys of the vehicle configuration, which are now constants.
 
-For one release a file with such a key still loads: the key is ignored with a warning. Then the key's row in
-`RETIRED` is removed, and the key becomes unknown. The constant and its reason are in the module that uses it;
-a test compares the values.
+For one release a file with such a key still loads: the key is ignored with a warning. With the next release,
+the key's row in `RETIRED` is removed, and the key becomes unknown. The constant and its reason are in the
+module that uses it; a test compares the values.
 
 To retire a key, remove it from its type and from configs/dart.yaml, and add a row here.
 """
@@ -117,7 +117,7 @@ def remove_retired(tree: dict[str, Any]) -> dict[str, Any]:
 def ignore_retired(document: Document) -> None:
     """Remove the retired keys from a vehicle's document and warn about them.
 
-    A key whose value differs from its constant has a separate warning; all others share one.
+    A key whose value differs from its constant has its own warning. The other keys share one warning.
     """
     found = remove_retired(document.tree)
     same = [key for key, value in found.items() if value == RETIRED[key].value]

@@ -6,7 +6,7 @@ configs/dart.yaml. The docstring states what the key's name omits: meaning, sign
 the unit if the name has none. If a key's type is itself a section, the docstring of that section may explain
 the key; the key then needs no entry.
 
-A key that is added later has a default, which applies to files and logs without it. If the key changes
+A key that is added later has a default, which applies to files and logs without this key. If the key changes
 decisions, the default keeps the old behaviour, and the shipped configurations set the better value.
 """
 

@@ -3,7 +3,8 @@
 The paths are preserved because the files contain relative paths: a mission names its configuration, and the
 first line of each file names its schema. A file named after a vehicle (`configs/rigid_cage.yaml`, the folder
 `missions/rigid_cage`) belongs to that vehicle. If the vehicle's configuration extends another configuration,
-that configuration is copied too. Other files belong to DART; PX4's parameters and the schemas are common.
+that configuration is copied too. Other files belong to DART, except PX4's parameters and the schemas, which
+are copied for every vehicle.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def ensure_folder(folder: Path) -> Path:
 
 
 def lock_file(descriptor: int, path: Path, remedy: str, *, shared: bool = False) -> bool:
-    """Lock an open file without waiting, and return whether it was free.
+    """Try to lock an open file without waiting; return whether the lock was acquired.
 
     Args:
         descriptor: descriptor of the open file; closing it ends the lock.

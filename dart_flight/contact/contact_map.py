@@ -21,8 +21,8 @@ w = sqrt(1 - zeta^2) and A = theta / w,
     peak force         exp(-zeta A)                  exp(-zeta (3 A - pi / w)); 2 zeta if zeta >= 1/2
 
 The units of the four rows are 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp`
-contact never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force and,
-if a is not 0, the release have no elementary form. A safeguarded Newton iteration finds both to machine
+contact never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force has
+no elementary form, nor does the release if a is not 0. A safeguarded Newton iteration finds both to machine
 precision.
 
 All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); normal < 0 approaches.
@@ -171,8 +171,8 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
         tau = acot((zeta + r)/w)/w,   Q = 1 + 2 zeta r + r^2,   phi = exp(-zeta tau)/sqrt(Q),
         xi' = -phi (r + 2 zeta).
     Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. A `touch` contact follows the same
-    solution with c times `_Shape.scale`, but begins later. Then r is at most `_Shape.entry`, the value of r
-    at this beginning.
+    solution with c times `_Shape.scale`, but begins later, at r = `_Shape.entry`. In this contact, r never
+    exceeds its initial value.
     """
     two_zeta = 2.0 * s.zeta
     rate = -s.zeta / s.w
@@ -326,7 +326,7 @@ class _Batch:
 
     @property
     def is_table(self) -> bool:
-        """Whether several collisions may share a set, so that its quantities (`_Shape`) are computed once."""
+        """Whether collisions may share a set; each set's quantities (`_Shape`) are then computed once."""
         return self.rows is not None or self.mass.size == 1
 
     def parts(self) -> list[slice]:

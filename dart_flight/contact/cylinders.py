@@ -4,8 +4,8 @@ A wall's surface acts on each guard separately. The foot of a guard is the guard
 surface. A guard whose foot lies beyond the wall's end does not touch the surface. The end itself is an edge:
 a cylinder of small radius whose face is tangent to the surface. A cylinder acts on the vehicle's outline,
 which consists of the guards and the bars between them. The force acts at the outline's nearest point to the
-axis, along the horizontal normal from the axis. Friction acts along the horizontal tangent. Its lever arm is
-reduced as for guards (`propeller_guards`).
+axis, along the horizontal normal from the axis. Friction acts along the horizontal tangent. The lever arm of
+friction is reduced as for guards (`propeller_guards`).
 
 A bar rests on the springs of its two guards, k/2 and f/2 each. At the fraction s of its length the stiffness
 is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall that touches both guards. This
@@ -13,7 +13,7 @@ is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall th
 cylinder's axis enters the outline. Sliding therefore adds no energy: the stored energy, 1/2 share k x^2,
 depends on the depth alone.
 
-For the same reason, a surface presses only points that reach it from outside. A guard may move past the
+To add no energy, a surface also presses only points that reach it from outside. A guard may move past the
 wall's end and then behind the surface. This guard touches nothing until it is in front of the surface again.
 While the surface presses one of a bar's guards, this guard carries the load, and the bar touches no edge.
 """
@@ -55,8 +55,8 @@ class NearestPoint(NamedTuple):
         normal: NED, horizontal, from the cylinder into the vehicle.
         guard: the point itself as a guard, body FRD.
         share: stiffness and damping at this point, as a share of the whole side's k and f.
-        deflections: for each guard that carries the point, the guard's index and deflection per metre of
-            depth.
+        deflections: for the guards whose springs support the point, each guard's index and deflection per
+            metre of depth.
     """
 
     x_m: float
@@ -142,8 +142,8 @@ class CylinderContact:
         cylinder: its position and radius.
         coefficients: coefficients for the whole side of the vehicle; None if not set.
         share: share of k and f, fixed at the touch; None if the outline is not pressed.
-        stood_in: whether the outline is inside the cylinder but feels no force. The reason is that a guard
-            carried the load first, or that the outline did not come from outside.
+        stood_in: whether the outline is inside the cylinder without force, because a guard carried the load
+            first, or because the outline did not come from outside.
     """
 
     def __init__(self, cylinder: Cylinder) -> None:
@@ -245,7 +245,7 @@ class WallWithEnds:
 
     @property
     def is_plain(self) -> bool:
-        """Whether no contact state is stored. Away from its ends, such a wall acts like its surface alone."""
+        """Whether no contact state is stored. Then, except near its ends, the wall acts like its surface."""
         return not self.beside and all(one.share is None and not one.stood_in for one in self.edges)
 
     @property
@@ -266,7 +266,7 @@ class WallWithEnds:
             edge.share, edge.stood_in = None, near.x_m < 0.0
 
     def may_touch(self, q: Quaternion, position: Vec3, within_m: float) -> bool:
-        """Return whether the wall can press any point while the vehicle's points move by at most `within_m`.
+        """Return whether the wall can press a point of the vehicle before a point moves by `within_m`.
 
         If the wall can press no point, update the stored contact state as `touch` would.
         """
@@ -287,7 +287,7 @@ class WallWithEnds:
         return False
 
     def nearest(self, q: Quaternion, position: Vec3) -> Iterator[tuple[CylinderContact, NearestPoint]]:
-        """Yield each edge with the outline's nearest point to it."""
+        """Yield each edge, and the point of the outline that is nearest to this edge."""
         for edge in self.edges:
             yield edge, nearest_point(self._corners, q, position, edge.cylinder)
 
@@ -304,8 +304,8 @@ class WallWithEnds:
     ) -> Touch:
         """Return force and torque on the vehicle.
 
-        The result equals `propeller_guards.touch`, except for rounding, if every guard is in front of the
-        surface. `c` holds for the surface; an edge has its own coefficients.
+        If every guard is in front of the finite surface, the result equals `propeller_guards.touch`, except
+        for rounding. `c` holds for the surface; an edge has its own coefficients.
         """
         plane, n = self.plane, self.plane.normal
         half = _scaled(c, 0.5)
@@ -417,7 +417,7 @@ def _bar_load(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tup
 
 
 def _update_deflections(depths: list[float], near: NearestPoint, force_n: float) -> None:
-    """Update the deflections of the guards that carry a point."""
+    """Update the deflections of the guards whose springs support a point."""
     if force_n > 0.0 and near.x_m < 0.0:
         for number, per_depth in near.deflections:
             depths[number] = max(depths[number], -near.x_m * per_depth)

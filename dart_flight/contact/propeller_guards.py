@@ -9,12 +9,12 @@ times the guard's normal force times the guard's own sliding velocity. The verti
 together is -nu L/(1 + L), where L is the sum of the normal forces on the wall.
 
 The paper does not specify how much friction rotates the vehicle, nor the lever arm of the vertical force.
-Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at the reduced lever,
-and its sliding velocity is computed there, so friction only removes energy.
+Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at a point with a
+reduced lever arm. The sliding velocity is computed at the same point, so friction only removes energy.
 
 Unlocked arms fold: each arm rotates in the horizontal plane about a bearing in the vehicle's middle. Its
 guard thereby yields by a share of the penetration (`fold_angles`). The law already accounts for this yield by
-a smaller k. The angles only add the displacement of the arm's motor.
+a smaller k, so the fold angles are only used to displace the arms' motors.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, (0.0, 0.0, 0.0))
 def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
     """Return the eight guards of a four-fold symmetric vehicle: front, right, back, left, two each.
 
-    A point model has two guards, both in the centre of mass; their sum is the point law.
+    A point model has two guards, both in the centre of mass; the sum of their forces is the point law's.
     """
     if body.body is BodyModel.POINT:
         return (PropellerGuard(_CENTRE, _CENTRE),) * 2
@@ -119,8 +119,8 @@ def touch(
         plane: the surface.
         position, velocity: m and m/s, of the centre of mass, world frame.
         rate_frd: angular velocity, rad/s.
-        vertical_sign: sign of the vertical force along Z of the collision frame; at a wall, Z points down.
-            -1: up, as the paper writes lz; 1: down.
+        vertical_sign: sign of the vertical force along Z of the collision frame, which points down. -1: the
+            force is up, as the paper writes lz; 1: down.
         vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
     """
     world = plane.normal

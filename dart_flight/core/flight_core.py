@@ -4,8 +4,8 @@
     for output in core.step(sample): ...
 
 Data flows in one direction: *sense* converts the input to estimates, *mission* converts these to a proposal,
-and *guard* decides. No part writes into another; this module passes the results on. `step` never raises: an
-exception in the mission's code becomes a guard decision (land), with its reason.
+and *guard* decides. No part changes another part's data; this module passes the results on. `step` never
+raises: an exception in the mission's code becomes a guard decision (land), with its reason.
 """
 
 from __future__ import annotations

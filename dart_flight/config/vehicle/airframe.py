@@ -57,7 +57,7 @@ class Airframe(Section, frozen=True, kw_only=True):
         guard_along_m: each side has two guard points that touch a wall first; this is the distance from the
             middle of the side to one of them.
         listed: 4 to 8 motors in PX4's order, for an airframe other than a quadrotor in X (arm_x_m and arm_y_m
-            are then null); `calibrate airframe` prints them.
+            are then null); `calibrate airframe` prints this list.
     """
 
     mass_kg: Annotated[float, Meta(ge=0.05, le=50.0)]
@@ -137,8 +137,8 @@ class Thrust(Section, frozen=True):
         motor_lag_s: time constant of motor and propeller.
         full_n: thrust at full command and at the battery voltage estimation.battery.reference_v.
         model_factor: share of the square term, PX4's THR_MDL_FAC.
-        table: measured [[command, newton], ...], both increasing, up to the command 1, interpolated linearly
-            (full_n and model_factor are then null).
+        table: measured pairs [[command, newton], ...], interpolated linearly (full_n and model_factor are
+            then null). Both columns increase, and the last command is 1.
     """
 
     motor_lag_s: Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -227,7 +227,9 @@ class Thrust(Section, frozen=True):
 
 
 def _interpolate(points: tuple[tuple[float, float], ...], x: float, given: int) -> float:
-    """Interpolate a rising polyline: `x` is the coordinate of index `given`; return the other coordinate."""
+    """Interpolate a rising polyline. Coordinate `given` (0 or 1) has the value `x`; return the other
+    coordinate.
+    """
     i = max(1, bisect_left(points, x, key=itemgetter(given)))
     before, after = points[i - 1], points[i]
     share = (x - before[given]) / (after[given] - before[given])
@@ -242,8 +244,8 @@ class Imu(Section, frozen=True):
         rate_hz: rate of the samples that PX4 sends.
         tick_s: time over which one sample is averaged.
         antialias_hz: -3 dB frequency of the accelerometer's own low-pass, first order.
-        position_m: position of the IMU, [forward, right, down] of the centre of mass. From this position the
-            force estimate computes and removes the accelerations that the vehicle's rotation causes at the
+        position_m: position of the IMU relative to the centre of mass, [forward, right, down]. With this
+            position the force estimate removes the accelerations that the vehicle's rotation causes at the
             IMU.
     """
 

@@ -86,7 +86,7 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
         return self.airframe.mass_kg * GRAVITY_M_S2 / (len(self.airframe.motors) * self.thrust.max_thrust_n)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration as a file; `load_vehicle` restores it."""
+        """Return the keys and values of a configuration file; `load_vehicle` restores the configuration."""
         tree: dict[str, Any] = msgspec.to_builtins(self)
         return tree
 

@@ -62,11 +62,11 @@ class Flying(Section, frozen=True):
         yaw_rate_deg_s: largest yaw rate of the reference.
         steady_run_s: time at constant speed before the wall, so that the impact velocity is reached.
         setpoint_delay_s: delay from the stamp of an odometry sample until the autopilot executes the setpoint
-            computed from this sample. The setpoint is therefore the reference at a time that is later by this
-            delay. null: 0.024 with PX4, none in the embedded simulator.
+            computed from this sample. The setpoint is the reference at the sample's time plus this delay.
+            null: 0.024 with PX4, none in the embedded simulator.
         attitude_delay_s: further delay, in addition to setpoint_delay_s, because the attitude's rate loop
-            responds late. The acceleration and jerk of the setpoint are those of the reference at a time that
-            is later by both delays. null: 0.05 with PX4, none in the embedded simulator.
+            responds late. The setpoint's acceleration and jerk are those of the reference at the sample's
+            time plus both delays. null: 0.05 with PX4, none in the embedded simulator.
         ready_timeout_s: longest wait for telemetry, for offboard mode, for arming, or for the end of a climb
             or transit.
         replan_within_s: time from the end of a contact to the start of a trajectory planned in flight; the

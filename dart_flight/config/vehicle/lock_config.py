@@ -259,8 +259,8 @@ class LockConfig(Section, frozen=True):
             back.
         timeout_s: longest travel time, and longest time without a reading of a limit switch. If one of the
             two is exceeded, the lock is in fault.
-        debounce_s: time for which a change of a limit switch or a loss of the pulse must last before it
-            counts.
+        debounce_s: time for which a change of a limit switch or a loss of the pulse must last; shorter
+            changes are ignored.
         limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, with one or
             both lines; null: there is no switch, and a movement of the lock counts as complete after the
             travel time.

@@ -23,7 +23,8 @@ class MotionCapture(Section, frozen=True):
         heading_deg: direction of the room's x axis (z axis if y is up), clockwise from PX4's north.
         body_offset_m: position of the vehicle's centre in the axes of the marker body.
         body_yaw_deg: direction of the vehicle's nose in the marker body, counter-clockwise from its x axis.
-        delay_ms: age of a pose when it reaches PX4; EKF2_EV_DELAY must match it; null: not measured.
+        delay_ms: age of a pose when it reaches PX4; EKF2_EV_DELAY must have the same value; null: not
+            measured.
     """
 
     url: str | None = None
@@ -35,7 +36,7 @@ class MotionCapture(Section, frozen=True):
     delay_ms: Annotated[float, Meta(ge=0.0, le=300.0)] | None = None
 
     def measured_parameters(self) -> dict[str, float]:
-        """Return, by name, the PX4 parameters that follow from measurements of the motion capture."""
+        """Return name -> value of the PX4 parameters that follow from measurements of the motion capture."""
         return {} if self.delay_ms is None else {"EKF2_EV_DELAY": self.delay_ms}
 
     def room_frame(self) -> RoomFrame:

@@ -1,4 +1,4 @@
-"""The thrust curve of one motor, defined by two numbers: thrust from command, and command from thrust.
+"""The thrust curve of one motor: conversion between command and thrust. Two numbers define the curve.
 
 It is a separate module because it is compiled (docs/speed.md): the simulated vehicle evaluates it for every
 motor, every millisecond.

@@ -84,7 +84,7 @@ class Simulation(Section, frozen=True, kw_only=True):
         gust_m_s: standard deviation of gusts in addition to the steady wind, per axis.
         contact: the vehicle as a body that touches walls.
         imu_ringing: vibration in the accelerometer while the motors turn; null: none.
-        imu_position_m: true position of the IMU, [forward, right, down] of the centre of mass.
+        imu_position_m: true position of the IMU relative to the centre of mass, [forward, right, down].
         replan_latency_s: time from a replanning request to its answer, in simulated time.
         position_from: position source of the embedded autopilot: mocap: motion capture; rtk, plain: a GPS
             receiver with or without corrections. If a real PX4 flies the simulated vehicle, command-line

@@ -23,7 +23,8 @@ class EstimatorReset:
 
     Attributes:
         t_us: autopilot time at which the counter rose.
-        position_m, velocity_m_s: largest steps that the motion does not explain.
+        position_m, velocity_m_s: largest differences between an odometry sample and its prediction from the
+            previous sample.
         heading_rad: largest step of the heading, positive clockwise seen from above.
     """
 
@@ -57,7 +58,10 @@ class EstimatorResets:
         self._heading.add_attitude(item)
 
     def add_odometry(self, item: OdometrySample) -> tuple[float, float]:
-        """Return the change of position (m) and velocity (m/s) that the motion does not explain."""
+        """Return the sample's step in position (m) and velocity (m/s) from the previous sample.
+
+        The position's step is the distance from the position predicted with the velocities.
+        """
         before, self._odometry = self._odometry, item
         if before is None or not 0 < item.t_us - before.t_us <= _JUMP_REACH_US:
             return 0.0, 0.0
