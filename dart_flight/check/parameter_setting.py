@@ -60,7 +60,7 @@ class ParameterReading(msgspec.Struct, frozen=True):
 
     @property
     def writable(self) -> list[ParameterRow]:
-        """The parameters that the vehicle has."""
+        """The rows whose parameters exist on the vehicle."""
         return [row for row in self.rows if row.vehicle is not None]
 
 
@@ -76,8 +76,8 @@ def read_differences(
     Args:
         link: connection to the vehicle.
         mission: provides the vehicle and the frame.
-        claimed: position source that the operator claims, or None. With None the source is motion capture if
-            the configuration has a motion capture; otherwise the vehicle's parameters select the source.
+        claimed: position source that the operator claims, or None. If None, the source is motion capture if
+            it is configured; otherwise the vehicle's parameters select the source.
         restored: file to restore, or None. If a file is given, its values are the wanted values.
         progress: receives the number of parameters read and the total number.
 

@@ -210,8 +210,8 @@ def resolve_alphas(
     """Return the gains (A_n, A_t) in the wall's axes, m/N, from `alpha_m_per_n` or `alpha_wall_m_per_n`.
 
     Raises:
-        InputError: not exactly one of the two keys is given; the wall is oblique to the mission's axes, but
-            the two gains of `alpha_m_per_n` differ; or the gain along the normal is not above 0.
+        InputError: none or both of the two keys are given; the wall is oblique to the mission's axes, but the
+            two gains of `alpha_m_per_n` differ; or the gain along the normal is not above 0.
     """
     if (per_axis is None) == (per_wall is None):
         raise document.error(key, "give exactly one of alpha_m_per_n and alpha_wall_m_per_n")

@@ -133,7 +133,7 @@ def _probe_direction(direction: Vec2, key: Key, document: Document) -> Vec2:
 
 
 def _probe_end(probe: ProbeSpec, wall: Wall | None) -> Vec2:
-    """Return the end of a probe; a probe without a direction leads along the normal of the mission's wall."""
+    """Return the end of a probe; without a direction, the probe leads to the wall along the wall's normal."""
     dx, dy = probe.direction or ((-wall.normal[0], -wall.normal[1]) if wall is not None else (0.0, 0.0))
     share = probe.length_m / math.hypot(dx, dy)
     return (probe.from_m[0] + share * dx, probe.from_m[1] + share * dy)

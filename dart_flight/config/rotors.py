@@ -53,8 +53,8 @@ def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple
         actual: motors of PX4.
 
     Returns:
-        Two lists of messages: differences that mean another vehicle (number of motors, sides, directions of
-            rotation), and different sizes of the same vehicle.
+        Two lists of messages: differences that show another vehicle in PX4 (number of motors, sides,
+            directions of rotation), and differences of size only.
     """
     if len(motors) != len(actual):
         return [f"PX4 has {len(actual)} motors, the configuration {len(motors)}"], []

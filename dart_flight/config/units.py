@@ -36,7 +36,7 @@ COEFFICIENTS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return a name without the suffix for its unit, and the unit; without such a suffix, the unit is ""."""
+    """Return a name without its unit's suffix, and the unit (empty if the name has no such suffix)."""
     end = max((end for end in _ENDINGS if name.endswith(end)), key=len, default="")
     return name.removesuffix(end), _ENDINGS.get(end, "")
 

@@ -3,8 +3,8 @@
 In contact the law (paper, Sec. IV-B) is a damped oscillator with a one-sided force. The plane of first touch
 is the plane on which the vehicle's centre lies when the vehicle first touches the wall. x is the centre's
 signed distance to this plane. a is the acceleration along the normal by other forces: gravity in a drop, the
-controller's push in flight. V is the speed scale, |v| + |a|/omega for the normal velocity v at the onset.
-With
+controller's push in flight. v is the normal velocity at the onset, and V = |v| + |a|/omega is the speed
+scale. With
 
     omega = sqrt(k/m),  zeta = f / (2 sqrt(k m)),  x = m a / k + (V/omega) xi(tau),  tau = omega t,
 
@@ -205,7 +205,7 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
 
 
 def _acot(y: Array, zeta: Array) -> Array:
-    """Return acot(y/w)/w for y >= zeta, w^2 = 1 - zeta^2: acoth if w^2 is negative, a series near 0."""
+    """Return acot(y/w)/w for y >= zeta, w^2 = 1 - zeta^2; acoth for negative w^2, a series for w^2 near 0."""
     w2 = (1.0 - zeta) * (1.0 + zeta)
     w = np.sqrt(np.maximum(np.abs(w2), 0.1 * _NEAR_CRITICAL))
     over = 0.5 * np.log1p(2.0 * w / np.maximum(y - w, 1e-300)) / w

@@ -10,8 +10,8 @@ friction is reduced as for guards (`propeller_guards`).
 A bar rests on the springs of its two guards, k/2 and f/2 each. At the fraction s of its length the stiffness
 is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall that touches both guards. This
 *share* of k is fixed at the touch and kept while the bar is pressed. The depth stays continuous when the
-cylinder's axis enters the outline. Sliding therefore adds no energy: the stored energy, 1/2 share k x^2,
-depends on the depth alone.
+cylinder's axis enters the outline. The stored energy, 1/2 share k x^2, therefore depends on the depth alone,
+and sliding adds no energy.
 
 To add no energy, a surface also presses only points that reach it from outside. A guard may move past the
 wall's end and then behind the surface. This guard touches nothing until it is in front of the surface again.
