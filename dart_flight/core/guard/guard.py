@@ -171,7 +171,7 @@ class Guard:
                     self._fire(rule.name, detail, state, events, noted=True)
 
     def _should_record(self, rule: Rule) -> bool:
-        """Return whether a rule that changes no action should still be recorded."""
+        """Return whether to record a rule that does not change the guard's action."""
         again = rule is self._rule or rule.name in self._noted
         return not again and not self._watch.status_unreliable
 

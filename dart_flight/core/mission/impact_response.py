@@ -57,7 +57,7 @@ class ImpactResponse:
         return ExpectedContact(watching, wall.normal, wall.material, wall)
 
     def _is_due(self, progress: MissionState, collision: Collision) -> bool:
-        """Return whether an onset now counts as planned; a second onset before the peak does not."""
+        """Return whether an onset now counts as planned; a second onset before the peak is unplanned."""
         rehearsed = self._mission.standoff_m is not None
         return not rehearsed and progress.phase is not Phase.CONTACT and _is_expected(progress, collision)
 

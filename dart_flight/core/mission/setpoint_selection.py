@@ -224,9 +224,9 @@ class SetpointSelection:
     def _lead(self, trajectory: Trajectory, since_s: float) -> Reference:
         """Return the reference of a trajectory for the time at which PX4 executes it.
 
-        The acceleration is taken at an even later time, because the attitude lags. This time is
-        limited to the trajectory's end, because the trajectory has no thrust afterwards. Drag and the
-        response of PX4's D term are added, so that no error builds up in the position loop.
+        The acceleration is taken at an even later time, because the attitude lags. This time is limited to
+        the trajectory's end, because the trajectory has no thrust afterwards. Drag and the response of PX4's
+        D term are added, so that no error builds up in the position loop.
         """
         flown_s = since_s + self._delay_s
         flown = trajectory.at(flown_s)

@@ -107,8 +107,8 @@ class EstimatedWalls:
 
         Args:
             wall: the wall as the mission defines it.
-            now_us: autopilot time. If the frame drifts, the standard deviation grows with time. None leaves
-                out the frame's standard deviation.
+            now_us: autopilot time. If the frame drifts, the standard deviation grows with time. If `now_us`
+                is None, the frame's standard deviation is left out.
         """
         wall = self._found.get(wall.name, wall)
         if self._anchors is None or now_us is None:

@@ -61,7 +61,7 @@ TESTS = {
 
 
 class Points(msgspec.Struct):
-    """Quiet segments: means of force (N), voltage, and the motors' sums of u^2 and u (u: motor command).
+    """Quiet segments: mean force (N), mean sums of u^2 and u over the motors (u: motor command), voltage.
 
     An unknown voltage is NaN.
 

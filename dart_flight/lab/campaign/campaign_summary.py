@@ -113,8 +113,8 @@ class Departure(msgspec.Struct, frozen=True):
         what: name of the figure with its unit.
         flights, of: number of flights out of tolerance, and number of flights with a plan.
         not_flown: number of flights out of tolerance in which the planned part was not flown.
-        planned, flown: medians (for words, the most frequent word) over the flights out of tolerance. `flown`
-        is None if the planned part was never flown.
+        planned, flown: medians (for words, the most frequent word) over the flights out of tolerance.
+            `flown` is None if the planned part was never flown.
         tolerance: tolerance from the mission, or None if the values must be equal.
     """
 
@@ -129,7 +129,7 @@ class Departure(msgspec.Struct, frozen=True):
 
 
 class GridPoint(msgspec.Struct, frozen=True):
-    """The success rates at one mission and combination of settings."""
+    """The success rates of one mission with one combination of settings."""
 
     mission: str
     settings: dict[str, str]

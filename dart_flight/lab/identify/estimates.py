@@ -18,7 +18,7 @@ class Estimate(NamedTuple):
 
     @classmethod
     def about(cls, value: float, half: float, least: float = -math.inf, most: float = math.inf) -> Estimate:
-        """Return `value` with the interval `value` +- `half`, all clipped to the limits `least` and `most`."""
+        """Return `value` with the interval `value` +- `half`, all clipped to `least` and `most`."""
         return cls(*(min(max(v, least), most) for v in (value, value - half, value + half)))
 
 

@@ -386,7 +386,7 @@ def _find_pulse(time: Array, value: Array, noise: float, name: str) -> int:
 def _weightless_level(
     time: Array, value: Array, pulse_at: int, noise: float, name: str
 ) -> tuple[float, float]:
-    """Return the mean level and the noise of the sensor in free fall; the ideal level is 0."""
+    """Return the level and the noise of the readings in free fall; the ideal level is 0."""
     calm = (time > time[pulse_at] - 0.12) & (time < time[pulse_at] - 0.01)
     if calm.sum() < 8:
         raise InputError("the recording begins too late: no free fall before the impact", source=name)
