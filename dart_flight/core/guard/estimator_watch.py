@@ -85,7 +85,7 @@ class EstimatorWatch:
         return reset if reset is not None and self._now_us - reset.t_us <= reach_us else None
 
     def reset_step(self) -> str | None:
-        """Return a text about the step of position or velocity in a reset, or None if there is none."""
+        """Return a text about the step of position or velocity in a reset, or None without such a step."""
         reset = self._reset_within(REACH_US)
         if reset is None or self._excused:
             return None
@@ -94,7 +94,7 @@ class EstimatorWatch:
         return None
 
     def heading_step(self) -> str | None:
-        """Return a text about the step of the heading in a reset, or None if there is none."""
+        """Return a text about the step of the heading in a reset, or None without such a step."""
         reset = self._reset_within(2 * REACH_US)
         if reset is None or self._reset_phase in _ALIGNING:
             return None

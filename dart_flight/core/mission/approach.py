@@ -222,7 +222,7 @@ class TransitSegment(NamedTuple):
     """A straight segment from rest to rest that the mission file specifies.
 
     Attributes:
-        name: description of its end.
+        name: description of the segment's end.
         begin: start point, mission frame, metres; None if the segment begins where a recovery ends.
         end: end point, mission frame, metres.
         speed_m_s: largest speed.

@@ -89,7 +89,7 @@ def predict_impact(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> PlaneImpact | None:
-    """Predict the impact of a vehicle, on its way to a setpoint, with a plane; None without an impact.
+    """Predict when a vehicle that flies to a setpoint meets a plane; return None if not within `horizon_s`.
 
     Args: as in `least_distance_m`.
     """

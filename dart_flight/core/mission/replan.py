@@ -23,7 +23,7 @@ class Replan(NamedTuple):
         trajectory, begin_us: the active trajectory and its beginning.
         ends_leaning: whether the trajectory ends with the lean that the impact needs, like the mission's own
             trajectories.
-        must_not_be_later: whether a new trajectory must not end much later than the active one.
+        must_not_be_later: whether to reject a new trajectory that ends much later than the active trajectory.
         impact_us: time at which the trajectory meets the next wall.
     """
 

@@ -63,7 +63,7 @@ def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> Cam
 
     Raises:
         InputError: the specification is invalid, or the folder contains a campaign that cannot be continued:
-            `resume` is False, or `asked` differs from the specification.
+            `resume` is False, or `asked` differs from the existing specification.
         FlightError: the folder cannot be written.
     """
     path = folder / ASKED
