@@ -227,7 +227,7 @@ class ImpactDetector:
     def thresholds_n(self) -> tuple[float, float, float, float]:
         """Return the thresholds of one sample, the mean of two, the short and the long window, newton.
 
-        Each is at least the configured threshold, and at least a multiple of the learnt noise.
+        Each is the larger of the configured threshold and a multiple of the learnt noise.
         """
         least, sigma = self._threshold_n, self._sigma
         one, two, short, long = self._windows
