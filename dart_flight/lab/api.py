@@ -224,7 +224,8 @@ def predict(
         A `contact.contact_map.WallHit` with `normal_out_m_s`, `peak_normal_force_n`, `contact_time_s`, ...
 
     Raises:
-        InputError: the surface, the mode or the onset is unknown, or a velocity does not approach the wall.
+        InputError: the surface, the mode or the onset is unknown, or a velocity does not point
+            towards the wall.
     """
     condition = prediction.condition(vehicle, surface, mode, onset, incidence_deg)
     normal, tangential = np.asarray(normal_m_s, dtype=float), np.asarray(tangential_m_s, dtype=float)
@@ -348,7 +349,7 @@ def plan(
 
     Raises:
         InputError: the scenario is invalid or has no feasible plan; the message names the most frequent
-            obstacle.
+            reason for rejection.
     """
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario, vehicle)

@@ -67,7 +67,7 @@ PAGE, COLUMN = Look(4.6, 9.0), Look(3.5, 8.0)
 
 
 def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Any, Any]:
-    """Return a figure and its axes; the height scales with the width of the look.
+    """Return a figure and its axes; the height is proportional to the width in `look`.
 
     Args:
         look: width and text size.

@@ -63,8 +63,8 @@ class ForceArrays(NamedTuple):
 class FlightArrays:
     """The arrays of one flight.
 
-    Times count in seconds from the zero of `flight_time`, as in every output of a flight. `time_of` converts
-    the autopilot's stamps.
+    Times are in seconds; 0 s is the zero that `flight_time` defines for every output of a flight. `time_of`
+    converts the autopilot's stamps.
 
     Attributes:
         log: the flight log.

@@ -85,7 +85,7 @@ class EstimatorWatch:
         return reset if reset is not None and self._now_us - reset.t_us <= reach_us else None
 
     def reset_step(self) -> str | None:
-        """Return a text about the step of position or velocity in a reset, or None if there is none."""
+        """Return a text about the step of position or velocity in a reset, or None without such a step."""
         reset = self._reset_within(REACH_US)
         if reset is None or self._excused:
             return None
@@ -94,7 +94,7 @@ class EstimatorWatch:
         return None
 
     def heading_step(self) -> str | None:
-        """Return a text about the step of the heading in a reset, or None if there is none."""
+        """Return a text about the step of the heading in a reset, or None without such a step."""
         reset = self._reset_within(2 * REACH_US)
         if reset is None or self._reset_phase in _ALIGNING:
             return None
@@ -104,7 +104,7 @@ class EstimatorWatch:
         return f"heading stepped by {step_deg:.1f} deg, limit {limit:.0f} deg"
 
     def invalid_estimate(self) -> str | None:
-        """Return a text with the time for which PX4's estimate has been invalid; None if brief or valid."""
+        """Return for how long PX4's estimate has been invalid, as text, or None if this time is short."""
         since_us = self._invalid_since_us
         lasting_s = 0.0 if since_us is None else (self._now_us - since_us) * 1e-6
         return f"no valid estimate for {lasting_s:.1f} s" if lasting_s > ESTIMATOR_BAD_S else None

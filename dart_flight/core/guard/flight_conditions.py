@@ -84,7 +84,7 @@ class FlightConditions:
         self._imu: ImuSample | None = None
 
     def observe(self, item: Input, state: FlightState, sensed: Sensed, phase: Phase) -> None:
-        """Process the step's input and its results; `state` already includes the input."""
+        """Process an input and the results of its step; `state` already includes the input."""
         self.state, self.phase, self.force = state, phase, sensed.estimate
         self.request = item if isinstance(item, OperatorRequest) else None
         self.thrust_ratio = sensed.thrust_ratio or self.thrust_ratio
@@ -170,14 +170,14 @@ class FlightConditions:
 
     @property
     def failsafe_words(self) -> str:
-        """PX4's text about the cause of a failsafe; without such a text, a sentence that says so."""
+        """PX4's text about the cause of a failsafe, or the statement that PX4 gives no cause."""
         return self._failsafe.words(self.state.now_us) or "PX4 reports a failsafe and gives no cause"
 
     @property
     def termination(self) -> str | None:
         """PX4's termination of the flight, as text, or None if there is none.
 
-        Status and texts count only in the air: a kill after touchdown ends a landing.
+        The result is None on the ground, because a kill after touchdown is the normal end of a landing.
         """
         if not self.was_armed or self.state.on_ground:
             return None
@@ -264,7 +264,7 @@ class FlightConditions:
         self.others.add_sample(name, item)
 
     def _record_pause(self, host_us: int) -> None:
-        """Record that this program paused: no tick has arrived since the previous step."""
+        """Record a pause of this program, during which no tick arrived, since the previous step."""
         pause_us = host_us - self._stepped_us
         if pause_us > self._pause_us or host_us - self._paused_us > _PAUSE_MEMORY_US:
             self._pause_us, self._paused_us = pause_us, host_us

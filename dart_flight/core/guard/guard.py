@@ -171,14 +171,14 @@ class Guard:
                     self._fire(rule.name, detail, state, events, noted=True)
 
     def _should_record(self, rule: Rule) -> bool:
-        """Return whether a rule that changes no action should still be recorded."""
+        """Return whether to record a rule that does not change the guard's action."""
         again = rule is self._rule or rule.name in self._noted
         return not again and not self._watch.status_unreliable
 
     def _apply_explanation(
         self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
     ) -> None:
-        """If `rule` explains why the rule in force fired, replace the rule in force and its reason."""
+        """If `rule` explains why the rule in force fired, put `rule` in force, with the reason `detail`."""
         if detail is not None and self._rule is not None and self._rule.name in rule.explains:
             if rule.of_streams:
                 detail += self._watch.circumstances
@@ -271,10 +271,10 @@ class Guard:
             self._land(state, out)
 
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
-        """Return whether the vehicle, after breaking off, rests far from `hold`, as after a large tilt.
+        """Return whether the vehicle rests far from `hold` after breaking off, for example after a tilt.
 
-        The guard then holds the vehicle where it rests: on the way back PX4's integrator would push
-        the vehicle past `hold`, towards the wall.
+        The guard then holds the vehicle at its resting place. On the way back to `hold`, PX4's integrator
+        would push the vehicle past `hold`, towards the wall.
         """
         if self.action is not Override.BREAK_OFF or norm(state.velocity) > _STOPPED_M_S:
             return False
@@ -294,9 +294,10 @@ class Guard:
         return state.now_us - self._down_us >= DOWN_US
 
     def _hold_point(self, state: FlightState) -> Vec3:
-        """Return the present place at the mission's altitude, moved away from walls to the retreat distance.
+        """Return the point to hold: the present place at the mission's altitude.
 
-        The retreat distance applies to the mission's walls, and to an unknown wall that was just touched.
+        After breaking off, the point keeps the retreat distance from the mission's walls, and from an
+        unknown wall that was just touched.
         """
         x, y, z = state.position
         if self.action is Override.BREAK_OFF:

@@ -41,7 +41,7 @@ class HeadingStep:
         self._turns: deque[tuple[int, Quaternion]] = deque()  # stamp, D; the last 0.1 s
 
     def add_imu(self, item: ImuSample) -> None:
-        """Integrate a rate; it is the mean over the tick that ends at its stamp."""
+        """Integrate a rate, which is the mean over the tick before the stamp of `item`."""
         before_us, self._imu_us, self._rate = self._imu_us, item.t_us, item.rate_frd
         if before_us is None or not 0 < item.t_us - before_us <= _GAP_US:
             self._turns.clear()

@@ -2,8 +2,9 @@
 
 Without poses PX4 uses only its IMU. A bias of 0.05 m/s2 and a tilt error of half a degree then move the
 estimate by 0.02 m in 0.5 s. Every phase tolerates this error. A contact adds a velocity error of up to 1 m/s.
-Without poses the vehicle must therefore not hit a wall, so the time limit is shorter in an approach. If the
-poses fail in a contact or recovery, this phase is finished first, because the recovery needs only the IMU.
+Without poses the vehicle must therefore not hit a wall, so an approach tolerates a shorter loss of poses. If
+the poses fail in a contact or recovery, the guard acts after this phase, because the recovery needs only the
+IMU.
 
 Poses that jump belong to another body and are withheld from PX4 at once. PX4 would reject such poses for a
 second and then reset its position to them. Without poses, PX4 dead-reckons long enough to land. If only the

@@ -32,7 +32,7 @@ class RuleCondition(NamedTuple):
 
     Attributes:
         description: description of the problem for the manual's table.
-        threshold: compared values, as keys of the vehicle's configuration or the mission, or constants.
+        threshold: values that the cause compares: keys of vehicle configuration or mission, or constants.
         cause: function that returns the present problem as text. If `cause` is None, a finding of the mission
             fires the rule.
     """

@@ -1,7 +1,8 @@
 """Detection of a second vehicle that shares the link and the system id.
 
 In MAVLink the two vehicles are one system, so their samples alternate between two clocks or two positions.
-After a clock reset, a restart or a jump of the estimate, clock and position do not change back.
+A single vehicle does not alternate: after a clock reset, restart or jump of its estimate, the old clock or
+position does not return.
 """
 
 from __future__ import annotations

@@ -6,8 +6,9 @@ deviation of the drift grows in proportion to the age of the contact (docs/ancho
 
     information = sum over anchors n n' / (s^2 + (drift age)^2),    sd along n = sqrt(n' information^-1 n)
 
-Here n is a wall's normal, s the standard deviation of its contact, and drift that of the velocity error. The
-start is an anchor in every direction, because the vehicle was placed there.
+Here n is a wall's normal, s is the standard deviation of the place measured by the contact, and drift is the
+standard deviation of the velocity error. The start is an anchor in every direction, because the vehicle was
+placed there.
 """
 
 from __future__ import annotations

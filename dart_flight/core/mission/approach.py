@@ -52,10 +52,10 @@ def run_up(
 ) -> RunUp:
     """Return the run-up of an approach.
 
-    The approach follows a ray that ends at the impact. If the mission's start lies on this ray and far enough
-    from the wall, the run-up begins there. Otherwise the run-up begins on the ray at the distance that the
-    acceleration and the steady run need. This distance is measured from the wall, shifted towards the
-    vehicle by three standard deviations.
+    The approach follows a ray that ends at the impact. If the mission's start lies on this ray and is far
+    enough from the wall, the run-up begins there. Otherwise the run-up begins on the ray at the distance that
+    the acceleration and the steady run need. This distance counts from a plane that
+    lies three standard deviations in front of the wall.
 
     Args:
         start: start of the mission.
@@ -144,7 +144,7 @@ def segments_to_impact(
 def plan_approach(mission: Mission, collision: Collision) -> Trajectory:
     """Return the approach of a collision: the mission's trajectory, a probe, or a run-up.
 
-    The approach ends at the impact. A probe ends where it stops searching for the wall.
+    The approach ends at the impact. A probe ends where the vehicle stops searching for the wall.
 
     Raises:
         NoApproachError: the run-up leaves the bounds, or an obstacle blocks it.
@@ -222,7 +222,7 @@ class TransitSegment(NamedTuple):
     """A straight segment from rest to rest that the mission file specifies.
 
     Attributes:
-        name: description of its end.
+        name: description of the segment's end.
         begin: start point, mission frame, metres; None if the segment begins where a recovery ends.
         end: end point, mission frame, metres.
         speed_m_s: largest speed.
@@ -296,7 +296,7 @@ def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_t
 def standoff_point(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:
     """Return the stopping point of a rehearsal: on the line to the impact, `standoff_m` before the plane.
 
-    The distance is measured from the wall, shifted towards the vehicle by three standard deviations.
+    The distance counts from a plane that lies three standard deviations in front of the wall.
     """
     standoff = (mission.standoff_m or 0.0) + float(position_margin_m(collision.wall, impact))
     here, there = collision.wall.signed_distance(begin), collision.wall.signed_distance(impact)

@@ -40,8 +40,9 @@ def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: M
     Args:
         height_m: height above the centre of mass at which the wall's force acts; None if unknown.
         out_m: horizontal distance of the propeller guards from the centre of mass, metres.
-        planned: mode of the arms, if the impact ends a trajectory of the mission. With rigid arms the vehicle
-            then leans off the wall. None for a replanned impact, at which the vehicle leans less.
+        planned: mode of the arms if the impact ends a trajectory of the mission; None if the impact is
+            replanned. A mission's trajectory with rigid arms leans the vehicle off the wall; a replanned
+            trajectory leans the vehicle less.
     """
     if height_m is None:
         return 0.0

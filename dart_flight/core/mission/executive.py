@@ -129,7 +129,7 @@ class Executive:
             self._propose_setpoint(item, state, p)
 
     def _has_begun(self, state: FlightState) -> bool:
-        """Record when the phase began; return False while no stamped sample has given the time."""
+        """Record when the phase began; return False if no stamped sample has arrived yet."""
         progress = self.progress
         if progress.entered_us is None:
             if not state.now_us:
@@ -159,7 +159,7 @@ class Executive:
     # -- changes requested by helpers --
 
     def _apply(self, change: Change, state: FlightState, p: Proposal) -> None:
-        """Write a change into the mission's state, and its records and commands into the proposal."""
+        """Apply a change to the mission's state, and add its records and commands to the proposal `p`."""
         progress = self.progress
         if change is NO_CHANGE:
             return
@@ -214,7 +214,7 @@ class Executive:
         return state.lock_is_in(mode)
 
     def record_override(self, now_us: int, reason: str) -> list[Output]:
-        """Record that the guard has taken over; return the phase change, once."""
+        """Record that the guard has taken over; the first call returns the phase change."""
         if self.progress.phase in (Phase.DONE, Phase.OVERRULED):
             return []
         return [self._change_phase(PhaseTrigger.OVERRULE, now_us, reason)]
@@ -299,7 +299,7 @@ class Executive:
             p.add_finding("climb_timeout", "the altitude was not reached in time")
 
     def _start_next(self, cue: PhaseTrigger, state: FlightState, p: Proposal) -> None:
-        """Begin the next leg from rest at the target; if this leg is a collision, `cue` is the trigger."""
+        """Begin the next leg from rest at the target; for a collision, `cue` triggers the phase."""
         self._skip_legs(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:
@@ -557,7 +557,7 @@ class Executive:
             p.add_finding("lock_late", detail)
 
     def _replan(self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        """Request a trajectory after the contact, and follow it from its beginning."""
+        """Request a trajectory after the contact, and follow the trajectory from its begin time."""
         progress, planning = self.progress, self._replanning
         square_us = state.now_us if following is None else self._setpoints.square_us(progress, state)
         coasts = self._setpoints.coasts(progress, state)

@@ -57,7 +57,7 @@ class ImpactResponse:
         return ExpectedContact(watching, wall.normal, wall.material, wall)
 
     def _is_due(self, progress: MissionState, collision: Collision) -> bool:
-        """Return whether an onset now counts as planned; a second onset before the peak does not."""
+        """Return whether an onset now counts as planned; a second onset before the peak is unplanned."""
         rehearsed = self._mission.standoff_m is not None
         return not rehearsed and progress.phase is not Phase.CONTACT and _is_expected(progress, collision)
 
@@ -107,7 +107,7 @@ class ImpactResponse:
         return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
     def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
-        """Report a finding if vibration would hide the planned impact: the vehicle would not stop pushing."""
+        """If vibration would hide the planned impact, report a finding: the vehicle would keep pushing."""
         collision, vehicle = progress.collision, self._mission.vehicle
         if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
             return NO_CHANGE
@@ -128,7 +128,7 @@ class ImpactResponse:
             event: the peak.
             progress: state of the mission.
             state: state of the vehicle.
-            added: acceleration of the setpoint (`contact_feedforward`), mission frame, m/s2.
+            added: feed-forward acceleration (`contact_feedforward`) for the setpoint, mission frame, m/s2.
         """
         collision, course = progress.collision, progress.course
         if progress.phase is not Phase.CONTACT or collision is None:

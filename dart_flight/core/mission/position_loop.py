@@ -5,8 +5,8 @@ Per axis, with p the position, v the velocity, and a the acceleration at the pre
     a_cmd = kv (kp (p_ref - p) - v) - kd a,     da/dt = (a_cmd - a) / tau
 
 kp, kv, kd are MPC_XY_P, MPC_XY_VEL_P_ACC, MPC_XY_VEL_D_ACC; tau is the lag of attitude loop and motors.
-`least_distance_m` omits the velocity integral and drag, which have little effect within the half second of a
-braking. The planner's model (`flight_model`) includes velocity integral and drag.
+`least_distance_m` omits the velocity integral and drag, which have little effect during braking, about half
+a second. The planner's model (`flight_model`) includes velocity integral and drag.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _BEHIND_M = 0.3  # beyond this distance behind the plane the vehicle is on the o
 def stop_share(
     walls: Iterable[Wall], position: tuple[Number, Number], velocity: tuple[Number, Number]
 ) -> Number:
-    """Return the stopping distance, divided by the distance that the vehicle flies in `STOP_TIME_S`.
+    """Return the fraction of the stopping distance that the vehicle can fly before a wall stops it.
 
-    The quotient is 1 without a wall ahead, and less than 1 if a wall would stop the vehicle earlier.
+    The stopping distance is the distance flown in `STOP_TIME_S`. Without a wall ahead, the result is 1.
 
     Args:
         walls: walls of the mission.
@@ -70,11 +70,11 @@ class PositionLoop(NamedTuple):
 
 
 class PlaneImpact(NamedTuple):
-    """Time, from now, and velocity of a predicted impact with a plane.
+    """Predicted impact with a plane.
 
     Attributes:
-        after_s: seconds from now.
-        normal_m_s: velocity along the outward normal, < 0.
+        after_s: time from now until the impact, seconds.
+        normal_m_s: impact velocity along the outward normal, negative.
     """
 
     after_s: float
@@ -89,7 +89,7 @@ def predict_impact(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> PlaneImpact | None:
-    """Predict when a vehicle on its way to a setpoint meets a plane; return None if not within the horizon.
+    """Predict when a vehicle that flies to a setpoint meets a plane; return None if not within `horizon_s`.
 
     Args: as in `least_distance_m`.
     """

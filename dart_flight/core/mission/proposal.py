@@ -1,4 +1,4 @@
-"""The mission's result of a step: proposed outputs, and data that the core passes on."""
+"""Result of the mission in one step: proposed outputs, and data that the core passes on."""
 
 from __future__ import annotations
 

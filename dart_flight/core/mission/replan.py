@@ -12,7 +12,7 @@ from dart_flight.core.sense.state import FlightState
 
 
 class Replan(NamedTuple):
-    """Requests to the planner, and the trajectory that is flown; autopilot time.
+    """Requests to the planner, and the trajectory that is flown; times are autopilot time.
 
     Attributes:
         number, tries: number of all requests, and of those since the last contact.
@@ -23,7 +23,7 @@ class Replan(NamedTuple):
         trajectory, begin_us: the active trajectory and its beginning.
         ends_leaning: whether the trajectory ends with the lean that the impact needs, like the mission's own
             trajectories.
-        must_not_be_later: whether a new trajectory must not end much later than the active one.
+        must_not_be_later: whether to reject a new trajectory that ends much later than the active trajectory.
         impact_us: time at which the trajectory meets the next wall.
     """
 
@@ -50,7 +50,7 @@ class Replan(NamedTuple):
 
     @property
     def since_us(self) -> int | None:
-        """Beginning of the active trajectory, or None if a setpoint is flown."""
+        """Beginning of the active trajectory, or None if only a position setpoint is active."""
         return None if self.trajectory is None else self.begin_us
 
     @property
@@ -63,11 +63,11 @@ class Replan(NamedTuple):
         return self.trajectory is not None and now_us - self.begin_us >= self.trajectory.duration_s * 1e6
 
     def impact_in_s(self, state: FlightState) -> float:
-        """Return the time until the trajectory meets the next wall, seconds, or minus infinity."""
+        """Return the seconds until the trajectory meets the next wall; minus infinity without an impact."""
         return -math.inf if self.impact_us is None else (self.impact_us - state.now_us) * 1e-6
 
     def predict_impact(self, closing_m_s: float, state: FlightState) -> PlaneImpact | None:
-        """Return the trajectory's predicted impact with the next wall, or None if a setpoint is flown."""
+        """Return the trajectory's predicted impact with the next wall, or None if no impact is planned."""
         if self.impact_us is None:
             return None
         return PlaneImpact(max(0.0, (self.impact_us - state.now_us) * 1e-6), -closing_m_s)

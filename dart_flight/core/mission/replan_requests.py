@@ -50,8 +50,8 @@ class ReplanRequests:
     ) -> Change:
         """Request a plan for the next leg, once after each contact.
 
-        If the vehicle flies a trajectory of the mission, repeat the request: such a trajectory is too short
-        for the errors of PX4's loop to decay.
+        In a mission with its own trajectories, the request is repeated in flight (`_should_repeat`). These
+        trajectories are too short for the errors of PX4's loop to decay.
 
         Args:
             progress: state of the mission.
@@ -122,7 +122,7 @@ class ReplanRequests:
         """Return whether to repeat the request, in a mission with its own trajectories.
 
         Some time after the last request, repeat the request if the active trajectory is not nearly over. Also
-        repeat it if no trajectory is active, because the vehicle was not at the beginning of the new one.
+        repeat the request if the vehicle missed the beginning of the new trajectory, so that none is active.
         """
         trajectory, asked = replan.trajectory, replan.request
         if asked is None or self._mission.goal_trajectory is None or now_us - asked.t_us < _AGAIN_US:
@@ -141,7 +141,7 @@ class ReplanRequests:
     # -- accepted answers --
 
     def approach(self, progress: MissionState, now_us: int) -> Change:
-        """Return the approach from rest to the impact velocity that the planner chose, if there is room."""
+        """Return an approach from rest, at the planner's impact velocity, if there is room."""
         answer, following = progress.replan.answer, progress.collision
         if answer is None or not progress.replan.from_rest or following is None:
             return NO_CHANGE
@@ -158,7 +158,7 @@ class ReplanRequests:
         return Change(outputs=(taken,), replan=replan, approach=approach)
 
     def trajectory(self, progress: MissionState, state: FlightState) -> Change:
-        """Return the trajectory of an answer at its begin time, if the vehicle is at its beginning."""
+        """Return an answer's trajectory at its begin time, if the vehicle is close to the trajectory."""
         replan, answer = progress.replan, progress.replan.answer
         if answer is None or replan.from_rest or state.now_us < answer.begin_us:
             return NO_CHANGE
@@ -204,7 +204,7 @@ def _refusal(replan: Replan, answer: PlanAnswer, now_us: int) -> str | None:
 
 
 def _is_consistent(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> bool:
-    """Return whether the values of an answer can be flown: a faulty planner must not affect the flight."""
+    """Return whether an answer fits its request and is plausible; a faulty planner may send any values."""
     if answer.begin_us != asked.begin_us or answer.collision != asked.collision:
         return False
     if from_rest:
@@ -220,7 +220,7 @@ def _is_consistent(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> b
 
 
 def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> str:
-    """Return the reason not to fly a trajectory from here, or ""."""
+    """Return the reason not to fly an answer's trajectory from the present state, or ""."""
     if _active_is_faster(replan, trajectory, answer, state):
         return "the trajectory flown is quicker"
     at = trajectory.at((state.now_us - answer.begin_us) * 1e-6)
@@ -232,7 +232,7 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
-    """Return whether the vehicle follows its active trajectory and would arrive well before the new one."""
+    """Return whether the vehicle follows its active trajectory, and whether the new one ends much later."""
     flown = replan.trajectory
     if flown is None or not replan.must_not_be_later:
         return False

@@ -97,7 +97,7 @@ class SetpointSelection:
             progress: state of the mission.
             state: state of the vehicle.
             frame: mission frame.
-            added: acceleration against a contact (`contact_feedforward`), mission frame, m/s2.
+            added: feed-forward acceleration (`contact_feedforward`) for the setpoint, mission frame, m/s2.
         """
         phase, heading = progress.phase, progress.heading
         in_contact = phase is Phase.CONTACT
@@ -192,14 +192,14 @@ class SetpointSelection:
     def _timing_correction_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
         """Return the thrust to add along a wall's normal if the vehicle is ahead of or behind its trajectory.
 
-        The vehicle's own time to impact gives a point of the trajectory. The result is the thrust at this
-        point minus the thrust now. Without this correction, a vehicle ahead of its trajectory would meet the
-        wall before leaning off the wall.
+        The vehicle's actual time to impact corresponds to a point of the trajectory. The result is the
+        planned thrust at this point minus the planned thrust at `since_s`. Without this correction, a vehicle
+        ahead of its trajectory would meet the wall before leaning off the wall.
 
         Args:
             progress: state of the mission, with the trajectory to the wall.
             since_s: time since the trajectory began.
-            free: the wall's normal, and the motion when the setpoint is flown.
+            free: the wall's normal, and the motion at the time at which PX4 executes the setpoint.
         """
         trajectory, (nx, ny) = progress.course.trajectory, free.along[0]
         assert trajectory is not None
@@ -224,9 +224,9 @@ class SetpointSelection:
     def _lead(self, trajectory: Trajectory, since_s: float) -> Reference:
         """Return the reference of a trajectory for the time at which PX4 executes it.
 
-        The acceleration is taken at an even later time, because the attitude lags. This time is never after
-        the trajectory's end, because the trajectory has no thrust there. Drag and the response of PX4's D
-        term are added, so that no error builds up in the position loop.
+        The acceleration is taken at an even later time, because the attitude lags. This time is limited to
+        the trajectory's end, because the trajectory has no thrust afterwards. Drag and the response of PX4's
+        D term are added, so that no error builds up in the position loop.
         """
         flown_s = since_s + self._delay_s
         flown = trajectory.at(flown_s)

@@ -23,7 +23,7 @@ class SetpointTrigger(NamedTuple):
 class Reference(NamedTuple):
     """Position, velocity and acceleration to command, mission frame.
 
-    Without a velocity PX4 flies to the position as a step; it accepts an acceleration only with a velocity.
+    Without a velocity, PX4 treats the position as a step. PX4 accepts an acceleration only with a velocity.
     """
 
     position: Vec3

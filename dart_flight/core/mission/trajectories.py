@@ -117,7 +117,7 @@ class Trajectory(msgspec.Struct, frozen=True):
     ) -> Trajectory:
         """Return an acceleration from rest and a steady run, which continues through the wall.
 
-        The speed follows 3 s^2 - 2 s^3 over the ramp.
+        The speed grows as 3 s^2 - 2 s^3, where s is the elapsed fraction of the ramp.
 
         Args:
             begin: start of the acceleration, mission frame, metres.
@@ -169,7 +169,7 @@ class Trajectory(msgspec.Struct, frozen=True):
         return TrajectoryPoint((px + vx * beyond, py + vy * beyond, pz + vz * beyond), (vx, vy, vz), still)
 
     def _piece_at(self, t_s: float) -> tuple[int, float]:
-        """Return the index of the first coefficient of the piece at `t_s`, and the time since it began."""
+        """Return the index of the first coefficient of the piece at `t_s`, and the time in this piece, s."""
         begin = 0.0
         for i, duration in enumerate(self.pieces_s[:-1]):
             if t_s < begin + duration:

@@ -25,7 +25,7 @@ _SURE_DIRECTION_RAD = 0.05  # a direction estimated less accurately does not cha
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return the tolerance of the plane's position, metres, where the plane is nearest to a place.
+    """Return the tolerance of the plane's position, metres, at the point of the plane nearest to `place`.
 
     The tolerance is 0 if the wall has no standard deviations.
 
@@ -47,7 +47,7 @@ def end_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
 
 
 def overrun_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
-    """Return the distance behind the plane from which a missing contact is overdue, metres."""
+    """Return how far behind the plane the vehicle is when a contact becomes overdue, metres."""
     return float(guard.wall_overrun_m + position_margin_m(wall, place))
 
 
@@ -57,7 +57,7 @@ def early_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
 
 
 def late_s(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3, closing_m_s: float) -> float:
-    """Return the delay after the planned impact from which a contact is overdue, seconds.
+    """Return how long after the planned impact a contact becomes overdue, seconds.
 
     The closing speed is positive towards the wall; at least 0.1 m/s is assumed.
     """
@@ -107,8 +107,8 @@ class EstimatedWalls:
 
         Args:
             wall: the wall as the mission defines it.
-            now_us: autopilot time. If the frame drifts, the standard deviation grows with time. None leaves
-                out the frame's standard deviation.
+            now_us: autopilot time. If the frame drifts, the standard deviation grows with time. If `now_us`
+                is None, the frame's standard deviation is left out.
         """
         wall = self._found.get(wall.name, wall)
         if self._anchors is None or now_us is None:

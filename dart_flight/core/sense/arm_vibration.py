@@ -42,7 +42,7 @@ class ArmFilter:
         self._x = self._vx = self._y = self._vy = 0.0
 
     def add(self, ax: float, ay: float) -> tuple[float, float]:
-        """Return the IMU reading over a tick in which a contact gives this acceleration, both in m/s2.
+        """Return a tick's IMU reading, m/s2, if a contact accelerates the centre of mass by (`ax`, `ay`).
 
         This function is the inverse of `remove`.
         """
@@ -68,7 +68,7 @@ class ArmFilter:
         return bx, by
 
     def _swing(self, bx: float, by: float) -> None:
-        """Advance the arms by one tick of acceleration."""
+        """Advance the arms by one tick, with the acceleration (`bx`, `by`) of the centre of mass."""
         self._x, self._vx = (
             self._f11 * self._x + self._f12 * self._vx + self._g1 * bx,
             self._f21 * self._x + self._f22 * self._vx + self._g2 * bx,

@@ -227,7 +227,7 @@ class ImpactDetector:
     def thresholds_n(self) -> tuple[float, float, float, float]:
         """Return the thresholds of one sample, the mean of two, the short and the long window, newton.
 
-        Each is the larger of the configured threshold and the multiple of the learnt noise.
+        Each is the larger of the configured threshold and a multiple of the learnt noise.
         """
         least, sigma = self._threshold_n, self._sigma
         one, two, short, long = self._windows
@@ -261,7 +261,7 @@ class ImpactDetector:
         return (self._windows[2].noise_n, self._windows[3].noise_n)
 
     def _report_floor(self, t_us: int, expected: ExpectedContact) -> Events:
-        """Return the detection floor once, when the mission begins to expect a wall."""
+        """When the mission begins to expect a wall, return the detection floors (`detection_floor_n`)."""
         if expected.normal is None or self._expected.normal is not None:
             return []
         thresholds = self.thresholds_n()
@@ -333,7 +333,7 @@ class ImpactDetector:
     # -- peak --
 
     def _peak_is_past(self, now_us: int) -> bool:
-        """Return whether the normal force has dropped more than noise explains, or the wait timed out."""
+        """Return whether the normal force has dropped more than noise explains, or `peak_wait_s` is over."""
         assert self._onset is not None
         if now_us - self._onset.first_us >= self._config.peak_wait_s * 1e6:
             return True
@@ -486,7 +486,7 @@ class ImpactDetector:
 def confirmed_force(
     fx: float, fy: float, previous: tuple[Vec2, Vec2], noise_n: float, config: Detection
 ) -> Vec2:
-    """Return the mean force of the newest two samples, newton; if two are too noisy, of three."""
+    """Return the mean force of the newest two samples, or of three if the noise is large, newton."""
     (ax, ay), (bx, by) = previous
     if _FAR_SIGMA * noise_n <= config.force_threshold_n:
         return (0.5 * (fx + ax), 0.5 * (fy + ay))

@@ -5,7 +5,7 @@
 Here f is the specific force at the centre of mass, without gravity, and T is the thrust vector. R rotates
 from body to mission, and b is the air drag along the mission's axes. `core/sense/angular_motion.py` corrects
 f for an IMU away from the centre of mass. The autopilot's stamps align the streams. A reading is the mean
-over one tick. The tick ends before the reading's stamp, by the delay of the anti-alias filter. The gyro
+over one tick. The anti-alias filter delays the reading, so the tick ends before the reading's stamp. The gyro
 extrapolates the attitude to the middle of this tick. The thrust is averaged over the tick that ends at the
 stamp.
 """

@@ -77,7 +77,7 @@ class NormalPulse(NamedTuple):
 
 
 def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, float]:
-    """Return force and impulse per unit of push, then both per unit of slope, `s` seconds after the onset."""
+    """Return force and impulse for unit push, then for unit slope, `s` seconds after the onset."""
     if s <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
     w2 = omega * omega

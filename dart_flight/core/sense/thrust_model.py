@@ -110,7 +110,7 @@ class ThrustModel:
         self._esc = sample
 
     def update_voltage(self, volts: float | None) -> None:
-        """Store the battery voltage; None or zero keeps the last one."""
+        """Store the battery voltage; None or zero keeps the previous voltage."""
         battery = self._config.battery
         if volts is not None and volts > 0.0:
             self._voltage_factor = (volts / battery.reference_v) ** battery.exponent

@@ -97,7 +97,7 @@ class WindowMean:
 
 
 def half_sine_share(samples: int, duration_s: float, period_s: float) -> float:
-    """Return the share of a half-sine's height that the largest window mean reaches in the worst case.
+    """Return the largest window mean of a half-sine in the worst case, divided by the half-sine's height.
 
     In the worst case, the centre of the window lies half a sampling period off the middle of the half-sine.
     The result is the closed form of a sum of equally spaced sines.

@@ -5,13 +5,13 @@ Over a short window the motors' torque changes the rates:
     change of w = (1/J) integral of (motors - w x J w) dt + drift
 
 The motors' torque follows from their commands through the thrust curve, their lag, their positions and the
-propellers' drag. A line fitted through many windows therefore has the slope 1/J. Both sides have errors. The
-gyro and disturbances affect the rates; motor behaviour between the recorded commands affects the torques. If
-all errors are assigned to the rates, the fit gives the upper bound of J; if they are assigned to the torques,
-it gives the lower bound. The estimate lies between the two bounds, and its interval contains both bounds. The
-rates at a window's ends are averages over some samples, because a controller responds to the noise of a
-single sample. The motors' lag is varied and the best value is kept. If the torques about an axis are too
-small, or the two bounds differ too much, the axis gets no estimate.
+propellers' drag. A plot of rate change over integral, with a point for each window, therefore has the slope
+1/J. Both sides have errors. The gyro and disturbances affect the rates; motor behaviour between the recorded
+commands affects the torques. If all errors are assigned to the rates, the fit gives the upper bound of J; if
+they are assigned to the torques, it gives the lower bound. The estimate lies between the two bounds, and its
+interval contains both bounds. The rates at a window's ends are averages over some samples, because a
+controller responds to the noise of a single sample. The motors' lag is varied and the best value is kept. If
+the torques about an axis are too small, or the two bounds differ too much, the axis gets no estimate.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class _Windows(msgspec.Struct):
         impulse: integral of the motors' torque, (n, 3).
         products: integral of (wy wz, wz wx, wx wy), (n, 3).
         duration: (n,), seconds.
-        noise: variance of a change due to the gyro's white noise, (3,).
+        noise: variance that the gyro's white noise causes in a change, (3,).
     """
 
     change: Array
@@ -247,7 +247,7 @@ def _integral(values: Array, step: Array) -> Array:
 def _fit(
     windows: _Windows, vehicle: VehicleConfig
 ) -> tuple[list[AxisInertia], tuple[float, float, float], float]:
-    """Return the axes, the drift, and the sum of the unexplained fractions of the three axes."""
+    """Return the three axes' inertias, the drift, and the sum of the unexplained fractions."""
     inertia = np.array(vehicle.airframe.inertia_kg_m2)
     axes: list[AxisInertia] = []
     drift = np.zeros(3)

@@ -61,7 +61,7 @@ TESTS = {
 
 
 class Points(msgspec.Struct):
-    """Quiet segments: means of u^2 and u (u: motor command) summed over the motors, force (N), voltage.
+    """Quiet segments: mean force (N), mean sums of u^2 and u over the motors (u: motor command), voltage.
 
     An unknown voltage is NaN.
 
@@ -213,7 +213,7 @@ class Curve(msgspec.Struct):
 
 
 def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: bool = False) -> Curve:
-    """Fit the voltage exponent with the given factor, then the curve at the points' mean voltage.
+    """Fit the voltage exponent, assuming `factor`; then fit the curve, referred to the mean voltage.
 
     Args:
         p: the points.

@@ -23,7 +23,7 @@ class GoalArrival(NamedTuple):
     Attributes:
         begin_us: time at which the mission's own trajectories begin.
         visits_us: passages of the visited places in order, up to the first place that was missed.
-        there_us: arrival at the goal after the visits, nearly at rest; None if the flight landed before.
+        there_us: arrival at the goal after the visits, nearly at rest; None if the flight landed earlier.
     """
 
     begin_us: float

@@ -63,7 +63,7 @@ def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> Cam
 
     Raises:
         InputError: the specification is invalid, or the folder contains a campaign that cannot be continued:
-            `resume` is False, or its specification differs.
+            `resume` is False, or `asked` differs from the existing specification.
         FlightError: the folder cannot be written.
     """
     path = folder / ASKED
@@ -131,7 +131,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def read_rows(opened: CampaignFolder) -> list[JudgedRow]:
-    """Return the rows so far of a campaign that has a judge function.
+    """Return the existing rows of a campaign; the campaign must have a judge function.
 
     Raises:
         InputError: the table cannot be read.

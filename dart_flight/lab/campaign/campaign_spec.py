@@ -265,7 +265,7 @@ def campaign_of(asked: CampaignSpec, points: Sequence[Point]) -> Campaign:
 
 
 def difference(kept: Campaign, wanted: Campaign) -> str | None:
-    """Return the reason why `kept` cannot be resumed as `wanted`, or None; only seeds may be added."""
+    """Return the reason why `kept` cannot be resumed as `wanted`, or None if at most seeds were added."""
     a, b = kept.asked, wanted.asked
     for name, before, now in (
         ("the missions", a.missions, b.missions),

@@ -88,7 +88,7 @@ class Drawn(msgspec.Struct, frozen=True):
 
 
 class FigureTrend(msgspec.Struct, frozen=True):
-    """A figure of the completed flights that correlates significantly with a drawn quantity.
+    """A significant correlation, over the completed flights, of a figure with a drawn quantity.
 
     Attributes:
         figure, name: names of the figure and of the drawn quantity.
@@ -113,8 +113,8 @@ class Departure(msgspec.Struct, frozen=True):
         what: name of the figure with its unit.
         flights, of: number of flights out of tolerance, and number of flights with a plan.
         not_flown: number of flights out of tolerance in which the planned part was not flown.
-        planned, flown: medians over the flights out of tolerance. If the values are words, the most frequent
-            word. `flown` is None if the planned part was never flown.
+        planned, flown: medians (for words, the most frequent word) over the flights out of tolerance.
+            `flown` is None if the planned part was never flown.
         tolerance: tolerance from the mission, or None if the values must be equal.
     """
 
@@ -129,7 +129,7 @@ class Departure(msgspec.Struct, frozen=True):
 
 
 class GridPoint(msgspec.Struct, frozen=True):
-    """The success rates at one mission and combination of settings."""
+    """The success rates of one mission with one combination of settings."""
 
     mission: str
     settings: dict[str, str]
@@ -352,7 +352,7 @@ def _success_by_quantity(rows: Sequence[_SummaryRow], names: Sequence[str]) -> l
 def _figure_trends(
     rows: Sequence[_SummaryRow], names: Sequence[str], figures: Sequence[str]
 ) -> tuple[list[FigureTrend], dict[str, int]]:
-    """Return how goal miss and peak forces vary with drawn quantities, and `CampaignSummary.tried`."""
+    """Return the trends of goal miss and peak forces, and the dictionary `CampaignSummary.tried`."""
     found: list[FigureTrend] = []
     tried: dict[str, int] = {}
     for j, figure in enumerate(figures):

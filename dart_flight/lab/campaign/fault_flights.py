@@ -74,7 +74,8 @@ class FaultFlight(msgspec.Struct, frozen=True):
 def fly_fault(mission: Mission, fault: Fault, seed: int) -> FaultFlight:
     """Fly with one fault until the vehicle is on the ground, and write and read its log.
 
-    If the fault affects the motion capture, the forwarded poses are PX4's only position source.
+    If the fault affects the motion capture, the forwarded poses are the only position source of PX4 in this
+    flight.
     """
     if fault.kind.site is FaultSite.MOCAP:
         mission = with_simulated_mocap(mission, "udp")

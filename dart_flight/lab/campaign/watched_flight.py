@@ -3,8 +3,8 @@
 A flight is controlled if all of these conditions hold:
 
 * No exception escaped.
-* The vehicle landed and disarmed: by the mission, by the guard or, after the program has ended, by PX4's
-  failsafe. Alternatively a pilot took over, and the vehicle holds still outside offboard mode.
+* The mission or the guard landed and disarmed the vehicle, or PX4's failsafe did so after the program had
+  ended. Alternatively a pilot took over, and the vehicle holds still outside offboard mode.
 * A flight that did not complete gives a reason. This is not required if the program itself hung or was
   killed.
 * The true motion stays within the limits of `dart_flight.recording.uncontrolled`.
@@ -143,7 +143,7 @@ def excursion_allowed_m(fault: Fault | None) -> float:
 
 
 def rule_of(verdict: Verdict) -> str:
-    """Return the first guard rule that acted in a flight that did not complete, or an empty string.
+    """Return the first guard rule that acted in a flight; empty if there is none or the flight completed.
 
     The first rule is the cause, because other rules may act during the landing.
     """

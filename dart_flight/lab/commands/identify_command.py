@@ -13,7 +13,7 @@ from dart_flight.config.document import InputError
 
 
 def _height_or_trial(text: str) -> float | str:
-    """Return the value of `--drop` as a height, or unchanged if it is the name of a trial file."""
+    """Return the value of `--drop`: a height, or the name of a trial file if the value is no number."""
     try:
         return float(text)
     except ValueError:

@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Inspect the logs, print and write the results, and return the exit status, 2 if a log was rejected."""
+    """Inspect the logs, print and write the results; the exit status is 2 if a log was rejected."""
     from dart_flight.config.vehicle import load_vehicle
     from dart_flight.lab.inspect.inspection import inspect_file
     from dart_flight.lab.inspect.trial_writer import write_trials

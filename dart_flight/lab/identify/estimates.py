@@ -18,12 +18,12 @@ class Estimate(NamedTuple):
 
     @classmethod
     def about(cls, value: float, half: float, least: float = -math.inf, most: float = math.inf) -> Estimate:
-        """Return a value with the interval `value` +- `half`, both clipped to `least` and `most`."""
+        """Return `value` with the interval `value` +- `half`, all clipped to `least` and `most`."""
         return cls(*(min(max(v, least), most) for v in (value, value - half, value + half)))
 
 
 class SetAside(NamedTuple):
-    """Counts of samples in a fit's window that the fit ignores.
+    """Number of samples that a fit ignores in its window.
 
     Attributes:
         free: ignored samples in free flight. They deviate by more than five standard deviations.

@@ -83,7 +83,7 @@ def expected_residuals(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) 
     """Return the largest residuals of a good fit of these trials, by quantity.
 
     The limit is three times the noise of the recordings, or a small fraction of the contact's amplitude
-    (penetration, peak force, change along the wall) if that is larger.
+    (penetration, peak force, change along the wall), whichever is larger.
     """
     noise: dict[str, list[float]] = {}
     size: dict[str, list[float]] = {}

@@ -88,7 +88,8 @@ def _errors(
     Args:
         table: the hits.
         folds: number of the fold of each hit. The hits of a fold are predicted from the other hits.
-        by: function that predicts peak and outgoing speed, from the known hits and the held-out hits.
+        by: function of the known hits and the held-out hits; it predicts the latter's peaks and outgoing
+            speeds.
     """
     peak, out = np.empty(folds.size), np.empty(folds.size)
     for fold in np.unique(folds):
@@ -121,7 +122,7 @@ def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
 
 
 def _compare(law: Errors, ratios: Errors, words: str) -> tuple[bool, str]:
-    """Return whether the law has smaller errors in every assessable quantity, and a sentence about it."""
+    """Return whether the law has smaller errors in every assessable quantity; also the result in words."""
     named = zip(("peak force", "outgoing speed"), (FORCE_PROPORTIONAL, CONSTANT_RESTITUTION), strict=True)
     judged = [
         (name, mine, base)

@@ -1,7 +1,7 @@
 """Fit of k and f to the measurements of whole hits: outgoing speed, peak force, duration and depth.
 
-If the paper's law does not describe a contact, a fit of the law to the samples gives a wrong peak. This fit
-therefore ignores the samples and fits the quantities that a prediction needs.
+If the paper's law does not describe a contact, a fit of the law to the samples gives a wrong peak. The fit
+of this module therefore ignores the samples and uses the quantities that a prediction needs.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class HitFit:
         self._moved = (errors - pseudo).ravel()
 
     def variance(self, theta: Array) -> float:
-        """Return 1: the standard deviations describe errors of the law, which more hits do not reduce."""
+        """Return 1, because the assumed deviations are errors of the law, which more hits do not reduce."""
         return 1.0
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:
@@ -173,7 +173,7 @@ def fit_hits(
     """Fit k and f to hits of one mode.
 
     Returns:
-        `k` and `f` -> estimate, or None if unknown; and notes.
+        A dictionary of the estimates of `k` and `f` (None if unknown), and a list of notes.
 
     Raises:
         InputError: SciPy is missing.

@@ -151,7 +151,7 @@ def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> LoadedVehicle | N
 
 
 def _mass_notes(trials: Sequence[Trial], mass_kg: float, replaced: VehicleConfig | None) -> list[str]:
-    """Return a note if the mass differs from the mass in the configuration or in the logs."""
+    """Return a note if the fit's mass differs from the mass in the configuration or in the logs."""
     logged = {trial.flown.config.airframe.mass_kg for trial in trials if trial.flown is not None}
     other = sorted(logged - {mass_kg})
     if other:

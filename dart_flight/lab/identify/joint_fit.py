@@ -38,7 +38,7 @@ def solve(
         trials: trials with positions.
         hits: hits of the trials, in the same order.
         mass_kg, onset: as for `identify`.
-        least: required samples in contact per trial; with fewer the fit stops early.
+        least: required number of samples in contact. If any trial has fewer, the fit stops early.
 
     Returns:
         The fit, its parameters, and notes.

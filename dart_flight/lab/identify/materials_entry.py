@@ -34,8 +34,8 @@ def materials_entry(
 
     A value is unidentified if its mode has no trials, or if the trials do not determine the coefficient.
     Unidentified values come from the configuration's entry of the same name. Without that entry, friction,
-    damping and the vertical force are written as 0 and marked as assumed. A mode without a stiffness is left
-    out with a comment.
+    damping and the vertical force are written as 0 and marked as assumed. If the stiffness of a mode is
+    unknown, a comment replaces the mode.
 
     Args:
         found: the coefficients.

@@ -84,11 +84,11 @@ def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
     """Measure the hit of a trial.
 
     Args:
-        trial: a trial with `normal_m`, or with an accelerometer's `specific_force_m_s2` of a drop.
+        trial: a trial with `normal_m`, or a drop with an accelerometer's `specific_force_m_s2`.
         mass_kg: converts specific force to force.
 
     Raises:
-        InputError: the trial has no impact, or is a wall hit with an accelerometer only.
+        InputError: the trial has no impact, or is a wall hit that only an accelerometer recorded.
     """
     return _measure_motion(trial) if "normal_m" in trial.series else _measure_accelerometer(trial, mass_kg)
 
@@ -123,7 +123,7 @@ class _FreeFlightFit:
         return result
 
     def speed(self, time_s: float) -> tuple[float, float]:
-        """Return the slope and its standard deviation."""
+        """Return the slope of the parabola at `time_s` and the standard deviation of this slope."""
         row = np.array([0.0, 1.0, time_s - self.about_s])
         return float(row @ self.line), math.sqrt(max(float(row @ self.covariance @ row), 0.0))
 
@@ -367,7 +367,7 @@ def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
 
 
 def _find_pulse(time: Array, value: Array, noise: float, name: str) -> int:
-    """Return the first sample of the pulse after free fall; if there is none, of a pulse above 3 g.
+    """Return the first sample of the pulse after free fall, or else of a pulse above 3 g.
 
     The pulse of a soft drop hardly exceeds 1 g. The sensor also reads 1 g while the vehicle is held. The
     samples before the pulse must therefore show free fall, unless the pulse exceeds 3 g.
@@ -386,7 +386,7 @@ def _find_pulse(time: Array, value: Array, noise: float, name: str) -> int:
 def _weightless_level(
     time: Array, value: Array, pulse_at: int, noise: float, name: str
 ) -> tuple[float, float]:
-    """Return the sensor's reading in free fall, ideally 0, and its noise there."""
+    """Return the level and the noise of the readings in free fall; the ideal level is 0."""
     calm = (time > time[pulse_at] - 0.12) & (time < time[pulse_at] - 0.01)
     if calm.sum() < 8:
         raise InputError("the recording begins too late: no free fall before the impact", source=name)
@@ -453,7 +453,7 @@ def _fall(time: Array, reading: Array, begin_at: int, noise: float) -> float | N
 
 
 def _bounce(time: Array, reading: Array, end_at: int, threshold: float) -> float | None:
-    """Return the rebound speed from the time to the next contact, or None if it cannot be found."""
+    """Return the rebound speed, computed from the time until the next contact; None if not found."""
     later = np.flatnonzero((np.abs(reading) > threshold) & (time > time[end_at] + _BRIDGED_S))
     if not later.size:
         return None

@@ -168,7 +168,7 @@ class SampleFit:
 
     @staticmethod
     def _pushed(theta: Array, own: dict[str, int], name: str, since: Array, end_s: float) -> Array:
-        """Return what the controller's accelerations before and after the contact add to a channel."""
+        """Return the contribution of the controller's accelerations outside the contact to a channel."""
         late, early = np.maximum(since - end_s, 0.0), np.minimum(since, 0.0)
         after, before = theta[own[f"{name[0]}_after"]], theta[own[f"{name[0]}_before"]]
         if name.startswith("n"):  # the contact's shape already includes its own acceleration
@@ -216,7 +216,7 @@ class SampleFit:
         return np.concatenate([*blocks, prior])
 
     def span(self, theta: Array, i: int) -> tuple[float, float, ContactMotion]:
-        """Return the law's onset and release of trial i (times in the recording), and the contact."""
+        """Return onset and release of trial i by the law, as times in the recording, and the contact."""
         contact = self.contact(theta, i)
         begin = float(theta[self.parameters.own[i]["onset"]])
         return begin, begin + (contact.end_s if math.isfinite(contact.end_s) else 0.3), contact

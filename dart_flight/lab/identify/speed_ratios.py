@@ -56,7 +56,7 @@ def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
 
 
 def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpact, float, float]]:
-    """Yield the hits of a vehicle that moves along the wall, with this velocity before and after the hit."""
+    """Yield each hit with motion along the wall, and the velocities along the wall before and after it."""
     for h in hits:
         before, after = h.tangential_in_m_s, h.tangential_out_m_s
         if before is None or after is None:
@@ -68,8 +68,8 @@ def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpa
 def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
     """Return the ratio of the velocities along the wall after and before a hit.
 
-    The ratio is negative if the vehicle reverses along the wall. The result is None if the vehicle moves
-    along the wall in no hit.
+    The ratio is negative if the vehicle reverses along the wall. The result is None if no hit has
+    motion along the wall.
     """
     pairs = [
         (after / before, 1.5 * h.sd_tangential_m_s / abs(before)) for h, before, after in _sliding_hits(hits)

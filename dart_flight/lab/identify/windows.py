@@ -105,7 +105,7 @@ def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float
 
 
 def _spikes(size: Array, contact: Mask, scale: float) -> NDArray[np.intp]:
-    """Return the samples of a contact to set aside, the worst first: outliers between good neighbours."""
+    """Return the contact's outliers between good neighbours, the worst first, to be set aside."""
     far = contact & (size > _SPIKE * scale)
     near = size <= _HUBER * scale
     before = np.concatenate(([True], near[:-1]))

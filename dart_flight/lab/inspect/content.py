@@ -97,7 +97,8 @@ def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
 def _landed(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     """Return start and end (s) of PX4's landed states.
 
-    A short landed state high above the ground is left out, because the motors were cut in the air.
+    A short landed state high above the ground is left out, because it means that the motors were cut in
+    the air.
     """
     found = _stretches(log, "vehicle_land_detected", "landed")
     return [(a, b) for a, b in found if b - a >= _LANDED_S or not height_at(track, a) > _HIGH_M]

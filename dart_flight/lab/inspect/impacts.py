@@ -153,7 +153,7 @@ class ThresholdCrossing(msgspec.Struct):
 
     @property
     def is_impact(self) -> bool:
-        """Whether the fitted peak confirms the crossing and the thrust does not explain it.
+        """Whether the fitted peak confirms the crossing, and no thrust explains the crossing.
 
         A crossing that is no impact is noise or a manoeuvre.
         """

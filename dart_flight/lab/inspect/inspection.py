@@ -42,8 +42,8 @@ def inspect_log(
 ) -> InspectedFlight:
     """Detect the impacts in an open log, as `inspect_file` does.
 
-    The function `listen` is called with the estimator's vehicle and the flights, and returns a second
-    function. The second function receives every estimate.
+    The function `listen` is called with the vehicle that the estimator uses and with the flights. It returns
+    a second function, which receives every estimate.
     """
     refuse_other_vehicles(log)
     unknown = missing(log)

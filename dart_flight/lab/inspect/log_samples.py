@@ -23,7 +23,7 @@ Sample = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 def samples_of(track: Track, curve: SpecificThrust | None, motors: int) -> Iterator[Sample]:
     """Yield the samples of a log in the order of their stamps.
 
-    There is one attitude sample per IMU sample, because the gyro propagates the logged attitude. All `motors`
+    The gyro propagates the logged attitude, so that every IMU sample has an attitude sample. All `motors`
     get the same command: the collective command, converted by the curve and interpolated between logged
     values.
     """

@@ -18,7 +18,7 @@ _TOPICS = ["vehicle_status", "vehicle_local_position", "vehicle_imu_status", "fa
 def read_px4_log(path: str | Path, version: str | None = None) -> Px4Figures:
     """Return the figures of one ULog; a figure that is missing or unreadable is None.
 
-    pyulog (extra `sim`) is required; without it only the version is known.
+    Without pyulog (extra `sim`), only the version is known.
     """
     figures = Px4Figures(version)
     try:

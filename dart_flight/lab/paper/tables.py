@@ -1,6 +1,6 @@
 """The paper's published figures on collisions compared with the model: the tables of `dart-flight tables`.
 
-This module contains the published figures. It computes the model's from the vehicle's configuration.
+This module contains the published figures, and computes the model's figures from the configuration.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ _REFIT_RANGE = ((100.0, 30_000.0), (0.3, 100.0))  # k in N/m, f in N s/m
 def refits(mass_kg: float, onset: Onset) -> Iterator[Refit]:
     """Yield fits to the drops of each mode: one fit per height, then one fit to all heights.
 
-    Each fit is a least-squares fit of the relative errors.
+    Each fit minimises the sum of the squared relative errors.
     """
     for mode in Mode:
         rows = [row for row in DROPS if row.mode is mode]
