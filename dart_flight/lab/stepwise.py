@@ -1,4 +1,4 @@
-"""A simulation that a script steps with its own setpoints: `dart_flight.Simulation` (docs/python.md).
+"""The simulation `dart_flight.Simulation`: a script supplies the setpoint of each step (docs/python.md).
 
 The simulation contains the vehicle of the fast world, but neither a mission nor the guard. The vehicle
 consists of plant, sensors, embedded autopilot, lock servo and the force estimator of the flight core.

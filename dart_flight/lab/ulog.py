@@ -4,7 +4,7 @@ battery voltage.
 The content of `actuator_outputs` depends on PX4's version and on the output type. Parameters limit the pulse
 widths: `PWM_MIN` and `PWM_MAX` until 1.11, `PWM_MAIN_MIN` and `PWM_MAIN_MAX` in 1.12, and parameters of each
 pin since 1.13. DShot uses 0 to 1999, UAVCAN 0 to 8191 and the simulation 0 to 1. A log may have several
-instances of this topic. Then one instance contains the motors; the others contain servos or nothing.
+instances of this topic. In this case one instance contains the motors; the others contain servos or nothing.
 """
 
 from __future__ import annotations
@@ -149,8 +149,9 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
 
 
 def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
-    """Return a mask of the plausible samples of a topic: stamps close to their neighbours, values within
-    range or NaN.
+    """Return a mask of a topic's plausible samples.
+
+    The stamp of a plausible sample is close to its neighbours, and each value is within range or NaN.
     """
     stamps = np.asarray(data["timestamp"]).astype(float)
     good = np.ones(len(stamps), dtype=bool)
@@ -214,7 +215,7 @@ def seconds(data: dict[str, Any]) -> Array:
 
 
 def columns(data: dict[str, Any], name: str, count: int) -> Array:
-    """Return an array field as (samples, count)."""
+    """Return a field with `count` elements as an array (samples, count)."""
     return np.stack([np.asarray(data[f"{name}[{i}]"], dtype=float) for i in range(count)], axis=1)
 
 

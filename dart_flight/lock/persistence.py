@@ -25,10 +25,10 @@ class LastCommand(msgspec.Struct, frozen=True):
     """The last command to the servo, its origin, and the last known progress.
 
     Attributes:
-        driver: driver that sent it.
+        driver: driver that sent the command.
         mode: commanded mode.
         at_utc: wall-clock time of the last change, ISO 8601.
-        pid: process that sent it.
+        pid: process that sent the command.
         phase: phase at the last change; `travelling` means that the process ended during the travel.
         feedback: whether a limit switch confirmed the position.
     """
@@ -53,7 +53,8 @@ class CommandStore:
     """Stores the last command at every change of the lock's state.
 
     Attributes:
-        problem: reason why the last state was not stored, or None. A full disk does not stop a lock.
+        problem: reason why the last state was not stored, or None. The lock moves even if the state cannot be
+            stored, for example on a full disk.
     """
 
     def __init__(self, driver: LockDriver, folder: Path | None = None) -> None:
@@ -135,7 +136,8 @@ class ServoInUseError(Exception):
 
 
 class ServoOwnership(Lease):
-    """The right to move the servo: the owner holds the file `lock.pid`, which contains its process number."""
+    """The right to move the servo. The owner locks the file `lock.pid` and writes its process number to
+    it."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = HeldFile((folder or state_dir()) / "lock.pid")
@@ -153,7 +155,7 @@ class ServoOwnership(Lease):
             raise ServoInUseError(_pid_in(error.content)) from None
 
     def release(self) -> None:
-        """Release the servo; has no effect if it is not owned."""
+        """Release the servo, if this object owns the servo."""
         self._file.release()
 
 

@@ -45,7 +45,7 @@ class DriverReading(msgspec.Struct, frozen=True):
     errors: tuple[str, ...] = ()
 
     def switch(self, mode: Mode) -> bool | None:
-        """Return the state of the limit switch at a mode's end, or None if not fitted."""
+        """Return the state of the limit switch at a mode's end, or None if this end has no switch."""
         return self.rigid_switch if mode is Mode.RIGID else self.flexible_switch
 
 
@@ -61,7 +61,7 @@ class PulsesOff(msgspec.Struct, frozen=True):
 
 
 class CommandRefused(msgspec.Struct, frozen=True):
-    """Notice to the caller that a command was refused, with the reason. The driver does not receive it."""
+    """Notice to the caller that a command was refused, with the reason. The driver receives no command."""
 
     what: str
     reason: str

@@ -7,18 +7,17 @@ positive if the vehicle is turned left. Each side of the vehicle has a right gua
 (g = -1). The guards are at the distance a (`guard_along_m`) from the side's middle. The side is at the
 distance d (`contact_distance_m`) from the centre:
 
-    x_g = x - g a sin i + d (1 - cos i)        depth of a guard
-    F   = sum of max(0, -(k x_g + f dx_g/dt)/2)
-    T   = -mu F (v_t + b d di/dt)              friction has the lever b d
-    M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T              torque, positive turns to the right
-    m dv/dt = force + push by thrust and drag
+    x_g = x - g a sin i + d (1 - cos i)        depth of a guard F   = sum of max(0, -(k x_g + f dx_g/dt)/2) T
+    = -mu F (v_t + b d di/dt)              the lever of the friction is b d M   = a cos(i) (F_1 - F_-1) - d
+    sin(i) F - b d T              torque, positive turns to the right m dv/dt = force + push by thrust and
+    drag
 
 Attitude and gyro give the angle of incidence to the planned wall. Subtracting the angle between the real and
-the planned wall gives i. The fit estimates k, f and mu as multiples of their prior values. It also estimates
-the wall's angle, the initial distance and velocity, and b, the lever of the friction as a share of d.
-Rigid and flexible arms obey the same law with different coefficients, so both modes are fitted.
-Levenberg-Marquardt steps from several angles lead to the most probable values. One array holds all modes,
-starts, dampings and derivatives; each combination is called a lane. The evidence is Laplace's approximation:
+the planned wall gives i. The fit estimates k, f and mu as multiples of their prior values. The fit also
+estimates the wall's angle, the initial distance and velocity, and the share b of the lever in d. Rigid and
+flexible arms obey the same law with different coefficients, so both modes are fitted. Levenberg-Marquardt
+steps from several angles lead to the most probable values. One array holds all modes, starts, dampings and
+derivatives; each combination is called a lane. The evidence is Laplace's approximation:
 
     2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
 
@@ -141,7 +140,7 @@ class Ticks(NamedTuple):
     bound: NDArray[np.bool_]
 
     def merged(self) -> Ticks:
-        """Return at most about `_MAX_TICKS` ticks by merging neighbours, except those at full scale."""
+        """Merge neighbouring ticks to about `_MAX_TICKS`, but do not merge ticks at full scale."""
         size = -(-len(self.h) // _MAX_TICKS)
         if size == 1:
             return self
@@ -601,7 +600,8 @@ class ContactFitter:
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
     def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
-        """Return the configured material with the coefficients nearest to `felt`; None if none are near."""
+        """Return the configured material with the coefficients nearest to `felt`; None if no material is
+        near."""
         spread2 = self._vehicle.estimation.walls.spread**2
 
         def misfit(name: str) -> float:
@@ -618,7 +618,8 @@ def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mo
 
     The largest of many noisy samples is biased. A mean over a tick underestimates the peak that occurs when
     the second guard touches the wall. The model therefore gives the shape of the torque about the vertical,
-    and the samples near the model's peak give the size. The remaining torque is smoothed.
+    and the samples near the model's peak give the size. The rest of the measured torque is smoothed and
+    added.
     """
     torque, down = np.array(request.torque_frd), _down(request.q_frd_to_ned)
     model = fit.forces(fit.contact.ticks, found.theta[:, None], np.array([mode]), _FINE)[2][:, :, 0]

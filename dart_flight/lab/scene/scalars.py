@@ -11,7 +11,7 @@ from dart_flight.base.records import Record
 
 
 class VehicleState(Record, frozen=True, gc=False):
-    """Pose, phase, arms and battery of the vehicle, by PX4's estimate."""
+    """Pose (as estimated by PX4), phase, arms and battery of the vehicle."""
 
     topic: ClassVar[str] = "/flight/state"
     t_us: int

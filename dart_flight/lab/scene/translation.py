@@ -1,7 +1,8 @@
 """Translation of our records to standard schemas, for the live view and for the export of a log.
 
-The frames are `mission` (x along its heading, y left, z up) and its child `vehicle` (forward, left, up). In
-`lab.scene` only this module converts PX4's NED and FRD, with `MissionFrame`.
+The frames are `mission` (x along the mission's heading, y left, z up) and its child `vehicle` (forward, left,
+up). In `lab.scene` only this module converts vectors from PX4's NED and FRD. The conversion uses
+`MissionFrame`.
 """
 
 from __future__ import annotations
@@ -115,8 +116,8 @@ class SceneTranslator:
         frame: the mission frame in local NED, if known beforehand. If not, the frame comes from the flight's
             anchor record. Until that record, each reported position counts as the take-off point.
         show_room: whether to show the mission's room and plan.
-        from_truth: whether to show the true motion of the vehicle. This is for a vehicle that this software
-            simulates but does not fly.
+        from_truth: whether to show the true motion of the vehicle. Use this if another program flies the
+            vehicle and this software only simulates the vehicle.
     """
 
     def __init__(

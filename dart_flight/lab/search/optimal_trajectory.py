@@ -91,8 +91,8 @@ class ContactResponse(NamedTuple):
         restitution: outgoing over incoming normal velocity.
         contact_s: duration of the contact.
         lead_s: with `onset: lcp`, the force begins before the vehicle reaches the plane of first touch, and
-            ends before the vehicle is back at the plane. The distance to the plane is then `lead_s` times
-            the normal speed.
+            ends before the vehicle is back at the plane. At both times, the distance to the plane is `lead_s`
+            times the normal speed.
         peak_n_per_m_s: peak of the normal force, divided by the incoming velocity.
         friction_s_per_m: decay of the velocity along the wall. A hit multiplies this velocity by
             exp(-friction_s_per_m * incoming velocity).

@@ -29,7 +29,7 @@ def with_objective(scenario: Scenario, objective: Objective) -> Scenario:
 
 
 def plan_summary(result: SearchResult) -> dict[str, Any]:
-    """Return the object of `plan --json`: ranking, counts by reason and time used."""
+    """Return the object of `plan --json`: ranking, rejected candidates by reason, and time used."""
     return {
         "scenario": result.scenario.name,
         "objective": result.scenario.objective.value,

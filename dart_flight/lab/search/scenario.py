@@ -182,8 +182,8 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
         spec: the file's content; keys that a mission shares, such as walls, are copied into the mission file.
         vehicle_path: file of the configuration, or None for the default one.
         vehicle_source: source of the configuration; None if the caller passed the configuration as an object.
-        walls: walls by name. The plane of a wall is where the vehicle's centre is when the vehicle touches
-            the wall.
+        walls: walls by name. The vehicle's centre is in the plane of a wall when the vehicle touches the
+            wall.
         sequences: sequences to search, each with its walls in the order of the hits. There is one sequence,
             or several if the file contains `any`.
         chosen_by_planner: whether the planner chooses the sequence.
@@ -224,7 +224,7 @@ def load_scenario(
 
     Args:
         path: the scenario, or a mapping with the content of a file.
-        config: vehicle configuration to use instead of the one that the scenario names.
+        config: vehicle configuration to use instead of the scenario's configuration.
         vehicle: configuration already loaded, for example with parameters read from the vehicle.
         settings: `KEY=VALUE` settings that override the vehicle configuration.
 

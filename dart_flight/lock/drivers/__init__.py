@@ -1,6 +1,6 @@
 """Drivers of the lock's servo: one interface, one file per driver, and a table of the drivers.
 
-Calls may block for some tens of milliseconds, so a shell makes them in a separate thread. A driver raises
+Calls may block for some tens of milliseconds, so the caller makes them in a separate thread. A driver raises
 only `DriverError`, for any failure of the hardware. The driver stays usable afterwards: the next call tries
 to reach the hardware again, so a cable may be unplugged and reconnected. docs/extending.md describes how to
 add a driver.

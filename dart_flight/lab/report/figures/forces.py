@@ -92,7 +92,7 @@ def impact_forces_over_trials(flights: Sequence[RecordedFlight], index: int, *, 
 
 @in_style
 def errors_over_trials(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
-    """Draw the error of each measured peak normal force, relative to the prediction and to the truth."""
+    """Draw two errors of each measured peak normal force: against the prediction and against the truth."""
     indices = sorted({i.verdict.index for f in flights for i in f.impacts})
     figure, axis = new_figure(look, 2.8)
     styles = {

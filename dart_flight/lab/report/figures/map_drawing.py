@@ -82,7 +82,7 @@ def draw_north(axis: Any, mission: Mission) -> None:
 
 
 def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = THICKNESS_M) -> None:
-    """Draw the wall behind its surface, and a thin line through the vehicle's positions at first touch."""
+    """Draw a wall, and a thin line through the positions of the vehicle's centre at the first touch."""
     plane, surface = np.array(wall.ends), np.array(airframe.wall_surface(wall).ends)
     back = surface - thickness_m * np.array(wall.normal)
     axis.fill(
