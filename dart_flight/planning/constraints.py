@@ -212,8 +212,7 @@ class Constraints:
         return leaves
 
     def last_setpoint(self, leg: SetpointResponse, hit: Wall) -> Codes:
-        """Refuse flights whose last recovery setpoint is behind another wall; return the codes (0:
-        accepted)."""
+        """Return refusal codes (0: accepted): refuse a last recovery setpoint that is behind another wall."""
         codes = np.zeros(leg.size, dtype=np.int8)
         place, target = (leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y), (leg.goal_x, leg.goal_y)
         for wall in self.walls:
@@ -318,8 +317,7 @@ def _touches_wall(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
 
 
 def _hits_post(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
-    """Return whether the vehicle, moving towards a post, is so close that it touches the post at some
-    heading.
+    """Return whether the vehicle moves towards a post that is within the reach of the vehicle's corners.
 
     The path between two grid points is treated as a straight line, because the points may be farther apart
     than the post is wide.

@@ -600,8 +600,7 @@ class ContactFitter:
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
     def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
-        """Return the configured material with the coefficients nearest to `felt`; None if no material is
-        near."""
+        """Return the configured material with the coefficients nearest to `felt`, or None if all are far."""
         spread2 = self._vehicle.estimation.walls.spread**2
 
         def misfit(name: str) -> float:

@@ -107,7 +107,7 @@ class _Axis:
 
 
 class FreeFlight:
-    """The position loop of one vehicle, tabulated up to a longest time of flight.
+    """The position loop of one vehicle, tabulated up to the time `horizon_s`.
 
     Args:
         vehicle: gains and drag.
@@ -283,8 +283,8 @@ def closest(
     Args:
         x, y: power series (order + 1, n) of the position about the grid point.
         goal: position of the goal.
-        low, high: range of the search, seconds from the grid point. It is one grid step to either side.
-            `low` is 0 if a flight begins at the grid point, and `high` is 0 if a flight ends there.
+        low, high: range of the search, seconds from the grid point: one grid step to either side. `low` is 0
+            if a flight begins at the grid point, and `high` is 0 if a flight ends there.
 
     Returns:
         Time from the grid point, distance, and position and velocity there (x, y, vx, vy), each (n,).

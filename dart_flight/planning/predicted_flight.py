@@ -78,7 +78,10 @@ class PredictedFlight(msgspec.Struct):
 
 
 def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> Vec2:
-    """Return the impact point, mission frame: from the mission, else the model, else the wall's middle."""
+    """Return the impact point, mission frame.
+
+    The first known point is used: from the mission, from the model, or the middle of the wall.
+    """
     if collision.impact_point is not None:
         return collision.impact_point
     if collision.predicted is not None:

@@ -43,7 +43,8 @@ class RejoiningTrajectories(NamedTuple):
         planned: the planned trajectory.
         shares: (k,) sampling times, as shares of each duration.
         from_s: (n,) time on the planned trajectory at which the candidate begins.
-        slower: (n,) factor by which the candidate takes longer than the planned trajectory.
+        slower: (n,) factor on the duration, 1 or larger. The candidate flies the planned trajectory more
+            slowly.
         duration_s: (n,) duration of the candidate.
         settled_s: (n,) time from the candidate's beginning to the end of the correction.
         added: (2, n, 6) coefficients of the added polynomials before `settled_s`, constant term first.

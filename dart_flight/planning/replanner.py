@@ -145,7 +145,7 @@ class Replanner:
             self._anchors.add_recorded(anchor)
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
-        """Return the trajectory from a request's state, or an answer with a `problem` if there is none.
+        """Return the trajectory from a request's state. If none is found, the answer has a `problem`.
 
         An exception of the planner also becomes a `problem`, so that it does not end the flight.
         """
@@ -366,7 +366,7 @@ class Replanner:
 
         Returns:
             Indices of the trajectories within the limits, and an array over all trajectories: the largest
-                horizontal acceleration divided by the acceleration limit from PX4's tilt limit.
+                horizontal acceleration, divided by the acceleration that PX4's tilt limit permits.
         """
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
         push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
@@ -443,8 +443,8 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 def _straights(slack: float) -> list[tuple[float, float]]:
     """Return the options for the straight flight before a wall, best first: pairs (duration in s, count).
 
-    `slack` is the tolerance of the wall's position, metres. `count` times `slack` is the additional length of
-    the straight flight, which begins earlier.
+    `slack` is the tolerance of the wall's position, metres. The straight flight begins earlier: `count` times
+    `slack` is added to its length.
     """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]

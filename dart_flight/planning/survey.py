@@ -90,7 +90,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
 
 
 def _figures(mission: Mission) -> dict[str, float]:
-    """Return default standard deviations, by key, for the walls that have no configured deviations."""
+    """Return mission key -> default standard deviation, for walls that have no configured deviations."""
     figures = {}
     for wall in mission.flat_walls:
         if wall.position_sd_m is None:

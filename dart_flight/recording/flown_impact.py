@@ -1,6 +1,6 @@
 """The planned collisions of a flight as flown: `FlownImpact`, built by `ImpactCollector`.
 
-It is the only source of a flight's impacts for verdict, deviations, report, figures and animation.
+Verdict, deviations, report, figures and animation get a flight's impacts only from this module.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ class ImpactCollector:
             )
 
     def _newest(self) -> FlownImpact | None:
-        """Return the impact that began with the last onset; None if this contact was not planned."""
+        """Return the impact that began with the last onset; None if the last onset was not planned."""
         return self.impacts[-1] if self.impacts and self.impacts[-1].onset is self._onset else None
 
     def _handle_onset(self, record: ImpactOnset) -> None:

@@ -110,7 +110,8 @@ class FlightLog:
     Attributes:
         lost: number of records that were not written.
         failure: reason why the log stopped before the flight ended, or None.
-        patience_s: timeout of each of the two waits of `close` for the disk, seconds.
+        patience_s: timeout of `close`, seconds. `close` waits for the disk twice, each time up to this
+            timeout.
 
     Raises:
         OSError: the file cannot be created.

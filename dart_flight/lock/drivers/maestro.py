@@ -87,8 +87,7 @@ class MaestroDriver:
         self._command(SET_SPEED, speed)
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Output this pulse width in us. If a speed limit is set, the controller ramps to this pulse
-        width."""
+        """Output this pulse width in us; if a speed limit is set, the controller ramps to this width."""
         self._command(SET_TARGET, round(pulse_us * QUARTERS_PER_US))
 
     def release(self) -> None:
