@@ -1,5 +1,4 @@
-"""Reader of PX4's own logs (ULog, PX4 1.9 and later): topics as arrays, decoded motor commands, and
-battery voltage.
+"""Reader of PX4's logs (ULog, PX4 1.9 and later): topics as arrays, decoded motor commands, battery voltage.
 
 The content of `actuator_outputs` depends on PX4's version and on the output type. Parameters limit the pulse
 widths: `PWM_MIN` and `PWM_MAX` until 1.11, `PWM_MAIN_MIN` and `PWM_MAIN_MAX` in 1.12, and parameters of each
@@ -73,11 +72,11 @@ class ULogFile(msgspec.Struct):
     damage: tuple[str, ...] = ()
 
     def first(self, name: str) -> dict[str, Any] | None:
-        """Return instance 0 of a topic, or None if it was not logged."""
+        """Return instance 0 of a topic, or None if the topic was not logged."""
         return self.topics.get(name, {}).get(0)
 
     def rate_hz(self, name: str) -> float | None:
-        """Return the mean rate of a topic's first instance, or None if it was not logged."""
+        """Return the mean rate of a topic's first instance, or None if the topic was not logged."""
         data = self.first(name)
         if data is None or len(data["timestamp"]) < 2:
             return None
@@ -168,8 +167,7 @@ def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
 
 
 def refuse_other_vehicles(log: ULogFile) -> None:
-    """Reject a log of an unsupported PX4 version, of another vehicle type, or of a vehicle that was never
-    armed.
+    """Reject a log of an unsupported PX4 version, of another vehicle type, or without arming.
 
     A log that lacks this information is accepted.
 

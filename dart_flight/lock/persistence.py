@@ -100,7 +100,7 @@ class CommandStore:
 
 
 def load_last(folder: Path | None = None) -> LastCommand | None:
-    """Return the last stored command, or None if there is none or the file is damaged.
+    """Return the last stored command, or None if no command is stored or the file is damaged.
 
     Raises:
         InputError: the file cannot be read.

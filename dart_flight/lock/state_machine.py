@@ -169,10 +169,10 @@ class LockStateMachine:
         """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
         If a limit switch is closed, the lock adopts the end with this switch. If no switch is closed but the
-        hardware outputs the pulse of an end, the lock adopts the end of this pulse. The travel time begins at
-        `t_us`, because the servo's command may be recent. If there is no such switch or pulse, or if the
-        inputs contradict each other, the lock stays `unknown`. A command stored by the last run does not
-        prove the position of the horn.
+        hardware outputs the pulse of an end, the lock adopts the end of this pulse. The lock then waits for
+        the travel time from `t_us`, because the servo may still move. If there is no such switch or pulse, or
+        if the inputs contradict each other, the lock stays `unknown`. A command stored by the last run does
+        not prove the position of the horn.
         """
         if self.config.startup is LockStartup.HOME:
             return self.command(t_us, self.config.home_mode)

@@ -12,17 +12,19 @@ distance d (`contact_distance_m`) from the centre:
     sin(i) F - b d T              torque, positive turns to the right m dv/dt = force + push by thrust and
     drag
 
-Attitude and gyro give the angle of incidence to the planned wall. Subtracting the angle between the real and
-the planned wall gives i. The fit estimates k, f and mu as multiples of their prior values. The fit also
+Attitude and gyro give the angle of incidence to the planned wall. i is this angle minus the angle between the
+real and the planned wall. The fit estimates k, f and mu as multiples of their prior values. The fit also
 estimates the wall's angle, the initial distance and velocity, and the share b of the lever in d. Rigid and
-flexible arms obey the same law with different coefficients, so both modes are fitted. Levenberg-Marquardt
-steps from several angles lead to the most probable values. One array holds all modes, starts, dampings and
-derivatives; each combination is called a lane. The evidence is Laplace's approximation:
+flexible arms obey the same law with different coefficients, so both modes are fitted. From several start
+values of the angle, Levenberg-Marquardt steps lead to the most probable values. All combinations of mode,
+start, damping and derivative are computed in one array; a combination is called a lane. The evidence is
+Laplace's approximation:
 
     2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
 
-`ContactFitter` answers the core's `ContactRequest` (docs/felt.md, docs/torque.md). In flights over MAVSDK it
-runs in its own process (`run.planner_process`), in the fast world in the flight's process (`run.fast`).
+`ContactFitter` answers the core's `ContactRequest` (docs/felt.md, docs/torque.md). In flights over MAVSDK the
+fitter runs in its own process (`run.planner_process`). In the fast world it runs in the flight's process
+(`run.fast`).
 """
 
 from __future__ import annotations
@@ -402,7 +404,8 @@ class ContactFit:
         return Hypothesis(float(evidence + seen), misfit, belief, *at, theta)
 
     def _wall_factor(self, factor: float, variance: float, before_sd: float) -> tuple[float, float]:
-        """Return a wall's posterior after a contact: factor on the coefficient, relative standard deviation.
+        """Return a wall's posterior after a contact: factor on the coefficient, and relative standard
+        deviation.
 
         `factor` and `variance` are the estimate from this contact, and `before_sd` is the wall's prior
         standard deviation.

@@ -1,4 +1,4 @@
-"""Impacts that a mission may plan: the mission's own force limit, and the range that flights have covered.
+"""Limits on planned impacts: the mission's own force limit, and the range that flights have covered.
 
 The limits of speed and force come from the flights in docs/px4.md. These flights are a sweep (acrylic and
 wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come

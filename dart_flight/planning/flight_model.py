@@ -9,8 +9,8 @@ drag. `core/mission/position_loop.py` defines kp, kv, ki, kd and tau:
 
 This is linear with constant coefficients, so the state at any time is exp(A t) times the initial state. One
 matrix product gives the positions of all candidates on a grid of times. An event, such as an impact, is first
-found between two grid points. About the nearest grid point, the solution is the Taylor series of the matrix
-exponential. At half a grid step, this series is exact to rounding. Newton's method then finds the event in
+found between two grid points. Near a grid point, the solution is the Taylor series of the matrix exponential.
+Up to half a grid step away, this series is exact to rounding. Newton's method finds the time of the event in
 this series. The model does not step through time.
 """
 

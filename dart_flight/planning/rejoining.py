@@ -1,10 +1,10 @@
 """Trajectories from the state after an impact back to the trajectory that was planned before the flight.
 
-Each rejoining trajectory is the sum of the planned trajectory and a fifth-order polynomial per axis. It may
-join the planned trajectory at a later point and fly it more slowly. The polynomial starts with the deviation
-of the vehicle's state from the plan. Some time before the trajectory's end, the polynomial and its first two
-derivatives reach zero. The trajectory therefore keeps the optimised shape, the end and the final velocity of
-the plan, with small additional accelerations.
+Each rejoining trajectory is the sum of the planned trajectory and a fifth-order polynomial per axis. The
+vehicle may join the planned trajectory at a later point, and fly the rest more slowly than planned. The
+polynomial starts with the deviation of the vehicle's state from the plan. Some time before the trajectory's
+end, the polynomial and its first two derivatives reach zero. The trajectory therefore keeps the optimised
+shape, the end and the final velocity of the plan, with small additional accelerations.
 
 In the last tenths of a second before a wall, only two differences from the plan remain. The end is shifted to
 the estimated wall, and the final acceleration gives the wanted tilt of the vehicle. If the correction lasted

@@ -8,12 +8,12 @@ constraint. It prefers trajectories that are quick, gentle and near the planned 
 trajectory of its own (`trajectory`, `goal_trajectory`), the replanner first tries to return to this
 trajectory. For this it adds a polynomial to the mission's trajectory (`planning.rejoining`).
 
-A `WallEstimate` replaces the wall's configured coefficients and its planned plane. No other state is kept
-between requests, so an answer can be computed again from the log. An approach from rest stays as planned,
-except that its speed is lower if the estimated impact would exceed a limit.
+A `WallEstimate` replaces the wall's configured coefficients and its planned plane. The replanner keeps no
+other state between requests, so an answer can be computed again from the log. An approach from rest stays as
+planned, except that its speed is lower if the estimated impact would exceed a limit.
 
 The replanner does not run within the core's step. In flights over MAVSDK it runs in its own process
-(`run.planner_process`), in the fast world in the flight's process (`run.fast`).
+(`run.planner_process`). In the fast world it runs in the flight's process (`run.fast`).
 """
 
 from __future__ import annotations

@@ -246,7 +246,7 @@ class RecordedFlight:
 
     @cached_property
     def shown_span(self) -> tuple[float, float]:
-        """The time span of figures over the whole flight, from the climb to a second into the landing."""
+        """The time span of whole-flight figures: from the climb to one second after the landing begins."""
         times = self.course.estimated.time_s
         if not times.size:
             return 0.0, 1.0

@@ -117,7 +117,7 @@ def _turned_to(v: Vec3) -> Rotation:
 
 
 def entity(t_us: int, name: str, frame: str = MISSION, **primitives: Sequence[object]) -> SceneEntity:
-    """Return primitives under one name; a later entity of that name replaces them."""
+    """Return an entity that consists of primitives. A later entity of the same name replaces this entity."""
     return SceneEntity(
         timestamp=timestamp(t_us),
         frame_id=frame,

@@ -89,7 +89,7 @@ class Broadcast:
         self._server.stop()
 
     def _welcome(self) -> None:
-        """Publish the lasting messages again for each new viewer.
+        """For each new viewer, publish again the messages that are published only on changes.
 
         This loop has its own thread, because a viewer may connect while no records arrive.
         """

@@ -90,8 +90,9 @@ class Message(NamedTuple):
 
 
 class FlownTrajectory:
-    """The path flown so far, as points at least `_step_m` apart; if there are too many, every second
-    point is dropped.
+    """The path flown so far, as points at least `_step_m` apart.
+
+    If there are too many points, every second point is dropped, and `_step_m` is doubled.
     """
 
     def __init__(self) -> None:

@@ -1,14 +1,13 @@
-"""The fastest flight through given events (visits, hits, corners) within limits, as an optimal control
-problem.
+"""The fastest flight through events (visits, hits, corners) within limits, as an optimal control problem.
 
-Between two events the jerk is constant over each of several equal intervals. Position, velocity and
+The time between two events is divided into equal intervals of constant jerk. Position, velocity and
 acceleration are therefore polynomials of the time, and the states at the ends of an interval are exact
 (direct multiple shooting). The solver chooses the duration between two events. A hit changes the velocity by
-the contact law in closed form (`ContactResponse`) and lasts as long as the contact. For `dead_s` after the
-hit the thrust stays constant, because the attitude cannot jump and the next leg is planned meanwhile. The
-drag is proportional to the velocity. CasADi states the problem and its derivatives, and IPOPT solves the
-problem (extra `plan`). To keep clear of walls and posts, each part of a path stays inside half-planes and
-outside discs.
+the contact law in closed form (`ContactResponse`) and lasts as long as the contact. After the hit, the thrust
+stays constant for `dead_s`: the attitude cannot jump, and the next leg is planned meanwhile. The drag is
+proportional to the velocity. CasADi states the problem and its derivatives, and IPOPT solves the problem
+(extra `plan`). To keep clear of walls and posts, each part of a path stays inside half-planes and outside
+discs.
 """
 
 from __future__ import annotations

@@ -222,7 +222,7 @@ def regions(
         begin, end: ends of the path. The path must be unobstructed.
         obstacles: all obstacles.
         touched: walls hit at the begin or end of the path; the path may reach the planes of these walls.
-        after_hit: whether a hit was the previous event.
+        after_hit: whether the previous event was a hit.
     """
     found: list[Region] = [*obstacles.discs]
     past_end_m = _PAST_END_M + (_AFTER_HIT_M if after_hit else 0.0)

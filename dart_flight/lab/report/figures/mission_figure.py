@@ -249,8 +249,10 @@ def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[l
 
 
 def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top: float) -> None:
-    """Draw the side view along y. A wall seen from its side is hatched; other walls are plain, because the
-    vehicle flies in front of them.
+    """Draw the side view along y.
+
+    A wall is hatched if the view shows its end. Other walls are plain, because the vehicle flies in front of
+    these walls.
     """
     out = mission.vehicle.airframe.contact_distance_m
     for wall in mission.walls:
