@@ -404,8 +404,7 @@ class ContactFit:
         return Hypothesis(float(evidence + seen), misfit, belief, *at, theta)
 
     def _wall_factor(self, factor: float, variance: float, before_sd: float) -> tuple[float, float]:
-        """Return a wall's posterior after a contact: factor on the coefficient, and relative standard
-        deviation.
+        """Return a wall's posterior after a contact: coefficient factor and relative standard deviation.
 
         `factor` and `variance` are the estimate from this contact, and `before_sd` is the wall's prior
         standard deviation.
