@@ -1,7 +1,7 @@
 """Operation of the lock on the ground, in real time, for the command `dart-flight lock`.
 
 The operator stands beside the vehicle and sees the arms. Locking is therefore permitted. At the start the
-lock is not homed: the present position counts as the lock's state until the first command.
+lock adopts its present position and is not homed.
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ class ServoInUseError(Exception):
 
 
 class ServoOwnership(Lease):
-    """The right to move the servo. The owner holds the file `lock.pid` and writes its own process number."""
+    """The right to move the servo: the owner holds the file `lock.pid` with the owner's process number."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = HeldFile((folder or state_dir()) / "lock.pid")

@@ -235,8 +235,8 @@ class Rollout:
             stages: contact stages of this draw.
             normal, tangential: planned velocities; arrays that broadcast with each other.
             grid: result of `approach` for these velocities.
-            draw: random values, or None for the nominal values. Only the offsets of the approach velocity
-                are used, because stages and walls already contain the others.
+            draw: random values, or None for the nominal values. Only the offsets of the approach velocity are
+                used here, because stages and walls already contain the other values.
         """
         firsts = [self._first(stages, i, normal, tangential, grid, draw) for i in range(len(self.task.modes))]
         fronts = [front for front in firsts if front is not None]

@@ -23,7 +23,7 @@ class MeasuredWall(msgspec.Struct):
         name: name in the mission.
         point_m: [x, y] of the wall's middle (`given_at: centre`), or of the contact if a probe found the
             wall.
-        normal: [x, y], unit vector into free space.
+        normal: [x, y], unit vector from the wall into free space.
         position_sd_m: standard deviation of the plane's position at `point_m`; null if assumed exact.
         yaw_sd_deg: standard deviation of the plane's direction; null if the direction is assumed exact.
         touched_m: [x, y] of the vehicle's centre at the first touch of the last contact.

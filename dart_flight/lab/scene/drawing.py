@@ -268,7 +268,7 @@ def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
 
 
 def _arm(x: float, y: float, colour: Color) -> CylinderPrimitive:
-    """Return a rod from the centre to a motor: a cylinder, whose own axis z is rotated to the motor."""
+    """Return a cylinder from the centre to a motor; the cylinder's axis z is rotated to the motor."""
     length, yaw = math.hypot(x, y), math.atan2(y, x)
     half = math.sqrt(0.5)
     # Pitched by a quarter turn, then turned to the motor.

@@ -1,8 +1,8 @@
 """Simulated flights of plans in the fast world, and the choice of the plan to offer; used by `plan`.
 
-`fly_mission` flies a mission once in the nominal world, and twenty times in drawn worlds: worlds that differ
-at random from the nominal world (docs/draws.md). `choose_flown` compares the flight times with and without
-hits. The times count from take-off to landing, so they include touches of the walls before the hits.
+`fly_mission` flies a mission once in the nominal world, and twenty times in drawn worlds. A drawn world
+differs at random from the nominal world (docs/draws.md). `choose_flown` compares the flight times with and
+without hits. The times count from take-off to landing, so they include touches of the walls before the hits.
 """
 
 from __future__ import annotations

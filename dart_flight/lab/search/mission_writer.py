@@ -136,8 +136,8 @@ def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Ve
     """Return the gains (A_n, A_t) of a hit's recovery setpoint, m/N.
 
     The recovery setpoint is active from the peak of the hit until the replanned trajectory begins. With these
-    gains, the thrust per mass keeps its value u at the onset. u is a + drag v_in, with the acceleration a and
-    the velocity v_in at the onset. PX4's position loop commands kv (kp A F - v_out), with the gain A, the
+    gains, the thrust per mass stays at u, its value at the onset: u = a + drag v_in, with the acceleration a
+    and the velocity v_in at the onset. PX4's position loop commands kv (kp A F - v_out), with the gain A, the
     peak force F, the outgoing velocity v_out, kp = MPC_XY_P and kv = MPC_XY_VEL_P_ACC. This command equals u.
     """
     response, px4 = ContactResponse.at_wall(vehicle, wall, hit.mode), vehicle.px4
