@@ -112,7 +112,7 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def heights_flown_m(normal_m_s: float) -> tuple[float, float]:
-    """Return the range of guard heights at which flights recovered from impacts at a normal speed.
+    """Return the range of guard heights at which flights recovered from impacts with this speed.
 
     Returns:
         Largest distance of the guards below and above the vehicle's centre of mass, metres.

@@ -43,8 +43,7 @@ class RejoiningTrajectories(NamedTuple):
         planned: the planned trajectory.
         shares: (k,) sampling times, as shares of each duration.
         from_s: (n,) time on the planned trajectory at which the candidate begins.
-        slower: (n,) factor on the duration, 1 or larger. The candidate flies the planned trajectory more
-            slowly.
+        slower: (n,) factor, 1 or larger, by which the candidate slows down the planned trajectory.
         duration_s: (n,) duration of the candidate.
         settled_s: (n,) time from the candidate's beginning to the end of the correction.
         added: (2, n, 6) coefficients of the added polynomials before `settled_s`, constant term first.
@@ -153,8 +152,8 @@ def _sampled(planned: Trajectory, times: Array) -> Array:
 def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = False) -> Array:
     """Return a derivative (2, n, k) of polynomials at times (n, k).
 
-    The coefficients have the shape (2, n, 6). If `per_time`, they have the shape (2, n, k, 6): one polynomial
-    for every time.
+    The coefficients have the shape (2, n, 6). If `per_time`, the shape is (2, n, k, 6): one polynomial for
+    every time.
     """
     for _ in range(order):
         coefficients = coefficients[..., 1:] * np.arange(1, coefficients.shape[-1])

@@ -6,14 +6,15 @@ when the core receives the answer. It ends at the next wall with the planned vel
 The replanner tries durations and places along the wall and discards the trajectories that violate a
 constraint. It prefers trajectories that are quick, gentle and near the planned place. If the mission has a
 trajectory of its own (`trajectory`, `goal_trajectory`), the replanner first tries to return to this
-trajectory. For this it adds a polynomial to the mission's trajectory (`planning.rejoining`).
+trajectory. For this return, the replanner adds a polynomial to the mission's trajectory
+(`planning.rejoining`).
 
 A `WallEstimate` replaces the wall's configured coefficients and its planned plane. The replanner keeps no
 other state between requests, so an answer can be computed again from the log. An approach from rest stays as
 planned, except that its speed is lower if the estimated impact would exceed a limit.
 
-The replanner does not run within the core's step. In flights over MAVSDK it runs in its own process
-(`run.planner_process`). In the fast world it runs in the flight's process (`run.fast`).
+The replanner does not run within the core's step. In flights over MAVSDK the replanner runs in its own
+process (`run.planner_process`). In the fast world it runs in the flight's process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -189,7 +190,8 @@ class Replanner:
     def _rejoined(
         self, answer: PlanAnswer, request: PlanRequest, collision: Collision | None
     ) -> PlanAnswer | None:
-        """Return the answer that rejoins the mission's own trajectory, or None if that is not possible."""
+        """Return the answer that rejoins the mission's own trajectory, or None if the vehicle cannot
+        rejoin."""
         written = self._trajectories.get(request.collision)
         if written is None:
             return None

@@ -27,7 +27,7 @@ _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 
 
 class SurveyPlan(NamedTuple):
-    """A mission that touches walls, and the walls that it cannot reach.
+    """A mission that touches walls, and the walls that the mission cannot reach.
 
     `unreachable` maps the name of such a wall to the reason.
     """

@@ -135,7 +135,7 @@ class ImpactCollector:
 
     Args:
         mission: the mission flown.
-        anchor: reader of the mission frame; it must process each record before the collector.
+        anchor: reader of the mission frame; the reader must process each record before the collector.
     """
 
     def __init__(self, mission: Mission, anchor: MissionFrameReader) -> None:
@@ -165,7 +165,8 @@ class ImpactCollector:
     def match_truth(self) -> None:
         """Assign a simulated contact with the same wall to every impact.
 
-        If there are several such contacts, the nearest in time is used. If there is none, `contact` is None.
+        If there are several such contacts, the nearest in time is used. Without such a contact, `contact` is
+        None.
         """
         for impact in self.impacts:
             near = [

@@ -78,7 +78,7 @@ class WallMeasurements:
             self._truths.append(record)
 
     def wall(self, name: str) -> Wall | None:
-        """Return a wall as estimated at its last contact, or None if it was not touched."""
+        """Return a wall as estimated at its last contact, or None if the wall was not touched."""
         return self._found.known_wall(self._walls[name]) if self._found.is_measured(name) else None
 
     def build(self, end_us: int, drawn: Mapping[str, float | str]) -> list[MeasuredWall]:

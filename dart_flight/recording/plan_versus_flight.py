@@ -36,7 +36,7 @@ class Deviation(msgspec.Struct, frozen=True):
 
     @property
     def within(self) -> bool:
-        """Whether there is a flown value and it is within the tolerance."""
+        """Whether there is a flown value and this value is within the tolerance."""
         if isinstance(self.planned, float) and isinstance(self.flown, float):
             return abs(self.flown - self.planned) <= (self.tolerance or 0.0)
         return self.flown == self.planned

@@ -112,7 +112,7 @@ class ContactMotion:
         mass_kg: vehicle mass.
         normal_m_s: normal velocity at the onset, collision frame; negative or 0.
         onset: onset rule.
-        acceleration_m_s2: constant acceleration along the normal from other causes than the contact, such as
+        acceleration_m_s2: constant acceleration along the normal that the contact does not cause, such as
             gravity in a drop. This acceleration also acts before and after the contact.
 
     Attributes:
@@ -217,7 +217,7 @@ class ContactMotion:
         return _Integral(self._share, self._horizon, 0.0, held)
 
     def _share(self, time_s: Array) -> Array:
-        """Return the acceleration in m/s2 that the vertical force causes if its coefficient nu is 1 N."""
+        """Return the acceleration (m/s2) by the vertical force, for a coefficient nu of 1 N."""
         force = self.normal(time_s)[2]
         return force / (1.0 + force) / self.mass_kg
 

@@ -68,7 +68,7 @@ class Compared(msgspec.Struct):
         If the true value is unknown, the error is relative to the predicted value. If both are unknown, the
         error is relative to the planned value.
 
-        The error is None for a velocity near 0, because a ratio is meaningless there.
+        For a velocity near 0 the error is None, because the ratio is meaningless.
         """
         sources = (self.true, self.predicted, self.planned)
         reference = next((v for v in sources if v is not None), None)

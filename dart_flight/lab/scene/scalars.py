@@ -1,6 +1,6 @@
 """Records for the plots of a flight: small sets of numbers.
 
-The records are published as JSON. Their schemas are made in the same way as those of the flight log.
+The records are published as JSON. Their schemas are made in the same way as the schemas of the flight log.
 """
 
 from __future__ import annotations

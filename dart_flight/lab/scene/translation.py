@@ -272,8 +272,8 @@ class SceneTranslator:
     def _along_wall(self, force: Vec3, position: Vec3 | None) -> tuple[float, float, float, float]:
         """Return a force as (magnitude, normal, tangential, upward component).
 
-        Normal and tangential components refer to the nearest wall. If there is no wall, they are the
-        components along x and y.
+        Normal and tangential components refer to the nearest wall. Without a wall, they are the components
+        along x and y.
         """
         walls = self._mission.walls if self._show_room and position is not None else ()
         if not walls or position is None:

@@ -148,9 +148,9 @@ def choose_flown(
 ) -> OfferedPlan:
     """Fly the plans of a search in simulation and choose the one to offer.
 
-    A plan with hits must succeed in simulation. It is then offered if it saves time from take-off to landing,
-    or if the scenario demands its hits or touches. If the plan succeeds only with touches before the hits, it
-    is offered with these touches.
+    A plan with hits must succeed in simulation. A successful plan with hits is offered if it saves time from
+    take-off to landing, or if the scenario demands its hits or touches. A plan that succeeds only with
+    touches before the hits is offered with these touches.
 
     Args:
         result: result of the search.

@@ -1,4 +1,5 @@
-"""The fastest flight without a collision. Colliding plans have the same limits and are compared with it.
+"""The fastest flight without a collision. Colliding plans have the same limits and are compared with this
+flight.
 
 Along a straight line, Ruckig finds the optimum (time-optimal with bounded speed, acceleration and jerk).
 Around walls, the plan is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).

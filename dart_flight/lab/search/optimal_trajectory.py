@@ -68,9 +68,9 @@ class HitLimits(NamedTuple):
         friction_ratio: largest ratio of friction to normal force.
         detectable_n: smallest normal force that is detected.
         thrust_m_s2: mode -> (smallest, largest) thrust per mass at the hit, positive away from the wall. A
-            contact rotates a tilted vehicle, and a longer contact rotates it further. With flexible arms the
-            vehicle must therefore be nearly level at the hit. Otherwise the vehicle turns over and loses its
-            velocity (docs/results/faster_hits.md).
+            contact rotates a tilted vehicle, and a longer contact causes a larger rotation. With flexible
+            arms the vehicle must therefore be nearly level at the hit. Otherwise the vehicle turns over and
+            loses its velocity (docs/results/faster_hits.md).
         thrust_along_m_s2: largest thrust per mass along the wall at the hit.
     """
 

@@ -229,8 +229,8 @@ def draw_vehicle(
         airframe: supplies the sizes.
         at: position of the centre, mission frame.
         yaw_rad: yaw in the mission frame.
-        mode: state of the arms, which sets their line. Rigid arms are thick and solid, flexible arms are
-            thin and dashed, and arms in an unknown state (None) are dotted.
+        mode: state of the arms, which sets the style of their lines. Rigid arms are thick and solid, flexible
+            arms are thin and dashed, and arms in an unknown state (None) are dotted.
         colour: colour of the lines.
     """
     outline = placed(airframe.outline_m, at, yaw_rad)
