@@ -59,7 +59,7 @@ class ULogFile(msgspec.Struct):
         source: the file, for messages.
         topics: name -> instance -> field -> array as PX4 wrote the array. Topics without samples are absent.
         parameters: PX4's parameters at the start of the log.
-        version: PX4's version, or None if it is not logged or PX4 was built between releases.
+        version: PX4's version, or None if the version is not logged or PX4 was built between releases.
         gaps_s: total duration that the logger lost, seconds.
         damage: descriptions of damaged parts that were left out.
     """
@@ -204,7 +204,8 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 def seconds(data: dict[str, Any]) -> Array:
     """Return a topic's stamps, s on the autopilot's clock.
 
-    The stamps are the times of measurement. If the log lacks them, the stamps are the times of logging.
+    The stamps are the times of measurement. If the log lacks these times, the stamps are the times of
+    logging.
     """
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"

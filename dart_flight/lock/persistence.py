@@ -145,7 +145,7 @@ class ServoOwnership(Lease):
         """Acquire the servo.
 
         Raises:
-            ServoInUseError: another process owns the servo, or another object in this process does.
+            ServoInUseError: another process, or another object in this process, owns the servo.
             InputError: the state folder cannot be used.
         """
         try:

@@ -35,7 +35,8 @@ class DriverReading(msgspec.Struct, frozen=True):
         pulse_us: present output pulse width, read from the hardware if possible. The value is None if the
             pulses are off, or if the hardware cannot be read and nothing was commanded yet.
         rigid_switch: whether the limit switch at the rigid end is closed; None if this end has no switch.
-        flexible_switch: whether the limit switch at the flexible end is closed; None if this end has none.
+        flexible_switch: whether the limit switch at the flexible end is closed; None if this end has no
+            switch.
         errors: error messages of the hardware.
     """
 
@@ -186,7 +187,7 @@ class LockStateMachine:
         return []
 
     def command(self, t_us: int, mode: Mode) -> list[Action]:
-        """Move to a mode; return a `CommandRefused` if that is not permitted now."""
+        """Move to a mode; return a `CommandRefused` if the move is not permitted now."""
         phase = self._state.phase
         if phase is LockPhase.TRAVELLING and self._target is not mode:
             return self._refuse(t_us, mode, f"travelling to {self._target}")

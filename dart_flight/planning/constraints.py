@@ -201,7 +201,7 @@ class Constraints:
         return codes
 
     def _leaves_bounds(self, w: GridWindow) -> NDArray[np.bool_]:
-        """Return at which grid points the vehicle is outside the bounds or could not stop inside them.
+        """Return at which grid points the vehicle is outside the bounds or could not stop inside the bounds.
 
         If a wall ahead stops the vehicle earlier, the stopping distance is shorter (`stop_share`). The core's
         guard (`core.guard`) applies the same rule.
@@ -288,7 +288,7 @@ class Constraints:
 
 
 def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:
-    """Return whether `target` is behind a wall while `place` is in front of it; coordinates may be arrays."""
+    """Return whether a wall has `target` behind it and `place` in front; coordinates may be arrays."""
     crosses = (wall.signed_distance(place) > 0.0) & (wall.signed_distance(target) <= 0.0)
     return crosses & (wall.end_distance_m(target) >= -end_margin_m(wall, target))
 

@@ -23,8 +23,8 @@ Laplace's approximation:
     2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
 
 `ContactFitter` answers the core's `ContactRequest` (docs/felt.md, docs/torque.md). In flights over MAVSDK the
-fitter runs in its own process (`run.planner_process`). In the fast world it runs in the flight's process
-(`run.fast`).
+fitter runs in its own process (`run.planner_process`). In the fast world the fitter runs in the flight's
+process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class Ticks(NamedTuple):
         push_normal, push_along: force of thrust and drag, N.
         turned, turning: rotation since the middle of the first tick, rad, and its rate, rad/s; positive to
             the left.
-        torque: torque about the vertical, N m, positive if it turns the vehicle to the right.
+        torque: torque about the vertical, N m; a positive torque turns the vehicle to the right.
         samples: number of samples in the tick.
         bound: whether the reading is at full scale; the true force is then larger.
     """

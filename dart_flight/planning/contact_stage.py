@@ -1,4 +1,4 @@
-"""A planned contact, including the controller that remains active during it.
+"""A planned contact, including the controller that remains active during the contact.
 
 The contact law alone (paper, Sec. IV-B) determines the duration T, the time t_p of the force peak and, with
 the detector's rule, the time t_e of the recovery setpoint. All three depend on coefficients and mass, not on

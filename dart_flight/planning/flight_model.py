@@ -188,7 +188,7 @@ class Grid(NamedTuple):
 
 
 class SeriesSolution:
-    """Solutions as power series about a time, which differs between candidates."""
+    """Solutions as power series, each about the candidate's own time."""
 
     def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes

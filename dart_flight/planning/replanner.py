@@ -190,8 +190,7 @@ class Replanner:
     def _rejoined(
         self, answer: PlanAnswer, request: PlanRequest, collision: Collision | None
     ) -> PlanAnswer | None:
-        """Return the answer that rejoins the mission's own trajectory, or None if the vehicle cannot
-        rejoin."""
+        """Return the answer that rejoins the mission's own trajectory, or None if there is no such answer."""
         written = self._trajectories.get(request.collision)
         if written is None:
             return None

@@ -1,5 +1,4 @@
-"""The fastest flight without a collision. Colliding plans have the same limits and are compared with this
-flight.
+"""The fastest flight without a collision, for comparison with colliding plans of the same limits.
 
 Along a straight line, Ruckig finds the optimum (time-optimal with bounded speed, acceleration and jerk).
 Around walls, the plan is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).

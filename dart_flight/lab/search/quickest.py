@@ -512,13 +512,13 @@ def _count_hits(events: Sequence[Event]) -> int:
 
 
 def _serves(wall: Wall, visit: Visit) -> bool:
-    """Return whether the vehicle can pass the place of a visit at the moment at which it hits a wall."""
+    """Return whether the vehicle can pass the place of a visit while the vehicle hits a wall."""
     off_m = math.hypot(wall.signed_distance(visit.place), min(0.0, wall.end_distance_m(visit.place)))
     return off_m <= visit.within_m
 
 
 def _repeats(events: Sequence[Event]) -> bool:
-    """Return whether two consecutive events are at the same wall, so that one hit would suffice."""
+    """Return whether one hit of a wall would serve two consecutive events."""
     return any(
         isinstance(hit, Hit)
         and (

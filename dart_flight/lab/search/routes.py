@@ -1,8 +1,8 @@
 """Shortest polylines past walls and posts, and regions that keep each part of a polyline clear of obstacles.
 
-Each part of a path stays on one side of every wall: in a half-plane in front of the wall or behind it. If a
-part leads past a wall's end, the part stays beyond this end. The distance of a part from walls' edges and
-from posts is at least half a vehicle plus a margin.
+Each part of a path stays on one side of every wall: in the half-plane in front of the wall or behind the
+wall. If a part leads past a wall's end, the part stays beyond this end. The distance of a part from walls'
+edges and from posts is at least half a vehicle plus a margin.
 """
 
 from __future__ import annotations

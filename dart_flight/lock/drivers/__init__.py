@@ -42,7 +42,7 @@ class Driver(Protocol):
         """Connect to the hardware without moving anything; may be called again."""
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Output this pulse width in us; return after the hardware has received it."""
+        """Output this pulse width in us; return after the hardware has received the pulse width."""
 
     def release(self) -> None:
         """Switch the pulses off."""
