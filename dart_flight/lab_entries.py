@@ -1,7 +1,7 @@
-"""Table of the lab's entry points. The flight part uses the lab only through it (docs/architecture.md).
+"""Table of the lab's entry points. The flight part uses the lab only through this table.
 
-No module that flies imports `dart_flight.lab`. Commands and scripts load an entry by its name when they need
-it. A flight therefore loads nothing of the lab, and runs without the lab's packages.
+No module that flies imports `dart_flight.lab` (docs/architecture.md). Commands and scripts load an entry by
+its name when they need it. A flight therefore loads nothing of the lab, and runs without the lab's packages.
 """
 
 from __future__ import annotations

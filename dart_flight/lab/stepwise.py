@@ -1,4 +1,4 @@
-"""A simulation that a script steps with its own setpoints: `dart_flight.Simulation` (docs/python.md).
+"""The simulation `dart_flight.Simulation`: a script supplies the setpoint of each step (docs/python.md).
 
 The simulation contains the vehicle of the fast world, but neither a mission nor the guard. The vehicle
 consists of plant, sensors, embedded autopilot, lock servo and the force estimator of the flight core.
@@ -63,7 +63,7 @@ class SteppedObservation(NamedTuple):
         position, velocity: estimated by the autopilot, mission frame, m and m/s, shape (3,).
         attitude: estimated quaternion (w, x, y, z), body FRD to NED, shape (4,).
         force: estimated external force, mission frame, N, shape (3,); zeros before the first estimate.
-        mode: mode of the lock's horn; None while it moves.
+        mode: mode of the lock's horn; None while the horn moves.
         walls: walls nearer than `view_m`, nearest first, shape (n, 5). Columns: x and y of the wall's point
             (m), x and y of the wall's normal, and the free distance (m). The vehicle's centre can move by the
             free distance along the normal before the vehicle touches the wall. Point and normal are in the
@@ -158,7 +158,7 @@ class SteppedSimulation:
         """Advance by one period and return the observation at its end.
 
         Args:
-            setpoint: new setpoint; None keeps the previous one.
+            setpoint: new setpoint; None keeps the previous setpoint.
         """
         if setpoint is not None:
             self._command(setpoint)

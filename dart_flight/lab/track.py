@@ -57,7 +57,7 @@ class Track(msgspec.Struct):
         motor_s, motors: stamps (m,) and commands to the motors, 0 to 1, (m, motors).
         attitude_s, q: stamps (a,) and attitudes, FRD to NED, (a, 4).
         position_s: stamps of PX4's estimate, (k,).
-        position, velocity: estimates in m and m/s, (k, 3), NaN where PX4 had none.
+        position, velocity: estimates in m and m/s, (k, 3), NaN where PX4 had no estimate.
         voltage_s, voltage: stamps (v,) and battery voltage, V, (v,).
         ground: begin and end of each interval on the ground, s.
         notes: remarks on the source and on data left out.

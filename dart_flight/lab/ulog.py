@@ -1,10 +1,9 @@
-"""Reader of PX4's own logs (ULog, PX4 1.9 and later): topics as arrays, decoded motor commands, and
-battery voltage.
+"""Reader of PX4's logs (ULog, PX4 1.9 and later): topics as arrays, decoded motor commands, battery voltage.
 
 The content of `actuator_outputs` depends on PX4's version and on the output type. Parameters limit the pulse
 widths: `PWM_MIN` and `PWM_MAX` until 1.11, `PWM_MAIN_MIN` and `PWM_MAIN_MAX` in 1.12, and parameters of each
 pin since 1.13. DShot uses 0 to 1999, UAVCAN 0 to 8191 and the simulation 0 to 1. A log may have several
-instances of this topic. Then one instance contains the motors; the others contain servos or nothing.
+instances of this topic. In this case one instance contains the motors; the others contain servos or nothing.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ class ULogFile(msgspec.Struct):
         source: the file, for messages.
         topics: name -> instance -> field -> array as PX4 wrote the array. Topics without samples are absent.
         parameters: PX4's parameters at the start of the log.
-        version: PX4's version, or None if it is not logged or PX4 was built between releases.
+        version: PX4's version, or None if the version is not logged or PX4 was built between releases.
         gaps_s: total duration that the logger lost, seconds.
         damage: descriptions of damaged parts that were left out.
     """
@@ -73,11 +72,11 @@ class ULogFile(msgspec.Struct):
     damage: tuple[str, ...] = ()
 
     def first(self, name: str) -> dict[str, Any] | None:
-        """Return instance 0 of a topic, or None if it was not logged."""
+        """Return instance 0 of a topic, or None if the topic was not logged."""
         return self.topics.get(name, {}).get(0)
 
     def rate_hz(self, name: str) -> float | None:
-        """Return the mean rate of a topic's first instance, or None if it was not logged."""
+        """Return the mean rate of a topic's first instance, or None if the topic was not logged."""
         data = self.first(name)
         if data is None or len(data["timestamp"]) < 2:
             return None
@@ -149,8 +148,9 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
 
 
 def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
-    """Return a mask of the plausible samples of a topic: stamps close to their neighbours, values within
-    range or NaN.
+    """Return a mask of a topic's plausible samples.
+
+    The stamp of a plausible sample is close to its neighbours, and each value is within range or NaN.
     """
     stamps = np.asarray(data["timestamp"]).astype(float)
     good = np.ones(len(stamps), dtype=bool)
@@ -167,8 +167,7 @@ def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
 
 
 def refuse_other_vehicles(log: ULogFile) -> None:
-    """Reject a log of an unsupported PX4 version, of another vehicle type, or of a vehicle that was never
-    armed.
+    """Reject a log of an unsupported PX4 version, of another vehicle type, or without arming.
 
     A log that lacks this information is accepted.
 
@@ -205,7 +204,8 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 def seconds(data: dict[str, Any]) -> Array:
     """Return a topic's stamps, s on the autopilot's clock.
 
-    The stamps are the times of measurement. If the log lacks them, the stamps are the times of logging.
+    The stamps are the times of measurement. If the log lacks these times, the stamps are the times of
+    logging.
     """
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
@@ -214,7 +214,7 @@ def seconds(data: dict[str, Any]) -> Array:
 
 
 def columns(data: dict[str, Any], name: str, count: int) -> Array:
-    """Return an array field as (samples, count)."""
+    """Return a field with `count` elements as an array (samples, count)."""
     return np.stack([np.asarray(data[f"{name}[{i}]"], dtype=float) for i in range(count)], axis=1)
 
 

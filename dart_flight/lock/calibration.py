@@ -67,7 +67,7 @@ class Calibration:
         """Return the configuration with the two calibrated ends.
 
         Raises:
-            CalibrationError: the two ends are not possible (equal, or beyond the end stops).
+            CalibrationError: the two ends are equal, or an end is beyond its end stop.
         """
         rigid, flexible = self.found[Mode.RIGID], self.found[Mode.FLEXIBLE]
         servo = self._config.servo

@@ -1,7 +1,7 @@
 """Operation of the lock on the ground, in real time, for the command `dart-flight lock`.
 
-The operator stands beside the vehicle and sees the arms. Locking is therefore permitted. The lock is not
-homed at the start: it adopts its present position until the first command.
+The operator stands beside the vehicle and sees the arms. Locking is therefore permitted. At the start the
+lock adopts its present position and is not homed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def ground_driver(
 ) -> Driver:
     """Return the configured driver.
 
-    The horn of a mock starts at the end (flexible or rigid) to which the mock was last commanded.
+    The initial position of a mock's horn is the end, flexible or rigid, of the last command to the mock.
 
     Raises:
         DriverError: as in `make_driver`.

@@ -1,7 +1,8 @@
 """A driver and its state machine, for a thread that may block.
 
 Each call also executes the actions that the state machine returns. The lock command, the campaign and the
-tests use `LockSession`. The flight app may use it in the lock's thread, or step the state machine itself.
+tests use `LockSession`. The flight app may use `LockSession` in the lock's thread, or step the state machine
+directly.
 """
 
 from __future__ import annotations

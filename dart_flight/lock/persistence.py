@@ -25,10 +25,10 @@ class LastCommand(msgspec.Struct, frozen=True):
     """The last command to the servo, its origin, and the last known progress.
 
     Attributes:
-        driver: driver that sent it.
+        driver: driver that sent the command.
         mode: commanded mode.
         at_utc: wall-clock time of the last change, ISO 8601.
-        pid: process that sent it.
+        pid: process that sent the command.
         phase: phase at the last change; `travelling` means that the process ended during the travel.
         feedback: whether a limit switch confirmed the position.
     """
@@ -53,7 +53,8 @@ class CommandStore:
     """Stores the last command at every change of the lock's state.
 
     Attributes:
-        problem: reason why the last state was not stored, or None. A full disk does not stop a lock.
+        problem: reason why the last state was not stored, or None. The lock moves even if the state cannot be
+            stored, for example on a full disk.
     """
 
     def __init__(self, driver: LockDriver, folder: Path | None = None) -> None:
@@ -99,7 +100,7 @@ class CommandStore:
 
 
 def load_last(folder: Path | None = None) -> LastCommand | None:
-    """Return the last stored command, or None if there is none or the file is damaged.
+    """Return the last stored command, or None if no command is stored or the file is damaged.
 
     Raises:
         InputError: the file cannot be read.
@@ -135,7 +136,7 @@ class ServoInUseError(Exception):
 
 
 class ServoOwnership(Lease):
-    """The right to move the servo: the owner holds the file `lock.pid`, which contains its process number."""
+    """The right to move the servo: the owner holds the file `lock.pid` with the owner's process number."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = HeldFile((folder or state_dir()) / "lock.pid")
@@ -144,7 +145,7 @@ class ServoOwnership(Lease):
         """Acquire the servo.
 
         Raises:
-            ServoInUseError: another process owns the servo, or another object in this process does.
+            ServoInUseError: another process, or another object in this process, owns the servo.
             InputError: the state folder cannot be used.
         """
         try:
@@ -153,7 +154,7 @@ class ServoOwnership(Lease):
             raise ServoInUseError(_pid_in(error.content)) from None
 
     def release(self) -> None:
-        """Release the servo; has no effect if it is not owned."""
+        """Release the servo, if this object owns the servo."""
         self._file.release()
 
 

@@ -15,7 +15,7 @@ from dart_flight.config.vehicle import Servo
 
 
 def mode_of(servo: Servo, horn_pulse_us: float) -> Mode | None:
-    """Return the mode whose end is within `tolerance_us` of a horn position, or None in between."""
+    """Return the mode of a horn position, or None if neither end of the travel is within `tolerance_us`."""
     for mode in Mode:
         if abs(horn_pulse_us - servo.pulse_us(mode)) <= servo.tolerance_us:
             return mode
@@ -72,7 +72,7 @@ class ServoModel:
         self._range_us = self._reachable()
 
     def command(self, t_us: int, pulse_us: float | None) -> None:
-        """Set the pulse width at the servo's input at `t_us`, us; None switches the pulses off."""
+        """At time `t_us`, set the pulse width (us) at the servo's input; None switches the pulses off."""
         self._advance(t_us)
         self._target_us = None if pulse_us is None else self._within_stops(pulse_us)
 

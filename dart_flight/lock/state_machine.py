@@ -35,7 +35,8 @@ class DriverReading(msgspec.Struct, frozen=True):
         pulse_us: present output pulse width, read from the hardware if possible. The value is None if the
             pulses are off, or if the hardware cannot be read and nothing was commanded yet.
         rigid_switch: whether the limit switch at the rigid end is closed; None if this end has no switch.
-        flexible_switch: whether the limit switch at the flexible end is closed; None if this end has none.
+        flexible_switch: whether the limit switch at the flexible end is closed; None if this end has no
+            switch.
         errors: error messages of the hardware.
     """
 
@@ -45,7 +46,7 @@ class DriverReading(msgspec.Struct, frozen=True):
     errors: tuple[str, ...] = ()
 
     def switch(self, mode: Mode) -> bool | None:
-        """Return the state of the limit switch at a mode's end, or None if not fitted."""
+        """Return the state of the limit switch at a mode's end, or None if this end has no switch."""
         return self.rigid_switch if mode is Mode.RIGID else self.flexible_switch
 
 
@@ -61,7 +62,7 @@ class PulsesOff(msgspec.Struct, frozen=True):
 
 
 class CommandRefused(msgspec.Struct, frozen=True):
-    """Notice to the caller that a command was refused, with the reason. The driver does not receive it."""
+    """Notice to the caller that a command was refused, with the reason. The driver receives no command."""
 
     what: str
     reason: str
@@ -169,10 +170,10 @@ class LockStateMachine:
         """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
         If a limit switch is closed, the lock adopts the end with this switch. If no switch is closed but the
-        hardware outputs the pulse of an end, the lock adopts the end of this pulse. The travel time begins at
-        `t_us`, because the servo's command may be recent. If there is no such switch or pulse, or if the
-        inputs contradict each other, the lock stays `unknown`. A command stored by the last run does not
-        prove the position of the horn.
+        hardware outputs the pulse of an end, the lock adopts the end of this pulse. The lock then waits for
+        the travel time from `t_us`, because the servo may still move. If there is no such switch or pulse, or
+        if the inputs contradict each other, the lock stays `unknown`. A command stored by the last run does
+        not prove the position of the horn.
         """
         if self.config.startup is LockStartup.HOME:
             return self.command(t_us, self.config.home_mode)
@@ -186,7 +187,7 @@ class LockStateMachine:
         return []
 
     def command(self, t_us: int, mode: Mode) -> list[Action]:
-        """Move to a mode; return a `CommandRefused` if that is not permitted now."""
+        """Move to a mode; return a `CommandRefused` if the move is not permitted now."""
         phase = self._state.phase
         if phase is LockPhase.TRAVELLING and self._target is not mode:
             return self._refuse(t_us, mode, f"travelling to {self._target}")

@@ -146,14 +146,14 @@ class Constraints:
         begins: bool,
         walls: Sequence[Wall] | None = None,
     ) -> Codes:
-        """Return a refusal code (0: accepted) for each flight, up to the grid index `until` (exclusive).
+        """Return a refusal code (0: accepted) for each flight.
 
-        The flight is checked for walls, posts, the bounds and the speed limit.
+        Before the grid index `until`, the flight is checked for walls, posts, the bounds and the speed limit.
 
         Args:
             window: positions and velocities.
             until: first grid index that is not checked, for each candidate.
-            target: the next wall or post of the plan, which is no obstacle.
+            target: the next wall or post that the plan hits. This wall or post is no obstacle.
             begins: whether the first grid point is the release from a wall.
             walls: estimated walls, or None to use the mission's walls.
         """
@@ -201,7 +201,7 @@ class Constraints:
         return codes
 
     def _leaves_bounds(self, w: GridWindow) -> NDArray[np.bool_]:
-        """Return at which grid points the vehicle is outside the bounds or could not stop inside them.
+        """Return at which grid points the vehicle is outside the bounds or could not stop inside the bounds.
 
         If a wall ahead stops the vehicle earlier, the stopping distance is shorter (`stop_share`). The core's
         guard (`core.guard`) applies the same rule.
@@ -212,7 +212,7 @@ class Constraints:
         return leaves
 
     def last_setpoint(self, leg: SetpointResponse, hit: Wall) -> Codes:
-        """Refuse each last recovery setpoint that is behind another wall; return the codes (0: accepted)."""
+        """Return refusal codes (0: accepted): refuse a last recovery setpoint that is behind another wall."""
         codes = np.zeros(leg.size, dtype=np.int8)
         place, target = (leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y), (leg.goal_x, leg.goal_y)
         for wall in self.walls:
@@ -221,7 +221,7 @@ class Constraints:
         return codes
 
     def to_goal(self, x: Array, y: Array, goal: Vec2) -> Codes:
-        """Refuse each closest approach with a wall between it and the goal; return the codes (0: accepted).
+        """Return refusal codes (0: accepted): refuse if a wall is between the closest approach and the goal.
 
         Args:
             x, y: positions of the closest approaches, mission frame, m.
@@ -288,7 +288,7 @@ class Constraints:
 
 
 def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:
-    """Return whether `target` is behind a wall while `place` is in front of it; coordinates may be arrays."""
+    """Return whether a wall has `target` behind it and `place` in front; coordinates may be arrays."""
     crosses = (wall.signed_distance(place) > 0.0) & (wall.signed_distance(target) <= 0.0)
     return crosses & (wall.end_distance_m(target) >= -end_margin_m(wall, target))
 
@@ -317,7 +317,7 @@ def _touches_wall(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
 
 
 def _hits_post(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
-    """Return whether the vehicle approaches a post too closely at any heading; moving away is allowed.
+    """Return whether the vehicle moves towards a post that is within the reach of the vehicle's corners.
 
     The path between two grid points is treated as a straight line, because the points may be farther apart
     than the post is wide.
@@ -338,8 +338,8 @@ def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
 
     The braking distance is proportional to a sum: the speed plus `ATTITUDE_LAG_S` times the acceleration. The
     tables give the distance for a sum of 1 m/s. The first table holds for an acceleration towards the wall,
-    the second for an acceleration away from the wall. A third array contains the ratio speed / sum of each
-    entry.
+    the second for an acceleration away from the wall. A third array contains, for each entry, the share of
+    the speed in the sum.
     """
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0

@@ -7,23 +7,24 @@ positive if the vehicle is turned left. Each side of the vehicle has a right gua
 (g = -1). The guards are at the distance a (`guard_along_m`) from the side's middle. The side is at the
 distance d (`contact_distance_m`) from the centre:
 
-    x_g = x - g a sin i + d (1 - cos i)        depth of a guard
-    F   = sum of max(0, -(k x_g + f dx_g/dt)/2)
-    T   = -mu F (v_t + b d di/dt)              friction has the lever b d
-    M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T              torque, positive turns to the right
-    m dv/dt = force + push by thrust and drag
+    x_g = x - g a sin i + d (1 - cos i)        depth of a guard F   = sum of max(0, -(k x_g + f dx_g/dt)/2) T
+    = -mu F (v_t + b d di/dt)              the lever of the friction is b d M   = a cos(i) (F_1 - F_-1) - d
+    sin(i) F - b d T              torque, positive turns to the right m dv/dt = force + push by thrust and
+    drag
 
-Attitude and gyro give the angle of incidence to the planned wall. Subtracting the angle between the real and
-the planned wall gives i. The fit estimates k, f and mu as multiples of their prior values. It also estimates
-the wall's angle, the initial distance and velocity, and b, the lever of the friction as a share of d.
-Rigid and flexible arms obey the same law with different coefficients, so both modes are fitted.
-Levenberg-Marquardt steps from several angles lead to the most probable values. One array holds all modes,
-starts, dampings and derivatives; each combination is called a lane. The evidence is Laplace's approximation:
+Attitude and gyro give the angle of incidence to the planned wall. i is this angle minus the angle between the
+real and the planned wall. The fit estimates k, f and mu as multiples of their prior values. The fit also
+estimates the wall's angle, the initial distance and velocity, and the share b of the lever in d. Rigid and
+flexible arms obey the same law with different coefficients, so both modes are fitted. From several start
+values of the angle, Levenberg-Marquardt steps lead to the most probable values. All combinations of mode,
+start, damping and derivative are computed in one array; a combination is called a lane. The evidence is
+Laplace's approximation:
 
     2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
 
-`ContactFitter` answers the core's `ContactRequest` (docs/felt.md, docs/torque.md). In flights over MAVSDK it
-runs in its own process (`run.planner_process`), in the fast world in the flight's process (`run.fast`).
+`ContactFitter` answers the core's `ContactRequest` (docs/felt.md, docs/torque.md). In flights over MAVSDK the
+fitter runs in its own process (`run.planner_process`). In the fast world the fitter runs in the flight's
+process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -123,7 +124,7 @@ class Ticks(NamedTuple):
         push_normal, push_along: force of thrust and drag, N.
         turned, turning: rotation since the middle of the first tick, rad, and its rate, rad/s; positive to
             the left.
-        torque: torque about the vertical, N m, positive if it turns the vehicle to the right.
+        torque: torque about the vertical, N m; a positive torque turns the vehicle to the right.
         samples: number of samples in the tick.
         bound: whether the reading is at full scale; the true force is then larger.
     """
@@ -141,7 +142,7 @@ class Ticks(NamedTuple):
     bound: NDArray[np.bool_]
 
     def merged(self) -> Ticks:
-        """Return at most about `_MAX_TICKS` ticks by merging neighbours, except those at full scale."""
+        """Merge neighbouring ticks to about `_MAX_TICKS`, but do not merge ticks at full scale."""
         size = -(-len(self.h) // _MAX_TICKS)
         if size == 1:
             return self
@@ -403,7 +404,7 @@ class ContactFit:
         return Hypothesis(float(evidence + seen), misfit, belief, *at, theta)
 
     def _wall_factor(self, factor: float, variance: float, before_sd: float) -> tuple[float, float]:
-        """Return a wall's posterior after a contact: factor on the coefficient, relative standard deviation.
+        """Return a wall's posterior after a contact: coefficient factor and relative standard deviation.
 
         `factor` and `variance` are the estimate from this contact, and `before_sd` is the wall's prior
         standard deviation.
@@ -601,7 +602,7 @@ class ContactFitter:
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
     def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
-        """Return the configured material with the coefficients nearest to `felt`; None if none are near."""
+        """Return the configured material with the coefficients nearest to `felt`, or None if all are far."""
         spread2 = self._vehicle.estimation.walls.spread**2
 
         def misfit(name: str) -> float:
@@ -618,7 +619,8 @@ def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mo
 
     The largest of many noisy samples is biased. A mean over a tick underestimates the peak that occurs when
     the second guard touches the wall. The model therefore gives the shape of the torque about the vertical,
-    and the samples near the model's peak give the size. The remaining torque is smoothed.
+    and the samples near the model's peak give the size. The rest of the measured torque is smoothed and
+    added.
     """
     torque, down = np.array(request.torque_frd), _down(request.q_frd_to_ned)
     model = fit.forces(fit.contact.ticks, found.theta[:, None], np.array([mode]), _FINE)[2][:, :, 0]

@@ -1,17 +1,19 @@
-"""A planned contact, including the controller that remains active during it.
+"""A planned contact, including the controller that remains active during the contact.
 
 The contact law alone (paper, Sec. IV-B) determines the duration T, the time t_p of the force peak and, with
 the detector's rule, the time t_e of the recovery setpoint. All three depend on coefficients and mass, not on
 the speed. The feed-forward (`core/mission/contact_feedforward.py`) keeps PX4 from pushing against the wall.
-Before t_e, the controller's error e is therefore 0. PX4's D term never responds to the wall's force. After
-t_e, the error is kp (s - x) - x', where s is the recovery setpoint. Along the normal, with PX4's loop of
-`core/mission/position_loop.py`,
+Until t_e, the setpoint is the measured motion, so the controller's error e is 0. After t_e, the error e is
+kp (s - x) - x', where s is the recovery setpoint. The feed-forward also cancels the D term's response to the
+wall's force, before and after t_e. The symbols a, b and i are those of `planning/flight_model.py`. Along the
+normal, PX4's loop gives
 
     x'' = -(k x + f x')/m + a - b x'
     a'  = (kv e + i - kd (a - b x') - a) / tau,      i' = ki e
 
-Along the wall, friction dominates. By the contact law alone the velocity u follows u' = -(mu/m) lx u, and q
-is the distance. The controller's error is e = kp (s - q) - u, and its thrust adds a velocity d:
+Along the wall, friction dominates. By the contact law alone, the velocity u follows u' = -(mu/m) lx u, and q
+is the distance along the wall since the onset. The controller's error is e = kp (s - q) - u, and its thrust
+adds a velocity d:
 
     a' = (kv e + i - kd a - a) / tau,      i' = ki e
     d' = -(mu/m) lx d + a,                 velocity u + d
@@ -140,7 +142,7 @@ class TangentialShape(NamedTuple):
     """The linear response of the motion along the wall to four inputs, one array element per normal speed.
 
     The inputs are the velocity v, acceleration a and integral i at the onset, and the recovery setpoint s.
-    The last letter of a field's name is the input. `distance_to_peak` and `distance` respond to v.
+    The last letter of a field's name states the input. The input of `distance_to_peak` and `distance` is v.
     """
 
     distance_to_peak: Array
@@ -160,9 +162,9 @@ class ContactStage:
     Attributes:
         duration_s: time from the onset to the release; infinite if the vehicle stays at the wall.
         peak_s: time from the onset to the peak of the normal force.
-        engaged_s: time from the onset to the recovery setpoint, at most `duration_s`.
-        lead_s: the contact begins where x + lead_s x' = 0. With the onset rule `lcp` this is f/k, with
-            `touch` it is 0.
+        engaged_s: time from the onset until PX4 uses the recovery setpoint, at most `duration_s`.
+        lead_s: the contact begins where x + lead_s x' = 0. `lead_s` is f/k with the onset rule `lcp`, and 0
+            with `touch`.
     """
 
     def __init__(
@@ -189,7 +191,7 @@ class ContactStage:
 
         Args:
             speed: normal velocity at the onset, m/s, < 0.
-            acceleration, integral: acceleration and velocity loop's integral at the onset, m/s2.
+            acceleration, integral: acceleration, and integral of the velocity loop, at the onset, m/s2.
         """
         inputs = (speed, acceleration, integral)
         rows = [sum(c * v for c, v in zip(row, inputs, strict=True) if c != 0.0) for row in self._normal]
@@ -222,7 +224,7 @@ class ContactStage:
         Args:
             s: result of `tangential_shape`; broadcasts with the other arguments.
             v: velocity along the wall at the onset, m/s.
-            a, i: acceleration and integral of the controller at the onset, m/s2.
+            a, i: acceleration, and integral of the velocity loop, at the onset, m/s2.
         """
         friction = -s.friction_v * v
         setpoint = s.distance_to_peak * v - self.alphas[1] * friction

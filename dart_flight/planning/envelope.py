@@ -1,4 +1,4 @@
-"""Impacts that a mission may plan: the mission's own force limit, and the range that flights have covered.
+"""Limits on planned impacts: the mission's own force limit, and the range that flights have covered.
 
 The limits of speed and force come from the flights in docs/px4.md. These flights are a sweep (acrylic and
 wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come
@@ -38,7 +38,7 @@ def expected_force_n(mission: Mission, collision: Collision) -> float | None:
 
 
 def impact_problem(mission: Mission) -> str | None:
-    """Return the reason not to fly a mission if an impact exceeds the mission's force limit, or None."""
+    """If an impact exceeds the mission's force limit, return the reason not to fly; otherwise None."""
     for collision in mission.collisions:
         force = expected_force_n(mission, collision)
         if force is not None and force > mission.limits.peak_force_n:
@@ -112,7 +112,7 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def heights_flown_m(normal_m_s: float) -> tuple[float, float]:
-    """Return the range of guard heights that flights covered, for a speed along the wall's normal.
+    """Return the range of guard heights at which flights recovered from impacts with this speed.
 
     Returns:
         Largest distance of the guards below and above the vehicle's centre of mass, metres.

@@ -9,8 +9,8 @@ drag. `core/mission/position_loop.py` defines kp, kv, ki, kd and tau:
 
 This is linear with constant coefficients, so the state at any time is exp(A t) times the initial state. One
 matrix product gives the positions of all candidates on a grid of times. An event, such as an impact, is first
-found between two grid points. About the nearest grid point, the solution is the Taylor series of the matrix
-exponential. At half a grid step, this series is exact to rounding. Newton's method then finds the event in
+found between two grid points. Near a grid point, the solution is the Taylor series of the matrix exponential.
+Up to half a grid step away, this series is exact to rounding. Newton's method finds the time of the event in
 this series. The model does not step through time.
 """
 
@@ -107,7 +107,7 @@ class _Axis:
 
 
 class FreeFlight:
-    """The position loop of one vehicle, tabulated up to a longest time of flight.
+    """The position loop of one vehicle, tabulated up to the time `horizon_s`.
 
     Args:
         vehicle: gains and drag.
@@ -188,7 +188,7 @@ class Grid(NamedTuple):
 
 
 class SeriesSolution:
-    """Solutions as power series about a time, which differs between candidates."""
+    """Solutions as power series, each about the candidate's own time."""
 
     def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes
@@ -283,8 +283,8 @@ def closest(
     Args:
         x, y: power series (order + 1, n) of the position about the grid point.
         goal: position of the goal.
-        low, high: range of the search, seconds from the grid point. It is one grid step to either side.
-            `low` is 0 if a flight begins at the grid point, and `high` is 0 if a flight ends there.
+        low, high: range of the search, seconds from the grid point: one grid step to either side. `low` is 0
+            if a flight begins at the grid point, and `high` is 0 if a flight ends there.
 
     Returns:
         Time from the grid point, distance, and position and velocity there (x, y, vx, vy), each (n,).

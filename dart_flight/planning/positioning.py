@@ -24,8 +24,8 @@ def simulated_source(mission: Mission) -> PositionSource:
 def frame_problem(mission: Mission, source: PositionSource) -> str | None:
     """Return the reason why a mission's frame is not valid with a position source, or None.
 
-    With GPS, PX4's local frame begins where PX4 was powered on. Only a frame at the take-off point, or a
-    mission that starts at its own origin, is then valid.
+    With GPS, PX4's local frame begins where PX4 was powered on. The mission's frame must then be at the
+    take-off point, or the mission must start at the origin of the local frame.
     """
     spec = mission.frame
     surveyed = spec.origin == "local" and (

@@ -58,7 +58,7 @@ class PredictedFlight(msgspec.Struct):
 
     Attributes:
         approaches: line of each approach, by the index of the collision at its end; mission frame, metres. A
-            line leads from the previous resting position (if known and different) over the run-up point to
+            line leads from the previous resting position (if known and different) through the run-up point to
             the impact. For a collision with its own trajectory, the line consists of points of this
             trajectory.
         legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg begins at the onset of a contact. It
@@ -78,7 +78,10 @@ class PredictedFlight(msgspec.Struct):
 
 
 def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> Vec2:
-    """Return the impact point, mission frame: from the mission, else the model, else the wall's middle."""
+    """Return the impact point, mission frame.
+
+    The first known point is used: from the mission, from the model, or the middle of the wall.
+    """
     if collision.impact_point is not None:
         return collision.impact_point
     if collision.predicted is not None:

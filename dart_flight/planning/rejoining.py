@@ -1,10 +1,10 @@
 """Trajectories from the state after an impact back to the trajectory that was planned before the flight.
 
-Each rejoining trajectory is the sum of the planned trajectory and a fifth-order polynomial per axis. It may
-join the planned trajectory at a later point and fly it more slowly. The polynomial starts with the deviation
-of the vehicle's state from the plan. Some time before the trajectory's end, the polynomial and its first two
-derivatives reach zero. The trajectory therefore keeps the optimised shape, the end and the final velocity of
-the plan, with small additional accelerations.
+Each rejoining trajectory is the sum of the planned trajectory and a fifth-order polynomial per axis. The
+vehicle may join the planned trajectory at a later point, and fly the rest more slowly than planned. The
+polynomial starts with the deviation of the vehicle's state from the plan. Some time before the trajectory's
+end, the polynomial and its first two derivatives reach zero. The trajectory therefore keeps the optimised
+shape, the end and the final velocity of the plan, with small additional accelerations.
 
 In the last tenths of a second before a wall, only two differences from the plan remain. The end is shifted to
 the estimated wall, and the final acceleration gives the wanted tilt of the vehicle. If the correction lasted
@@ -43,7 +43,7 @@ class RejoiningTrajectories(NamedTuple):
         planned: the planned trajectory.
         shares: (k,) sampling times, as shares of each duration.
         from_s: (n,) time on the planned trajectory at which the candidate begins.
-        slower: (n,) factor by which the candidate takes longer than the planned trajectory.
+        slower: (n,) factor, 1 or larger, by which the candidate slows down the planned trajectory.
         duration_s: (n,) duration of the candidate.
         settled_s: (n,) time from the candidate's beginning to the end of the correction.
         added: (2, n, 6) coefficients of the added polynomials before `settled_s`, constant term first.
@@ -152,8 +152,8 @@ def _sampled(planned: Trajectory, times: Array) -> Array:
 def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = False) -> Array:
     """Return a derivative (2, n, k) of polynomials at times (n, k).
 
-    The coefficients have the shape (2, n, 6). If `per_time`, they have the shape (2, n, k, 6): one polynomial
-    for every time.
+    The coefficients have the shape (2, n, 6). If `per_time`, the shape is (2, n, k, 6): one polynomial for
+    every time.
     """
     for _ in range(order):
         coefficients = coefficients[..., 1:] * np.arange(1, coefficients.shape[-1])

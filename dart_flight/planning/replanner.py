@@ -6,14 +6,15 @@ when the core receives the answer. It ends at the next wall with the planned vel
 The replanner tries durations and places along the wall and discards the trajectories that violate a
 constraint. It prefers trajectories that are quick, gentle and near the planned place. If the mission has a
 trajectory of its own (`trajectory`, `goal_trajectory`), the replanner first tries to return to this
-trajectory. For this it adds a polynomial to the mission's trajectory (`planning.rejoining`).
+trajectory. For this return, the replanner adds a polynomial to the mission's trajectory
+(`planning.rejoining`).
 
-A `WallEstimate` replaces the wall's configured coefficients and its planned plane. No other state is kept
-between requests, so an answer can be computed again from the log. An approach from rest stays as planned,
-except that its speed is lower if the estimated impact would exceed a limit.
+A `WallEstimate` replaces the wall's configured coefficients and its planned plane. The replanner keeps no
+other state between requests, so an answer can be computed again from the log. An approach from rest stays as
+planned, except that its speed is lower if the estimated impact would exceed a limit.
 
-The replanner does not run within the core's step. In flights over MAVSDK it runs in its own process
-(`run.planner_process`), in the fast world in the flight's process (`run.fast`).
+The replanner does not run within the core's step. In flights over MAVSDK the replanner runs in its own
+process (`run.planner_process`). In the fast world it runs in the flight's process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -145,7 +146,7 @@ class Replanner:
             self._anchors.add_recorded(anchor)
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
-        """Return the trajectory from a request's state, or an answer with a `problem` if there is none.
+        """Return the trajectory from a request's state. If none is found, the answer has a `problem`.
 
         An exception of the planner also becomes a `problem`, so that it does not end the flight.
         """
@@ -189,7 +190,7 @@ class Replanner:
     def _rejoined(
         self, answer: PlanAnswer, request: PlanRequest, collision: Collision | None
     ) -> PlanAnswer | None:
-        """Return the answer that rejoins the mission's own trajectory, or None if that is not possible."""
+        """Return the answer that rejoins the mission's own trajectory, or None if there is no such answer."""
         written = self._trajectories.get(request.collision)
         if written is None:
             return None
@@ -366,7 +367,7 @@ class Replanner:
 
         Returns:
             Indices of the trajectories within the limits, and an array over all trajectories: the largest
-                horizontal acceleration divided by the acceleration limit from PX4's tilt limit.
+                horizontal acceleration, divided by the acceleration that PX4's tilt limit permits.
         """
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
         push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
@@ -443,8 +444,8 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 def _straights(slack: float) -> list[tuple[float, float]]:
     """Return the options for the straight flight before a wall, best first: pairs (duration in s, count).
 
-    `slack` is the tolerance of the wall's position, metres. `count` times `slack` is the additional length of
-    the straight flight, which begins earlier.
+    `slack` is the tolerance of the wall's position, metres. The straight flight begins earlier: `count` times
+    `slack` is added to its length.
     """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]

@@ -89,7 +89,7 @@ class Arrivals(NamedTuple):
         rows: index of the approach.
         modes: mode of each collision, the same for all candidates.
         miss_m: smallest distance to the goal after the last contact.
-        t_s: time from the start of the run-up to that closest approach.
+        t_s: time from the start of the run-up to the closest approach to the goal.
         force_n: largest peak force of all collisions.
         x, y, vx, vy: state at the closest approach.
         hits: the collisions, if requested.
@@ -199,7 +199,7 @@ class Rollout:
         flight: the loop's tables, shared between rollouts.
         constraints: constraints of the task, or None to fly every candidate to its end (for comparisons).
         keep_hits: whether arrivals contain their collisions.
-        approached: the first wall as assumed by the approach, or None to use the task's wall.
+        approached: the first wall, as the approach assumes it; None to use the task's wall.
     """
 
     def __init__(
@@ -229,14 +229,14 @@ class Rollout:
         grid: ApproachGrid,
         draw: UncertaintyDraw | None = None,
     ) -> list[Arrivals]:
-        """Compute all mode sequences from the given approaches.
+        """Compute the flights from the given approaches, for all mode sequences.
 
         Args:
             stages: contact stages of this draw.
             normal, tangential: planned velocities; arrays that broadcast with each other.
             grid: result of `approach` for these velocities.
-            draw: random values, or None for the nominal values. Only the offsets of the approach velocity
-                are used, because stages and walls already contain the others.
+            draw: random values, or None for the nominal values. Only the offsets of the approach velocity are
+                used here, because stages and walls already contain the other values.
         """
         firsts = [self._first(stages, i, normal, tangential, grid, draw) for i in range(len(self.task.modes))]
         fronts = [front for front in firsts if front is not None]

@@ -4,7 +4,7 @@ The body that touches a wall is an octagon of known size at a known heading. The
 centre and the touched wall depends on the wall's direction. Contacts at places c_i are therefore on one wall
 with the normal n if
 
-    c_i . n - h_i(n) = offset        for all of them
+    c_i . n - h_i(n) = offset        for all these contacts
 
 This holds for any incidence. The fit uses as few walls as possible. Every contact belongs to one wall, and
 the contacts of a wall are neighbours in direction. Consecutive walls intersect in the corners. If a wall has

@@ -27,7 +27,7 @@ _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 
 
 class SurveyPlan(NamedTuple):
-    """A mission that touches walls, and the walls that it cannot reach.
+    """A mission that touches walls, and the walls that the mission cannot reach.
 
     `unreachable` maps the name of such a wall to the reason.
     """
@@ -90,7 +90,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
 
 
 def _figures(mission: Mission) -> dict[str, float]:
-    """Return default standard deviations, by key, for the walls that have no configured deviations."""
+    """Return mission key -> default standard deviation, for walls that have no configured deviations."""
     figures = {}
     for wall in mission.flat_walls:
         if wall.position_sd_m is None:

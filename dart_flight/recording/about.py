@@ -116,9 +116,9 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
 
 
 def changed_keys(about: dict[str, str]) -> list[str]:
-    """Return descriptions of the keys whose flown value differs from the present constant.
+    """Return descriptions of retired keys whose flown value differs from the present constant.
 
-    These keys of the vehicle configuration are retired: their value is now a constant of the program.
+    A retired key was part of the vehicle configuration. Its value is now a constant of the program.
     """
     return changed_retired(msgspec.json.decode(about["vehicle"])) if "vehicle" in about else []
 

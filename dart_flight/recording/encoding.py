@@ -20,7 +20,7 @@ _WORDS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def encode(record: Record) -> bytes:
-    """Return a record as JSON; records that are equal bit for bit, and only those, have equal JSON."""
+    """Return a record as JSON. Two records have equal JSON exactly if the records are equal bit for bit."""
     data = _ENCODER.encode(record)
     nulls = data.count(b"null")
     # The fast encoder writes null for a missing value and for a number that is not finite.

@@ -15,7 +15,7 @@ class FlightTime:
     """Converts autopilot times to seconds since the flight's zero; receives the records in order.
 
     Attributes:
-        zero_us: autopilot time of 0 s, or None before it is known.
+        zero_us: autopilot time of 0 s, or None before this time is known.
     """
 
     def __init__(self) -> None:

@@ -1,6 +1,6 @@
 """The planned collisions of a flight as flown: `FlownImpact`, built by `ImpactCollector`.
 
-It is the only source of a flight's impacts for verdict, deviations, report, figures and animation.
+Verdict, deviations, report, figures and animation get a flight's impacts only from this module.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class ImpactCollector:
 
     Args:
         mission: the mission flown.
-        anchor: reader of the mission frame; it must process each record before the collector.
+        anchor: reader of the mission frame; the reader must process each record before the collector.
     """
 
     def __init__(self, mission: Mission, anchor: MissionFrameReader) -> None:
@@ -165,7 +165,8 @@ class ImpactCollector:
     def match_truth(self) -> None:
         """Assign a simulated contact with the same wall to every impact.
 
-        If there are several such contacts, the nearest in time is used. If there is none, `contact` is None.
+        If there are several such contacts, the nearest in time is used. Without such a contact, `contact` is
+        None.
         """
         for impact in self.impacts:
             near = [
@@ -191,7 +192,7 @@ class ImpactCollector:
             )
 
     def _newest(self) -> FlownImpact | None:
-        """Return the impact that began with the last onset; None if this contact was not planned."""
+        """Return the impact that began with the last onset; None if the last onset was not planned."""
         return self.impacts[-1] if self.impacts and self.impacts[-1].onset is self._onset else None
 
     def _handle_onset(self, record: ImpactOnset) -> None:

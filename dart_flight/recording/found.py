@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 def find_logs(paths: Iterable[str | Path]) -> list[Path]:
-    """Return every file unchanged, and the flight logs below every folder, sorted by name.
+    """Return each named file as it is, and the flight logs below each folder, sorted by name.
 
     Raises:
         InputError: there is no flight log below a folder.
@@ -35,8 +35,8 @@ def find_logs(paths: Iterable[str | Path]) -> list[Path]:
 def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
     """Return the PX4 logs that belong to the paths, in order.
 
-    A flight log stands for the PX4 logs next to it, a folder for the PX4 logs below it. Any other file is
-    returned unchanged.
+    For a flight log, the PX4 logs next to this log are returned. For a folder, the PX4 logs below the folder
+    are returned. Any other file is returned unchanged.
 
     Raises:
         InputError: there is no PX4 log next to a flight log or below a folder.

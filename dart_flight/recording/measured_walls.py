@@ -23,7 +23,7 @@ class MeasuredWall(msgspec.Struct):
         name: name in the mission.
         point_m: [x, y] of the wall's middle (`given_at: centre`), or of the contact if a probe found the
             wall.
-        normal: [x, y], unit vector into free space.
+        normal: [x, y], unit vector from the wall into free space.
         position_sd_m: standard deviation of the plane's position at `point_m`; null if assumed exact.
         yaw_sd_deg: standard deviation of the plane's direction; null if the direction is assumed exact.
         touched_m: [x, y] of the vehicle's centre at the first touch of the last contact.
@@ -78,7 +78,7 @@ class WallMeasurements:
             self._truths.append(record)
 
     def wall(self, name: str) -> Wall | None:
-        """Return a wall as estimated at its last contact, or None if it was not touched."""
+        """Return a wall as estimated at its last contact, or None if the wall was not touched."""
         return self._found.known_wall(self._walls[name]) if self._found.is_measured(name) else None
 
     def build(self, end_us: int, drawn: Mapping[str, float | str]) -> list[MeasuredWall]:

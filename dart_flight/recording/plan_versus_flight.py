@@ -36,7 +36,7 @@ class Deviation(msgspec.Struct, frozen=True):
 
     @property
     def within(self) -> bool:
-        """Whether there is a flown value and it is within the tolerance."""
+        """Whether there is a flown value and this value is within the tolerance."""
         if isinstance(self.planned, float) and isinstance(self.flown, float):
             return abs(self.flown - self.planned) <= (self.tolerance or 0.0)
         return self.flown == self.planned
@@ -60,9 +60,9 @@ class Prediction(NamedTuple):
 def predict_flight(mission: Mission) -> Prediction:
     """Return the prediction of a mission.
 
-    For each collision, the first available source is used. The sources are the planner's prediction in the
-    mission file, then the approach with the contact law, then the flight model. If the mission replans after
-    every impact, the predicted miss distance at the goal is 0.
+    For each collision, the first available source is used. The sources are, in this order: the planner's
+    prediction in the mission file, the contact law at the planned approach velocity, and the flight model. If
+    the mission replans after every impact, the predicted miss distance at the goal is 0.
     """
     velocities, places, miss_m = dict[int, Velocities](), dict[int, Vec2](), None
     for collision in mission.collisions:

@@ -48,7 +48,7 @@ class DamagedLogError(Exception):
 class LogEntry(msgspec.Struct, frozen=True, gc=False):
     """One record of a log.
 
-    An input has its own number. Any other record has the number of the input that caused it.
+    An input has its own number. Any other record has the number of the input that caused the record.
     """
 
     number: int

@@ -1,8 +1,7 @@
 """The verdict on a flight: a pure function of its records (decisions, samples, truth).
 
-It is the only source for every world, for `--json`, for the terminal and for the report. For a recorded
-flight use `verdict_of`. During a flight, pass every record to `VerdictBuilder.add`, in order, and then call
-`build`.
+Every world, `--json`, the terminal and the report use only this verdict. For a recorded flight use
+`verdict_of`. During a flight, pass every record to `VerdictBuilder.add`, in order, and then call `build`.
 """
 
 from __future__ import annotations
@@ -58,10 +57,11 @@ _KEPT = 1024  # samples of estimate and truth that wait for each other: 8 s at 1
 class ResetFigures(msgspec.Struct):
     """One reset of PX4's estimator.
 
-    PX4's reset counter changes at a reset. The steps are the largest within 0.1 s of this change.
+    PX4's reset counter changes at a reset. The steps are the largest steps within 0.1 s of this change.
 
     Attributes:
-        position_m, velocity_m_s: steps that the motion does not explain.
+        position_m: step of the position beyond the motion that the estimated velocities predict.
+        velocity_m_s: step of the estimated velocity.
         heading_deg: step of the heading that the gyro does not explain, positive clockwise from above.
     """
 
@@ -72,7 +72,7 @@ class ResetFigures(msgspec.Struct):
 
 
 class Px4Figures(msgspec.Struct):
-    """Figures from PX4's log, while armed.
+    """Figures from PX4's log for the time in which the vehicle was armed.
 
     Attributes:
         version: version of PX4, or None if not reported.
@@ -291,7 +291,7 @@ class VerdictBuilder:
             self._settled.add(record.mode)
 
     def impacts(self) -> list[FlownImpact]:
-        """Return the impacts so far; in simulation, each has the values of its simulated contact."""
+        """Return the impacts so far; in simulation, each impact has the values of its simulated contact."""
         self._impacts.match_truth()
         return self._impacts.impacts
 
@@ -343,8 +343,8 @@ class VerdictBuilder:
     def _goal_reached(self) -> bool | None:
         """Return whether the vehicle came within the goal's capture radius, or None before the flight's end.
 
-        The nearest distance is the miss distance if the vehicle passed the goal. Otherwise it is a completed
-        flight's final distance from the goal.
+        The nearest distance is the miss distance if the vehicle passed the goal. If not, and if the flight
+        was completed, the nearest distance is the final distance from the goal.
         """
         if self.end is None:
             return None
@@ -367,7 +367,7 @@ class VerdictBuilder:
 
 
 def _merge_handlers(*parts: Mapping[type, Callable[[Any], None]]) -> dict[type, Callable[[Any], None]]:
-    """Return for each kind of record one function that calls the handlers of all parts, in order."""
+    """Return one function per kind of record. The function calls the handlers of all parts, in order."""
     by_kind: dict[type, list[Callable[[Any], None]]] = {}
     for part in parts:
         for kind, handler in part.items():

@@ -1,10 +1,10 @@
 """The flight log: MCAP with JSON messages and their JSON Schemas, which Foxglove opens directly.
 
 Each record type has a channel (`topic` in `base.records`). The inputs of the core are numbered, and the
-sequence number of each message is an input's number. For a recorded input, this is the input's own number.
-For any other record, this is the number of the input that caused the record. A replay feeds the inputs in the
-order of their numbers. Log times are on the autopilot's clock. `ClockOffset` relates this clock to the host's
-monotonic clock, and the description of the flight relates the monotonic clock to the calendar.
+sequence number of each message is an input's number. A recorded input has its own number. Any other record
+has the number of the input that caused the record. A replay feeds the inputs in the order of their numbers.
+Log times are on the autopilot's clock. `ClockOffset` relates this clock to the host's monotonic clock, and
+the description of the flight relates the monotonic clock to the calendar.
 
 A separate thread encodes and writes the records in small chunks, so a killed process loses the records of at
 most 0.2 s. Once a second the thread syncs the chunks to the disk, because a crash of the vehicle may
@@ -110,7 +110,8 @@ class FlightLog:
     Attributes:
         lost: number of records that were not written.
         failure: reason why the log stopped before the flight ended, or None.
-        patience_s: timeout of each of the two waits of `close` for the disk, seconds.
+        patience_s: timeout of `close`, seconds. `close` waits for the disk twice, each time up to this
+            timeout.
 
     Raises:
         OSError: the file cannot be created.

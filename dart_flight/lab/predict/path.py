@@ -52,7 +52,7 @@ def _nodes() -> _Nodes:
 class _Integral:
     """The integral and the double integral of a function, from time 0 to any time.
 
-    The function is integrated numerically on [0, end]. Before 0 and after `end` the function is constant.
+    Quadrature computes the integrals from 0 to `end`. Outside of this interval the function is constant.
     """
 
     def __init__(self, function: Callable[[Array], Array], end: float, before: float, after: float) -> None:
@@ -78,14 +78,14 @@ class _Integral:
 
     @cached_property
     def _twice(self) -> tuple[Array, Array]:
-        """The integral at the nodes, and the Chebyshev series of the double integral."""
+        """Values of the integral at the quadrature nodes, and Chebyshev series of the double integral."""
         at_nodes = _nodes().at_nodes @ self._once
         return at_nodes, self._primitive(at_nodes)
 
     def _inside(self, series: Array, t: Array) -> Array:
         """Return the values of a series at the times `t`.
 
-        Before the contact a series is 0. After the contact it keeps its last value.
+        The values are 0 before the contact. After the contact they keep the last value.
         """
         value = np.where(t > 0.0, series.sum(), 0.0)
         inside = (t > 0.0) & (t < self._end)
@@ -112,7 +112,7 @@ class ContactMotion:
         mass_kg: vehicle mass.
         normal_m_s: normal velocity at the onset, collision frame; negative or 0.
         onset: onset rule.
-        acceleration_m_s2: constant acceleration along the normal from other causes than the contact, such as
+        acceleration_m_s2: constant acceleration along the normal that the contact does not cause, such as
             gravity in a drop. This acceleration also acts before and after the contact.
 
     Attributes:
@@ -151,7 +151,7 @@ class ContactMotion:
         self._horizon = min(self.end_s, _SETTLED / (slowest * self._omega))
 
     def normal(self, time_s: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return position m, velocity m/s and force N along the normal, with free flight before and after."""
+        """Return position (m), velocity (m/s) and force (N) along the normal, also in free flight."""
         t = np.asarray(time_s, dtype=float)
         a = self.acceleration_m_s2
         if not self.has_contact:
@@ -217,7 +217,7 @@ class ContactMotion:
         return _Integral(self._share, self._horizon, 0.0, held)
 
     def _share(self, time_s: Array) -> Array:
-        """Return the acceleration in m/s2 that the vertical force causes if its coefficient nu is 1 N."""
+        """Return the acceleration (m/s2) by the vertical force, for a coefficient nu of 1 N."""
         force = self.normal(time_s)[2]
         return force / (1.0 + force) / self.mass_kg
 

@@ -381,8 +381,8 @@ def _mean(values: Sequence[float]) -> tuple[float, float]:
 def beyond(disagreement: dict[str, tuple[float, float]]) -> bool:
     """Return whether the measured peak forces of a material contradict the contact law.
 
-    The condition: the magnitude of a mean disagreement exceeds `AGREES`, and half the width of its 95 %
-    interval.
+    The condition: the magnitude of a mean disagreement exceeds both `AGREES` and half the width of the mean's
+    95 % interval.
     """
     return any(abs(mean) > max(half, AGREES) for mean, half in disagreement.values())
 

@@ -65,10 +65,10 @@ class Compared(msgspec.Struct):
     def error_percent(self) -> float | None:
         """The error of the measured value relative to the true value, in percent.
 
-        If the true value is unknown, the predicted value replaces it. If the predicted value is unknown too,
-        the planned value replaces it.
+        If the true value is unknown, the error is relative to the predicted value. If both are unknown, the
+        error is relative to the planned value.
 
-        The error is None for a velocity near 0, because a ratio is meaningless there.
+        For a velocity near 0 the error is None, because the ratio is meaningless.
         """
         sources = (self.true, self.predicted, self.planned)
         reference = next((v for v in sources if v is not None), None)
@@ -87,9 +87,9 @@ class Impact:
         at_s: time of detection, s, counted as in `FlightArrays`.
         prediction: the predicted hit over time; its times count from the predicted onset.
         predicted: figures of the predicted hit.
-        onset_s: time of the predicted onset, s, counted as in `FlightArrays`. It is chosen so that the
-            predicted and the measured peak coincide. If no peak was measured, it is chosen so that the
-            predicted force reaches the detection threshold at `at_s`.
+        onset_s: time of the predicted onset, s, counted as in `FlightArrays`. With this time, the predicted
+            and the measured peak coincide. If no peak was measured, the predicted force reaches the detection
+            threshold at `at_s`.
         compared: planned, predicted, measured and true figures.
     """
 
@@ -155,12 +155,12 @@ class Impact:
 
     @property
     def disagreement(self) -> float | None:
-        """Measured over predicted peak normal force, minus one; None if a peak is unknown or clipped."""
+        """Measured peak normal force / predicted peak - 1; None if a peak is unknown or clipped."""
         return self._excess("peak normal force", 0.0)
 
     @property
     def friction_disagreement(self) -> float | None:
-        """Measured over predicted peak friction, minus one; None if unknown, clipped or too small."""
+        """Measured peak friction / predicted peak - 1; None if a peak is unknown, clipped or too small."""
         return self._excess(_FRICTION, _MIN_FRICTION_N)
 
     def _excess(self, name: str, least_n: float) -> float | None:
@@ -183,11 +183,11 @@ class Timing(msgspec.Struct):
     """Latencies and jitter of a flight, milliseconds; arrays (n,).
 
     Attributes:
-        setpoint_interval_ms: intervals between successive setpoints. A setpoint is timed here by the receipt
-            of the sample that triggered it.
+        setpoint_interval_ms: intervals between successive setpoints. The time of a setpoint is here the time
+            at which the sample that triggered this setpoint was received.
         imu_delay_ms: delays from the stamp of an IMU sample to its receipt, minus the smallest delay.
-        recovery_ms: latencies of recoveries. Each begins when the sample that triggers the recovery is
-            received, and ends when the recovery setpoint is sent.
+        recovery_ms: latencies of recoveries: from the receipt of the sample that triggers the recovery until
+            the recovery setpoint is sent.
     """
 
     setpoint_interval_ms: Array
@@ -246,7 +246,7 @@ class RecordedFlight:
 
     @cached_property
     def shown_span(self) -> tuple[float, float]:
-        """The time span of figures over the whole flight, from the climb to a second into the landing."""
+        """The time span of whole-flight figures: from the climb to one second after the landing begins."""
         times = self.course.estimated.time_s
         if not times.size:
             return 0.0, 1.0
@@ -285,7 +285,7 @@ class RecordedFlight:
     def answered_ms(self, request: PlanRequest, answer: PlanAnswer) -> float | None:
         """Return the planner's response time, ms; None if the sample that triggered the request is unknown.
 
-        The time begins when that sample was received and ends when the answer was received.
+        The response time begins at the receipt of this sample and ends at the receipt of the answer.
         """
         before = [s.received_us for s in self.course.all(ImuSample) if s.t_us <= request.t_us]
         return (answer.received_us - before[-1]) * 1e-3 if before else None

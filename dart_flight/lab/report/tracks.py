@@ -37,8 +37,8 @@ class Angles(NamedTuple):
     Attributes:
         time_s: times, s.
         yaw: counter-clockwise from the mission's x axis, unwrapped.
-        pitch: nose up.
-        roll: left side up.
+        pitch: positive with the nose up.
+        roll: positive with the left side up.
     """
 
     time_s: Array

@@ -1,7 +1,7 @@
 """Rooms, vehicles and forces as primitives of foxglove.SceneUpdate.
 
-Positions are in the mission frame (x along its heading, y left, z up) or the vehicle's (forward, left, up),
-metres.
+Positions are in metres, in the mission frame (x along the mission's heading, y left, z up) or the vehicle
+frame (forward, left, up).
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def ball(at: Vec3, diameter_m: float, colour: Color) -> SpherePrimitive:
 
 
 def arrow(at: Vec3, force_n: Vec3, colour: Color) -> ArrowPrimitive:
-    """Return an arrow for a force, with a length proportional to it."""
+    """Return an arrow for a force; the length of the arrow is proportional to the force."""
     x, y, z = force_n
     length = FORCE_SCALE_M_PER_N * math.sqrt(x * x + y * y + z * z)
     head = min(0.08, 0.5 * length)
@@ -117,7 +117,7 @@ def _turned_to(v: Vec3) -> Rotation:
 
 
 def entity(t_us: int, name: str, frame: str = MISSION, **primitives: Sequence[object]) -> SceneEntity:
-    """Return primitives under one name; a later entity of that name replaces them."""
+    """Return an entity that consists of primitives. A later entity of the same name replaces this entity."""
     return SceneEntity(
         timestamp=timestamp(t_us),
         frame_id=frame,
@@ -149,7 +149,7 @@ def _bounds(mission: Mission, t_us: int) -> SceneEntity:
 
 
 def height_over(mission: Mission) -> float:
-    """Return the height up to which walls are drawn, metres; vehicles within the bounds stay lower."""
+    """Return the height up to which walls are drawn, metres: somewhat above the bounds."""
     return mission.bounds.z[1] + _OVER_BOUNDS_M
 
 
@@ -268,7 +268,7 @@ def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
 
 
 def _arm(x: float, y: float, colour: Color) -> CylinderPrimitive:
-    """Return a rod from the centre to a motor; a cylinder's axis is z."""
+    """Return a cylinder from the centre to a motor; the cylinder's axis z is rotated to the motor."""
     length, yaw = math.hypot(x, y), math.atan2(y, x)
     half = math.sqrt(0.5)
     # Pitched by a quarter turn, then turned to the motor.

@@ -2,7 +2,8 @@
 
 On the flight's own thread a record costs a type check and an append. A thread of this module downsamples,
 encodes and writes to a non-blocking pipe; records that do not fit are dropped and counted. Translation,
-WebSocket and viewers run in a separate process (`scene.server`), whose failure only prints a line.
+WebSocket and viewers run in a separate process (`scene.server`). If this process fails, the flight only
+prints a line.
 """
 
 from __future__ import annotations
@@ -120,7 +121,7 @@ class LiveViewProcess:
                 self._waiting.append(record)
 
     def feed(self, record: Record) -> None:
-        """Queue a record, and wait if the queue is full; for records read from a log."""
+        """Queue a record that was read from a log, and wait if the queue is full."""
         while len(self._waiting) >= _MAX_WAITING and self._thread.is_alive():
             time.sleep(_TURN_S)
         self(record)

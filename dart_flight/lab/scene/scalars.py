@@ -1,6 +1,6 @@
 """Records for the plots of a flight: small sets of numbers.
 
-The records are published as JSON. Their schemas are made in the same way as those of the flight log.
+The records are published as JSON. Their schemas are made in the same way as the schemas of the flight log.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dart_flight.base.records import Record
 
 
 class VehicleState(Record, frozen=True, gc=False):
-    """Pose, phase, arms and battery of the vehicle, by PX4's estimate."""
+    """Pose (as estimated by PX4), phase, arms and battery of the vehicle."""
 
     topic: ClassVar[str] = "/flight/state"
     t_us: int

@@ -1,9 +1,9 @@
 """The process of a live view: records arrive on standard input, viewers connect by WebSocket.
 
 The first line is a `LiveViewSpec`. Each further line is one record: its topic, a blank, and its JSON as in
-the flight log. After opening the port, or failing to open it, the process prints one line of JSON
-(`PortStatus`) and nothing after that line. The process runs with idle priority and ends when its standard
-input ends. Viewers cannot publish: the server's only capability is the time of the flight.
+the flight log. The process tries to open the port, prints the result as one line of JSON (`PortStatus`), and
+prints nothing else. The process runs with idle priority and ends when its standard input ends. Viewers cannot
+publish: the server's only capability is the time of the flight.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Broadcast:
         self._server.stop()
 
     def _welcome(self) -> None:
-        """Publish the lasting messages again for each new viewer.
+        """For each new viewer, publish again the messages that are published only on changes.
 
         This loop has its own thread, because a viewer may connect while no records arrive.
         """

@@ -1,7 +1,8 @@
 """Translation of our records to standard schemas, for the live view and for the export of a log.
 
-The frames are `mission` (x along its heading, y left, z up) and its child `vehicle` (forward, left, up). In
-`lab.scene` only this module converts PX4's NED and FRD, with `MissionFrame`.
+The frames are `mission` (x along the mission's heading, y left, z up) and its child `vehicle` (forward, left,
+up). In `lab.scene` only this module converts vectors from PX4's NED and FRD. The conversion uses
+`MissionFrame`.
 """
 
 from __future__ import annotations
@@ -89,8 +90,9 @@ class Message(NamedTuple):
 
 
 class FlownTrajectory:
-    """The path flown so far, as points at least `_step_m` apart; if there are too many, every second
-    point is dropped.
+    """The path flown so far, as points at least `_step_m` apart.
+
+    If there are too many points, every second point is dropped, and `_step_m` is doubled.
     """
 
     def __init__(self) -> None:
@@ -115,8 +117,8 @@ class SceneTranslator:
         frame: the mission frame in local NED, if known beforehand. If not, the frame comes from the flight's
             anchor record. Until that record, each reported position counts as the take-off point.
         show_room: whether to show the mission's room and plan.
-        from_truth: whether to show the true motion of the vehicle. This is for a vehicle that this software
-            simulates but does not fly.
+        from_truth: whether to show the true motion of the vehicle. Use this if this software simulates the
+            vehicle but does not fly it.
     """
 
     def __init__(
@@ -270,8 +272,8 @@ class SceneTranslator:
     def _along_wall(self, force: Vec3, position: Vec3 | None) -> tuple[float, float, float, float]:
         """Return a force as (magnitude, normal, tangential, upward component).
 
-        Normal and tangential components refer to the nearest wall. If there is no wall, they are the
-        components along x and y.
+        Normal and tangential components refer to the nearest wall. Without a wall, they are the components
+        along x and y.
         """
         walls = self._mission.walls if self._show_room and position is not None else ()
         if not walls or position is None:

@@ -14,8 +14,8 @@ def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list
     """Predict the path of a mission for many sets of walls that differ at random from the mission's walls.
 
     The contact coefficients k, f and mu are drawn for every wall and mode. Their relative standard deviation
-    is `estimation.walls.spread` (the prior of a wall). If the mission gives a wall an uncertainty, the
-    position and direction of this wall are drawn too. Approaches stay as planned.
+    is `estimation.walls.spread`, as in the prior of a wall's estimate. If the mission gives a wall an
+    uncertainty, the position and direction of this wall are drawn too. Approaches stay as planned.
 
     Args:
         mission: supplies approaches, modes and gains.

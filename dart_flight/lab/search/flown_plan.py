@@ -1,8 +1,8 @@
 """Simulated flights of plans in the fast world, and the choice of the plan to offer; used by `plan`.
 
-`fly_mission` flies a mission once in the nominal world, and twenty times in drawn worlds: worlds that differ
-at random from the nominal world (docs/draws.md). `choose_flown` compares the flight times with and without
-hits. The times count from take-off to landing, so they include touches of the walls before the hits.
+`fly_mission` flies a mission once in the nominal world, and twenty times in drawn worlds. A drawn world
+differs at random from the nominal world (docs/draws.md). `choose_flown` compares the flight times with and
+without hits. The times count from take-off to landing, so they include touches of the walls before the hits.
 """
 
 from __future__ import annotations
@@ -148,9 +148,9 @@ def choose_flown(
 ) -> OfferedPlan:
     """Fly the plans of a search in simulation and choose the one to offer.
 
-    A plan with hits must succeed in simulation. It is then offered if it saves time from take-off to landing,
-    or if the scenario demands its hits or touches. If the plan succeeds only with touches before the hits, it
-    is offered with these touches.
+    A plan with hits must succeed in simulation. A successful plan with hits is offered if it saves time from
+    take-off to landing, or if the scenario demands its hits or touches. A plan that succeeds only with
+    touches before the hits is offered with these touches.
 
     Args:
         result: result of the search.

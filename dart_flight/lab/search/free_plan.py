@@ -1,9 +1,9 @@
-"""The fastest flight without a collision. Colliding plans have the same limits and are compared with it.
+"""The fastest flight without a collision, for comparison with colliding plans of the same limits.
 
-Along a straight line the time is the optimum from Ruckig (time-optimal with bounded speed, acceleration and
-jerk). Around walls it is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).
-`gap_s` bounds the improvement by any other flight. It is the plan's time minus a lower bound: the time along
-a straight line whose length is that of the shortest path around the walls' edges.
+Along a straight line, Ruckig finds the optimum (time-optimal with bounded speed, acceleration and jerk).
+Around walls, the plan is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).
+No other flight is faster by more than `gap_s`, the plan's time minus a lower bound. The lower bound is the
+time along a straight line as long as the shortest path around the walls' edges.
 """
 
 from __future__ import annotations

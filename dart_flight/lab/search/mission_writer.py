@@ -135,10 +135,10 @@ def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
 def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Vec2:
     """Return the gains (A_n, A_t) of a hit's recovery setpoint, m/N.
 
-    The recovery setpoint is active from the peak of the hit until the replanned trajectory begins. The gains
-    keep the thrust per mass u of the moment of the hit. u is a + drag v_in, with the acceleration a and the
-    velocity v_in at the onset. PX4's position loop commands kv (kp A F - v_out), with the gain A, the peak
-    force F, the outgoing velocity v_out, kp = MPC_XY_P and kv = MPC_XY_VEL_P_ACC. This command equals u.
+    The recovery setpoint is active from the peak of the hit until the replanned trajectory begins. With these
+    gains, the thrust per mass stays at u, its value at the onset: u = a + drag v_in, with the acceleration a
+    and the velocity v_in at the onset. PX4's position loop commands kv (kp A F - v_out), with the gain A, the
+    peak force F, the outgoing velocity v_out, kp = MPC_XY_P and kv = MPC_XY_VEL_P_ACC. This command equals u.
     """
     response, px4 = ContactResponse.at_wall(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
@@ -193,7 +193,7 @@ def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | N
 def write_mission(
     scenario: Scenario, plan: Plan | QuickestPlan, target: Path, flown: FlownRecord | None = None
 ) -> str:
-    """Write the mission file, validate it as `dry-run` will read it, and return its text.
+    """Write the mission file, validate the file in the same way as `dry-run`, and return its text.
 
     Raises:
         InputError: the file cannot be written.

@@ -1,14 +1,13 @@
-"""The fastest flight through given events (visits, hits, corners) within limits, as an optimal control
-problem.
+"""The fastest flight through events (visits, hits, corners) within limits, as an optimal control problem.
 
-Between two events the jerk is constant over each of several equal intervals. Position, velocity and
+The time between two events is divided into equal intervals of constant jerk. Position, velocity and
 acceleration are therefore polynomials of the time, and the states at the ends of an interval are exact
 (direct multiple shooting). The solver chooses the duration between two events. A hit changes the velocity by
-the contact law in closed form (`ContactResponse`) and lasts as long as the contact. For `dead_s` after the
-hit the thrust stays constant, because the attitude cannot jump and the next leg is planned meanwhile. The
-drag is proportional to the velocity. CasADi states the problem and its derivatives, and IPOPT solves the
-problem (extra `plan`). To keep clear of walls and posts, each part of a path stays inside half-planes and
-outside discs.
+the contact law in closed form (`ContactResponse`) and lasts as long as the contact. After the hit, the thrust
+stays constant for `dead_s`: the attitude cannot jump, and the next leg is planned meanwhile. The drag is
+proportional to the velocity. CasADi states the problem and its derivatives, and IPOPT solves the problem
+(extra `plan`). To keep clear of walls and posts, each part of a path stays inside half-planes and outside
+discs.
 """
 
 from __future__ import annotations
@@ -69,9 +68,9 @@ class HitLimits(NamedTuple):
         friction_ratio: largest ratio of friction to normal force.
         detectable_n: smallest normal force that is detected.
         thrust_m_s2: mode -> (smallest, largest) thrust per mass at the hit, positive away from the wall. A
-            contact rotates a tilted vehicle, and a longer contact rotates it further. With flexible arms the
-            vehicle must therefore be nearly level at the hit. Otherwise the vehicle turns over and loses its
-            velocity (docs/results/faster_hits.md).
+            contact rotates a tilted vehicle, and a longer contact causes a larger rotation. With flexible
+            arms the vehicle must therefore be nearly level at the hit. Otherwise the vehicle turns over and
+            loses its velocity (docs/results/faster_hits.md).
         thrust_along_m_s2: largest thrust per mass along the wall at the hit.
     """
 
@@ -91,8 +90,8 @@ class ContactResponse(NamedTuple):
         restitution: outgoing over incoming normal velocity.
         contact_s: duration of the contact.
         lead_s: with `onset: lcp`, the force begins before the vehicle reaches the plane of first touch, and
-            ends before the vehicle is back at the plane. The distance to the plane is then `lead_s` times
-            the normal speed.
+            ends before the vehicle is back at the plane. At both times, the distance to the plane is `lead_s`
+            times the normal speed.
         peak_n_per_m_s: peak of the normal force, divided by the incoming velocity.
         friction_s_per_m: decay of the velocity along the wall. A hit multiplies this velocity by
             exp(-friction_s_per_m * incoming velocity).

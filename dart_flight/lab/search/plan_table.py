@@ -29,7 +29,7 @@ def with_objective(scenario: Scenario, objective: Objective) -> Scenario:
 
 
 def plan_summary(result: SearchResult) -> dict[str, Any]:
-    """Return the object of `plan --json`: ranking, counts by reason and time used."""
+    """Return the object of `plan --json`: ranking, rejected candidates by reason, and time used."""
     return {
         "scenario": result.scenario.name,
         "objective": result.scenario.objective.value,
@@ -87,7 +87,7 @@ def plan_table(result: SearchResult) -> Table:
 
 
 def describe_free(free: FreePlan | None, best: Plan) -> str:
-    """Return a sentence that compares the free plan with the best colliding one."""
+    """Return a sentence that compares the free plan with the best colliding plan."""
     if free is None:
         return f"without any collision: unknown, ruckig is not installed: {install_command('plan')}"
     if free.time_s is None:
@@ -158,7 +158,7 @@ def quickest_table(result: QuickestResult) -> Table:
 
 
 def describe_quickest(result: QuickestResult) -> str:
-    """Return a sentence that compares the colliding plan with the free one."""
+    """Return a sentence that compares the colliding plan with the free plan."""
     limits, gap = limits_of(result.scenario), ""
     jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
     text = f"planned, at {limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}: "

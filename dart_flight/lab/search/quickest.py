@@ -1,11 +1,11 @@
 """The fastest flight from the start through the visits to the goal, with any number of hits that save time.
 
-The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time: the
-least time for the shortest path through the events, in straight legs within the same limits, plus the time of
-the contacts. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of
-the best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds
-places, velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is faster
-and the servo has enough time.
+The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time. The
+bound is the sum of the contact times and of the least times for the straight legs of the shortest path
+through the events. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the
+time of the best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`)
+finds places, velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is
+faster and the servo has enough time.
 """
 
 from __future__ import annotations
@@ -95,7 +95,8 @@ class QuickestResult(msgspec.Struct, frozen=True):
         colliding: the fastest plan with hits; None if no plan with hits can be faster than the free plan.
         computed, pruned: number of computed sequences, and number of sequences excluded by their bounds.
         gap_s: largest time by which a sequence that was not computed could be faster than the best plan.
-        most_hits: limit on the number of hits; None if no longer sequence could be faster than the best plan.
+        most_hits: limit on the number of hits; None if no sequence with more hits could be faster than the
+            best plan.
         elapsed_s: duration of the search.
     """
 
@@ -152,7 +153,7 @@ def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPl
     """Return the fastest plan that a scenario allows.
 
     Raises:
-        InputError: the scenario allows neither the plan with hits nor the plan without.
+        InputError: the scenario allows neither the plan with hits nor the plan without hits.
     """
     demanded = _demanded(scenario)
     found = [colliding] if demanded else [free, colliding]
@@ -235,10 +236,10 @@ class LeastTimes:
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
-        """Return the time and the distance between an end of a leg and the point with a given speed.
+        """Return the time and the distance between an end of a leg and the point at which a speed is reached.
 
-        Both are arrays with one entry for each of `_speeds`. If `levels` is True, the acceleration must be
-        zero when the speed is reached.
+        Time and distance are arrays with one entry for each speed of `_speeds`. If `levels` is True, the
+        acceleration must be zero when the speed is reached.
         """
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)
@@ -407,8 +408,8 @@ class _Search:
     def _largest_speed_after_hit_m_s(self) -> float:
         """Return an upper bound on the speed after any hit.
 
-        The bound assumes the largest velocity along the wall and no friction. The normal velocity is limited
-        by the rest of the speed limit, and reduced by the restitution.
+        The bound assumes the largest velocity along the wall and no friction. The normal velocity is the
+        largest within the limits of the total speed and of a hit, multiplied by the restitution.
         """
         fastest, hits, left = self.limits.speed_m_s, self.hits, 0.0
         for wall, mode in itertools.product(self.walls, self.scenario.modes):
@@ -511,13 +512,13 @@ def _count_hits(events: Sequence[Event]) -> int:
 
 
 def _serves(wall: Wall, visit: Visit) -> bool:
-    """Return whether the vehicle can pass the place of a visit at the moment at which it hits a wall."""
+    """Return whether the vehicle can pass the place of a visit while the vehicle hits a wall."""
     off_m = math.hypot(wall.signed_distance(visit.place), min(0.0, wall.end_distance_m(visit.place)))
     return off_m <= visit.within_m
 
 
 def _repeats(events: Sequence[Event]) -> bool:
-    """Return whether two consecutive events are at the same wall, so that one hit would suffice."""
+    """Return whether one hit of a wall would serve two consecutive events."""
     return any(
         isinstance(hit, Hit)
         and (
@@ -567,7 +568,7 @@ def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
 
 
 def _nearest_in(visit: Visit, place: Vec2) -> Vec2:
-    """Return the point of a visit's disc nearest to a place."""
+    """Return the point in a visit's disc that is nearest to a place."""
     away = distance2(visit.place, place)
     if away <= visit.within_m:
         return place

@@ -1,8 +1,8 @@
 """Shortest polylines past walls and posts, and regions that keep each part of a polyline clear of obstacles.
 
-Each part of a path stays on one side of every wall: in a half-plane in front of the wall or behind it. If a
-part leads past a wall's end, the part stays beyond this end. From walls' edges and from posts, a part keeps a
-distance of at least half a vehicle plus a margin.
+Each part of a path stays on one side of every wall: in the half-plane in front of the wall or behind the
+wall. If a part leads past a wall's end, the part stays beyond this end. The distance of a part from walls'
+edges and from posts is at least half a vehicle plus a margin.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def least_length_m(begin: Vec2, end: Vec2, obstacles: Obstacles) -> float:
 
 
 def _shortest_through(places: Sequence[Vec2], blocked: Callable[[Vec2, Vec2], bool]) -> list[Vec2] | None:
-    """Return the shortest polyline from the first place to the second, through any others (Dijkstra)."""
+    """Return the shortest polyline from places[0] to places[1], through any other places (Dijkstra)."""
     best, queue = {0: 0.0}, [(0.0, 0)]
     previous: dict[int, int] = {}
     while queue:
@@ -150,7 +150,7 @@ def _within_bounds(places: Sequence[Vec2], bounds: BoundsSpec) -> list[Vec2]:
 def _cuts(disc: Disc, a: Vec2, b: Vec2) -> bool:
     """Return whether a straight path enters a disc.
 
-    If the path begins or ends in the disc, it enters only if it comes nearer to the centre than both ends.
+    A path that begins or ends inside the disc counts only if it comes nearer to the centre than both ends.
     """
     nearest_m = distance_to_segment(disc.centre, a, b)
     return nearest_m < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))
@@ -222,7 +222,7 @@ def regions(
         begin, end: ends of the path. The path must be unobstructed.
         obstacles: all obstacles.
         touched: walls hit at the begin or end of the path; the path may reach the planes of these walls.
-        after_hit: whether a hit was the previous event.
+        after_hit: whether the previous event was a hit.
     """
     found: list[Region] = [*obstacles.discs]
     past_end_m = _PAST_END_M + (_AFTER_HIT_M if after_hit else 0.0)

@@ -138,8 +138,9 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
         walls: the walls by name; walls outside the sequence are obstacles.
         posts: posts by name, as obstacles; only with the objective quickest.
         touch_m_s: speed of touches before the hits; only with the objective quickest. Before the hits, the
-            vehicle flies from the start to each wall to be hit, touches it at this speed, and returns. The
-            touches measure the walls' direction and vertical force. Without this key there are no touches.
+            vehicle flies from the start to each wall to be hit, touches the wall at this speed, and returns.
+            The touches measure the walls' direction and vertical force. Without this key there are no
+            touches.
         sequence: walls in the order of the hits: up to four, or up to 16 with the objective quickest. With
             `any` the planner chooses walls and order. With `any` and quickest it may also choose no wall.
         search: the approaches to try; the objective quickest does not use this key.
@@ -180,10 +181,10 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
 
     Attributes:
         spec: the file's content; keys that a mission shares, such as walls, are copied into the mission file.
-        vehicle_path: file of the configuration, or None for the default one.
+        vehicle_path: file of the configuration, or None for the default configuration.
         vehicle_source: source of the configuration; None if the caller passed the configuration as an object.
-        walls: walls by name. The plane of a wall is where the vehicle's centre is when the vehicle touches
-            the wall.
+        walls: walls by name. The vehicle's centre is in the plane of a wall when the vehicle touches the
+            wall.
         sequences: sequences to search, each with its walls in the order of the hits. There is one sequence,
             or several if the file contains `any`.
         chosen_by_planner: whether the planner chooses the sequence.
@@ -224,7 +225,7 @@ def load_scenario(
 
     Args:
         path: the scenario, or a mapping with the content of a file.
-        config: vehicle configuration to use instead of the one that the scenario names.
+        config: vehicle configuration to use instead of the scenario's configuration.
         vehicle: configuration already loaded, for example with parameters read from the vehicle.
         settings: `KEY=VALUE` settings that override the vehicle configuration.
 

@@ -103,11 +103,11 @@ class Plan(msgspec.Struct, frozen=True):
         peak_force_n: largest force of any contact, normal and friction together.
         closest_m: position of the closest approach, mission frame.
         expected_miss_m, worst_miss_m: mean and largest miss of the goal over the random sets of values
-            (draws), only for `robust`. If the plan fails in a draw, the miss counts as the distance from
-            start to goal, but at least as 1 m.
+            (draws), only for `robust`. If the plan fails in a draw, its miss is the distance from start to
+            goal, or 1 m if this distance is smaller.
         failed_draws: share of the draws in which the plan fails because it violates a constraint.
-        time_to_rest_s: time from `start` until the vehicle rests at the goal, within the limits of the free
-            plan.
+        time_to_rest_s: time from `start` until the vehicle rests at the goal. The last part, from the closest
+            approach to rest, uses the motion limits of the free plan.
         saving_s: the free plan's time minus `time_to_rest_s`; negative if the plan with hits is slower.
             Without a free plan, `saving_s` and `time_to_rest_s` are None.
     """
@@ -421,7 +421,7 @@ def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
 
 
 def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
-    """Return the draws of `robust`. All candidates get the same draws; walls and modes are independent."""
+    """Return the draws of `robust`, the same for all candidates; each wall and mode is drawn separately."""
     u = scenario.uncertainty
     rng = np.random.default_rng(seed)
     draws = []

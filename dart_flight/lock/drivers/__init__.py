@@ -1,6 +1,6 @@
 """Drivers of the lock's servo: one interface, one file per driver, and a table of the drivers.
 
-Calls may block for some tens of milliseconds, so a shell makes them in a separate thread. A driver raises
+Calls may block for some tens of milliseconds, so the caller makes them in a separate thread. A driver raises
 only `DriverError`, for any failure of the hardware. The driver stays usable afterwards: the next call tries
 to reach the hardware again, so a cable may be unplugged and reconnected. docs/extending.md describes how to
 add a driver.
@@ -42,7 +42,7 @@ class Driver(Protocol):
         """Connect to the hardware without moving anything; may be called again."""
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Output this pulse width in us; return after the hardware has received it."""
+        """Output this pulse width in us; return after the hardware has received the pulse width."""
 
     def release(self) -> None:
         """Switch the pulses off."""

@@ -60,7 +60,8 @@ class MaestroDriver:
 
         Raises:
             DriverError: no Maestro answers, or the port does not exist, is not writable, is not a serial port
-                or is in use. If the port cannot be opened, `key` of the error is the port's key.
+                or is in use. If the port cannot be opened, the error's `key` is the configuration key of the
+                port.
         """
         if self._port is not None:
             return
@@ -86,7 +87,7 @@ class MaestroDriver:
         self._command(SET_SPEED, speed)
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Output this pulse width in us; with a speed limit the controller ramps to it."""
+        """Output this pulse width in us; if a speed limit is set, the controller ramps to this width."""
         self._command(SET_TARGET, round(pulse_us * QUARTERS_PER_US))
 
     def release(self) -> None:

@@ -1,6 +1,7 @@
 """A modelled servo behind a modelled controller, on the shell's time base; nothing real moves.
 
-The faults are those of a real lock. In a dry-run the shell passes `horn_pulse_us` to the simulated vehicle.
+The modelled faults also occur in a real lock. In a dry-run the shell passes `horn_pulse_us` to the simulated
+vehicle.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@
     pwmchipN/pwmM/polarity       normal or inversed; can be written only while disabled
     pwmchipN/pwmM/enable         1 or 0
 
-A Raspberry Pi's own chip is identified by its device, because its number depends on the kernel. GPIO 18 has a
-different channel on a Raspberry Pi 5 (Pioreactor/rpi_hardware_pwm#10, raspberrypi/linux#6818).
+The PWM chip of a Raspberry Pi is identified by its device, because the chip's number depends on the kernel.
+GPIO 18 has a different channel on a Raspberry Pi 5 (Pioreactor/rpi_hardware_pwm#10, raspberrypi/linux#6818).
 
 The channel stays exported when the program ends, because unexporting it would stop the pulses.
 """

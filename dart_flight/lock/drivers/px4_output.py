@@ -2,7 +2,7 @@
 
 PX4 acknowledges the command whether or not a servo is connected. Before arming, PX4 moves the output only if
 COM_PREARM_MODE permits this. `required_parameters` lists the parameters and values that the servo needs.
-`parameter_problems` compares them with the values on the vehicle.
+`parameter_problems` compares this list with the values on the vehicle.
 """
 
 from __future__ import annotations

@@ -124,7 +124,7 @@ def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Arra
 
 
 def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], dict[str, Any], str]]:
-    """Return ((times, places), style, name) of each known flown path; a true path comes first."""
+    """Return ((times, places), style, name) of each flown path: the true path, then the estimated path."""
     air = flight.airborne
     found = []
     for motion, style, label in (

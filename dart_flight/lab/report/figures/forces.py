@@ -28,8 +28,8 @@ _SHOWN_MS = (-60.0, 175.0)
 def impact_forces(flight: RecordedFlight, impact: Impact, *, look: Look = PAGE) -> Any:
     """Draw normal, friction and vertical force of one collision over time: predicted, estimated, true.
 
-    The vertical force is positive upwards. The law predicts it along Z of the collision frame, which points
-    down, so the sign of the prediction is reversed.
+    The vertical force is positive upwards. The law predicts the force along Z of the collision frame. Z
+    points down, so the sign of the prediction is reversed.
     """
     figure, axes = new_figure(look, 5.0, 3, 1, sharex=True)
     wall, path = impact.collision.wall, impact.prediction
@@ -92,7 +92,7 @@ def impact_forces_over_trials(flights: Sequence[RecordedFlight], index: int, *, 
 
 @in_style
 def errors_over_trials(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
-    """Draw the error of each measured peak normal force, relative to the prediction and to the truth."""
+    """Draw two errors of each measured peak normal force: against the prediction and against the truth."""
     indices = sorted({i.verdict.index for f in flights for i in f.impacts})
     figure, axis = new_figure(look, 2.8)
     styles = {

@@ -22,8 +22,8 @@ class Label(NamedTuple):
 
     Attributes:
         text: one or more lines.
-        at: the point, in the axis' data.
-        away: preferred direction from the point to the label, in the data's axes. (0, 0): no preference.
+        at: the point, in data coordinates.
+        away: preferred direction from the point to the label, in data coordinates. (0, 0): no preference.
         colour: colour of the text.
     """
 
@@ -63,8 +63,8 @@ def place_labels(
     Args:
         axis: an axis with an equal aspect.
         labels: labels, the most important first.
-        lines: lines that should stay visible, each (n, 2) in the axis' data.
-        taken: areas of other texts, each [[low x, low y], [high x, high y]] in the axis' data.
+        lines: lines that should stay visible, each (n, 2) in data coordinates.
+        taken: areas of other texts, each [[low x, low y], [high x, high y]] in data coordinates.
         font_pt: font size, points.
     """
     scale = points_per_unit(axis)

@@ -82,7 +82,7 @@ def draw_north(axis: Any, mission: Mission) -> None:
 
 
 def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = THICKNESS_M) -> None:
-    """Draw the wall behind its surface, and a thin line through the vehicle's positions at first touch."""
+    """Draw a wall, and a thin line through the positions of the vehicle's centre at the first touch."""
     plane, surface = np.array(wall.ends), np.array(airframe.wall_surface(wall).ends)
     back = surface - thickness_m * np.array(wall.normal)
     axis.fill(
@@ -229,8 +229,8 @@ def draw_vehicle(
         airframe: supplies the sizes.
         at: position of the centre, mission frame.
         yaw_rad: yaw in the mission frame.
-        mode: state of the arms, which sets their line. Rigid arms are thick and solid, flexible arms are
-            thin and dashed, and arms in an unknown state (None) are dotted.
+        mode: state of the arms, which sets the style of their lines. Rigid arms are thick and solid, flexible
+            arms are thin and dashed, and arms in an unknown state (None) are dotted.
         colour: colour of the lines.
     """
     outline = placed(airframe.outline_m, at, yaw_rad)

@@ -172,7 +172,7 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
 
 
 def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
-    """Draw the line of each probe to the probe's end; return the label and the line of each probe."""
+    """Draw a line from the begin to the end of each probe; return the label and the line of each probe."""
     found = []
     for collision in mission.collisions:
         if collision.probe is None:
@@ -188,13 +188,13 @@ def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
 
 
 def _from_rest(mission: Mission, planned: PredictedFlight) -> list[Array]:
-    """Return the straight segments from rest to rest, also those after a recovery: (2, 3), metres."""
+    """Return each straight segment from rest to rest, also after a recovery, as ends (2, 3) in metres."""
     segments = predicted_segments(mission, planned.hits)
     return [np.array([segment.begin or segment.end, segment.end]) for segment in segments]
 
 
 def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -> None:
-    """Draw the wall surfaces and the paths after the hits for every set of randomly varied walls."""
+    """For every set of randomly varied walls, draw the wall surfaces and the paths after the hits."""
     label = f"{len(drawn)} draws of the walls"
     for flight in drawn:
         surfaces = [np.array(mission.vehicle.airframe.wall_surface(wall).ends) for wall in flight.walls]
@@ -249,8 +249,10 @@ def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[l
 
 
 def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top: float) -> None:
-    """Draw the side view along y. A wall seen from its side is hatched; other walls are plain, because the
-    vehicle flies in front of them.
+    """Draw the side view along y.
+
+    A wall is hatched if the view shows its end. Other walls are plain, because the vehicle flies in front of
+    these walls.
     """
     out = mission.vehicle.airframe.contact_distance_m
     for wall in mission.walls:

@@ -112,7 +112,7 @@ def attitude(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 @in_style
 def tracking_error(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Draw the position error and the velocity error: estimate against the active setpoint."""
+    """Draw the differences in position and velocity between the estimate and the active setpoint."""
     figure, axes = new_figure(look, 2.9, 2, 1, sharex=True)
     times, *errors = tracking(flight.course)
     for axis, values, name in zip(axes, errors, ("position, m", "velocity, m/s"), strict=True):

@@ -23,7 +23,7 @@ _MARGIN_M = 0.4
 
 @in_style
 def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *, look: Look = _SHEET) -> Any:
-    """Draw the plan view of a room: walls with three standard deviations, and contacts.
+    """Draw the plan view of a room: contacts, and walls with a band of three standard deviations.
 
     For a simulated room the true walls are drawn as well.
 
