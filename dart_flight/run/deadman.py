@@ -135,9 +135,9 @@ class SystemdNotice:
         self._send("STOPPING=1")
 
     def alive(self) -> None:
-        """Feed systemd's watchdog, at most once per half of the watchdog's period.
+        """Feed systemd's watchdog at most twice per period of the watchdog.
 
-        Call this method more often than once per half period.
+        Call this method more often than that.
         """
         now = time.monotonic()
         if self._period_s is not None and now - self._sent_s >= self._period_s:

@@ -39,7 +39,7 @@ class Errand(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """Answer to a press, its text, and the effect that the caller carries out."""
+    """Answer to a press: the result, a text, and the effect that the caller carries out."""
 
     result: Result
     text: str

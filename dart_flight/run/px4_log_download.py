@@ -44,7 +44,7 @@ def fetch_px4_log(
         url: MAVLink URL of the vehicle, which must be disarmed.
         timeout_s: timeout of the connection.
         folder: folder of the flight.
-        armed: times of the flight's arming and of its end, or None if not known.
+        armed: arming time and end time of the flight, or None if not known.
         before: logs that existed before the flight, or None if not known.
         choose: function that selects a log if several logs may belong to the flight.
         print_line: callback for lines to the operator.

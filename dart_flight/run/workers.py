@@ -176,7 +176,7 @@ def work(
     """Fly items in parallel and yield their results in the order of completion.
 
     If a process dies, the whole pool breaks. The items in progress are then retried one at a time. If a
-    process dies again, the item that caused this is therefore known.
+    process then dies again, the cause is the item in progress.
 
     Args:
         fly: function that flies one item; pickled once for each process.

@@ -151,8 +151,8 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
     """Return the world with other walls.
 
-    `walls` must contain all walls of the world by name. If a wall is the tangent plane of a post, the post
-    moves with the wall.
+    `walls` must contain every wall of the world; its keys are the walls' names. If a wall is the tangent
+    plane of a post, the post moves with the wall.
     """
     mission = world.mission
     collisions = tuple(
@@ -200,7 +200,7 @@ def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _contact_scatter(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Set the spread of the coefficients k, f and mu between contacts.
+    """Set how much the coefficients k, f and mu vary from one contact to the next.
 
     The plant draws these coefficients again for every contact.
     """

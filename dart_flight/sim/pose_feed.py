@@ -1,4 +1,4 @@
-"""The frames of the simulated motion capture with its faults, for a pose source or an emulated server."""
+"""Frames of the simulated motion capture, with injected faults, for a pose source or an emulated server."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class PoseFeed:
         self._fault, self._began_s = fault, now_s
 
     def tick(self, now_s: float, pose: Pose | None) -> bool:
-        """Advance to `now_s`, with the sensor's pose of this tick.
+        """Advance to `now_s`; `pose` is the sensor's output in this tick.
 
         Return whether a frame was published.
         """

@@ -20,9 +20,9 @@ _SHAPE_DIGITS = 9  # further digits are rounding errors of the inverse
 
 
 def scaled_mix(motors: Sequence[Motor]) -> tuple[float, list[tuple[float, float, float, float]]]:
-    """Return the largest scaled entry of roll and pitch, and (roll, pitch, yaw, lift) of each motor.
+    """Return the largest scaled entry of roll and pitch, and a row (roll, pitch, yaw, lift) for each motor.
 
-    The returned roll and pitch of each motor are divided by this largest entry.
+    In the rows, roll and pitch are divided by this largest entry.
     """
     mix = np.linalg.pinv(np.array(effectiveness(motors)))
     size = np.abs(mix) > 1e-6

@@ -47,7 +47,7 @@ class CommandServer:
     Args:
         mavsdk: the connection.
         system_id: system id of the only ground station that may command.
-        answer: function that returns the result of a press and the reason of the result.
+        answer: function that returns the result of a press and the reason for this result.
         note: callback that receives one line about every command, for log and ground station. Of all commands
             from other systems, only the first gives a line.
 

@@ -49,7 +49,7 @@ class TextAssembler:
         return found
 
     def overdue(self) -> list[tuple[str, str]]:
-        """Return an incomplete text if no new part has arrived for a second, otherwise an empty list.
+        """Return a list: the incomplete text if no new part has arrived for a second, otherwise nothing.
 
         Call this method at every heartbeat.
         """

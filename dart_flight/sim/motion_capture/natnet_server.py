@@ -27,7 +27,7 @@ def _sized(kind: int, payload: bytes) -> bytes:
 
 
 def _counted(items: list[bytes]) -> bytes:
-    """Encode a list of a frame: the number of items, the total size of the items in bytes, and the items."""
+    """Encode a list within a frame: number of items, total size of the items in bytes, and the items."""
     data = b"".join(items)
     return struct.pack("<II", len(items), len(data)) + data
 

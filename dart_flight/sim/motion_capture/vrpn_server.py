@@ -1,4 +1,4 @@
-"""An emulated VRPN server with two trackers, by the public description of VRPN's protocol; TCP only."""
+"""An emulated VRPN server with two trackers, TCP only, based on the public description of VRPN's protocol."""
 
 from __future__ import annotations
 

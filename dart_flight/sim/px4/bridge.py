@@ -166,7 +166,7 @@ class Px4Vehicle:
         mission: mission with walls, start and vehicle.
         seed: seed of every sensor's noise.
         link: link to PX4.
-        position_from: motion capture (no GPS) or a GPS receiver.
+        position_from: source of the position, motion capture (no GPS) or a GPS receiver.
         motors: the airframe's motors according to PX4's parameters; default: motors of the configuration.
         sends_poses: whether the poses of the simulated motion capture go to PX4 over this link.
 
@@ -297,8 +297,8 @@ def servo_channel(vehicle: VehicleConfig) -> int:
 def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
     """Return one axis of HIL_SENSOR, saturated at full scale.
 
-    With a full scale of 16 g, a saturated axis has the largest value of PX4's simulated driver, and the
-    driver reports clipping. With a smaller full scale the driver does not detect the saturation.
+    With a full scale of 16 g, a saturated axis is at the limit of PX4's simulated driver, so the driver
+    reports clipping. With a smaller full scale the driver does not detect the saturation.
     """
     limit = ACCELEROMETER_LIMIT_M_S2
     if abs(specific_force_m_s2) >= full_scale_m_s2:
