@@ -136,7 +136,7 @@ class LockThread:
         self.thread = threading.Thread(target=self._run, name="lock", daemon=True)
 
     def put(self, order: LockCommand | LockPermission) -> None:
-        """Queue an order of the core; any thread, never blocks."""
+        """Queue an order of the core, from any thread, without blocking."""
         self._open()
         self._orders.put(order)
 
@@ -342,7 +342,7 @@ class FlightApp:
                     task.cancel()
 
     def show(self, record: Record) -> None:
-        """Queue a record that is not from the core for display; any thread."""
+        """Queue for display a record that is not from the core; call this from any thread."""
         self._shown.append(record)
 
     def stop(self) -> None:

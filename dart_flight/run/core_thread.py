@@ -75,9 +75,9 @@ class CoreThread:
             self._step_now()
 
     def arrive(self, item: Input) -> None:
-        """Queue an input of a stream; any thread.
+        """Queue an input of a stream, from any thread.
 
-        If the core's pace requires it, this thread steps the core with the queued inputs at once.
+        If the core's pace requires this, the calling thread steps the core with the queued inputs at once.
         """
         now = self._lockstep is None or self._lockstep.completes_batch(item)
         self._queue.put(item)

@@ -62,7 +62,7 @@ _INPUTS = get_args(Input)
 
 
 class StreamView(msgspec.Struct):
-    """One stream: measured and required rate, and age of the newest sample (null before the first)."""
+    """One stream: measured and required rate, and age of the newest sample (null before the first sample)."""
 
     name: str
     rate_hz: float
@@ -86,7 +86,7 @@ class WallView(msgspec.Struct):
 
 
 class MonitorView(msgspec.Struct):
-    """Data for a screen; forces in newton, along the axes of `frame`."""
+    """Data for a screen. Forces are in newton, along the axes of `frame`."""
 
     time_s: float
     frame: str
@@ -173,7 +173,7 @@ class TelemetryMonitor:
         )
 
     def put(self, item: Input) -> None:
-        """Queue a record of the telemetry for `process_queued`; any thread, never blocks."""
+        """Queue a record of the telemetry for `process_queued`, from any thread, without blocking."""
         self._queued.append(item)
 
     def process_queued(self) -> None:

@@ -177,7 +177,7 @@ class RcSwitch:
         self._seen_s: float | None = None
 
     def update(self, pulse_us: int, now_s: float) -> Mode | None:
-        """Process the channel's next pulse and return the mode to move to, or None."""
+        """Process the channel's next pulse; return the mode to which the lock must move, or None."""
         if pulse_us not in _PULSES_US:
             return None
         if self._seen_s is None or now_s - self._seen_s > _GAP_S:

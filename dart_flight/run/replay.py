@@ -172,7 +172,7 @@ def _decides(output: Record) -> bool:
 
 
 def _missing(numbers: list[int]) -> int:
-    """Return the number of inputs that the log lost, from the gaps in their numbers."""
+    """Return how many inputs the log lost, counted from the gaps in the inputs' numbers."""
     return numbers[-1] + 1 - len(numbers) if numbers else 0
 
 

@@ -92,7 +92,7 @@ class StandbyDesk:
         self._armed = armed
 
     def update_sensors(self, present: int, now_s: float) -> None:
-        """Store whether `present`, PX4's sensor bits, contains the bit of a valid remote control."""
+        """Store whether PX4's sensor bits `present` include a valid remote control."""
         self._radio_s = now_s if present & _RC_RECEIVER else -math.inf
 
     def update_switch(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
@@ -266,7 +266,7 @@ class Standby:
                     driver.close()
 
     def _answer(self, press: Press) -> tuple[Result, str]:
-        """Answer a button; on MAVSDK's thread."""
+        """Answer a button, on MAVSDK's thread."""
         if self._errand is not None:
             return Result.TEMPORARILY_REJECTED, "the link is being passed to another command"
         reply = self._desk.press(press, time.monotonic())

@@ -87,7 +87,7 @@ class StepReporter:
             self._report()
 
     def open(self) -> None:
-        """Count one more unfinished task, which `close` finishes."""
+        """Count one more unfinished task; `close` removes the task."""
         with self._guard:
             self._open += 1
 

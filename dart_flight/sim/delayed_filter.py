@@ -209,7 +209,7 @@ class DelayedFilter:
     # -- the output predictor, at the present --
 
     def _follow(self, then: tuple[Vec3, Vec3, Quaternion]) -> None:
-        """Correct the outputs towards the filter's state; `then` is the output stored for the filter's time."""
+        """Correct the outputs towards the filter's state; `then` is the output stored for that time."""
         p, v, q = then
         error = quaternion_multiply(quaternion_conjugate(self._at_q), q)
         sign = -2.0 if error[0] >= 0.0 else 2.0

@@ -269,7 +269,7 @@ def _battery(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _imu(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw the IMU's offset from the centre of mass, and a vibration of the frame as in real hover."""
+    """Draw the IMU's offset from the centre of mass, and a frame vibration like that in a real hover."""
     x, y, z = world.mission.vehicle.simulation.imu_position_m
     position = (x + sd * rng.gauss(0.0, 1.0), y + sd * rng.gauss(0.0, 1.0), z + sd * rng.gauss(0.0, 1.0))
     shaking = rng.uniform(*_RINGING_M_S2)

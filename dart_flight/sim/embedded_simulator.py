@@ -120,7 +120,7 @@ class EmbeddedSimulator:
         return self._mocap.publish(self._autopilot.now_s, self._autopilot.pose)
 
     def is_over(self, alone_s: float) -> bool:
-        """Implement `ServedWorld`: the world ends when the vehicle's failsafe has landed it."""
+        """Implement `ServedWorld`: the world ends when the failsafe has landed the vehicle."""
         if not alone_s and self._autopilot.armed:
             self._report("warning", "app disconnected; the vehicle continues until its failsafe acts")
         most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S

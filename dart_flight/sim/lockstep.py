@@ -47,7 +47,7 @@ class LinkEnd(Protocol):
         """The values of the application's last message of each kind, in the form of `Stepped.sent`."""
 
     def answer_requests(self) -> None:
-        """Answer requests that have arrived while time stands still."""
+        """While time stands still, answer the requests that have arrived."""
 
 
 class Lockstep:

@@ -163,7 +163,7 @@ class MavlinkEndpoint:
         return [link.socket.fileno() for link in self.links]
 
     def answer_requests(self) -> None:
-        """Answer requests that have arrived while simulated time stands still.
+        """While simulated time stands still, answer the requests that have arrived.
 
         Repeat the heartbeat too, because MAVSDK reports a vehicle as lost after 3 s of the computer's time.
         """

@@ -425,8 +425,7 @@ class Plant:
         """Move and rotate the body near walls and posts; return the mean acceleration by contact, NED.
 
         The integration uses the midpoint rule over position, velocity, attitude and rate. The steps are
-        0.1 ms long, and shorter near a wall's end. Thrust and drag are constant during a call, which covers 1
-        ms.
+        0.1 ms long, and shorter near a wall's end. Thrust and drag are constant during a call (1 ms).
         """
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
         ends = any(isinstance(obstacle, _WallPlane) and obstacle.near_end for obstacle, _ in obstacles)

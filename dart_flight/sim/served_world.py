@@ -37,7 +37,7 @@ class Pacer:
         self._due_s = time.monotonic()
 
     def wait(self, period_s: float) -> None:
-        """Wait until this tick is due; the next tick is due `period_s` later, with 0 at once."""
+        """Wait until this tick is due; the next tick is due `period_s` later (at once if 0)."""
         now_s = time.monotonic()
         if self._due_s > now_s:
             time.sleep(self._due_s - now_s)

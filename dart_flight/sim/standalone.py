@@ -107,7 +107,7 @@ def run_vehicle(
     """Simulate in real time until SIGINT or SIGTERM; `print_line` prints a line in the terminal.
 
     The vehicle sends to each of the UDP ports `ports`. `own_port` is the local UDP port of the link to the
-    first of them; 0 selects any port. `viewer` receives the true motion of the vehicle.
+    first of these ports; 0 selects any port. `viewer` receives the true motion of the vehicle.
     """
     vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)

@@ -97,5 +97,5 @@ def _press_of(fields_json: str) -> Press:
 
 
 def _whole(value: float | None) -> int:
-    """Return a parameter as an integer: -1 if it is not a whole number, 0 for NaN."""
+    """Return a parameter as an integer: -1 for a number that is not whole, 0 for NaN."""
     return 0 if value is None else int(value) if float(value).is_integer() else -1

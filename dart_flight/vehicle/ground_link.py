@@ -335,7 +335,7 @@ class GroundLink:
     def read_parameters(
         self, names: Iterable[str], progress: Callable[[int], None] = lambda done: None
     ) -> dict[str, Value]:
-        """Return the values of the parameters that the vehicle has; an INT32 is an int.
+        """Return the values of the parameters that the vehicle has; INT32 values are of type int.
 
         `progress` receives the number of parameters requested so far.
 

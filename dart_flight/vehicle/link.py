@@ -204,7 +204,7 @@ class LinkLease(Lease):
 
 
 def acquire_free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
-    """Return an unused UDP port of the loopback interface and its acquired lease.
+    """Return an unused UDP port of the loopback interface and the acquired lease of this port.
 
     Raises:
         LinkInUseError: all tried ports are in use by other programs.

@@ -66,7 +66,7 @@ class Px4LostError(FlightError):
 
 
 class Controls(msgspec.Struct, frozen=True):
-    """One HIL_ACTUATOR_CONTROLS: motors 0 to 1, other outputs -1 to 1; all zero while PX4 is disarmed."""
+    """One HIL_ACTUATOR_CONTROLS: motor values 0 to 1, others -1 to 1; all are zero while PX4 is disarmed."""
 
     time_us: int
     armed: bool

@@ -195,7 +195,7 @@ class MotionCaptureBridge:
         self._source.stop()
 
     def forward(self, raw: RawPose) -> None:
-        """Deliver a pose, and send it to PX4 if it is tracked, due and not stale."""
+        """Deliver a pose; if its body is tracked and the pose is due and not stale, also send it to PX4."""
         received = self._clock.host_us()
         t_us = self._clock.to_autopilot(received)
         stamp = raw.source_us if raw.source_us is not None else received
