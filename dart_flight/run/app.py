@@ -1,12 +1,11 @@
 """Shell around the core for flights over MAVSDK: streams -> queue -> core -> vehicle, lock, log.
 
 The threads are:
-    MAVSDK's thread builds records and queues them. Near a wall it also steps the core (`core_thread`).
-    The core thread steps the core and sends setpoints.
-    The lock thread, if there is a lock, steps the lock's state machine and may block on its driver.
-    The log thread encodes and writes records.
-    The event loop (asyncio) handles the connection, arming, mode changes, signals and the operator's keys.
-    The terminal thread passes the records to `progress`.
+    MAVSDK's thread builds records and queues them. Near a wall this thread also steps the core
+    (`core_thread`). The core thread steps the core and sends setpoints. The lock thread, if there is a lock,
+    steps the lock's state machine and may block on its driver. The log thread encodes and writes records. The
+    event loop (asyncio) handles the connection, arming, mode changes, signals and the operator's keys. The
+    terminal thread passes the records to `progress`.
 """
 
 from __future__ import annotations
@@ -105,7 +104,7 @@ class Simulator(Protocol):
 
 
 class LockThread:
-    """Thread that runs the lock's state machine on the core's time base; the lock driver may block it.
+    """Thread that runs the lock's state machine on the core's time base. The driver may block this thread.
 
     Args:
         make_session: function that makes the session, which contains the state machine and the driver. The

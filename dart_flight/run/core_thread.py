@@ -33,7 +33,7 @@ class CoreThread:
     """Thread that steps the core with the inputs of one queue.
 
     Args:
-        runner: runner that steps the core and hands out its outputs.
+        runner: runner that steps the core and carries out the core's outputs.
         alive: callback that feeds the deadman, called at least every 20 ms unless a step hangs.
         lockstep: reporter to a simulated world that waits for the app, or None in real time.
         after_step: callback after every step in lockstep, before the report to the world.

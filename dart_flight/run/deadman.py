@@ -6,7 +6,7 @@ thread and the event loop feed a separate process through a pipe. If either stop
 the app (SIGKILL). The setpoints then stop and PX4's failsafe acts.
 
 `SystemdNotice` is the second protection: systemd's watchdog (`Type=notify`, `WatchdogSec`). The event loop
-feeds it only while the core thread is also alive.
+feeds this watchdog only while the core thread is also alive.
 """
 
 from __future__ import annotations

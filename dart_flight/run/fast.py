@@ -1,7 +1,7 @@
 """Fast world: core, lock and simulated vehicle in one process and one thread, in simulated time.
 
-It makes the same decisions as the other worlds, at the highest speed of the computer. A seed always gives the
-same flight. `dry-run --fast`, campaigns and scripts use it.
+The fast world makes the same decisions as the other worlds, at the highest speed of the computer. A seed
+always gives the same flight. `dry-run --fast`, campaigns and scripts use this world.
 """
 
 from __future__ import annotations
@@ -455,7 +455,7 @@ def fly_fast(
             seed draws.
         fault: fault to inject, with its time.
         spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
-        keep_record: callback for the complete record; without `log_dir` its log is in memory.
+        keep_record: callback for the complete record; without `log_dir` the record's log is in memory.
 
     Raises:
         InputError: the log cannot be written, or the lock driver does not work in simulated time.

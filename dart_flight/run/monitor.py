@@ -350,8 +350,8 @@ def monitor_log(
 ) -> None:
     """Run the watcher on the log of a flight in progress and show a view every period.
 
-    This function does not use the link and does not affect the flight. It ends after `seconds`, at the end of
-    the log, or when the flight's process has ended.
+    This function does not use the link and does not affect the flight. The function ends after `seconds`, at
+    the end of the log, or when the flight's process has ended.
 
     Args:
         watcher: monitor to run.

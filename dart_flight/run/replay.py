@@ -132,7 +132,7 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
         exact: whether to compare bit for bit, or None to do so only for a log from this kind of machine.
 
     Raises:
-        InputError: the log does not contain its mission, or a setting is wrong.
+        InputError: the log does not contain the mission, or a setting is wrong.
     """
     mission = changed_mission(log, settings) if settings else flown_mission(log.about, log.source)
     try:

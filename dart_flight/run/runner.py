@@ -65,7 +65,7 @@ class CoreRunner:
         self._held: Setpoint | None = None
 
     def step(self, item: Input, *, more: bool = False) -> None:
-        """Step the core with an input and carry out its outputs, setpoints first.
+        """Step the core with an input and carry out the core's outputs, setpoints first.
 
         Args:
             item: input of the core.

@@ -1,9 +1,9 @@
 """The application's side of the lockstep with a simulated world (`sim.lockstep`).
 
 The reporter counts the tasks that the application has not finished: queued inputs, lock orders, requests to
-the autopilot, plans. Whenever no task is left, it sends a report to the world, which may then advance. Near a
-wall the world advances by one tick. Away from walls the world advances by 20 ms, and the core then steps all
-samples of these 20 ms together as a batch (`core.pace`).
+the autopilot, plans. Whenever no task is left, the reporter sends a report to the world, which may then
+advance. Near a wall the world advances by one tick. Away from walls the world advances by 20 ms, and the core
+then steps all samples of these 20 ms together as a batch (`core.pace`).
 """
 
 from __future__ import annotations

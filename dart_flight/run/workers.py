@@ -43,7 +43,7 @@ def usable_cores() -> int:
 class Interrupt:
     """Context that counts Ctrl-C, SIGTERM and SIGHUP (a dropped session) instead of ending the program.
 
-    It has an effect only in the main thread; in other threads the count stays 0.
+    The context has an effect only in the main thread; in other threads the count stays 0.
     """
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Failure(NamedTuple):
     """A flight without a result.
 
     Attributes:
-        what: one line that gives the exception and its place, or reports the death of the process.
+        what: one line that gives the exception and the code line, or reports the death of the process.
         error: exception, or None if the process died.
     """
 

@@ -1,11 +1,11 @@
 """A small model of PX4's EKF2: it assumes that every motion-capture pose is EKF2_EV_DELAY old on arrival.
 
 `Estimator` uses the true age of every pose, so it cannot model a wrong delay. This filter works like EKF2. A
-Kalman filter runs about 0.15 s behind the present. It fuses each pose at the pose's time of arrival minus the
-configured delay. An output predictor propagates the filter's state to the present by the IMU. If the
-configured delay is wrong, the filter attributes the error to velocity, tilt and accelerometer bias. It also
-rejects poses that are too far from its estimate (beyond the gate). The estimate therefore oscillates. Gains,
-gates and time constants are from PX4's defaults and `configs/px4/indoor.params`.
+Kalman filter runs about 0.15 s behind the present. The filter fuses each pose at the pose's time of arrival
+minus the configured delay. An output predictor propagates the filter's state to the present by the IMU. If
+the configured delay is wrong, the filter attributes the error to velocity, tilt and accelerometer bias. The
+filter also rejects poses that are too far from the estimate (beyond the gate). The estimate therefore
+oscillates. Gains, gates and time constants are from PX4's defaults and `configs/px4/indoor.params`.
 """
 
 from __future__ import annotations

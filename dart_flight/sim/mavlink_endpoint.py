@@ -102,7 +102,7 @@ class MavlinkEndpoint:
     """The MAVLink endpoint of one autopilot.
 
     Args:
-        autopilot: the autopilot; the caller steps it one tick before every `exchange`.
+        autopilot: the autopilot; before every `exchange`, the caller advances the autopilot by one tick.
         ports: remote UDP ports on this host, one for each link.
         local_port: local port of the first link; 0 selects any port.
         system: MAVLink system id; messages to another system are ignored.

@@ -175,7 +175,7 @@ class _OpenContact:
 
 
 class Plant:
-    """The body and the world it can touch.
+    """The body, and the walls, posts and ground that it can touch.
 
     Args:
         vehicle: configuration with mass, motors, materials and so on.
@@ -363,7 +363,7 @@ class Plant:
     def _wall_in_reach(self, seconds: float) -> bool:
         """Return whether the vehicle may be near a wall or post within `seconds`.
 
-        `advance` calls this method once for all its steps.
+        `advance` calls this method once for all steps.
         """
         (px, py, _), (vx, vy, _) = self.position, self.velocity
         slack = seconds * (abs(vx) + abs(vy) + _GAIN_M_S)

@@ -104,7 +104,7 @@ class EmulatedMotionCapture:
         self._sends_lost = kind != "vrpn"  # VRPN has no message for a lost body
 
     def publish(self, now_s: float, pose: Pose | None) -> int | None:
-        """Publish a frame if it is due.
+        """Publish a frame if a frame is due.
 
         Return the number of the published frame. The result is None if no frame is due, if no client has
         connected so far, or if the system does not send a lost body.

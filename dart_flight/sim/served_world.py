@@ -159,7 +159,7 @@ def raise_terminated(_signum: int, _frame: object) -> None:
 
 
 class WorldLog:
-    """The world's text log, with simulated times in seconds; without a path it writes nothing."""
+    """The world's text log, with simulated times in seconds; without a path nothing is written."""
 
     def __init__(self, path: str | None) -> None:
         self._file = None if path is None else open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115

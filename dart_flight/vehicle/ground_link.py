@@ -305,7 +305,7 @@ class GroundLink:
         return answer
 
     def heartbeat_mode(self) -> HeartbeatMode | None:
-        """Return the mode in the autopilot's next HEARTBEAT, or None if none arrives within 3 s."""
+        """Return the mode in the autopilot's next HEARTBEAT, or None if no HEARTBEAT arrives within 3 s."""
         beat = self._session.next(messages.HEARTBEAT, _HEARTBEAT_S)
         if beat is not None:
             return HeartbeatMode(armed=beat.armed, hil=beat.hil)

@@ -498,7 +498,7 @@ class MessageEntry(msgspec.Struct, frozen=True):
         return decode
 
     def decode(self, fields_json: str) -> Any:
-        """Return a message's value, or None if it has no usable value."""
+        """Return a message's value, or None if the message has no usable value."""
         value = self.reader()(fields_json)[1]
         return None if isinstance(value, Unusable) else value
 

@@ -250,7 +250,7 @@ class VehicleSession:
         return found[0] if found else None
 
     def next(self, entry: MessageEntry, timeout_s: float) -> Any:
-        """Block until the next usable value arrives and return it, or None after the timeout."""
+        """Block until the next usable value arrives and return this value, or None after the timeout."""
         came: queue.SimpleQueue[Any] = queue.SimpleQueue()
         handle = self.listen(entry, lambda value, _: came.put(value))
         try:

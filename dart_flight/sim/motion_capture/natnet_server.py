@@ -93,7 +93,7 @@ class NatNetServer:
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Send one frame with both bodies to every client."""
+        """Send one frame with the wand and the body to every client."""
         w, x, y, z = q_body_to_room
         flags = 1 if tracked else 0
         bodies = [

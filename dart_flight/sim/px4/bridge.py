@@ -116,7 +116,7 @@ class HilLink:
             raise Px4LostError(f"PX4 closed the simulator connection ({error.strerror})") from None
 
     def exchange(self, sensor: Any, *others: Any) -> Controls:
-        """Send one tick's messages, wait for PX4's answer and return it.
+        """Send one tick's messages, wait for PX4's answer and return the answer.
 
         Before PX4's first answer, the wait is short, and the outputs of a disarmed vehicle are returned.
 

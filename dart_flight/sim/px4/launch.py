@@ -395,7 +395,7 @@ class Px4:
             time.sleep(0.02)
 
     def set_parameters(self, parameters: Mapping[str, Parameter]) -> dict[str, Value]:
-        """Set parameters while PX4 waits for its simulator, and read every one back.
+        """Set parameters while PX4 waits for its simulator, and read every parameter back.
 
         Returns:
             The parameters that were set. A parameter that this version of PX4 does not need is left out.
