@@ -32,6 +32,8 @@ _TIMEOUT_S, _SILENT_S, _RETRY_S = 3.0, 1.0, 1.0
 def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]) -> Iterator[RawPose | str]:
     """Yield each pose of a body, or the reason why the pose is invalid; add the senders' names to `senders`.
 
+    The iterator ends when the stream ends.
+
     Raises:
         ValueError: the server does not speak VRPN.
     """
