@@ -1,12 +1,11 @@
 """Shell around the core for flights over MAVSDK: streams -> queue -> core -> vehicle, lock, log.
 
 The threads are:
-    MAVSDK's thread builds records and queues them. Near a wall it also steps the core (`core_thread`).
-    The core thread steps the core and sends setpoints.
-    The lock thread, if there is a lock, steps the lock's state machine and may block on its driver.
-    The log thread encodes and writes records.
-    The event loop (asyncio) handles the connection, arming, mode changes, signals and the operator's keys.
-    The terminal thread passes the records to `progress`.
+    MAVSDK's thread builds records and queues them. Near a wall this thread also steps the core
+    (`core_thread`). The core thread steps the core and sends setpoints. The lock thread, if there is a lock,
+    steps the lock's state machine and may block on its driver. The log thread encodes and writes records. The
+    event loop (asyncio) handles the connection, arming, mode changes, signals and the operator's keys. The
+    terminal thread passes the records to `progress`.
 """
 
 from __future__ import annotations
@@ -95,7 +94,7 @@ class Simulator(Protocol):
 
     @property
     def cause(self) -> str:
-        """Text that names the part of the world that has died."""
+        """The reason why the world has ended, as text."""
 
     def send_horn(self, pulse_us: float) -> None:
         """Send the position of the mock servo's horn to the plant."""
@@ -105,11 +104,12 @@ class Simulator(Protocol):
 
 
 class LockThread:
-    """Thread of the lock's state machine, on the core's time base and with a driver that may block.
+    """Thread that runs the lock's state machine on the core's time base. The driver may block this thread.
 
     Args:
-        make_session: function that returns the session, which contains state machine and driver. It is called
-            when the autopilot's time is known. An earlier call could give stamps in the autopilot's future.
+        make_session: function that makes the session, which contains the state machine and the driver. The
+            thread calls this function when the autopilot's time is known. Before that, the lock's stamps
+            could be later than the autopilot's time.
         states: queue in which the session puts the lock's states, in order.
         clock_known: function that returns whether the autopilot's time is known.
         deliver: callback for every state of the lock.
@@ -135,7 +135,7 @@ class LockThread:
         self.thread = threading.Thread(target=self._run, name="lock", daemon=True)
 
     def put(self, order: LockCommand | LockPermission) -> None:
-        """Queue an order of the core; any thread, never blocks."""
+        """Queue an order of the core, from any thread, without blocking."""
         self._open()
         self._orders.put(order)
 
@@ -341,7 +341,7 @@ class FlightApp:
                     task.cancel()
 
     def show(self, record: Record) -> None:
-        """Queue a record that is not from the core for display; any thread."""
+        """Queue for display a record that is not from the core; call this from any thread."""
         self._shown.append(record)
 
     def stop(self) -> None:
@@ -531,7 +531,7 @@ class FlightApp:
     # -- commands of the core, on the core thread (`runner.CommandSink`) --
 
     def send(self, setpoint: Setpoint) -> None:
-        """Send a setpoint at once. If this fails, report each cause only the first time."""
+        """Send a setpoint at once. If sending fails, report the error, but each error text only once."""
         assert self._session is not None
         try:
             self._session.send(setpoint)
@@ -606,7 +606,7 @@ class FlightApp:
 
 
 def _in_background(terminal: int) -> bool:
-    """Return whether this process is in the background, because another job has the terminal."""
+    """Return whether another job has the terminal, so that this process is in the background."""
     try:
         return os.tcgetpgrp(terminal) != os.getpgrp()
     except OSError:  # not the terminal of this session, so there is no job control

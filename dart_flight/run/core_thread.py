@@ -1,12 +1,13 @@
-"""Owner of the core in flights over MAVSDK: one input queue, one step at a time, setpoints sent at once.
+"""Stepping of the core in flights over MAVSDK, with one queue of inputs and one thread at a time.
 
-Only the thread that holds `_owner` steps the core. In real time the core chooses this thread (`core.pace`).
-Near a wall MAVSDK's thread steps the core. Samples arrive on that thread, so no other thread has to wake up
-first (docs/latency.md). Away from walls the core's own thread steps the core.
+Only the thread that holds `_owner` steps the core and sends the setpoints at once. In real time the core
+chooses this thread (`core.pace`). Near a wall MAVSDK's thread steps the core. Samples arrive on that thread,
+so no other thread has to wake up first (docs/latency.md). Away from walls the core's own thread steps the
+core.
 
 In lockstep, the simulated world waits until the core has processed the world's samples. The thread that
-delivers the samples also steps the core with them: near a wall with each sample at once, away from walls with
-all samples of 20 ms of simulated time together.
+delivers a sample also steps the core. Near a wall it steps the core after each sample, away from walls after
+every 20 ms of simulated time.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class CoreThread:
     """Thread that steps the core with the inputs of one queue.
 
     Args:
-        runner: runner that steps the core and hands out its outputs.
+        runner: runner that steps the core and carries out the core's outputs.
         alive: callback that feeds the deadman, called at least every 20 ms unless a step hangs.
         lockstep: reporter to a simulated world that waits for the app, or None in real time.
         after_step: callback after every step in lockstep, before the report to the world.
@@ -74,9 +75,9 @@ class CoreThread:
             self._step_now()
 
     def arrive(self, item: Input) -> None:
-        """Queue an input of a stream; any thread.
+        """Queue an input of a stream, from any thread.
 
-        If the core's pace requires it, this thread steps the core with the queued inputs at once.
+        If the core's pace requires this, the calling thread steps the core with the queued inputs at once.
         """
         now = self._lockstep is None or self._lockstep.completes_batch(item)
         self._queue.put(item)
@@ -101,7 +102,7 @@ class CoreThread:
         return self._pace is Pace.IMMEDIATE if self._lockstep is None else self._fault is None
 
     def stop(self) -> None:
-        """End the thread. After this call no thread steps a queued input."""
+        """End the thread. After this call no thread processes a queued input."""
         self._stopping = True
         self._called.set()
         self.thread.join(timeout=_STOP_S)
@@ -127,7 +128,7 @@ class CoreThread:
             self._runner.step(Tick(now_us))
 
     def _step_queued(self) -> None:
-        """Step the queued inputs; the caller must hold `_owner`.
+        """Step the core with the queued inputs; the caller must hold `_owner`.
 
         If more than `_BACKLOG` inputs are queued, drop all samples of attitude, odometry and actuators except
         the newest of each kind.

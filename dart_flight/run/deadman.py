@@ -6,7 +6,7 @@ thread and the event loop feed a separate process through a pipe. If either stop
 the app (SIGKILL). The setpoints then stop and PX4's failsafe acts.
 
 `SystemdNotice` is the second protection: systemd's watchdog (`Type=notify`, `WatchdogSec`). The event loop
-feeds it only while the core thread is also alive.
+feeds this watchdog only while the core thread is also alive.
 """
 
 from __future__ import annotations
@@ -135,9 +135,9 @@ class SystemdNotice:
         self._send("STOPPING=1")
 
     def alive(self) -> None:
-        """Feed systemd's watchdog, at most once per half of the watchdog's period.
+        """Feed systemd's watchdog at most twice per period of the watchdog.
 
-        Call this method more often than once per half period.
+        Call this method more often than that.
         """
         now = time.monotonic()
         if self._period_s is not None and now - self._sent_s >= self._period_s:

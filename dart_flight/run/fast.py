@@ -1,7 +1,7 @@
 """Fast world: core, lock and simulated vehicle in one process and one thread, in simulated time.
 
-It makes the same decisions as the other worlds, at the highest speed of the computer. A seed always gives the
-same flight. `dry-run --fast`, campaigns and scripts use it.
+The fast world makes the same decisions as the other worlds, at the highest speed of the computer. A seed
+always gives the same flight. `dry-run --fast`, campaigns and scripts use this world.
 """
 
 from __future__ import annotations
@@ -150,8 +150,8 @@ class FastFlight:
         driver: lock driver, `mock` or `px4`; the other drivers do not work in simulated time. For a vehicle
             without a lock, the driver is ignored.
         faults: faults of the mock servo.
-        observe: callback for each input with the input's number. It is then called with this number for each
-            output and each note (such as `SetpointSent`) that the input causes.
+        observe: callback that receives each input with the input's number. Afterwards the callback receives,
+            with the same number, each output and note (such as `SetpointSent`) that the input causes.
         fault: fault to inject, with its time.
         world: simulated world that differs at random from the mission (`sim.draws`), or None for a world
             without differences.
@@ -372,7 +372,7 @@ class FastFlight:
             self.lock.permit(order.permitted)
 
     def forget_setpoint(self) -> None:
-        """Stop repeating the last setpoint, because the app's process with MAVSDK has ended or stopped."""
+        """Stop repeating the last setpoint, because the process of app and MAVSDK no longer runs."""
         self._last_setpoint = None
 
     def _repeat(self) -> None:
@@ -455,7 +455,7 @@ def fly_fast(
             seed draws.
         fault: fault to inject, with its time.
         spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
-        keep_record: callback for the complete record; without `log_dir` its log is in memory.
+        keep_record: callback for the complete record; without `log_dir` the record's log is in memory.
 
     Raises:
         InputError: the log cannot be written, or the lock driver does not work in simulated time.

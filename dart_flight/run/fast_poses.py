@@ -1,4 +1,4 @@
-"""Motion capture of the fast world: simulated poses through the bridge to the autopilot, in one thread."""
+"""Motion capture of the fast world: simulated poses reach the autopilot through the bridge, in one thread."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class _PlantPoses:
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Deliver one frame; position in metres and attitude in room axes."""
+        """Deliver one frame: position (metres) and attitude, both in room axes."""
         frame, self._frame = self._frame, self._frame + 1
         if tracked:
             self._deliver(RawPose(BODY, True, position_room, q_body_to_room, frame, t_us, _SENDER))
@@ -48,7 +48,7 @@ class _PlantPoses:
 
 
 class FastPoses:
-    """Poses of one fast flight, from the plant through the bridge to core and autopilot.
+    """Motion capture of one fast flight: the bridge passes the plant's poses to core and autopilot.
 
     Args:
         mission: mission with the `mocap` section of its vehicle.
@@ -73,7 +73,7 @@ class FastPoses:
         self._feed.tick(self._autopilot.now_s, self._autopilot.pose)
 
     def withhold(self, *, attitude_only: bool) -> None:
-        """Stop forwarding poses, or only their attitudes."""
+        """Stop forwarding poses. With `attitude_only`, still forward the positions."""
         self._bridge.withhold(attitude_only=attitude_only)
 
     def begin_fault(self, fault: Fault) -> None:

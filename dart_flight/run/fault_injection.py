@@ -1,4 +1,4 @@
-"""Injection of one fault into a flight of the fast world: its beginning and its effect on the link."""
+"""Injection of one fault into a flight of the fast world. The fault may affect the link."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class FaultyFlight(Protocol):
 
 
 class FlightWithFault:
-    """One fault in one fast flight: its beginning, and its effect between app and vehicle.
+    """One fault in one fast flight: when the fault begins, and how it affects the link of app and vehicle.
 
     If the app hangs, MAVSDK repeats the last setpoint until the deadman ends the process.
     """

@@ -51,7 +51,7 @@ class FlightRecord:
         seed: seed of a simulated flight, or None.
         log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
         drawn: random quantities of the simulated world: name -> value.
-        viewer: first callback of `viewers`.
+        viewer: callback to put into `viewers`, or None.
         in_memory: whether to keep the log in memory if `log_dir` is None.
 
     Attributes:

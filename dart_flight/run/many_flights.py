@@ -34,8 +34,8 @@ class RunsSummary(msgspec.Struct):
     """Summary of many flights of one mission.
 
     Attributes:
-        unexplained_modes: seed -> findings that the arms' mode differed from the lock's mode (see the
-            function `unexplained_modes`).
+        unexplained_modes: seed -> texts, each about a difference between the arms' mode and the lock's mode
+            (see the function `unexplained_modes`).
     """
 
     runs: int
@@ -96,7 +96,7 @@ def fly_fast_many(
     Raises:
         RunsInterruptedError: the operator has pressed Ctrl-C. Flights in progress were completed, and no
             further flight began. A second Ctrl-C also ends the flights in progress.
-        InputError: `fly_fast` raises this error.
+        InputError: a log cannot be written, or the lock driver does not work in simulated time.
         FlightError: a flight's process died, and died again when the flight was retried.
     """
     verdicts: dict[int, Verdict] = {}
@@ -172,7 +172,7 @@ def summarise(verdicts: list[Verdict]) -> RunsSummary:
 
 
 def unexplained_modes(verdict: Verdict) -> list[str]:
-    """Return the findings that the arms' mode differed from the lock's mode.
+    """Return findings: texts, each about a difference between the arms' mode and the lock's mode.
 
     A flight with a simulated fault of the lock has no findings. In any other simulated flight, a finding
     means that the simulation or the estimated mode is wrong, so the flight is invalid.

@@ -1,10 +1,10 @@
-"""Monitor of a vehicle's telemetry: the core's senses estimate force and contact; no setpoint is sent.
+"""Monitor that estimates forces and detects contacts from a vehicle's telemetry. It sends no setpoints.
 
 MAVSDK's thread passes every record to `TelemetryMonitor`. Another thread processes the records in batches
-several times per second. Batches take a third of the processor time that single records would take. `view`
-returns the data for a screen. The monitor sends nothing except requests for slow streams and the poses of a
-motion capture. If another `dart-flight` process flies over the same link, the monitor does not slow down the
-streams of that flight. `dart-flight monitor` uses this module.
+several times per second. A batch takes a third of the processor time that its records would take one by one.
+`view` returns the data for a screen. The monitor sends nothing except requests for slow streams and the poses
+of a motion capture. If another `dart-flight` process flies over the same link, the monitor does not slow down
+the streams of that flight. `dart-flight monitor` uses this module.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _INPUTS = get_args(Input)
 
 
 class StreamView(msgspec.Struct):
-    """One stream: measured and required rate, and age of the newest sample (null before the first)."""
+    """One stream: measured and required rate, and age of the newest sample (null before the first sample)."""
 
     name: str
     rate_hz: float
@@ -74,7 +74,8 @@ class WallView(msgspec.Struct):
     """Estimate of a wall from a contact.
 
     `prior` contains the configured k, f and mu of the wall's material. `posterior` contains the estimated
-    values, and `posterior_sd` their relative standard deviation. `mode_felt` is null if undecided.
+    values, and `posterior_sd` their relative standard deviation. `mode_felt` is the mode estimated from the
+    contact, or null if undecided.
     """
 
     wall: str
@@ -85,7 +86,7 @@ class WallView(msgspec.Struct):
 
 
 class MonitorView(msgspec.Struct):
-    """Data for a screen; forces in newton, along the axes of `frame`."""
+    """Data for a screen. Forces are in newton, along the axes of `frame`."""
 
     time_s: float
     frame: str
@@ -118,7 +119,7 @@ class TelemetryMonitor:
     Args:
         mission: mission with the frame and the vehicle's configuration.
         frame_known: whether to use the mission's frame; otherwise forces are along north, west and up.
-        viewer: callback for every record and for the results of the senses; must not block.
+        viewer: callback for every record and for the results of the core's `Senses`; must not block.
     """
 
     def __init__(
@@ -172,7 +173,7 @@ class TelemetryMonitor:
         )
 
     def put(self, item: Input) -> None:
-        """Queue a record of the telemetry for `process_queued`; any thread, never blocks."""
+        """Queue a record of the telemetry for `process_queued`, from any thread, without blocking."""
         self._queued.append(item)
 
     def process_queued(self) -> None:
@@ -186,7 +187,7 @@ class TelemetryMonitor:
             self._viewer(record)
 
     def _sense(self, item: Input) -> list[Record]:
-        """Return the results of the senses for an input: a force estimate and impact events."""
+        """Return the results of `Senses` for an input: a force estimate and impact events."""
         if isinstance(item, PoseSample) and self._poses is None:
             self._poses = PoseStatistics(self.mocap.room_frame(), self.mocap.delay_ms)
         if self._poses is not None:
@@ -349,8 +350,8 @@ def monitor_log(
 ) -> None:
     """Run the watcher on the log of a flight in progress and show a view every period.
 
-    This function does not use the link and does not affect the flight. It ends after `seconds`, at the end of
-    the log, or when the flight's process has ended.
+    This function does not use the link and does not affect the flight. The function ends after `seconds`, at
+    the end of the log, or when the flight's process has ended.
 
     Args:
         watcher: monitor to run.

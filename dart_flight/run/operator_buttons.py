@@ -39,7 +39,7 @@ class Errand(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """Answer to a press, its text, and the effect that the caller carries out."""
+    """Answer to a press: the result, a text, and the effect that the caller carries out."""
 
     result: Result
     text: str
@@ -177,7 +177,7 @@ class RcSwitch:
         self._seen_s: float | None = None
 
     def update(self, pulse_us: int, now_s: float) -> Mode | None:
-        """Process the channel's next pulse and return the mode to move to, or None."""
+        """Process the channel's next pulse; return the mode to which the lock must move, or None."""
         if pulse_us not in _PULSES_US:
             return None
         if self._seen_s is None or now_s - self._seen_s > _GAP_S:

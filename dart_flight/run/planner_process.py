@@ -1,9 +1,9 @@
 """Planner of a flight over MAVSDK, in its own process so that planning does not delay the core.
 
 The process reads requests, wall estimates and frame corrections as lines of JSON, and writes answers. One
-process plans and a second process fits contacts, so that a plan does not wait for a fit. A planner that dies
-or hangs does not answer. The flight then continues with the paper's setpoint, without new estimates of walls
-and modes. `FlightApp` starts the processes.
+process plans and a second process fits contacts, so that a plan does not wait for a fit. If a planner dies or
+hangs, the flight continues with the paper's recovery setpoint, without new estimates of walls and modes.
+`FlightApp` starts the processes.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ async def forward_poses(
     seconds: float | None,
     opened: Callable[[], None] = lambda: None,
 ) -> None:
-    """Forward the poses of `mocap.url`; every period, show their statistics and the source's problem.
+    """Forward the poses of `mocap.url` to PX4, and call `show` once per period.
 
     Args:
         mission: mission with the vehicle's configuration.

@@ -1,4 +1,4 @@
-"""Injection of a fault into a flight over MAVSDK: in the app, its lock, or the simulated vehicle."""
+"""Injection of a fault into a flight over MAVSDK: in the app, the lock or the simulated vehicle."""
 
 from __future__ import annotations
 

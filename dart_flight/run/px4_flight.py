@@ -139,10 +139,10 @@ def _px4_figures(ulog: Path, version: str | None, notify: Onlooker) -> Px4Figure
 
 
 def _for_pauses(mission: Mission, speed: float) -> Mission:
-    """Return the mission with timeouts of the core's guard that are long enough for pauses of the simulator.
+    """Return the mission with guard timeouts that tolerate pauses of the simulator.
 
     PX4 and the plant are in lockstep, so a stall of the computer also stops the vehicle's time and is
-    harmless. The guard therefore tolerates missing telemetry for at least 0.5 s divided by `speed`.
+    harmless. The core's guard therefore tolerates missing telemetry for at least 0.5 s divided by `speed`.
     """
     guard = mission.vehicle.guard
     timeout_s = max(guard.stream_timeout_s, _LOCKSTEP_PAUSE_S / speed)

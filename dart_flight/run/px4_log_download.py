@@ -38,13 +38,13 @@ def fetch_px4_log(
     progress: Callable[[float], None] = lambda share: None,
     opened: Callable[[], None] = lambda: None,
 ) -> Path:
-    """Download PX4's log of a flight into the flight's folder and return its path.
+    """Download PX4's log of a flight into the flight's folder and return the path of the file.
 
     Args:
         url: MAVLink URL of the vehicle, which must be disarmed.
         timeout_s: timeout of the connection.
         folder: folder of the flight.
-        armed: times of the flight's arming and of its end, or None if not known.
+        armed: arming time and end time of the flight, or None if not known.
         before: logs that existed before the flight, or None if not known.
         choose: function that selects a log if several logs may belong to the flight.
         print_line: callback for lines to the operator.
@@ -52,7 +52,7 @@ def fetch_px4_log(
         opened: callback for the moment when the link is open (`LinkLease.lock_device`).
 
     Raises:
-        VehicleError: no vehicle answers at the URL, or it is armed.
+        VehicleError: no vehicle answers at the URL, or the vehicle is armed.
         DownloadError: there is no log of the flight, or the download failed.
     """
     path = folder / PX4_LOG

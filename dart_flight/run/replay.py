@@ -97,11 +97,11 @@ class Replay(msgspec.Struct):
     """The result of a replay.
 
     Attributes:
-        inputs: number of inputs that were stepped.
+        inputs: number of inputs that the core has processed.
         outputs: number of outputs that were compared.
         exact: whether the comparison was bit for bit. If not, a relative error of 1e-9 was allowed.
         differences: outputs that differ from the recording.
-        recorded, replayed: the decisions in the log, and the decisions in the replay, each in order of time.
+        recorded, replayed: decisions in the log and decisions in the replay, both in order of time.
         zero_us: autopilot time that is shown as 0 s (`recording.flight_time`).
         missing: number of inputs that the log lost; the core's state may differ after the first lost input.
         note: remark for the reader, or "".
@@ -132,7 +132,7 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
         exact: whether to compare bit for bit, or None to do so only for a log from this kind of machine.
 
     Raises:
-        InputError: the log does not contain its mission, or a setting is wrong.
+        InputError: the log does not contain the mission, or a setting is wrong.
     """
     mission = changed_mission(log, settings) if settings else flown_mission(log.about, log.source)
     try:
@@ -172,7 +172,7 @@ def _decides(output: Record) -> bool:
 
 
 def _missing(numbers: list[int]) -> int:
-    """Return the number of inputs that the log lost, from the gaps in their numbers."""
+    """Return how many inputs the log lost, counted from the gaps in the inputs' numbers."""
     return numbers[-1] + 1 - len(numbers) if numbers else 0
 
 
@@ -197,7 +197,7 @@ def _compare(
 def _pairs(
     recorded: Sequence[Record], replayed: Sequence[Record]
 ) -> list[tuple[Record | None, Record | None]]:
-    """Return pairs of a recorded and a replayed record of the same decision; their values may differ.
+    """Return pairs (recorded, replayed) of records of one decision; values in the two records may differ.
 
     A record without a counterpart is paired with None.
     """

@@ -1,4 +1,4 @@
-"""Runner with which every shell steps the core and carries out its outputs.
+"""Runner that steps the core and carries out the core's outputs, used by every shell.
 
 The app (MAVSDK) and the fast world (in process) differ only in the source of inputs and in the receiver of
 commands (`CommandSink`). The numbers, order and records of the inputs are handled in the same way.
@@ -41,7 +41,7 @@ class Core(Protocol):
 
     @property
     def pace(self) -> Pace:
-        """Pace at which the next inputs must be stepped."""
+        """Pace at which the core must process the next inputs."""
 
     def step(self, item: Input) -> list[Output]:
         """Advance by one input."""
@@ -53,8 +53,8 @@ class CoreRunner:
     Args:
         core: flight core.
         sink: receiver of the core's commands.
-        observe: callback for each input with the input's number. It is then called with this number for each
-            output and each note (such as `SetpointSent`) that the input causes.
+        observe: callback that receives each input with the input's number. Afterwards the callback receives,
+            with the same number, each output and note (such as `SetpointSent`) that the input causes.
         host_us: function that returns the host's monotonic time, microseconds; the fast world simulates it.
     """
 
@@ -65,12 +65,12 @@ class CoreRunner:
         self._held: Setpoint | None = None
 
     def step(self, item: Input, *, more: bool = False) -> None:
-        """Step the core with an input and carry out its outputs, setpoints first.
+        """Step the core with an input and carry out the core's outputs, setpoints first.
 
         Args:
             item: input of the core.
-            more: whether another input follows at once. The step of that input may replace a setpoint, so the
-                setpoint is not sent yet.
+            more: whether another input follows at once. The step with that input may replace the setpoint of
+                this step, which is therefore not sent yet.
         """
         number = self._number
         self._number += 1
@@ -95,7 +95,7 @@ class CoreRunner:
         self._observe(record, self._number)
 
     def _send(self, setpoint: Setpoint) -> SetpointSent | None:
-        """Send a recovery setpoint at once. Keep any other setpoint until `_send_held`.
+        """Send a recovery setpoint at once. Store any other setpoint for `_send_held`.
 
         Returns:
             A note with the latency of the sent recovery setpoint, or None.

@@ -67,7 +67,7 @@ class SimulatorProcess:
 
     @property
     def cause(self) -> str:
-        """Text that names the part of the world that has died; valid if `died`."""
+        """The reason why the world has ended, as text; valid only if `died` is True."""
         if self._cause is None:
             self.process.listener.join(_LAST_WORDS_S)  # the cause may still be unread in the pipe
         if self._cause is not None:

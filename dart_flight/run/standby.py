@@ -1,7 +1,7 @@
-"""Standby: holds link and lock between flights, and passes the link to `check` and `fly` processes.
+"""Standby: it holds link and lock between flights, and passes the link to `check` and `fly` processes.
 
-`StandbyDesk` decides without I/O. `Standby` has the connection, the lock and the child processes. A flight
-does not depend on standby, because standby starts the command that an operator would otherwise type.
+`StandbyDesk` decides without I/O. `Standby` has the connection, the lock and the child processes. Standby
+starts a flight with the command that an operator could also type, so flights work without standby.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _NO_GOES: Final = 3  # of a check, sent to the ground station; the rest is in th
 
 
 class Ended(NamedTuple):
-    """End of a child process: status (negative if ended by a signal), output, last line of its messages."""
+    """Result of a child process: status (negative if ended by a signal), output, and last line of stderr."""
 
     status: int
     output: bytes
@@ -92,7 +92,7 @@ class StandbyDesk:
         self._armed = armed
 
     def update_sensors(self, present: int, now_s: float) -> None:
-        """Store whether `present`, PX4's sensor bits, contains the bit of a valid remote control."""
+        """Store whether PX4's sensor bits `present` include a valid remote control."""
         self._radio_s = now_s if present & _RC_RECEIVER else -math.inf
 
     def update_switch(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
@@ -190,7 +190,7 @@ class Standby:
     def _stop(self) -> None:
         """End standby, and pass each signal to a flight in progress.
 
-        The first signal makes the vehicle land. The second signal makes the flight release the vehicle.
+        After the first signal the vehicle lands. After the second signal the flight sends no more setpoints.
         """
         self._stops += 1
         self._wake.set()
@@ -266,7 +266,7 @@ class Standby:
                     driver.close()
 
     def _answer(self, press: Press) -> tuple[Result, str]:
-        """Answer a button; on MAVSDK's thread."""
+        """Answer a button, on MAVSDK's thread."""
         if self._errand is not None:
             return Result.TEMPORARILY_REJECTED, "the link is being passed to another command"
         reply = self._desk.press(press, time.monotonic())
@@ -306,7 +306,7 @@ class Standby:
                 break
 
     async def _run_child(self, command: Sequence[str]) -> Ended:
-        """Run a command of this program on the link, and pass its messages on."""
+        """Run a `dart-flight` command on the link, and pass on all messages of the command."""
         # In a new session, so that only standby gets Ctrl-C and passes it on once.
         inherited = {name: value for name, value in os.environ.items() if name not in _SYSTEMD}
         child = self._child = await asyncio.create_subprocess_exec(
@@ -325,7 +325,7 @@ class Standby:
         return Ended(await child.wait(), output, last_line)
 
     async def _pass_on(self, child: asyncio.subprocess.Process) -> str:
-        """Pass every line of a child's messages on, and return the last one."""
+        """Pass on every line of a child's messages, and return the last line."""
         assert child.stderr is not None
         last = ""
         async for line in child.stderr:

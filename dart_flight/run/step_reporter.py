@@ -1,9 +1,9 @@
 """The application's side of the lockstep with a simulated world (`sim.lockstep`).
 
 The reporter counts the tasks that the application has not finished: queued inputs, lock orders, requests to
-the autopilot, plans. Whenever no task is left, it sends a report to the world, which may then advance. Near a
-wall the world advances by one tick. Away from walls the world advances by 20 ms, and the core then steps all
-samples of these 20 ms together as a batch (`core.pace`).
+the autopilot, plans. Whenever no task is left, the reporter sends a report to the world, which may then
+advance. Near a wall the world advances by one tick. Away from walls the world advances by 20 ms, and the core
+then steps all samples of these 20 ms together as a batch (`core.pace`).
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class StepReporter:
         self._begun, self._flies = False, True
 
     def begin(self) -> None:
-        """Make the world wait for the application; call this once the streams are requested."""
+        """Make the world wait for the application; call this after the streams are requested."""
         with self._guard:
             self._begun = True
             self._report()
@@ -87,12 +87,12 @@ class StepReporter:
             self._report()
 
     def open(self) -> None:
-        """Count one more unfinished task, which `close` finishes."""
+        """Count one more unfinished task; `close` removes the task."""
         with self._guard:
             self._open += 1
 
     def completes_batch(self, item: Input) -> bool:
-        """Return whether to step the core now with this input from the vehicle and all inputs in the queue.
+        """Return whether this input from the vehicle completes a batch, so that the core must process it now.
 
         Inputs from the vehicle are not counted as tasks, because the world itself counts what it has sent.
         """
@@ -103,9 +103,9 @@ class StepReporter:
         """Remove finished tasks from the count, and report to the world if no task is left.
 
         Args:
-            items: inputs that were stepped.
+            items: inputs that the core has processed.
             work: number of finished tasks; telemetry does not count as a task.
-            batched: whether the core steps the next samples in batches, or None if unchanged.
+            batched: whether the core processes the next samples in batches, or None for no change.
         """
         with self._guard:
             if batched is not None:
@@ -145,8 +145,8 @@ class StepReporter:
     def open_request(self, request: PlanRequest | ContactRequest, latency_us: int) -> None:
         """Count a request to a planner as unfinished until the core has processed the answer.
 
-        The answer is due `latency_us` after the request. A plan is due earlier if its trajectory would
-        otherwise begin before the answer.
+        The answer is due `latency_us` after the request. If the planned trajectory begins earlier, the plan
+        is due shortly before this beginning.
         """
         with self._guard:
             due_us = request.t_us + latency_us

@@ -43,7 +43,7 @@ def usable_cores() -> int:
 class Interrupt:
     """Context that counts Ctrl-C, SIGTERM and SIGHUP (a dropped session) instead of ending the program.
 
-    It has an effect only in the main thread; in other threads the count stays 0.
+    The context has an effect only in the main thread; in other threads the count stays 0.
     """
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Failure(NamedTuple):
     """A flight without a result.
 
     Attributes:
-        what: one line that gives the exception and its place, or reports the death of the process.
+        what: one line that gives the exception and the code line, or reports the death of the process.
         error: exception, or None if the process died.
     """
 
@@ -176,7 +176,7 @@ def work(
     """Fly items in parallel and yield their results in the order of completion.
 
     If a process dies, the whole pool breaks. The items in progress are then retried one at a time. If a
-    process dies again, the item that caused this is therefore known.
+    process then dies again, the cause is the item in progress.
 
     Args:
         fly: function that flies one item; pickled once for each process.

@@ -2,8 +2,8 @@
 
 The cascade follows the controller diagrams in PX4's documentation. P on position gives a velocity, and PID on
 velocity gives an acceleration. The acceleration gives a thrust vector and, with the yaw, an attitude. P on
-the attitude error (tilt before heading) gives body rates. PID on the rates gives torques, which the
-allocation converts to motor commands.
+the attitude error gives body rates, which correct the tilt before the heading. PID on the rates gives
+torques, which the allocation converts to motor commands.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ def send_datagram(link: socket.socket, data: bytes, address: Address) -> None:
 
 
 def receive_datagram(link: socket.socket) -> tuple[bytes, Address] | None:
-    """Return a datagram and its sender from a non-blocking socket, or None if none has arrived.
+    """Return a datagram from a non-blocking socket and the sender, or None if no datagram has arrived.
 
     Raises:
         FlightError: the network fails.

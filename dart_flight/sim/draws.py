@@ -151,8 +151,8 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
     """Return the world with other walls.
 
-    `walls` must contain all walls of the world by name. If a wall is the tangent plane of a post, the post
-    moves with the wall.
+    `walls` must contain every wall of the world; its keys are the walls' names. If a wall is the tangent
+    plane of a post, the post moves with the wall.
     """
     mission = world.mission
     collisions = tuple(
@@ -200,7 +200,7 @@ def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _contact_scatter(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Set the spread of the coefficients k, f and mu between contacts.
+    """Set how much the coefficients k, f and mu vary from one contact to the next.
 
     The plant draws these coefficients again for every contact.
     """
@@ -269,7 +269,7 @@ def _battery(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _imu(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw the IMU's offset from the centre of mass, and a vibration of the frame as in real hover."""
+    """Draw the IMU's offset from the centre of mass, and a frame vibration like that in a real hover."""
     x, y, z = world.mission.vehicle.simulation.imu_position_m
     position = (x + sd * rng.gauss(0.0, 1.0), y + sd * rng.gauss(0.0, 1.0), z + sd * rng.gauss(0.0, 1.0))
     shaking = rng.uniform(*_RINGING_M_S2)

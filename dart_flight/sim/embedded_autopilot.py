@@ -55,7 +55,7 @@ class Autopilot:
         plant: vehicle body and its surroundings.
         seed: seed of the noise of all sensors.
         send_text: receives (severity, text) of every STATUSTEXT.
-        position_from: motion capture or a GPS receiver.
+        position_from: source of the position, motion capture or a GPS receiver.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """The world of the embedded autopilot: plant, autopilot and MAVLink, with or without lockstep.
 
-If the app ends (end of input), the vehicle continues until its failsafe has acted. The world's text log
-contains the vehicle's reports. The process ends when the vehicle has landed, but at the latest 30 s after
-the app has ended. In a mode flown with sticks, this limit is 3 s.
+If the app ends (closed pipe), the vehicle flies on until its failsafe has acted. The world's text log
+contains the vehicle's reports. The process ends when the vehicle has landed, but at the latest 30 s after the
+app has ended. In a mode flown with sticks, this limit is 3 s.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class EmbeddedSimulator:
         return self._mocap.publish(self._autopilot.now_s, self._autopilot.pose)
 
     def is_over(self, alone_s: float) -> bool:
-        """Implement `ServedWorld`: the world ends when the vehicle's failsafe has landed it."""
+        """Implement `ServedWorld`: the world ends when the failsafe has landed the vehicle."""
         if not alone_s and self._autopilot.armed:
             self._report("warning", "app disconnected; the vehicle continues until its failsafe acts")
         most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S

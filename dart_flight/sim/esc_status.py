@@ -1,4 +1,4 @@
-"""ESC_STATUS for the embedded autopilot: PX4 and MAVSDK support it, but pymavlink's dialects omit it."""
+"""ESC_STATUS for the embedded autopilot: PX4 and MAVSDK support this message, pymavlink does not."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 The estimator replaces PX4's EKF2. For motion capture the estimator uses fixed gains. For GPS it uses a small
 Kalman filter with noise values from PX4's parameters. The estimator is no copy of the EKF2, but has the same
 kinds of error. Poses and fixes are noisy and arrive with a delay, and a clipped accelerometer causes a
-velocity error. With GPS the estimated position follows the receiver's wandering error, or drifts because the
-measured velocity is wrong.
+velocity error. With GPS the estimated position has the receiver's wandering position error, and also drifts
+if the measured velocity is wrong.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class Estimator:
         self._delayed = DelayedFilter(self, self._updates > 0, now_s, delay_s)
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion | None) -> None:
-        """Correct by a pose measured at `t_s`, which may be in the past; `q`: None without attitude."""
+        """Correct by a pose measured at `t_s`, which may be in the past; `q` is None without attitude."""
         if self._delayed is not None:
             self._delayed.correct(t_s, position_ned, q)
             return
@@ -132,8 +132,8 @@ class Estimator:
     def correct_attitude(self, t_s: float, q: Quaternion) -> None:
         """Correct by an attitude measured at `t_s`.
 
-        The attitude replaces the measurements of gravity and magnetometer. Keep the predictions before `t_s`,
-        because the next GPS fix may be older than `t_s`.
+        The attitude replaces measurements of gravity and of the magnetic field. Keep the predictions before
+        `t_s`, because the next GPS fix may be older than `t_s`.
         """
         if self._history:
             then = min(reversed(self._history), key=lambda one: abs(one[0] - t_s))

@@ -23,9 +23,9 @@ class GpsWeights(NamedTuple):
 
 
 class GpsFilter:
-    """Covariance and gains of position, velocity and accelerometer bias on one axis.
+    """Covariance and gains of position, velocity and accelerometer bias along an axis.
 
-    The values apply to every axis.
+    The values are the same for every axis.
     """
 
     _ACCELERATION_M_S2: Final = 0.35  # PX4's EKF2_ACC_NOISE, of samples at 100 Hz
@@ -43,7 +43,7 @@ class GpsFilter:
         return float(np.sqrt(2.0 * self._p[0, 0]))
 
     def predict(self, dt_s: float) -> None:
-        """Propagate the covariance over a time."""
+        """Propagate the covariance by `dt_s`."""
         self._since_s += dt_s
 
     def correct(self) -> tuple[tuple[float, float], ...]:

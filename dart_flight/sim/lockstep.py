@@ -44,10 +44,10 @@ class LinkEnd(Protocol):
 
     @property
     def arrived(self) -> Mapping[str, Sequence[float]]:
-        """The last message of each kind from the application, with the values that `Stepped.sent` has."""
+        """The values of the application's last message of each kind, in the form of `Stepped.sent`."""
 
     def answer_requests(self) -> None:
-        """Answer requests that have arrived while time stands still."""
+        """While time stands still, answer the requests that have arrived."""
 
 
 class Lockstep:
@@ -59,8 +59,8 @@ class Lockstep:
             answer. With PX4, time therefore advances while a request is outstanding, but waits for the core
             to process telemetry.
         waits_at_first: whether time stands still until the application's first report.
-        sender_lag_us: simulated time, microseconds, by which the autopilot's sender may lag the autopilot.
-            The lag is 0 unless the sender runs in its own thread.
+        sender_lag_us: largest delay of the autopilot's sender behind the autopilot, microseconds of simulated
+            time. The delay is 0 unless the sender runs in its own thread.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Lockstep:
         return {**self._autopilot.sent_us, **self._published}
 
     def outstanding(self, next_us: int) -> str | None:
-        """Return what must happen before simulated time `next_us`, as text, or None if time may advance."""
+        """Return text that names what must arrive before time may advance to `next_us`, or None."""
         report = self._report
         if report is None:
             return "the application to connect" if self._waits_at_first else None

@@ -102,7 +102,7 @@ class MavlinkEndpoint:
     """The MAVLink endpoint of one autopilot.
 
     Args:
-        autopilot: the autopilot; the caller steps it one tick before every `exchange`.
+        autopilot: the autopilot; before every `exchange`, the caller advances the autopilot by one tick.
         ports: remote UDP ports on this host, one for each link.
         local_port: local port of the first link; 0 selects any port.
         system: MAVLink system id; messages to another system are ignored.
@@ -163,7 +163,7 @@ class MavlinkEndpoint:
         return [link.socket.fileno() for link in self.links]
 
     def answer_requests(self) -> None:
-        """Answer requests that have arrived while simulated time stands still.
+        """While simulated time stands still, answer the requests that have arrived.
 
         Repeat the heartbeat too, because MAVSDK reports a vehicle as lost after 3 s of the computer's time.
         """

@@ -33,7 +33,7 @@ class Px4SimulatorSpec(msgspec.Struct):
         directory: folder that contains PX4's bin/px4 and etc/.
         folder: folder of the flight; PX4 works in a subfolder.
         parameters: PX4 parameters to set before the flight, by name.
-        position_from: motion capture (indoors, no GPS) or a GPS receiver.
+        position_from: source of the position, motion capture (indoors, no GPS) or a GPS receiver.
     """
 
     directory: str
@@ -98,8 +98,8 @@ class Stepped(msgspec.Struct, tag="stepped"):
             local NED.
         commands: number of requests to the autopilot without a result.
         plan_due_us: due time of the planner's answer, or None without an open request.
-        batch_us: duration of a batch, which contains the samples that the core processes together. The world
-            does not wait within a batch.
+        batch_us: duration of a batch of samples that the core processes together. The world does not wait
+            within a batch.
         flies: whether the application still sends messages. If not, the world continues alone.
     """
 

@@ -90,7 +90,7 @@ class _WallPlane:
         wall: the wall, mission frame.
         point, normal, tangent: plane of first touch, NED. The vehicle's centre lies on this plane when the
             vehicle first touches the wall.
-        ends: the wall's surface, which the guards touch, and both ends of the wall.
+        ends: both ends of the wall, with the surface that the guards touch.
         near_end: whether a guard may be near an end of the wall, or `ends` still stores a contact's state.
         away: whether the vehicle was too far from the wall for a contact at the last check.
     """
@@ -111,10 +111,9 @@ class _WallPlane:
 
     @property
     def depths(self) -> list[float] | None:
-        """Deflection of each guard near an end of the wall.
+        """Deflection of each guard if a guard may be near an end of the wall, otherwise None.
 
-        Away from the ends the result is None: the deflection then equals the depth of the guard behind the
-        surface.
+        If the result is None, each guard's deflection equals the guard's depth behind the surface.
         """
         return self.ends.depths if self.near_end else None
 
@@ -176,7 +175,7 @@ class _OpenContact:
 
 
 class Plant:
-    """The body and the world it can touch.
+    """The body, and the walls, posts and ground that it can touch.
 
     Args:
         vehicle: configuration with mass, motors, materials and so on.
@@ -364,7 +363,7 @@ class Plant:
     def _wall_in_reach(self, seconds: float) -> bool:
         """Return whether the vehicle may be near a wall or post within `seconds`.
 
-        `advance` calls this method once for all its steps.
+        `advance` calls this method once for all steps.
         """
         (px, py, _), (vx, vy, _) = self.position, self.velocity
         slack = seconds * (abs(vx) + abs(vy) + _GAIN_M_S)
@@ -426,7 +425,7 @@ class Plant:
         """Move and rotate the body near walls and posts; return the mean acceleration by contact, NED.
 
         The integration uses the midpoint rule over position, velocity, attitude and rate. The steps are
-        0.1 ms long, and shorter near a wall's end. Thrust and drag are constant over the millisecond.
+        0.1 ms long, and shorter near a wall's end. Thrust and drag are constant during a call (1 ms).
         """
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
         ends = any(isinstance(obstacle, _WallPlane) and obstacle.near_end for obstacle, _ in obstacles)
@@ -646,7 +645,7 @@ class Plant:
     def _note_contact(
         self, obstacle: _Obstacle, c: Coefficients, reaction: Touch, t_s: float, velocity_before: Vec3
     ) -> None:
-        """Track one obstacle's contact from its first force to its last."""
+        """Track the contact with one obstacle from the first force to the last force."""
         current = self._open.get(obstacle.name)
         if reaction.normal_n > 0.0:
             if current is None:
@@ -724,9 +723,9 @@ class Plant:
 
         Arms and body vibrate against each other. The vibration moves the IMU but not the centre of mass, so
         the contact force does not depend on the vibration. Let q be the arms' displacement relative to the
-        body and s the arms' share of the mass. The body is then at -s q from the centre of mass. Let w be the
-        natural frequency (rad/s), zeta the damping ratio, and c the acceleration by the contact. Then
-        q'' = -w^2 q - 2 zeta w q' - c, and the IMU measures the additional acceleration -s q''.
+        body and s the arms' share of the mass. The body's displacement from the centre of mass is then -s q.
+        Let w be the natural frequency (rad/s), zeta the damping ratio, and c the acceleration by the contact.
+        Then q'' = -w^2 q - 2 zeta w q' - c, and the IMU measures the additional acceleration -s q''.
         """
         freedom = self._arm_freedom() if self._arm_share else 0.0
         if freedom == 0.0:

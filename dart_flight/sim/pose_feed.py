@@ -1,4 +1,4 @@
-"""The frames of the simulated motion capture with its faults, for a pose source or an emulated server."""
+"""Frames of the simulated motion capture, with injected faults, for a pose source or an emulated server."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class PoseFeed:
         self._fault, self._began_s = fault, now_s
 
     def tick(self, now_s: float, pose: Pose | None) -> bool:
-        """Advance to `now_s`, with the sensor's pose of this tick.
+        """Advance to `now_s`; `pose` is the sensor's output in this tick.
 
         Return whether a frame was published.
         """
@@ -104,7 +104,7 @@ class EmulatedMotionCapture:
         self._sends_lost = kind != "vrpn"  # VRPN has no message for a lost body
 
     def publish(self, now_s: float, pose: Pose | None) -> int | None:
-        """Publish a frame if it is due.
+        """Publish a frame if a frame is due.
 
         Return the number of the published frame. The result is None if no frame is due, if no client has
         connected so far, or if the system does not send a lost body.

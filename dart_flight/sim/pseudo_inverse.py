@@ -2,7 +2,7 @@
 
 PX4 builds the effectiveness matrix of the motors from their positions and yaw torques (CA_ROTOR*). PX4 then
 computes the pseudo-inverse and scales its columns (`ControlAllocationPseudoInverse`). For each of the columns
-of roll and pitch, it computes sqrt(2 mean(x^2)) of the nonzero entries x. Both columns are divided by the
+of roll and pitch, PX4 computes sqrt(2 mean(x^2)) of the nonzero entries x. Both columns are divided by the
 larger of these two values. The column of yaw is divided by its largest entry, and the column of lift by its
 mean.
 """
@@ -20,9 +20,9 @@ _SHAPE_DIGITS = 9  # further digits are rounding errors of the inverse
 
 
 def scaled_mix(motors: Sequence[Motor]) -> tuple[float, list[tuple[float, float, float, float]]]:
-    """Return the largest scaled entry of roll and pitch, and (roll, pitch, yaw, lift) of each motor.
+    """Return the largest scaled entry of roll and pitch, and a row (roll, pitch, yaw, lift) for each motor.
 
-    The returned roll and pitch of each motor are divided by this largest entry.
+    In the rows, roll and pitch are divided by this largest entry.
     """
     mix = np.linalg.pinv(np.array(effectiveness(motors)))
     size = np.abs(mix) > 1e-6

@@ -37,7 +37,7 @@ class Pacer:
         self._due_s = time.monotonic()
 
     def wait(self, period_s: float) -> None:
-        """Wait until this tick is due; the next tick is due `period_s` later (0: at once)."""
+        """Wait until this tick is due; the next tick is due `period_s` later (at once if 0)."""
         now_s = time.monotonic()
         if self._due_s > now_s:
             time.sleep(self._due_s - now_s)
@@ -159,7 +159,7 @@ def raise_terminated(_signum: int, _frame: object) -> None:
 
 
 class WorldLog:
-    """The world's text log, with simulated times in seconds; without a path it writes nothing."""
+    """The world's text log, with simulated times in seconds; without a path nothing is written."""
 
     def __init__(self, path: str | None) -> None:
         self._file = None if path is None else open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115

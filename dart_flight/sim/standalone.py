@@ -29,9 +29,10 @@ class VehiclePortLease:
     """The right to be the only vehicle that sends to a UDP port.
 
     Not every other sender can be detected. Another `simulate` or `dry-run --px4` is detected by its lease. A
-    PX4 in its own simulator is detected because PX4 has bound `own_port`. The simulated vehicle also binds
-    `own_port`. If a PX4 and a simulated vehicle start at the same time, only the first to bind the port
-    continues. Any other sender is detected by listening, unless a program already receives on the port.
+    PX4 with another simulator is detected because that PX4 has bound `own_port`. The simulated vehicle also
+    binds `own_port`. If a PX4 and a simulated vehicle start at the same time, only the first to bind the port
+    continues. To detect any other sender, this class listens on the port. If a program already receives on
+    the port, this is impossible.
 
     Args:
         port: port to send to.
@@ -106,7 +107,7 @@ def run_vehicle(
     """Simulate in real time until SIGINT or SIGTERM; `print_line` prints a line in the terminal.
 
     The vehicle sends to each of the UDP ports `ports`. `own_port` is the local UDP port of the link to the
-    first of them; 0 selects any port. `viewer` receives the true motion of the vehicle.
+    first of these ports; 0 selects any port. `viewer` receives the true motion of the vehicle.
     """
     vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)

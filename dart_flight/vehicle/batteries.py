@@ -13,7 +13,7 @@ class Batteries:
     """The batteries that BATTERY_STATUS reports, by id.
 
     PX4 reacts to the worst of the connected batteries, so this class also selects the worst battery. The
-    selection ignores a battery of avionics or payload, and a battery whose voltage has never sufficed to fly.
+    selection ignores batteries of avionics or payload, and batteries that never had enough voltage to fly.
 
     Args:
         lowest_v: voltage below which the vehicle must land.

@@ -68,9 +68,9 @@ class _RealHost:
 class ClockEstimate(_RealHost):
     """An estimate of autopilot time minus host time, from stamps and times of receipt.
 
-    Every message arrives with an unknown positive delay, which makes stamp minus time of receipt too small.
-    The largest such difference in the last 8 s is therefore the best estimate. Older messages are not used,
-    so that the estimate follows a drifting clock.
+    Every message has an unknown positive delay, so the difference (stamp minus time of receipt) is too small.
+    The largest difference in the last 8 s is therefore the best estimate. Older messages are not used, so
+    that the estimate follows a drifting clock.
     """
 
     def __init__(self) -> None:
@@ -114,7 +114,7 @@ class ClockEstimate(_RealHost):
 
 
 class SimulatedTime:
-    """The single clock of a world that waits for the application, set by the vehicle's newest stamp.
+    """The single clock of a world that waits for the application; it shows the vehicle's newest stamp.
 
     Host time and autopilot time are equal, so a busy computer does not affect ages and timeouts.
     """
@@ -128,7 +128,7 @@ class SimulatedTime:
         return self._now_us or 0
 
     def receive(self, t_us: int, received_us: int) -> int:
-        """Advance to the stamp of a message; return its time of receipt, microseconds."""
+        """Advance to the stamp `t_us` of a message; return the simulated time (us) as time of receipt."""
         if self._now_us is None or t_us > self._now_us:
             self._now_us = t_us
         return self._now_us
@@ -160,7 +160,7 @@ class LockstepClock(_RealHost):
 
     The simulator does not wait for the application. The autopilot's time advances at any pace and stops with
     the simulator. The autopilot's time is therefore estimated as the newest stamp plus an advance. The
-    advance is the host time since the stamp's receipt times `speed`, but at most 50 ms.
+    advance is `speed` times the host time since the receipt of that stamp, but at most 50 ms.
 
     Args:
         speed: the simulator's target pace, simulated seconds per second.

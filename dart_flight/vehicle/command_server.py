@@ -47,7 +47,7 @@ class CommandServer:
     Args:
         mavsdk: the connection.
         system_id: system id of the only ground station that may command.
-        answer: function that returns the result of a press and the reason of the result.
+        answer: function that returns the result of a press and the reason for this result.
         note: callback that receives one line about every command, for log and ground station. Of all commands
             from other systems, only the first gives a line.
 
@@ -97,5 +97,5 @@ def _press_of(fields_json: str) -> Press:
 
 
 def _whole(value: float | None) -> int:
-    """Return a parameter as an integer: -1 if it is not a whole number, 0 for NaN."""
+    """Return a parameter as an integer: -1 for a number that is not whole, 0 for NaN."""
     return 0 if value is None else int(value) if float(value).is_integer() else -1

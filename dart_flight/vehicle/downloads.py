@@ -130,7 +130,7 @@ def logs_of_flight(
 
     Args:
         entries: logs on the flight controller.
-        armed: times of the flight's arming and end, or None if unknown.
+        armed: arming time and end time of the flight, or None if unknown.
         before: logs on the flight controller before the flight, or None if unknown.
     """
     found = [entry for entry in entries if entry.size_bytes]

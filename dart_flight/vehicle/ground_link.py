@@ -139,7 +139,7 @@ class _Listener:
         self._forces_m_s2, self._imu_samples = 0.0, 0
 
     def update(self, record: Input) -> None:
-        """Process a record, on MAVSDK's thread or the motion capture's."""
+        """Process a record, on MAVSDK's thread or on the thread of the motion capture."""
         seen = self.seen
         self.poses.update(record)
         if isinstance(record, PoseSample):
@@ -188,7 +188,7 @@ class GroundLink:
     Raises:
         VehicleError: on entering, if the URL cannot be opened or no autopilot answers.
         InputError: on entering, if the motion capture cannot be opened.
-        NoAnswerError: in a method that sends a request, if the vehicle answers no requests or has stopped
+        NoAnswerError: from a method that sends a request: the vehicle answers no requests, or has stopped
             sending.
     """
 
@@ -259,7 +259,7 @@ class GroundLink:
         """Return the shortest TIMESYNC round trip, seconds, or None without an answer within 5 s.
 
         Raises:
-            NoAnswerError: the vehicle has not answered another request either.
+            NoAnswerError: the vehicle has answered neither TIMESYNC nor another request.
         """
         return asyncio.run(self._round_trip_s())
 
@@ -282,7 +282,8 @@ class GroundLink:
 
         Raises:
             NoAnswerError: the vehicle answers no requests, or has stopped sending.
-            Exception: MAVSDK's exception for a refusal, or for a single unanswered request.
+            Exception: MAVSDK's exception, if the vehicle refuses the request, or does not answer it but may
+                answer others.
         """
         try:
             answer = request()
@@ -304,7 +305,7 @@ class GroundLink:
         return answer
 
     def heartbeat_mode(self) -> HeartbeatMode | None:
-        """Return the mode in the autopilot's next HEARTBEAT, or None if none arrives within 3 s."""
+        """Return the mode in the autopilot's next HEARTBEAT, or None if no HEARTBEAT arrives within 3 s."""
         beat = self._session.next(messages.HEARTBEAT, _HEARTBEAT_S)
         if beat is not None:
             return HeartbeatMode(armed=beat.armed, hil=beat.hil)
@@ -334,7 +335,7 @@ class GroundLink:
     def read_parameters(
         self, names: Iterable[str], progress: Callable[[int], None] = lambda done: None
     ) -> dict[str, Value]:
-        """Return the values of the parameters that the vehicle has; an INT32 is an int.
+        """Return the values of the parameters that the vehicle has; INT32 values are of type int.
 
         `progress` receives the number of parameters requested so far.
 

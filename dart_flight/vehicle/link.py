@@ -93,8 +93,8 @@ def endpoint_of(url: str) -> LinkEndpoint:
 def feed_name(port: int) -> str:
     """Return the name that a simulated vehicle leases before it sends to a UDP port.
 
-    A program that receives on the port leases the port's URL, which is another name. The receiver and the
-    simulated vehicle can therefore use the same port.
+    A program that receives on the port leases another name, the port's URL. The receiver and the simulated
+    vehicle can therefore use the same port.
     """
     return f"feed:{port}"
 
@@ -204,7 +204,7 @@ class LinkLease(Lease):
 
 
 def acquire_free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
-    """Return an unused UDP port of the loopback interface and its acquired lease.
+    """Return an unused UDP port of the loopback interface and the acquired lease of this port.
 
     Raises:
         LinkInUseError: all tried ports are in use by other programs.
@@ -313,7 +313,7 @@ def _owners_of_device(device: Path, besides: int | None = None) -> str:
 
 
 def _owners(targets: set[str], besides: int | None = None) -> str:
-    """Return text that names the processes that have a file or socket in `targets` open."""
+    """Return text that names all processes (except `besides`) with an open file or socket in `targets`."""
     found = []
     for process in Path("/proc").iterdir():
         if not process.name.isdigit() or int(process.name) == besides:

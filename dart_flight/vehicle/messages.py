@@ -1,7 +1,8 @@
-"""The acceptance table: every MAVLink message that the program uses, and when it accepts the message.
+"""The acceptance table: the MAVLink messages that the program uses, and the conditions of their acceptance.
 
-A message is used only if the autopilot's component sent it, its instance is accepted and its values are
-usable. `VehicleSession` subscribes to the messages in this table, and docs/link.md shows the table.
+The program uses a message only if the sender is the autopilot's component, the message's instance is accepted
+and the values are usable. `VehicleSession` subscribes to the messages in this table, and docs/link.md shows
+the table.
 """
 
 from __future__ import annotations
@@ -462,7 +463,7 @@ class MessageEntry(msgspec.Struct, frozen=True):
         units: units and scale.
         invalid: text with the conditions under which a message has no usable values.
         instance: name of the field that distinguishes several senders in one component, or None.
-        instances: accepted values of this field, or None if all values are accepted.
+        instances: accepted values of the field named in `instance`, or None if all values are accepted.
         which: description of the accepted instances for the manual's table.
     """
 
@@ -497,7 +498,7 @@ class MessageEntry(msgspec.Struct, frozen=True):
         return decode
 
     def decode(self, fields_json: str) -> Any:
-        """Return a message's value, or None if it has no usable value."""
+        """Return a message's value, or None if the message has no usable value."""
         value = self.reader()(fields_json)[1]
         return None if isinstance(value, Unusable) else value
 

@@ -1,4 +1,4 @@
-"""Splitting and assembly of STATUSTEXTs: a text longer than 50 bytes is several messages with one id."""
+"""Splitting and assembly of STATUSTEXTs: a text over 50 bytes is sent as several messages with one id."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class TextAssembler:
         return found
 
     def overdue(self) -> list[tuple[str, str]]:
-        """Return an incomplete text if no new part has arrived for a second, otherwise an empty list.
+        """Return a list: the incomplete text if no new part has arrived for a second, otherwise nothing.
 
         Call this method at every heartbeat.
         """

@@ -84,7 +84,7 @@ class Sender(NamedTuple):
 class SenderCount(msgspec.Struct):
     """The number of messages and the number of usable messages from a sender.
 
-    `reason` is the reason why the last unusable message was unusable.
+    `reason` states why the last unusable message could not be used.
     """
 
     messages: int = 0
@@ -116,7 +116,7 @@ class VehicleSession:
         clock: relation of the autopilot's time to the host's.
 
     Attributes:
-        senders: `SenderCount` of each sender of each subscribed message, even if its messages are not used.
+        senders: one `SenderCount` for each sender of each subscribed message, including ignored senders.
         batteries: the newest reading of each battery.
         motor_outputs: decoder of the motor outputs, or None before `subscribe`.
         clock: relation of the autopilot's time to the host's.
@@ -201,8 +201,8 @@ class VehicleSession:
 
         Args:
             entry: the message.
-            on_value: callback that receives each usable value of the autopilot's component and the time of
-                receipt. The callback returns None, or `Unusable` if it cannot use the value.
+            on_value: callback that receives each usable value from the autopilot's component, and the value's
+                time of receipt. The callback returns None, or `Unusable` if it cannot use the value.
             on_unusable: callback that receives the instance of each unusable message of the autopilot's
                 component.
         """
@@ -250,7 +250,7 @@ class VehicleSession:
         return found[0] if found else None
 
     def next(self, entry: MessageEntry, timeout_s: float) -> Any:
-        """Block until the next usable value arrives and return it, or None after the timeout."""
+        """Block until the next usable value arrives and return this value, or None after the timeout."""
         came: queue.SimpleQueue[Any] = queue.SimpleQueue()
         handle = self.listen(entry, lambda value, _: came.put(value))
         try:
@@ -531,9 +531,9 @@ class VehicleSession:
     def send(self, setpoint: Setpoint) -> None:
         """Send a setpoint immediately, from any thread; MAVSDK repeats it at 20 Hz until the next setpoint.
 
-        In offboard mode, an unchanged setpoint is skipped for 0.1 s, because MAVSDK repeats the last
-        setpoint. In other modes no setpoint is skipped: MAVSDK does not repeat setpoints there, and needs a
-        setpoint to start offboard mode. A recovery setpoint is never skipped.
+        In offboard mode, a setpoint equal to the last setpoint is skipped for 0.1 s, because MAVSDK repeats
+        the last setpoint. In other modes no setpoint is skipped: MAVSDK repeats none in these modes, and
+        needs a setpoint to start offboard mode. A recovery setpoint is never skipped.
         """
         if self._silent:
             return
@@ -581,7 +581,7 @@ class VehicleSession:
         return "" if name == "SUCCESS" else name
 
     def send_message(self, message: MavlinkMessage) -> None:
-        """Send a raw message from any thread; ignore errors: a broken link is detected by missing answers."""
+        """Send a raw message from any thread; ignore errors, because missing answers reveal a broken link."""
         with contextlib.suppress(MavsdkError):
             self._direct.send_message(message)
 
@@ -623,7 +623,7 @@ class VehicleSession:
 
         Args:
             system_id: system id of the ground station.
-            answer: function that returns the result of a press and the reason of the result.
+            answer: function that returns the result of a press and the reason for this result.
         """
 
         def note(text: str) -> None:

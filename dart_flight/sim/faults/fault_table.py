@@ -265,7 +265,7 @@ class Trigger:
         self._since_us: int | None = None
 
     def process(self, record: Record) -> bool:
-        """Process a record of the flight; return whether the phase has begun."""
+        """Process a record of the flight; return whether the phase of the fault has begun."""
         if self._since_us is None:
             first = self._fault.phase is None
             if first and hasattr(record, "t_us"):
@@ -275,7 +275,7 @@ class Trigger:
         return self._since_us is not None
 
     def is_due(self, now_us: int) -> bool:
-        """Return whether the fault begins now; a fault from the start of the flight needs no record."""
+        """Return whether the fault is due. Without phase and delay it is due before any record."""
         if self._fault.phase is None and self._fault.after_s == 0.0:
             return True
         return self._since_us is not None and now_us - self._since_us >= self._fault.after_s * 1e6

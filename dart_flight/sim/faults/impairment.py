@@ -45,7 +45,7 @@ class LossyLink(Generic[T]):
         self._number = 0
 
     def push(self, now_s: float, message: T) -> None:
-        """Add a message at a time."""
+        """Add a message that is sent at `now_s`."""
         impairment, chance = self.impairment, self._random.random
         if impairment.down or (impairment.loss > 0.0 and chance() < impairment.loss):
             return
@@ -60,7 +60,7 @@ class LossyLink(Generic[T]):
             heapq.heappush(self._waiting, (now_s + late_s, self._number, message))
 
     def pop(self, now_s: float) -> list[T]:
-        """Return the messages that have arrived by a time, in order of arrival."""
+        """Return the messages that have arrived until `now_s`, in order of arrival."""
         arrived = []
         while self._waiting and self._waiting[0][0] <= now_s:
             arrived.append(heapq.heappop(self._waiting)[2])

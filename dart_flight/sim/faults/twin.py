@@ -19,7 +19,7 @@ def make_second_vehicle(mission: Mission, seed: int, ahead_s: float, now_us: int
     Args:
         mission: mission of the first vehicle.
         seed: seed of the first vehicle.
-        ahead_s: clock of the second vehicle minus that of the first, seconds.
+        ahead_s: clock of the second vehicle minus clock of the first vehicle, seconds.
         now_us: clock of the first vehicle, microseconds.
     """
     twin = SimulatedVehicle(msgspec.structs.replace(mission, walls=()), seed + _OTHER_SEED, LockDriver.PX4)

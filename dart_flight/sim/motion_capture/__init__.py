@@ -1,6 +1,6 @@
 """Emulated motion-capture servers: they speak the vendors' protocols on loopback.
 
-The servers have no clock: the caller publishes each pose when it is due in simulated time.
+The servers have no clock: the caller publishes each pose when the pose is due in simulated time.
 """
 
 from __future__ import annotations

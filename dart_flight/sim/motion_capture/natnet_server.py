@@ -27,7 +27,7 @@ def _sized(kind: int, payload: bytes) -> bytes:
 
 
 def _counted(items: list[bytes]) -> bytes:
-    """Encode a list of a frame: the number of items, the total size of the items in bytes, and the items."""
+    """Encode a list within a frame: number of items, total size of the items in bytes, and the items."""
     data = b"".join(items)
     return struct.pack("<II", len(items), len(data)) + data
 
@@ -93,7 +93,7 @@ class NatNetServer:
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Send one frame with both bodies to every client."""
+        """Send one frame with the wand and the body to every client."""
         w, x, y, z = q_body_to_room
         flags = 1 if tracked else 0
         bodies = [

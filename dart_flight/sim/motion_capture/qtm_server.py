@@ -111,7 +111,7 @@ class QtmServer:
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Send one frame with both bodies to every client that has asked for frames."""
+        """Send one frame with the wand and the body to every client that has asked for frames."""
         columns = [
             x
             for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

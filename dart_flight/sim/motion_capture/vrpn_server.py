@@ -1,4 +1,4 @@
-"""An emulated VRPN server with two trackers, by the public description of VRPN's protocol; TCP only."""
+"""An emulated VRPN server with two trackers, TCP only, based on the public description of VRPN's protocol."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class VrpnServer:
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Send one frame to every client: the wand's pose, and the body's if it is tracked."""
+        """Send one frame to every client: the wand's pose, and the body's pose if the body is tracked."""
         w, x, y, z = q_body_to_room
         poses = [(1, (1.0, -0.5, 0.02, 0.0, 0.0, 0.0, 1.0))]
         poses += [(2, (*position_room, x, y, z, w))] if tracked else []

@@ -66,7 +66,7 @@ class Px4LostError(FlightError):
 
 
 class Controls(msgspec.Struct, frozen=True):
-    """One HIL_ACTUATOR_CONTROLS: motors 0 to 1, other outputs -1 to 1; all zero while PX4 is disarmed."""
+    """One HIL_ACTUATOR_CONTROLS: motor values 0 to 1, others -1 to 1; all are zero while PX4 is disarmed."""
 
     time_us: int
     armed: bool
@@ -116,7 +116,7 @@ class HilLink:
             raise Px4LostError(f"PX4 closed the simulator connection ({error.strerror})") from None
 
     def exchange(self, sensor: Any, *others: Any) -> Controls:
-        """Send one tick's messages, wait for PX4's answer and return it.
+        """Send one tick's messages, wait for PX4's answer and return the answer.
 
         Before PX4's first answer, the wait is short, and the outputs of a disarmed vehicle are returned.
 
@@ -166,7 +166,7 @@ class Px4Vehicle:
         mission: mission with walls, start and vehicle.
         seed: seed of every sensor's noise.
         link: link to PX4.
-        position_from: motion capture (no GPS) or a GPS receiver.
+        position_from: source of the position, motion capture (no GPS) or a GPS receiver.
         motors: the airframe's motors according to PX4's parameters; default: motors of the configuration.
         sends_poses: whether the poses of the simulated motion capture go to PX4 over this link.
 
@@ -297,8 +297,8 @@ def servo_channel(vehicle: VehicleConfig) -> int:
 def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
     """Return one axis of HIL_SENSOR, saturated at full scale.
 
-    With a full scale of 16 g, a saturated axis has the largest value of PX4's simulated driver, and the
-    driver reports clipping. With a smaller full scale the driver does not detect the saturation.
+    With a full scale of 16 g, a saturated axis is at the limit of PX4's simulated driver, so the driver
+    reports clipping. With a smaller full scale the driver does not detect the saturation.
     """
     limit = ACCELEROMETER_LIMIT_M_S2
     if abs(specific_force_m_s2) >= full_scale_m_s2:

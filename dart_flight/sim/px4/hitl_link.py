@@ -129,7 +129,7 @@ class UdpPort:
 
 
 def open_port(url: str) -> HitlPort:
-    """Open the port that a URL given with `--hitl` names.
+    """Open the port with the URL that follows `--hitl`.
 
     Raises:
         InputError: the port cannot be opened, or is neither serial nor UDP.
@@ -159,7 +159,7 @@ class HitlLink:
     Attributes:
         controls: last actuator outputs.
         answered: whether any actuator outputs have arrived.
-        sent, dropped: number of messages that the port has accepted, and number that it has not accepted.
+        sent, dropped: number of accepted messages, and number of messages that the port did not accept.
         outputs_seen: number of output drivers that PX4 reports, including the simulated one; 0 before the
             first report.
         longest_gap_s: longest gap between two accepted ticks, or between PX4's stamps of two messages with

@@ -1,10 +1,10 @@
 """Start and stop of a real PX4 (SITL) from the user's own build or installation, for one flight.
 
 PX4 runs in a new working folder and in a separate session. PX4 gets the first free instance number, which
-defines the ports. PX4's own client sets the parameters while PX4 waits for its simulator. During its start
-every version since v1.14 waits for the simulator at the same point: the airframe's defaults are applied, but
-estimator and controllers have not started. The user provides PX4; PX4's documentation explains how to build
-and install PX4 (docs/px4.md).
+defines the ports. PX4's own client sets the parameters while PX4 waits for its simulator. Every version since
+v1.14 waits for the simulator at the same point of PX4's start: after the airframe's defaults are applied, and
+before estimator and controllers start. The user provides PX4; PX4's documentation explains how to build and
+install PX4 (docs/px4.md).
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def flight_parameters(
 
     Args:
         vehicle: configuration with masses, motors and the `px4` section.
-        position_from: motion capture (indoors) or a GPS receiver.
+        position_from: source of the position, motion capture (indoors) or a GPS receiver.
         extra: the user's own parameter files, which override all other parameters.
 
     Raises:
@@ -271,7 +271,7 @@ def claim_instance() -> Instance:
     """Claim the first PX4 instance whose ports are free.
 
     Raises:
-        Px4Error: all ten are in use.
+        Px4Error: all ten instances are in use.
     """
     for number in _INSTANCES:
         # The port that PX4 sends to is leased here by the sender, and in the app by the receiver.
@@ -335,7 +335,7 @@ def _die_with_parent() -> None:
 class Px4:
     """One running PX4.
 
-    Start PX4 from the main thread, because the kernel kills PX4 when the thread that has started it ends.
+    Start PX4 from the main thread: when the starting thread ends, the kernel kills PX4.
 
     Args:
         install: paths of PX4.
@@ -395,7 +395,7 @@ class Px4:
             time.sleep(0.02)
 
     def set_parameters(self, parameters: Mapping[str, Parameter]) -> dict[str, Value]:
-        """Set parameters while PX4 waits for its simulator, and read every one back.
+        """Set parameters while PX4 waits for its simulator, and read every parameter back.
 
         Returns:
             The parameters that were set. A parameter that this version of PX4 does not need is left out.

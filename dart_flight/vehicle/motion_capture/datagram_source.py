@@ -27,8 +27,8 @@ class DatagramSource:
 
     Args:
         address: local address and port, and the name of the body.
-        decode: function of datagram, body and sender. The function returns the pose, or the reason why the
-            datagram contains no pose of the body.
+        decode: function with the arguments datagram, body and sender. It returns the pose, or the reason why
+            the datagram contains no pose of the body.
 
     Attributes:
         ignored: number of ignored datagrams by reason.

@@ -53,7 +53,7 @@ def decode_server_info(data: bytes) -> ServerInfo | None:
 
 
 def _query_server(address: PoseAddress) -> tuple[ServerInfo, str, str]:
-    """Request a connection, and return what the server announces and the addresses of both sides.
+    """Request a connection; return the server's announcement and the addresses of both sides.
 
     The result is (announcement, the server's address, this computer's address towards the server).
 

@@ -115,7 +115,7 @@ class Decimation:
 
 
 class StaleFrames:
-    """A filter of stale frames: after an outage, TCP delivers all frames that waited, in one burst.
+    """A filter of stale frames: after an outage, TCP delivers all delayed frames in one burst.
 
     PX4 stamps a pose by its arrival, so a stale pose would move PX4's estimate to a former position.
     """
@@ -125,9 +125,10 @@ class StaleFrames:
         self._since_us: int | None = None
 
     def contains(self, stamp_us: int, received_us: int) -> bool:
-        """Return whether a frame is more than 0.3 s older on arrival than the youngest frame was.
+        """Return whether a frame is stale: its age on arrival exceeds the smallest age so far by over 0.3 s.
 
-        If all frames of one second are stale, the source's clock has jumped; then they count as fresh.
+        If all frames during one second are stale, the source's clock has jumped. The next frame is then
+        fresh.
         """
         offset_us = received_us - stamp_us
         if self._least_us is None or offset_us < self._least_us:
@@ -182,7 +183,7 @@ class MotionCaptureBridge:
         self._source.start(self.forward)
 
     def withhold(self, *, attitude_only: bool) -> None:
-        """Stop sending poses to PX4, or only their attitudes; the core still receives all poses."""
+        """Stop sending poses (or only the attitudes) to PX4; the core still receives complete poses."""
         with self._lock:
             self._attitude_withheld = True
             self._withheld = self._withheld or not attitude_only
@@ -194,7 +195,7 @@ class MotionCaptureBridge:
         self._source.stop()
 
     def forward(self, raw: RawPose) -> None:
-        """Deliver a pose, and send it to PX4 if it is tracked, due and not stale."""
+        """Deliver a pose; if its body is tracked and the pose is due and not stale, also send it to PX4."""
         received = self._clock.host_us()
         t_us = self._clock.to_autopilot(received)
         stamp = raw.source_us if raw.source_us is not None else received

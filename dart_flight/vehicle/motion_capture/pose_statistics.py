@@ -37,11 +37,11 @@ class PoseFigures(msgspec.Struct, frozen=True):
         gaps: number of gaps of more than 0.1 s between tracked poses.
         longest_gap_s: longest time between two tracked poses, including a gap that has not ended.
         lost: share of frames in which the body is not tracked, 0 to 1.
-        age_ms: age of the newest poses. This is `mocap.delay_ms`, the measured shortest age, plus the excess
-            over the shortest age according to the stamps.
+        age_ms: age of the newest poses: the measured shortest age (`mocap.delay_ms`) plus the excess over the
+            shortest age. The stamps give the excess.
         age_growth_ms: growth of the age since the first poses.
         distance_to_px4_m: distance of PX4's position from the newest pose.
-        angle_to_px4_deg: angle between PX4's attitude and the newest pose.
+        angle_to_px4_deg: angle between PX4's attitude and the attitude of the newest pose.
         senders: addresses that have sent poses in the last 2 s.
     """
 

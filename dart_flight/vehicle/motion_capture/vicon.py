@@ -26,7 +26,7 @@ _MAX_NAMES: Final = 5  # names listed in a reason
 
 
 def decode(data: bytes, body: str, sender: str) -> RawPose | str:
-    """Return the pose of a body in a block, or the reason why the block contains none."""
+    """Return the pose of a body in a block, or the reason why the block contains no such pose."""
     if len(data) < _BLOCK.size:
         return "shorter than a block of Vicon's object stream"
     frame_number, items = _BLOCK.unpack_from(data)

@@ -1,8 +1,9 @@
 """A pose source for any VRPN server, over one TCP connection.
 
 The layout is taken from the public description of VRPN's protocol; all numbers are big-endian. Both ends
-first send a cookie with their version. A header and a payload, padded to 8 bytes, are a message. The server
-describes the numbers of its senders and types by names. It sends nothing for a body that is not tracked.
+first send a cookie with their version. A message is a header and a payload, which is padded to a multiple of
+8 bytes. The server sends a name for the number of each sender and each type. The server sends no pose of a
+body that is not tracked.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ _TIMEOUT_S, _SILENT_S, _RETRY_S = 3.0, 1.0, 1.0
 
 
 def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]) -> Iterator[RawPose | str]:
-    """Yield each pose of a body, or the reason why it is none, until the stream ends; add all senders' names.
+    """Yield each pose of a body, or the reason why the pose is invalid; add the senders' names to `senders`.
+
+    The iterator ends when the stream ends.
 
     Raises:
         ValueError: the server does not speak VRPN.
