@@ -90,7 +90,9 @@ def run(arguments: argparse.Namespace) -> int:
                     print_status(f"  passed on {before.date}")
                     continue
                 if arguments.yes and step.by_hand:
-                    finding = StepFinding(StepOutcome.NEEDS_OPERATOR, "needs an operator at the vehicle")
+                    finding = StepFinding(
+                        StepOutcome.NEEDS_OPERATOR, "the step needs an operator at the vehicle"
+                    )
                 else:
                     (finding,) = run_checks([step], bringup)
                 delay_ms = finding.measured.get("delay_ms")

@@ -395,7 +395,7 @@ def evaluate_motion(
         wrong = (
             "the body's motion does not match the accelerometer (correlation "
             f"{motion.force_correlation:.2f}): "
-            "carry it further; if that does not help, check mocap.body_offset_m"
+            "carry the vehicle further; if the step fails again, check mocap.body_offset_m"
         )
     elif abs(motion.scale - 1.0) > _SCALE:
         wrong = (
@@ -441,9 +441,12 @@ def evaluate_remote(received: bool, modes: Collection[str]) -> StepFinding:
             **measured,
         )
     if len(modes) < 2:
-        says = "the mode did not change: assign a switch (RC_MAP_FLTMODE, COM_FLTMODE1 to 6) and flip it"
+        says = (
+            "the flight mode did not change: assign a switch (RC_MAP_FLTMODE, COM_FLTMODE1 to 6) and flip "
+            "the switch"
+        )
         return failed(says, **measured)
-    return passed("the mode follows the switch", **measured)
+    return passed("the flight mode follows the mode switch", **measured)
 
 
 # --- helpers -------------------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ _MAX_ERROR = 0.1  # largest error on held-out stretches, as a share of the thrus
 
 # Tests of a window in their order, with the reason for rejection.
 TESTS = {
-    "ground": "on the ground, or within 1 s of take-off or landing",
+    "ground": "the vehicle is on the ground, or within 1 s of take-off or landing",
     "gap": "too few samples",
     "turning": "mean rate of turning",
     "sideways": "mean force across the thrust axis: wind, drag or a contact",
@@ -56,7 +56,7 @@ TESTS = {
     "fast": "mean speed",
     "accelerating": "change of velocity",
     "unsteady": "commands change",
-    "limit": "a motor near standstill or full command",
+    "limit": "a motor is near standstill or near full command",
 }
 
 

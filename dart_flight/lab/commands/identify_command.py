@@ -59,7 +59,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="M",
-        help="distance to subtract from normal_m if normal_m is the height of the vehicle's centre",
+        help="metres to subtract from normal_m if normal_m is the distance of the vehicle's centre "
+        "from the wall",
     )
     parser.add_argument(
         "--columns", metavar="NAME=HEADER,...", help="other headers, e.g. time_s=t,normal_m=x"
