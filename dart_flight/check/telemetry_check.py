@@ -191,7 +191,7 @@ def evaluate_motor_outputs(
         return [CheckFinding(item, False, wrong)]
     scale = _configured_scale(bank, values)
     if observed_scale is not None and observed_scale != scale:
-        says = f"the parameters of {bank} give {scale.describe()}, but the vehicle sends "
+        says = f"the parameters of {bank} select {scale.describe()}, but the vehicle sends "
         says += observed_scale.describe()
         return [CheckFinding(item, False, says)]
     return [CheckFinding(item, True, f"{scale.describe()}, on {bank}")]

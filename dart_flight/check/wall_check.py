@@ -74,7 +74,7 @@ def _check_collision(
         yield CheckFinding(item, False, f"within {SURE_SD:g} standard deviations {', '.join(problems)}")
     elif wall.is_uncertain:
         slack = float(position_margin_m(wall, impact_place(collision, hits)))
-        says = f"the impact tolerates {slack:.2f} m ({SURE_SD:g} sd) of error in the position of wall {wall.name}"
+        says = f"wall {wall.name}: the impact tolerates a position error of {slack:.2f} m ({SURE_SD:g} sd)"
         yield CheckFinding(item, True, says)
     planned_deg, most_deg = (
         incidence_deg(mission, collision),

@@ -113,7 +113,8 @@ def evaluate_link(
     if errors.get("drop_rate_comm", 0.0) > 100.0:
         share = errors["drop_rate_comm"] / 100.0
         return failed(
-            f"the flight controller loses {share:.1f} % of the messages: check wires and ground", **measured
+            f"the flight controller loses {share:.1f} % of the messages: check the wires, including ground",
+            **measured,
         )
     return passed("all streams arrive at their rates", **measured)
 

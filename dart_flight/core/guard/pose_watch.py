@@ -278,8 +278,8 @@ _DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "od
 # fmt: off
 POSE_RULES: tuple[Rule, ...] = (
     Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
-        "the forwarded poses are wrong: body lost or jumped, poses slow, late, from two senders, or far "
-        "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
+        "the forwarded poses are wrong: the body is lost or jumped, or the poses are slow, late, from two "
+        "senders or far from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
     Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
         "the poses are wrong (see `pose_source_ground`) and PX4's estimate jumped with the poses, or the "
         "body was lost for longer than the limit",

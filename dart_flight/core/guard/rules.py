@@ -317,7 +317,7 @@ RULES: tuple[Rule, ...] = (
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,
-           "the measured position of a wall leaves no room for the approach", "bounds_m"),
+           "the measured position of a wall leaves too little space for the approach", "bounds_m"),
     _found("climb_timeout", _LAND, "the altitude was not reached in time", "flying.ready_timeout_s"),
     _found("transit_timeout", _HOLD,
            "the run-up point or a waypoint was not reached in time", "flying.ready_timeout_s"),

@@ -60,7 +60,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=0.0,
         metavar="M",
         help="metres to subtract from normal_m if normal_m is the distance of the vehicle's centre "
-        "from the wall",
+        "from the wall or ground",
     )
     parser.add_argument(
         "--columns", metavar="NAME=HEADER,...", help="other headers, e.g. time_s=t,normal_m=x"
