@@ -26,7 +26,7 @@ from dart_flight.vehicle.link import LinkLease
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument(
-        "mission", nargs="?", metavar="MISSION", help="mission that names the vehicle and the frame"
+        "mission", nargs="?", metavar="MISSION", help="mission that gives the vehicle and the frame"
     )
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     parser.add_argument(

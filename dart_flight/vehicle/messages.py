@@ -260,9 +260,9 @@ def _imu(m: _HighresImuFields) -> InertialReading | Unusable:
     if ax is None or ay is None or az is None or wx is None or wy is None or wz is None:
         return Unusable("has a specific force and a rate")
     if ax * ax + ay * ay + az * az > _MAX_SPECIFIC_FORCE_M_S2 * _MAX_SPECIFIC_FORCE_M_S2:
-        return Unusable(f"has a specific force below {_MAX_SPECIFIC_FORCE_M_S2:g} m/s2: its unit is wrong")
+        return Unusable(f"has a specific force below {_MAX_SPECIFIC_FORCE_M_S2:g} m/s2: the unit is wrong")
     if max(wx, wy, wz, -wx, -wy, -wz) > _MAX_RATE_RAD_S:
-        return Unusable(f"has a rate below {_MAX_RATE_RAD_S:g} rad/s: its unit is wrong")
+        return Unusable(f"has a rate below {_MAX_RATE_RAD_S:g} rad/s: the unit is wrong")
     return InertialReading(m.time_usec, (ax, ay, az), (wx, wy, wz))
 
 
@@ -530,7 +530,7 @@ ODOMETRY = MessageEntry(
     _odometry,
     "frame_id and child_frame_id LOCAL_NED, as PX4 sends from 1.14 on",
     "m, m/s",
-    "position or velocity is NaN or over 10 km or 100 m/s, or quality is -1",
+    "a value is NaN, the position is over 10 km, the velocity is over 100 m/s, or the quality is -1",
     "estimator_type",
     None,
     "estimator_type 8 (autopilot)",
@@ -596,7 +596,7 @@ ESTIMATOR_STATUS = MessageEntry(
     _estimator,
     "-",
     "flags, m",
-    "standard deviation is negative or over 10 km; NaN means not reported",
+    "the standard deviation is negative or over 10 km; NaN means that PX4 reports none",
     None,
     None,
     "PX4 reports only its selected estimator; the message has no id",

@@ -26,7 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "missions",
         nargs="*",
         metavar="MISSION",
-        help="mission files; with --resume the original ones or none",
+        help="mission files; with --resume, the original mission files or none",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the campaign")
     parser.add_argument(

@@ -70,8 +70,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=("NORTH", "EAST", "HEADING"),
-        help="for PX4 logs: a point of the plane of first touch in local NED (m), and the heading of its "
-        "outward normal (degrees)",
+        help="for PX4 logs: a point of the plane of first touch in local NED (m), and the heading of "
+        "the plane's outward normal (degrees)",
     )
     parser.add_argument(
         "--mass", type=float, metavar="KG", help="vehicle mass (default: the configuration's)"
