@@ -86,7 +86,7 @@ class FlightContext(CheckContext[CheckFinding]):
     @property
     def vehicle(self) -> VehicleReading:
         """The vehicle's own reports."""
-        assert self.reading is not None, "the first check of the stage reads the vehicle"
+        assert self.reading is not None, "the first check of a stage must read the vehicle"
         return self.reading
 
     def read(self, reader: Callable[[Mission, str], VehicleReading]) -> list[CheckFinding]:

@@ -74,7 +74,9 @@ def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
         return CheckFinding("core_speed", True, says, figures=figures)
     go = margin >= _LEAST_MARGIN
     if go:
-        says += f": a recovery begins {_PEAK_FACTOR * step_s * 1e3:.0f} ms after the sample with the peak"
+        says += (
+            f": a recovery begins {_PEAK_FACTOR * step_s * 1e3:.0f} ms after the sample with the peak force"
+        )
     else:
         says += f", minimum {_LEAST_MARGIN:g}: this computer is too slow"
     return CheckFinding("core_speed", go, says, remark=go, figures=figures)

@@ -22,7 +22,7 @@ def check_inherited(mission: Mission) -> list[CheckFinding]:
             f"{found.file} contradicts values that it inherits from {found.base}: {'; '.join(groups)}"
         )
     if found.keys:
-        parts.append(f"values inherited from {found.base}, measure them: {', '.join(found.keys)}")
+        parts.append(f"measure the values that are inherited from {found.base}: {', '.join(found.keys)}")
     wrong = sum(len(keys) for keys in found.contradictions.values())
     figures = {"inherited": float(len(found.keys)), "contradictions": float(wrong)}
     return [CheckFinding("inherited", True, ". ".join(parts), remark=True, figures=figures)]

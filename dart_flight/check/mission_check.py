@@ -82,7 +82,7 @@ def check_places(mission: Mission) -> list[CheckFinding]:
         for distance, wall_name in near:
             says = f"{name} is {distance:.2f} m from wall {wall_name}, minimum {_CLEARANCE_M:g} m"
             if distance >= _CLEARANCE_M:
-                says += f" if the wall is {SURE_SD:g} standard deviations nearer"
+                says += f", but the wall may be {SURE_SD:g} standard deviations nearer"
             findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
         for post in mission.posts:
             if is_blocked_by_post(mission, post, point, point):
@@ -121,9 +121,9 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
     held_s = sum(w.hold_s for w in mission.waypoints if w.position is not None) + mission.goal.hold_s
     flown_s = sum(t.duration_s for _, t in known) + held_s
     pauses = sum(w.position is None for w in mission.waypoints)
-    says = f"the legs between stops are {way_m:.1f} m long and take {flown_s:.0f} s, holds included"
+    says = f"the legs between stops are {way_m:.1f} m long and take {flown_s:.0f} s, including holds"
     if len(known) < len(legs):
-        says += f", plus {len(legs) - len(known)} legs after a contact, of unpredicted length"
+        says += f", plus {len(legs) - len(known)} legs after a contact, whose length is not predicted"
     says += f", plus {pauses} pause{'s' if pauses > 1 else ''}" if pauses else ""
     findings = [CheckFinding("waypoints", True, says)]
     asked = {leg.name for leg in transit_segments(mission) if leg.begin is not None}
@@ -190,7 +190,13 @@ def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
     item, wall = f"force_{collision.index}", collision.wall.name
     hit = expected_hit(mission, collision)
     if hit is None:
-        return [CheckFinding(item, True, f"wall {wall}: the mission has no prediction (`plan` writes it)")]
+        return [
+            CheckFinding(
+                item,
+                True,
+                f"wall {wall}: the mission contains no predicted impact; `plan` writes predictions",
+            )
+        ]
     normal, friction = hit.peak_normal_force_n, hit.peak_friction_force_n
     force, limit = math.hypot(normal, friction), mission.limits.peak_force_n
     detection = mission.vehicle.detection.force_threshold_n
@@ -271,7 +277,7 @@ def check_goal(mission: Mission, planned: PredictedFlight | None) -> list[CheckF
     if planned is None or not mission.recovers_to_goal or mission.standoff_m is not None:
         return []
     if planned.goal_miss_m is None:
-        says = "the model cannot predict the flight up to the goal"
+        says = "the model cannot predict how near the vehicle passes the goal"
         return [CheckFinding("goal", True, says, remark=True)]
     miss_m, radius_m = planned.goal_miss_m, mission.goal.capture_radius_m
     figures = {"goal_miss_m": miss_m, "capture_radius_m": radius_m}
@@ -453,7 +459,7 @@ def check_materials(mission: Mission) -> list[CheckFinding]:
     for name in sorted({c.wall.material for c in mission.collisions if c.wall.material_known}):
         source = mission.vehicle.materials[name].source
         assumed = "assumed" in source or not source
-        note = " (assumed, not measured: use `identify`)" if assumed else ""
+        note = " (these coefficients are assumed: measure them with `identify`)" if assumed else ""
         findings.append(
             CheckFinding(f"material_{name}", True, f"{name}: {source or 'no source given'}{note}")
         )

@@ -146,7 +146,7 @@ def save_previous(rows: Iterable[ParameterRow], folder: Path, head: str, now: da
     path = folder / f"px4_before_{now:%Y-%m-%d_%H%M%S}.params"
     values: Mapping[str, Value] = {row.name: row.vehicle for row in rows if row.vehicle is not None}
     lines = [f"{head}: values before the write, {now:%Y-%m-%d %H:%M:%S} UTC"]
-    lines.append(f"to write them back: dart-flight parameters MISSION --restore {path.name}")
+    lines.append(f"to restore these values: dart-flight parameters MISSION --restore {path.name}")
     with report_write_errors(path), open(path, "x", encoding="utf-8") as file:
         file.write(format_parameters(values, lines))
     return path

@@ -46,8 +46,8 @@ def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterato
         margin_m = float(position_margin_m(wall, collision.impact_point))
         if reach_m < margin_m:
             says += (
-                f"; the probe ends {reach_m:.2f} m behind the wall, but the wall may be {margin_m:.2f} m "
-                f"further away ({SURE_SD:g} sd)"
+                f"; the probe ends {reach_m:.2f} m behind the planned wall, but the wall may be "
+                f"{margin_m:.2f} m further away ({SURE_SD:g} standard deviations)"
             )
             yield CheckFinding(item, True, says, remark=True)
             return

@@ -52,8 +52,8 @@ def _offboard_loss(value: float, mission: Mission) -> tuple[bool, str]:
     whole = value + mission.vehicle.guard.deadman_s
     return value <= 1.5, (
         f"PX4's offboard-loss failsafe acts {value:g} s after the last setpoint; if the program hangs, the "
-        f"vehicle flies on for at most {whole:.2f} s, including the deadman's timeout"
-        + ("" if value <= 1.5 else "; too long near a wall: set it to 1.5 s or less")
+        f"vehicle continues to fly for at most {whole:.2f} s, including the deadman's timeout"
+        + ("" if value <= 1.5 else "; near a wall this time is too long: set the parameter to 1.5 s or less")
     )
 
 
@@ -102,7 +102,7 @@ def _rc_exception(value: float, _: Mission) -> tuple[bool, str]:
     return True, (
         "PX4 ignores a loss of the remote control in offboard mode; after a loss, the pilot cannot take over"
         if ignores
-        else "a loss of the remote control ends offboard mode, which cannot start without a remote control"
+        else "offboard mode starts only with a remote control, and a loss of the remote control ends it"
     )
 
 
@@ -126,7 +126,7 @@ def _termination(value: float, _: Mission) -> tuple[bool, str]:
 
 def _gyro_rate(value: float, _: Mission) -> tuple[bool, str]:
     return value >= 400.0, f"rate control at up to {value:g} Hz" + (
-        "" if value >= 400.0 else ", minimum 400 Hz for the torque of a contact"
+        "" if value >= 400.0 else "; the torque of a contact needs at least 400 Hz"
     )
 
 
@@ -134,8 +134,8 @@ def _hitl(value: float, _: Mission) -> tuple[bool, str]:
     if value == 0.0:
         return True, "PX4 uses its own sensors"
     return False, (
-        "hardware in the loop is still on: PX4 uses simulated sensors, and its outputs are off; set it to 0 "
-        "and restart"
+        "hardware in the loop is still on: PX4 uses simulated sensors, and its outputs are off; set "
+        "SYS_HITL to 0 and restart PX4"
     )
 
 
@@ -287,8 +287,8 @@ def _evaluate_pose_delay(
     says = f"{delay_ms:g} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
     if apart_ms > _POSE_DELAY_TOLERANCE_MS:
         says += (
-            f": {apart_ms:g} ms apart, limit {_POSE_DELAY_TOLERANCE_MS:g} ms; the position estimate would "
-            f"oscillate: set {POSE_DELAY} to {measured_ms:g}"
+            f": the difference is {apart_ms:g} ms, limit {_POSE_DELAY_TOLERANCE_MS:g} ms, and makes the "
+            f"position estimate oscillate: set {POSE_DELAY} to {measured_ms:g}"
         )
     return CheckFinding(POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, says)
 
@@ -349,7 +349,11 @@ def evaluate_claim(mission: Mission, source: PositionSource, addition: str = "")
     findings = []
     source = effective_source(mission, source)
     if source is PositionSource.ANCHORED:
-        findings.append(CheckFinding("position_source", True, "plain GPS, corrected by contacts" + addition))
+        findings.append(
+            CheckFinding(
+                "position_source", True, "plain GPS gives the position, and contacts correct it" + addition
+            )
+        )
     if source is PositionSource.PLAIN:
         findings.append(CheckFinding("position_source", False, PLAIN_GPS + addition))
     problem = frame_problem(mission, source)

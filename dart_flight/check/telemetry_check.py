@@ -183,7 +183,7 @@ def evaluate_motor_outputs(
         by_values = (
             f"{observed_scale.describe()}, judged by the values"
             if observed_scale
-            else "all outputs are 0 while disarmed: the output type is not known yet"
+            else "the vehicle is disarmed and all outputs are 0, so the output type is not known yet"
         )
         return [CheckFinding(item, True, by_values)]
     wrong = _problem_of(bank, values, motors)
@@ -191,7 +191,7 @@ def evaluate_motor_outputs(
         return [CheckFinding(item, False, wrong)]
     scale = _configured_scale(bank, values)
     if observed_scale is not None and observed_scale != scale:
-        says = f"the parameters of {bank} give {scale.describe()}, but the vehicle sends "
+        says = f"the parameters of {bank} select {scale.describe()}, but the vehicle sends "
         says += observed_scale.describe()
         return [CheckFinding(item, False, says)]
     return [CheckFinding(item, True, f"{scale.describe()}, on {bank}")]
@@ -216,8 +216,9 @@ def _problem_of(bank: str, values: Mapping[str, float], motors: int) -> str:
     ]
     if earlier:
         return (
-            f"thrust is unknown: PX4 reports only the bank that it starts first, {earlier[0]}, but the "
-            f"motors are on {bank}; free the outputs of {earlier[0]} or move the motors to {earlier[0]}"
+            f"thrust is unknown: PX4 reports one bank only, the bank that it starts first ({earlier[0]}), "
+            f"but the motors are on {bank}; free the outputs of {earlier[0]} or move the motors to "
+            f"{earlier[0]}"
         )
     if _configured_scale(bank, values) is PWM:
         for k in range(1, motors + 1):

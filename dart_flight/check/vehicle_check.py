@@ -92,7 +92,7 @@ def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[Che
         return [CheckFinding(item, True, f"not compared: {error}", remark=True)]
     other, sizes = rotor_differences(motors, actual)
     if other:
-        hint = "; `calibrate airframe` prints PX4's values"
+        hint = "; `calibrate airframe` prints PX4's motor geometry"
         return [CheckFinding(item, False, "; ".join(other) + hint)]
     if sizes:
         return [CheckFinding(item, True, "; ".join(sizes) + ": measure and set both", remark=True)]

@@ -52,12 +52,12 @@ def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterat
     says = f"the impact on wall {wall.name} is {abs(distance_m):.2f} m {side} its end"
     needed = f"half a vehicle ({wall.half_vehicle_m:.2f} m)"
     if slack > 0.0:
-        needed += f" and {SURE_SD:g} standard deviations of its position ({slack:.2f} m)"
+        needed += f" and {SURE_SD:g} standard deviations of the wall's position ({slack:.2f} m)"
     figures = {"distance_m": distance_m, "margin_m": wall.half_vehicle_m + slack}
     if room_m((nearest, place)) < 0.0:
         says += f", minimum {needed}"
         if distance_m < mission.vehicle.airframe.guard_along_m + slack:
-            says += "; not all guards touch the wall there, and the contact rotates the vehicle"
+            says += "; at this place not all guards touch the wall, so the contact rotates the vehicle"
         says += ": move the impact along the wall"
     yield CheckFinding("wall_end", room_m((nearest, place)) >= 0.0, says, figures=figures)
 
@@ -74,7 +74,7 @@ def _check_collision(
         yield CheckFinding(item, False, f"within {SURE_SD:g} standard deviations {', '.join(problems)}")
     elif wall.is_uncertain:
         slack = float(position_margin_m(wall, impact_place(collision, hits)))
-        says = f"wall {wall.name} is within {slack:.2f} m ({SURE_SD:g} sd) of its position in the mission"
+        says = f"wall {wall.name}: the impact tolerates a position error of {slack:.2f} m ({SURE_SD:g} sd)"
         yield CheckFinding(item, True, says)
     planned_deg, most_deg = (
         incidence_deg(mission, collision),
@@ -85,7 +85,7 @@ def _check_collision(
         yield CheckFinding(
             f"incidence_{collision.index}",
             False,
-            f"wall {wall.name} may be {off_deg:.0f} degrees off parallel to the leading edge "
+            f"the angle between wall {wall.name} and the leading edge may be {off_deg:.0f} degrees "
             f"({_INCIDENCE_SD:g} sd), limit {most_deg:g} degrees with {collision.mode.value} arms: measure "
             "the wall's direction",
         )

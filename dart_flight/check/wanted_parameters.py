@@ -89,10 +89,10 @@ def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[s
     wanted[_HITL] = Parameter(_HITL, 0, "PX4 uses its own sensors")
     for name in (*GAINS, _OFFBOARD_LOSS):
         value = float(getattr(vehicle.px4, name.lower()))
-        says = f"px4.{name} of the configuration, used to predict flights"
+        says = f"px4.{name} of the configuration, which predictions of flights assume"
         wanted[name] = Parameter(name, value, says, tolerance=_GAIN_TOLERANCE * abs(value))
     for name, place, axis in zip(IMU_POSITION, vehicle.imu.position_m, "xyz", strict=True):
-        says = f"imu.position_m, {axis}, metres from the centre of mass"
+        says = f"the IMU's {axis} from the centre of mass, metres (imu.position_m)"
         wanted[name] = Parameter(name, place, says, tolerance=_POSITION_TOLERANCE_M)
     return wanted
 

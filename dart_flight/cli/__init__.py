@@ -39,7 +39,7 @@ COMMANDS = {
     "bringup": "bring up a vehicle on the bench step by step, and record the measurements",
     "mocap": "forward a motion capture's poses to PX4, and show their rate, gaps and age",
     "survey": "touch a mission's walls gently, and write the mission with the measured walls",
-    "standby": "keep link and lock open between flights, and fly when a ground station's button is pressed",
+    "standby": "stay connected to vehicle and lock, and fly when a ground station's button is pressed",
     "lock": "move the lock, report its position, or calibrate its servo",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",
     "px4-log": "download PX4's own log of a flight into the flight's folder",

@@ -26,7 +26,7 @@ from dart_flight.vehicle.link import LinkLease
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument(
-        "mission", nargs="?", metavar="MISSION", help="mission that names the vehicle and the frame"
+        "mission", nargs="?", metavar="MISSION", help="mission that gives the vehicle and the frame"
     )
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     parser.add_argument(
@@ -90,7 +90,9 @@ def run(arguments: argparse.Namespace) -> int:
                     print_status(f"  passed on {before.date}")
                     continue
                 if arguments.yes and step.by_hand:
-                    finding = StepFinding(StepOutcome.NEEDS_OPERATOR, "needs an operator at the vehicle")
+                    finding = StepFinding(
+                        StepOutcome.NEEDS_OPERATOR, "the step needs an operator at the vehicle"
+                    )
                 else:
                     (finding,) = run_checks([step], bringup)
                 delay_ms = finding.measured.get("delay_ms")

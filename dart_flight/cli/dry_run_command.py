@@ -80,7 +80,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--fault",
         type=str,
         metavar="NAME[=VALUE][@PHASE]",
-        help="inject a fault, from the beginning of a phase (docs/faults.md)",
+        help="inject a fault; with @PHASE, the fault starts with that phase (docs/faults.md)",
     )
     add_live_options(parser)
     add_set_option(parser)

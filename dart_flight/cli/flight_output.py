@@ -186,7 +186,7 @@ def _resets_line(verdict: Verdict) -> Text:
     heading_deg = max((r.heading_deg for r in resets), key=abs)
     figures = f"position {position_m:.2f} m, velocity {velocity_m_s:.2f} m/s, heading {heading_deg:.1f} deg"
     times = "once" if len(resets) == 1 else f"{len(resets)} times"
-    return Text(f"PX4 reset its estimator {times}; largest steps {figures}", style="yellow")
+    return Text(f"PX4 reset its estimator {times}; the largest steps were {figures}", style="yellow")
 
 
 def _goal_line(verdict: Verdict) -> Text:

@@ -145,7 +145,7 @@ def _flight_summary(mission: Mission, url: str) -> str:
             normal, tangential = c.approach_m_s
             how = f"at {normal:g} m/s normal, {tangential:g} m/s tangential"
         else:
-            how = "reached by the recovery from the previous collision"
+            how = "at the end of the recovery from the previous collision"
         mode = "" if lock is None else f" {c.mode.value}"
         lines.append(f"  hit {c.wall.name} ({c.wall.material}){mode}, {how}")
         lines += [line for after, line in stops if after == c.index]
@@ -156,7 +156,7 @@ def _flight_summary(mission: Mission, url: str) -> str:
 
 def _stop(w: Waypoint) -> str:
     if w.position is None:
-        return f"  pause until Enter or SIGUSR1; land after {w.hold_s:g} s"
+        return f"  pause until Enter or SIGUSR1; without them, land after {w.hold_s:g} s"
     x, y, z = w.position
     held = f", hold for {w.hold_s:g} s" if w.hold_s else ""
     return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"

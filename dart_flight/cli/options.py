@@ -77,7 +77,7 @@ def add_vary_option(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[=SD]",
-        help="quantity to draw for every seed, or all; repeatable (docs/draws.md)",
+        help="draw this quantity, or all quantities, for every seed; repeatable (docs/draws.md)",
     )
 
 

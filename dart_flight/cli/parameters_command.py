@@ -28,7 +28,7 @@ from dart_flight.vehicle.link import LinkLease
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("mission", metavar="MISSION", help="mission that names the vehicle and the frame")
+    parser.add_argument("mission", metavar="MISSION", help="mission that gives the vehicle and the frame")
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     parser.add_argument(
         "--write", action="store_true", help="write the wanted values; the vehicle must be disarmed"

@@ -81,7 +81,11 @@ def _summary(path: Path, mission: Mission, result: Replay) -> dict[str, Any]:
 
 def _print(name: str, result: Replay) -> None:
     out = tables()
-    how = "bit for bit" if result.exact else "to 1e-9 (recorded on another type of machine)"
+    how = (
+        "bit for bit"
+        if result.exact
+        else "with a tolerance of 1e-9 (the log is from another type of machine)"
+    )
     if result.equal:
         out.print(
             styled(

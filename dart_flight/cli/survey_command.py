@@ -61,7 +61,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fast", action="store_true", help="in one process, in simulated time, without MAVLink"
     )
-    parser.add_argument("--connection", metavar="URL", help="touch the walls with the vehicle at this URL")
+    parser.add_argument("--connection", metavar="URL", help="link of the vehicle that touches the walls")
     add_overrule_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")

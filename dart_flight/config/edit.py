@@ -71,7 +71,7 @@ def _scalar(root: yaml.Node | None, key: Key, source: str) -> yaml.ScalarNode:
         node = next((value for name, value in children if name.value == part), None)
     if not isinstance(node, yaml.ScalarNode) or not node.value:
         raise InputError(
-            "the file needs a value at this key, because the command replaces that value",
+            "the command replaces the value of this key, but the file has no value there",
             source=source,
             key=key,
         )

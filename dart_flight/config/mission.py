@@ -435,8 +435,8 @@ def _add_tangent_walls(
         wall = tangent_wall(posts[one.wall], one.impact_point_m, vehicle, key, document)
         if walls.setdefault(one.wall, wall) != wall:
             text = (
-                f"an earlier collision hits post {one.wall} in another place; a mission hits a post in one "
-                "place"
+                f"an earlier collision hits post {one.wall} in another place; all impacts on a post must "
+                "be in one place"
             )
             raise document.error((*key, "impact_point_m"), text)
 
@@ -629,9 +629,9 @@ def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
         return
     count = len(mission.collisions)
     if count and any(w.after == count for w in mission.waypoints):
-        raise document.error(key, "the path from a waypoint to the goal is straight: remove the trajectory")
+        raise document.error(key, "the path from a waypoint to the goal is straight: remove this key")
     if count and mission.collisions[-1].probe is not None:
-        raise document.error(key, "the path from a probe to the goal is straight: remove the trajectory")
+        raise document.error(key, "the path from a probe to the goal is straight: remove this key")
     if count:
         _check_replanned(mission, key, document)
     else:

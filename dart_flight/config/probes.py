@@ -175,8 +175,8 @@ def resolve_probe(
     normal_m_s, tangential_m_s, _ = wall.to_collision((vx, vy, 0.0))
     if not normal_m_s < -0.5 * probe.speed_m_s or wall.signed_distance(probe.from_m) <= 0.0:
         text = (
-            f"begins behind wall {wall.name} or leads past it: the angle to the normal must be at most 60 "
-            "degrees"
+            f"begins behind wall {wall.name} or leads past the wall: the angle between probe and normal "
+            "must be at most 60 degrees"
         )
         raise document.error((*key, "probe"), text)
     reach_m = wall.signed_distance(probe.from_m) / -normal_m_s * probe.speed_m_s

@@ -57,7 +57,7 @@ def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple
             directions of rotation), and differences of size only.
     """
     if len(motors) != len(actual):
-        return [f"PX4 has {len(actual)} motors, the configuration {len(motors)}"], []
+        return [f"PX4 has {len(actual)} motors, but the configuration has {len(motors)}"], []
     other: list[str] = []
     sizes: list[str] = []
     for number, (own, px4) in enumerate(zip(motors, actual, strict=True), start=1):

@@ -66,7 +66,7 @@ def write_starter(directory: Path, vehicle: str = DART) -> list[Path]:
     files = {directory / relative: source for relative, source in starter_files(vehicle).items()}
     there = [path for path in files if path.exists() or path.is_symlink()]
     if there:
-        others = f", and so do {len(there) - 1} more files" if len(there) > 1 else ""
+        others = f", and {len(there) - 1} more files exist" if len(there) > 1 else ""
         raise InputError(f"already exists{others}; name an empty folder", source=str(there[0]))
     for path, source in files.items():
         with report_write_errors(path):

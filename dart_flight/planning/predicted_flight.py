@@ -120,8 +120,8 @@ def describe_goal_miss(
     text = f"passes the goal at {miss_m:.2f} m (capture radius {goal.capture_radius_m:g} m)"
     if after_impact is AfterImpact.REPLAN:
         return (
-            "the vehicle replans after every collision to pass through the goal; without replanning, it "
-            + text
+            "the vehicle replans after every collision to pass through the goal; without replanning, "
+            "the vehicle " + text
         )
     return text
 

@@ -82,7 +82,7 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
         if phase is Phase.PAUSE:
             return Reply(Result.ACCEPTED, "continuing", Request.CONTINUE)
         return _denied(f"there is no pause in phase {phase}")
-    return _denied("the mission moves the lock during its flight")
+    return _denied("the mission moves the lock during the flight")
 
 
 # --- standby -----------------------------------------------------------------------------------------------

@@ -46,7 +46,7 @@ async def forward_poses(
     async with connect(url, vehicle.connection.timeout_s, statistics.update, opened=opened) as session:
         session.subscribe(vehicle.estimation, len(vehicle.airframe.motors), guarded=False)
         with forwarding(vehicle.mocap, session.send_message, session.clock, statistics.update) as bridge:
-            assert bridge is not None, "the command has already refused a configuration without mocap.url"
+            assert bridge is not None, "the command must refuse a configuration without mocap.url"
             await session.set_rates(_STREAMS, watching=True)
             end_s = None if seconds is None else time.monotonic() + seconds
             try:

@@ -311,7 +311,7 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     # The flown mission differs from its text (a rehearsal), so keep it and change only the vehicle.
     if of_mission:
         raise InputError(
-            "this flight was a rehearsal, so --set accepts only keys of the vehicle",
+            "this flight was a rehearsal, so --set accepts only keys of the configuration",
             source=log.source,
         )
     return msgspec.structs.replace(flown, vehicle=changed.vehicle)

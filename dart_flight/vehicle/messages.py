@@ -261,9 +261,9 @@ def _imu(m: _HighresImuFields) -> InertialReading | Unusable:
     if ax is None or ay is None or az is None or wx is None or wy is None or wz is None:
         return Unusable("has a specific force and a rate")
     if ax * ax + ay * ay + az * az > _MAX_SPECIFIC_FORCE_M_S2 * _MAX_SPECIFIC_FORCE_M_S2:
-        return Unusable(f"has a specific force below {_MAX_SPECIFIC_FORCE_M_S2:g} m/s2: its unit is wrong")
+        return Unusable(f"has a specific force below {_MAX_SPECIFIC_FORCE_M_S2:g} m/s2: the unit is wrong")
     if max(wx, wy, wz, -wx, -wy, -wz) > _MAX_RATE_RAD_S:
-        return Unusable(f"has a rate below {_MAX_RATE_RAD_S:g} rad/s: its unit is wrong")
+        return Unusable(f"has a rate below {_MAX_RATE_RAD_S:g} rad/s: the unit is wrong")
     return InertialReading(m.time_usec, (ax, ay, az), (wx, wy, wz))
 
 
@@ -297,7 +297,7 @@ def _odometry(m: _OdometryFields) -> Odometry | Unusable:
         name = _ESTIMATORS[kind] if kind < len(_ESTIMATORS) else f"type {kind}"
         poses = " without a velocity" if vx is None else ""
         return Unusable(
-            f"is from PX4's own estimator; they are external poses{poses} ({name}; see MAV_ODOM_LP)"
+            f"is from PX4's own estimator; the messages carry external poses{poses} ({name}; see MAV_ODOM_LP)"
         )
     if m.frame_id != _LOCAL_NED:
         return Unusable(f"is in local NED: the frame is {m.frame_id}, which is the frame of an external pose")
@@ -344,7 +344,7 @@ _STATES: Final = tuple(SystemStatus)[1:]  # MAV_STATE's order
 def _heartbeat(m: _HeartbeatFields) -> Heartbeat | Unusable:
     if m.autopilot != _PX4:
         other = _OTHER_AUTOPILOTS.get(m.autopilot, f"autopilot {m.autopilot}")
-        return Unusable(f"is from PX4; they are from {other}")
+        return Unusable(f"is from PX4; the sender is {other}")
     if not m.base_mode & _CUSTOM_MODE:
         return Unusable("has a flight mode of PX4")
     main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
@@ -531,7 +531,7 @@ ODOMETRY = MessageEntry(
     _odometry,
     "frame_id and child_frame_id LOCAL_NED, as PX4 sends from 1.14 on",
     "m, m/s",
-    "position or velocity is NaN or over 10 km or 100 m/s, or quality is -1",
+    "a value is NaN, the position is over 10 km, the velocity is over 100 m/s, or the quality is -1",
     "estimator_type",
     None,
     "estimator_type 8 (autopilot)",
@@ -564,7 +564,7 @@ ACTUATOR_OUTPUT_STATUS = MessageEntry(
     "there are fewer outputs than motors, a value is NaN or of unknown type, or all are idle in flight",
     None,
     None,
-    "PX4 sends only the bank that it started first",
+    "PX4 sends one bank only: the bank that it started first",
 )
 ESC_STATUS = MessageEntry(
     "ESC_STATUS",
@@ -576,7 +576,7 @@ ESC_STATUS = MessageEntry(
     "a group with the same time stamp is missing, or a speed is over 200 000 1/min",
     "index",
     None,
-    "groups of four from index 0 on",
+    "each message has a group of four motors; `index` is the number of the first motor, from 0",
 )
 BATTERY_STATUS = MessageEntry(
     "BATTERY_STATUS",
@@ -584,8 +584,8 @@ BATTERY_STATUS = MessageEntry(
     _BatteryStatusFields,
     _battery,
     "-",
-    "mV per cell or total, %",
-    "neither voltage nor charge, under 3 V or over 150 V",
+    "voltage in mV (per cell or total), charge in %",
+    "voltage and charge are missing, or the voltage is under 3 V or over 150 V",
     "id",
     None,
     "one reading per id; the guard checks the flight battery with the lowest voltage or charge",
@@ -597,7 +597,7 @@ ESTIMATOR_STATUS = MessageEntry(
     _estimator,
     "-",
     "flags, m",
-    "standard deviation is negative or over 10 km; NaN means not reported",
+    "the standard deviation is negative or over 10 km; NaN means that PX4 reports none",
     None,
     None,
     "PX4 reports only its selected estimator; the message has no id",
@@ -628,7 +628,7 @@ TIMESYNC = MessageEntry(
     _timesync,
     "-",
     "ns",
-    "a request (tc1 0), or an answer to another program's request",
+    "the message is a request (tc1 0), or the answer to a request of another program",
 )
 GPS_RAW_INT = MessageEntry(
     "GPS_RAW_INT",

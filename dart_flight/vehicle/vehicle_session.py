@@ -429,7 +429,7 @@ class VehicleSession:
         if group.first == 0:
             self._rpm, self._rpm_us = [], group.t_us
         if group.t_us != self._rpm_us or group.first != len(self._rpm):
-            return Unusable("completes a set of groups with the same time stamp")
+            return Unusable("belongs to a complete set of motor groups with one time stamp")
         self._rpm += group.rpm
         if len(self._rpm) >= self._motors:
             self._deliver(EscSample(group.t_us, received, tuple(self._rpm[: self._motors])))

@@ -120,7 +120,8 @@ def test_init_overwrites_nothing(lab_folder: Path, capsys: pytest.CaptureFixture
     assert main(["init", str(lab_folder)]) == 2
     error = capsys.readouterr().err.splitlines()
     assert len(error) == 1
-    assert "dart.yaml: already exists, and so do " in error[0]
+    assert "dart.yaml: already exists, and " in error[0]
+    assert " more files exist; name an empty folder" in error[0]
     assert mine.read_text() == "mine"
     assert not (lab_folder / "missions" / "single_wall.yaml").exists(), "init writes all files or none"
 

@@ -180,9 +180,9 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         (
             [with_keys(AT_BOARD, direction=[0.0, 1.0])],
             WALLS,
-            "leads past it: the angle to the normal must be at most 60 degrees",
+            "leads past the wall: the angle between probe and normal must be at most 60 degrees",
         ),
-        ([with_keys(AT_BOARD, direction=[-1.0, 0.0])], WALLS, "leads past it"),
+        ([with_keys(AT_BOARD, direction=[-1.0, 0.0])], WALLS, "leads past the wall"),
         ([with_keys(AT_BOARD, from_m=[1.8, 0.0], length_m=0.1)], WALLS, "begins behind wall board"),
         (
             [with_keys(AT_BOARD, length_m=1.2)],

@@ -132,7 +132,7 @@ def test_the_horn_never_leaves_its_end_stops_or_exceeds_the_motor_speed(
             "rigid_deg: 90.0",
             "rigid_deg: 60.0",
             "lock",
-            "exceeds the servo's end stops: 90 degrees is 2460 us",
+            "exceeds the servo's end stops: 90 degrees needs 2460 us",
         ),
         ("rigid_deg: 90.0", "rigid_deg: 0.0", "lock.servo", "rigid_deg and flexible_deg must differ"),
         ("r_mm: 8.0", "r_mm: 23.0", "lock.cam", "must not exceed r_cam_mm"),

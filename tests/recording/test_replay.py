@@ -131,7 +131,7 @@ def test_a_mission_changed_by_options_is_replayed_as_flown(single_wall: Mission)
     log = Log("log", describe_flight(flown, World.FAST, 1), {}, entries, True)
     assert replay(log).equal
     assert changed_mission(log, ["detection.force_threshold_n=6"]).altitude_m == 1.2
-    with pytest.raises(InputError, match="only keys of the vehicle"):
+    with pytest.raises(InputError, match="only keys of the configuration"):
         changed_mission(log, ["start.altitude_m=1.1"])
 
 

@@ -151,7 +151,7 @@ def test_every_button_except_land_is_answered_in_every_phase(tmp_path: Path) -> 
         record.request for record in flight.records_of(OperatorRequest) if isinstance(record, OperatorRequest)
     ]
     assert requests == [Request.CONTINUE]
-    assert "denied: the mission moves the lock during its flight" in flight.texts
+    assert "denied: the mission moves the lock during the flight" in flight.texts
     assert any(text.startswith("in flight: approach; lock rigid") for text in flight.texts)
     noted = [r.text for r in flight.records_of(StatusText) if isinstance(r, StatusText) and r.found_here]
     assert "ground station: denied: a mission is flying" in noted

@@ -82,7 +82,7 @@ def test_arm_lengths_define_the_motors_of_px4s_quadrotor_in_x() -> None:
             "{x_m: -0.1, y_m: -0.1, yaw_torque_per_thrust_m: 0.01}, "
             "{x_m: 0.1, y_m: -0.1, yaw_torque_per_thrust_m: 0.01}, "
             "{x_m: -0.1, y_m: 0.1, yaw_torque_per_thrust_m: 0.01}]}",
-            "not independent in roll, pitch, yaw and lift",
+            "cannot control roll, pitch, yaw and lift independently",
         ),
         ("thrust: {full_n: 2.0}", "to hover 1.6 kg, limit 80 %"),
         ("thrust: {table: [[0.5, 3.0], [1.0, 6.0]]}", "full_n and model_factor and table both define"),
@@ -93,7 +93,7 @@ def test_arm_lengths_define_the_motors_of_px4s_quadrotor_in_x() -> None:
         ),
         (
             "thrust: {full_n: null, model_factor: null, table: [[0.5, 3.0], [0.9, 6.0]]}",
-            "ends at the command 0.9",
+            "the last command is 0.9",
         ),
     ],
 )
@@ -215,7 +215,7 @@ def test_motors_convert_to_px4_parameters_and_back() -> None:
     ("change", "go", "message"),
     [
         ({}, True, "6 motors, as in PX4"),
-        ({"CA_ROTOR_COUNT": 4}, False, "PX4 has 4 motors, the configuration 6"),
+        ({"CA_ROTOR_COUNT": 4}, False, "PX4 has 4 motors, but the configuration has 6"),
         ({"CA_ROTOR2_KM": 0.016}, False, "motor 3 turns in the other direction"),
         ({"CA_ROTOR4_PX": -0.173}, False, "motor 5: x_m 0.173, PX4 -0.173"),
         ({"CA_ROTOR4_PX": 0.43, "CA_ROTOR2_KM": -0.05}, True, "motor 5: x_m 0.173, PX4 0.43"),

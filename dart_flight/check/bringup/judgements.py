@@ -113,7 +113,8 @@ def evaluate_link(
     if errors.get("drop_rate_comm", 0.0) > 100.0:
         share = errors["drop_rate_comm"] / 100.0
         return failed(
-            f"the flight controller loses {share:.1f} % of the messages: check wires and ground", **measured
+            f"the flight controller loses {share:.1f} % of the messages: check the wires, including ground",
+            **measured,
         )
     return passed("all streams arrive at their rates", **measured)
 
@@ -395,7 +396,7 @@ def evaluate_motion(
         wrong = (
             "the body's motion does not match the accelerometer (correlation "
             f"{motion.force_correlation:.2f}): "
-            "carry it further; if that does not help, check mocap.body_offset_m"
+            "carry the vehicle further; if the step fails again, check mocap.body_offset_m"
         )
     elif abs(motion.scale - 1.0) > _SCALE:
         wrong = (
@@ -441,9 +442,12 @@ def evaluate_remote(received: bool, modes: Collection[str]) -> StepFinding:
             **measured,
         )
     if len(modes) < 2:
-        says = "the mode did not change: assign a switch (RC_MAP_FLTMODE, COM_FLTMODE1 to 6) and flip it"
+        says = (
+            "the flight mode did not change: assign a switch (RC_MAP_FLTMODE, COM_FLTMODE1 to 6) and flip "
+            "the switch"
+        )
         return failed(says, **measured)
-    return passed("the mode follows the switch", **measured)
+    return passed("the flight mode follows the mode switch", **measured)
 
 
 # --- helpers -------------------------------------------------------------------------------------------

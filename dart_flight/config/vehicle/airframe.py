@@ -165,7 +165,7 @@ class Thrust(Section, frozen=True):
                     f"table: command and thrust must both rise from [{u:g}, {n:g}] to [{v:g}, {m:g}]"
                 )
         if points[-1][0] != 1.0:
-            raise ValueError(f"table: ends at the command {points[-1][0]:g}: add the thrust at the command 1")
+            raise ValueError(f"table: the last command is {points[-1][0]:g}: add a row for the command 1")
 
     def _points(self) -> tuple[tuple[float, float], ...]:
         """Return the table, with a first row of zero command and zero thrust."""

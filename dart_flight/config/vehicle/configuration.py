@@ -239,7 +239,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
 
     turning = np.array(effectiveness(config.airframe.motors))
     if np.linalg.matrix_rank(turning, tol=1e-4) < len(turning):
-        text = "motors are not independent in roll, pitch, yaw and lift: check positions and directions"
+        text = "the motors cannot control roll, pitch, yaw and lift independently: check the motors"
         raise document.error(("airframe", "motors"), text)
     lift = np.linalg.pinv(turning)[:, 3]
     if lift.min() <= 0.0:

@@ -201,7 +201,7 @@ class Px4Output(DriverSection, frozen=True):
         for name in ("rigid_pulse_us", "flexible_pulse_us"):
             if not self.min_pulse_us <= getattr(servo, name) <= self.max_pulse_us:
                 raise ValueError(
-                    f"servo.{name} must be within px4.min_pulse_us {self.min_pulse_us:g} and "
+                    f"servo.{name} must be from px4.min_pulse_us {self.min_pulse_us:g} to "
                     f"px4.max_pulse_us {self.max_pulse_us:g}"
                 )
 
@@ -297,8 +297,8 @@ class LockConfig(Section, frozen=True):
             if not servo.min_pulse_us - 1e-6 <= pulse <= servo.max_pulse_us + 1e-6:
                 raise ValueError(
                     f"the cam's range {theta0:g} to {theta0 + 90.0:g} degrees exceeds the servo's end "
-                    f"stops: {angle:g} degrees is {pulse:.0f} us, allowed {servo.min_pulse_us:g} to "
-                    f"{servo.max_pulse_us:g}"
+                    f"stops: {angle:g} degrees needs {pulse:.0f} us, but the end stops are at "
+                    f"{servo.min_pulse_us:g} and {servo.max_pulse_us:g} us"
                 )
         if self.timeout_s <= self.switch_time_s:
             raise ValueError(

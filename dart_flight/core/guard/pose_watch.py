@@ -279,15 +279,15 @@ _DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "od
 # fmt: off
 POSE_RULES: tuple[Rule, ...] = (
     Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
-        "the forwarded poses are wrong: body lost or jumped, poses slow, late, from two senders, or far "
-        "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
+        "the forwarded poses are wrong: the body is lost or jumped, or the poses are slow, late, from two "
+        "senders or far from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
     Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
-        "the poses are wrong, as for `pose_source_ground`, and PX4's estimate jumped with them; or the body "
-        "was lost for longer than the limit",
+        "the poses are wrong (see `pose_source_ground`) and PX4's estimate jumped with the poses, or the "
+        "body was lost for longer than the limit",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
     Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
-        "the poses are wrong, as for `pose_source_ground`; in an approach the rule acts at once, but in a "
-        "contact or recovery it waits for the end of the recovery",
+        "the poses are wrong (see `pose_source_ground`); in an approach the rule acts at once, in a contact "
+        "or recovery the rule acts after the recovery",
         f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
 )
 # fmt: on

@@ -128,7 +128,8 @@ def _position_delayed(v: FlightConditions) -> str | None:
 
 
 @condition(
-    "in PX4's land mode and still armed long after touchdown was due", "guard.kill_after_s, bounds_m.z"
+    "the vehicle is in PX4's land mode and still armed long after the expected touchdown",
+    "guard.kill_after_s, bounds_m.z",
 )
 def _still_armed(v: FlightConditions) -> str | None:
     limit = v.landing_timeout_s
@@ -302,25 +303,25 @@ RULES: tuple[Rule, ...] = (
            "the planned impact is below the detection limit at the measured vibration level",
            "detection.noise_sigma"),
     _found("unplanned_hit", _BREAK_OFF,
-           "an unplanned impact; a second impact at the same wall within 1 s is only noted"),
+           "an impact is unplanned; a second impact at the same wall within 1 s is noted without an action"),
     _found("no_peak", _BREAK_OFF, "the contact force does not decay", "detection.peak_wait_s"),
     _found("lock_not_settled", _BREAK_OFF,
            "the lock is not in the planned mode in the approach or at the impact"),
     _found("mode_felt", _BREAK_OFF,
-           "a contact indicates one mode, but the lock reports the other; with `go_on` the difference is "
-           "only noted",
+           "a contact indicates one mode, but the lock reports the other; with `mode_mismatch: go_on` the "
+           "difference is noted without an action",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
-           "at the last chance to stop before the wall, the lock is not in the planned mode, and the "
-           "impact is allowed in one mode only"),
+           "the impact is allowed in one mode only, and the lock is not in this mode at the last moment at "
+           "which the vehicle can stop before the wall"),
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,
-           "the measured position of a wall leaves no room for the approach", "bounds_m"),
+           "the measured position of a wall leaves too little space for the approach", "bounds_m"),
     _found("climb_timeout", _LAND, "the altitude was not reached in time", "flying.ready_timeout_s"),
     _found("transit_timeout", _HOLD,
            "the run-up point or a waypoint was not reached in time", "flying.ready_timeout_s"),
-    _found("pause_timeout", _LAND, "the operator did not resume in time"),
+    _found("pause_timeout", _LAND, "the operator did not end the pause in time"),
     _found("goal_not_reached", _LAND,
            "the goal could not be held in time", "goal.hold_s, limits.collision_timeout_s"),
     _found("not_ready", _GIVE_UP,

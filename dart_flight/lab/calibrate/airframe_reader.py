@@ -43,8 +43,8 @@ def refuse_unmeasured(motors: Sequence[Motor], source: str) -> None:
         raise InputError(f"{COUNT} is {len(motors)}: not a multicopter", source=source)
     if all(abs(m.x_m) in _PLACEHOLDERS and abs(m.y_m) in _PLACEHOLDERS for m in motors):
         raise InputError(
-            "the motors are at 0 and 1 m, PX4's placeholder geometry: measure your frame and set "
-            "CA_ROTOR0_PX, CA_ROTOR0_PY and the others accordingly",
+            "the motor positions are PX4's placeholders (0 and 1 m): measure your frame and set "
+            "CA_ROTOR0_PX, CA_ROTOR0_PY and the positions of the other motors",
             source=source,
         )
 

@@ -165,7 +165,7 @@ def _joined(parts: list[_Windows]) -> _Windows:
 def _refuse_unsuited(track: Track, motors: int) -> None:
     if track.motors.shape[1:] != (motors,):
         raise InputError(
-            f"log has {track.motors.shape[1]} motors, the configured airframe {motors}",
+            f"the log has {track.motors.shape[1]} motors, but the configured airframe has {motors}",
             source=track.source,
         )
     for what, stamps in (("gyro", track.imu_s), ("motor commands", track.motor_s)):

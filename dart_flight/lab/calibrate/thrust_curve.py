@@ -48,15 +48,15 @@ _MAX_ERROR = 0.1  # largest error on held-out stretches, as a share of the thrus
 
 # Tests of a window in their order, with the reason for rejection.
 TESTS = {
-    "ground": "on the ground, or within 1 s of take-off or landing",
+    "ground": "the vehicle is on the ground, or within 1 s of take-off or landing",
     "gap": "too few samples",
-    "turning": "mean rate of turning",
-    "sideways": "mean force across the thrust axis: wind, drag or a contact",
-    "jolt": "a bump within the window",
-    "fast": "mean speed",
-    "accelerating": "change of velocity",
-    "unsteady": "commands change",
-    "limit": "a motor near standstill or full command",
+    "turning": "the vehicle turns too fast on average",
+    "sideways": "the mean force across the thrust axis is too large: wind, drag or a contact",
+    "jolt": "the window contains a bump",
+    "fast": "the mean speed is too high",
+    "accelerating": "the velocity changes too much",
+    "unsteady": "the commands change too much",
+    "limit": "a motor is near standstill or near full command",
 }
 
 

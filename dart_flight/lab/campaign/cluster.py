@@ -132,8 +132,8 @@ def _own_version() -> str:
     import distributed  # noqa: PLC0415
 
     return (
-        f"this computer has distributed {distributed.__version__}: install that version on scheduler and "
-        "workers"
+        f"this computer uses version {distributed.__version__} of the package `distributed`: install the "
+        "same version on scheduler and workers"
     )
 
 

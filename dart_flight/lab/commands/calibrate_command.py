@@ -65,7 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
         refuse_unwritable(arguments, path)
         if arguments.what == "thrust" and vehicle.thrust.table is not None:
             raise InputError(
-                "remove thrust.table first: --write sets full_n and model_factor", source=str(path)
+                "thrust.table excludes full_n and model_factor, which --write sets: remove thrust.table",
+                source=str(path),
             )
     left_out: list[str] = []
     tracks = read_each(find_logs(arguments.logs), read_calibration_series, left_out.append)

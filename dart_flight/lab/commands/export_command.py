@@ -24,9 +24,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         metavar="PATH",
-        help="folder of the CSV files (default: csv beside the log); with several logs, one subfolder each; "
-        f"with --foxglove: the file (default: {FOXGLOVE_NAME} beside the log); with several logs, the folder "
-        "of the files",
+        help="folder of the CSV files (default: csv beside the log), with one subfolder for each of several "
+        f"logs; with --foxglove: output file (default: {FOXGLOVE_NAME} beside the log), or the folder of the "
+        "output files of several logs",
     )
 
 
@@ -64,7 +64,7 @@ def _export_foxglove(path: Path, file: Path) -> dict[str, Any]:
 
 
 def _print_result(line: str, complete: bool) -> None:
-    cut = "" if complete else "; the log is cut short and is exported to its end"
+    cut = "" if complete else "; the log is cut short, and the part before the cut is exported"
     print_status(f"{line}{cut}")
 
 

@@ -59,7 +59,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="M",
-        help="distance to subtract from normal_m if normal_m is the height of the vehicle's centre",
+        help="metres to subtract from normal_m if normal_m is the distance of the vehicle's centre "
+        "from the wall or ground",
     )
     parser.add_argument(
         "--columns", metavar="NAME=HEADER,...", help="other headers, e.g. time_s=t,normal_m=x"
@@ -69,8 +70,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=("NORTH", "EAST", "HEADING"),
-        help="for PX4 logs: a point of the plane of first touch in local NED (m), and the heading of its "
-        "outward normal (degrees)",
+        help="for PX4 logs: a point of the plane of first touch in local NED (m), and the heading of "
+        "the plane's outward normal (degrees)",
     )
     parser.add_argument(
         "--mass", type=float, metavar="KG", help="vehicle mass (default: the configuration's)"

@@ -35,13 +35,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--restitution",
         type=float,
         metavar="E",
-        help="instead of --surface: ratio of outgoing to incoming normal speed, as `identify` prints it",
+        help="ratio of outgoing to incoming normal speed, as `identify` prints it; replaces --surface",
     )
     parser.add_argument(
         "--tangential-ratio",
         type=float,
         metavar="R",
-        help="with --restitution: ratio of outgoing to incoming speed along the wall",
+        help="ratio of outgoing to incoming speed along the wall; needs --restitution",
     )
     parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
     parser.add_argument(
@@ -126,7 +126,7 @@ def _from_ratios(arguments: argparse.Namespace) -> int:
         emit_json(numbers)
         return 0
     _print(
-        "predicted from restitution and tangential ratio; these do not determine forces and times", numbers
+        "predicted from restitution and tangential ratio, which do not determine forces and times", numbers
     )
     return 0
 

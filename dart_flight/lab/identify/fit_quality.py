@@ -72,7 +72,8 @@ def compare_residuals(off: Mapping[str, float], expected: Mapping[str, float]) -
     compared = {name: value for name, value in off.items() if name in expected}
     sentences = [
         f"poor fit: the residual of {name} is {value:.3g}, {value / expected[name]:.1f} times the "
-        f"{expected[name]:.3g} of a good fit; check --drop, --mode and the units, and use trials of one wall"
+        f"residual of a good fit, {expected[name]:.3g}; check --drop, --mode and the units, and use "
+        "trials of one wall"
         for name, value in compared.items()
         if not value <= expected[name]
     ]

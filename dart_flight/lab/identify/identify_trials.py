@@ -143,7 +143,7 @@ def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> LoadedVehicle | N
         own = vehicle if trial.flown is None else trial.flown.config
         if not _alike(own, first.config):
             raise InputError(
-                f"a trial of another vehicle ({own.airframe.mass_kg:g} kg, not "
+                f"the trial is of another vehicle ({own.airframe.mass_kg:g} kg, not "
                 f"{first.config.airframe.mass_kg:g} kg): identify the vehicles separately",
                 source=trial.name,
             )
@@ -161,7 +161,7 @@ def _mass_notes(trials: Sequence[Trial], mass_kg: float, replaced: VehicleConfig
     if replaced is None:
         return []
     return [
-        f"using the vehicle in the flight logs ({mass_kg:g} kg), not the configuration's "
+        f"the fit uses the vehicle of the flight logs ({mass_kg:g} kg), not the vehicle of the configuration "
         f"({replaced.airframe.mass_kg:g} kg)"
     ]
 
@@ -173,7 +173,9 @@ def _refuse_idle_options(reading: TrialReading, paths: Sequence[Path]) -> None:
     given = {path.suffix.lower() for path in paths}
     for option, (value, suffixes) in idle.items():
         if value and given.isdisjoint(suffixes):
-            raise InputError(f"applies to {' and '.join(suffixes)} files, but none is given", key=(option,))
+            raise InputError(
+                f"applies to {' and '.join(suffixes)} files, but no such file is given", key=(option,)
+            )
 
 
 def columns_of(text: str | None) -> dict[str, str]:

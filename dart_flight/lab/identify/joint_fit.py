@@ -60,7 +60,7 @@ def solve(
     for old, new in zip(fit.parameters.own, pushed.parameters.own, strict=True):
         for name, j in old.items():
             start[new[name]] = theta[j]
-    notes = ["free flight is not straight: accelerations before and after the contact are estimated"]
+    notes = ["free flight is not straight, so the fit includes accelerations before and after the contact"]
     return pushed, descend(pushed, start, _LOSSES), notes
 
 

@@ -389,7 +389,9 @@ def _weightless_level(
     """Return the level and the noise of the readings in free fall; the ideal level is 0."""
     calm = (time > time[pulse_at] - 0.12) & (time < time[pulse_at] - 0.01)
     if calm.sum() < 8:
-        raise InputError("the recording begins too late: no free fall before the impact", source=name)
+        raise InputError(
+            "the recording begins too late: it contains no free fall before the impact", source=name
+        )
     level = float(np.median(value[calm]))
     return level, max(noise, deviation_of(value[calm] - level))
 

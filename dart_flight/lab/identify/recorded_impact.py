@@ -124,7 +124,7 @@ def find_impact(trial: Trial) -> TrialImpact:
     if impact.deepest_m > _NEAREST_M:
         raise InputError(
             f"the motion reverses {impact.deepest_m:.2f} m before the plane of first touch; if normal_m is "
-            "the distance from the surface, give --contact-distance",
+            "the distance of the vehicle's centre from the wall, give --contact-distance",
             source=trial.name,
         )
     return impact

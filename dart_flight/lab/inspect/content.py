@@ -37,8 +37,8 @@ _LANDED_S = 1.0  # a shorter landed state above `_HIGH_M` is a motor cut in the 
 _HIGH_M = 2.0
 _LOW_M = 0.5
 _PROFILE = (
-    "SDLOG_PROFILE 17 (bit 0, the default, and bit 4, high rate), which logs motors and attitude at their "
-    "full rate"
+    "SDLOG_PROFILE 17 (bits 0 and 4: default and high rate), which logs motors and attitude at their full "
+    "rate"
 )
 
 

@@ -159,7 +159,10 @@ def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
     )
     for key in there | here:
         if not key.startswith("vehicle") and there.get(key) != here.get(key):
-            return f" (the names agree, but {key} is {here.get(key)} here and {there.get(key)} there)"
+            return (
+                f" (the names agree, but {key} is {here.get(key)} in this flight's mission and "
+                f"{there.get(key)} in the other mission)"
+            )
     return ""
 
 
@@ -318,7 +321,7 @@ def _lock_table(flight: RecordedFlight) -> PageTable:
             continue
         end_us, moments = times.contact_end_us, (times.relaxed_us, times.commanded_us, times.settled_us)
         rows.append([impact.title, *(None if t is None else (t - end_us) * 1e-3 for t in moments)])
-    return PageTable(["after the contact's end, ms", "arms relaxed", "commanded", "settled"], rows)
+    return PageTable(["time after the contact's end, ms", "arms relaxed", "commanded", "settled"], rows)
 
 
 def _timing_table(flight: RecordedFlight) -> PageTable:
@@ -327,7 +330,7 @@ def _timing_table(flight: RecordedFlight) -> PageTable:
         [name, *(percentile(values, share) for share in (50, 99, 100))]
         for name, values in (
             ("setpoint interval", t.setpoint_interval_ms),
-            ("IMU delay above its minimum", t.imu_delay_ms),
+            ("IMU delay minus its minimum", t.imu_delay_ms),
             ("sample to recovery setpoint", t.recovery_ms),
         )
     ]

@@ -89,7 +89,10 @@ def plan_table(result: SearchResult) -> Table:
 def describe_free(free: FreePlan | None, best: Plan) -> str:
     """Return a sentence that compares the free plan with the best colliding plan."""
     if free is None:
-        return f"without any collision: unknown, ruckig is not installed: {install_command('plan')}"
+        return (
+            "without any collision: the time is unknown, because ruckig is not installed: "
+            f"{install_command('plan')}"
+        )
     if free.time_s is None:
         return "without any collision: no path reaches the goal"
     limits, gap = free.limits, ""

@@ -341,7 +341,7 @@ def _check_sight(spec: ScenarioFile, sight: SightSpec, walls: list[Wall], docume
         ),
         (
             len(walls) == 1 and not spec.visits,
-            "the key `sight` is possible only with one wall and without visits",
+            "the key `sight` needs exactly one wall and no visits",
         ),
         (walls[0].spans(start), "the vehicle sees only straight ahead: move start in front of the wall"),
         (

@@ -49,9 +49,13 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
     flexible = round(config.servo.flexible_pulse_us)
     return (
         RequiredParameter(
-            f"{bank}_FUNC{pin}", function, f"otherwise actuator {px4.actuator_index} has no output pin"
+            f"{bank}_FUNC{pin}",
+            function,
+            f"with another value, actuator {px4.actuator_index} has no output pin",
         ),
-        RequiredParameter("COM_PREARM_MODE", PREARM_ALWAYS, "otherwise the servo moves only when armed"),
+        RequiredParameter(
+            "COM_PREARM_MODE", PREARM_ALWAYS, "with another value, the servo moves only when PX4 is armed"
+        ),
         RequiredParameter(
             f"{bank}_MIN{pin}", round(px4.min_pulse_us), "PX4 outputs this pulse for the actuator value -1"
         ),
@@ -59,12 +63,14 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
             f"{bank}_MAX{pin}", round(px4.max_pulse_us), "PX4 outputs this pulse for the actuator value 1"
         ),
         RequiredParameter(
-            f"{bank}_DIS{pin}", flexible, "otherwise the servo leaves the flexible end at boot"
+            f"{bank}_DIS{pin}", flexible, "with another value, the servo leaves the flexible end at boot"
         ),
         RequiredParameter(
             f"{bank}_TIM{px4.timer}", SERVO_RATE_HZ, "an analogue servo needs a frame rate of 50 Hz"
         ),
-        RequiredParameter(f"{bank}_REV", 0, "otherwise the output is reversed", mask=1 << (pin - 1)),
+        RequiredParameter(
+            f"{bank}_REV", 0, "with another value, the output is reversed", mask=1 << (pin - 1)
+        ),
     )
 
 

@@ -90,7 +90,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "second-vehicle",
         _P.LINK,
-        "another vehicle with the same system id sends on the link; its clock is ahead by this time",
+        "another vehicle with the same system id sends on the link, with its clock ahead by this time",
         "s",
         238.0,
         -1000.0,
@@ -98,7 +98,7 @@ KINDS: tuple[FaultKind, ...] = (
     ),
     FaultKind("imu-dropout", _P.LINK, "the telemetry contains no IMU samples"),
     FaultKind("imu-stuck", _P.SENSOR, "the reported IMU samples repeat the last reading"),
-    FaultKind("imu-clip", _P.SENSOR, "the accelerometer clips at this many g", "g", 4.0, 1.2, 16.0),
+    FaultKind("imu-clip", _P.SENSOR, "the accelerometer clips at this acceleration", "g", 4.0, 1.2, 16.0),
     FaultKind(
         "ekf-jump", _P.SENSOR, "estimate and motion capture jump north by this distance", "m", 0.5, -3.0, 3.0
     ),
@@ -139,7 +139,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "servo-slow",
         _P.LOCK,
-        "the lock's servo needs this multiple of its normal travel time",
+        "the travel time of the lock's servo is longer by this factor",
         "x",
         4.0,
         1.0,
@@ -147,8 +147,10 @@ KINDS: tuple[FaultKind, ...] = (
     ),
     FaultKind("servo-unplugged", _P.LOCK, "the servo's controller does not answer"),
     FaultKind("wall-missing", _P.PLANT, "the walls are missing"),
-    FaultKind("wall-nearer", _P.PLANT, "the walls are nearer than planned", "m", 0.3, -1.0, 1.0),
-    FaultKind("other-material", _P.PLANT, "the walls are of the stiffest other material"),
+    FaultKind(
+        "wall-nearer", _P.PLANT, "the walls are nearer than planned by this distance", "m", 0.3, -1.0, 1.0
+    ),
+    FaultKind("other-material", _P.PLANT, "each wall is of the stiffest material other than its own"),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
     FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
     FaultKind(

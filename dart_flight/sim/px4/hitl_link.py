@@ -252,8 +252,8 @@ class HitlLink:
         self.longest_gap_s = max(self.longest_gap_s, gap_s)
         if in_flight and gap_s > GAP_S:
             raise Px4LostError(
-                f"the flight controller was without simulated sensors for {gap_s * 1e3:.0f} ms, so its "
-                "estimate is lost: check its port and the load of this computer"
+                f"the flight controller was without simulated sensors for {gap_s * 1e3:.0f} ms and "
+                "has lost its estimate: check the port and the load of this computer"
             )
 
     def send(self, *messages: Any) -> None:

@@ -491,7 +491,7 @@ class Px4:
                 check=False,
             )
         except (OSError, subprocess.TimeoutExpired):
-            self._check_alive(f"while this program waited for the answer to {program}")
+            self._check_alive(f"before it answered the command {program}")
             raise Px4Error(f"PX4 does not answer {program} {' '.join(arguments)}") from None
         return done.stdout.decode(errors="replace")
 

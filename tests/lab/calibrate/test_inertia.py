@@ -124,7 +124,7 @@ def test_slow_commands_other_airframes_and_short_tracks_are_refused() -> None:
     with pytest.raises(InputError, match="motor commands at 6 Hz, at least 50"):
         calibrate_inertia([slow], VEHICLE)
     six = msgspec.structs.replace(track, motors=np.hstack([track.motors, track.motors[:, :2]]))
-    with pytest.raises(InputError, match="6 motors, the configured airframe 4"):
+    with pytest.raises(InputError, match="6 motors, but the configured airframe has 4"):
         calibrate_inertia([six], VEHICLE)
     with pytest.raises(InputError, match=r"windows of 0\.1 s"):
         calibrate_inertia([excited_track((0.02, 0.02, 0.05), seconds=2.0)], VEHICLE)

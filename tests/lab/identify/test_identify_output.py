@@ -190,14 +190,14 @@ def test_a_flight_log_is_identified_with_the_mass_of_its_vehicle(
         assert main(["identify", log, "--config", str(config), "--json"]) == 0
         streams = capsys.readouterr()
         found[config] = json.loads(streams.out)
-        assert ("not the configuration's (0.9 kg)" in streams.err) == (config == other)
+        assert ("not the vehicle of the configuration (0.9 kg)" in streams.err) == (config == other)
     right, same = found.values()
     assert same["coefficients"] == right["coefficients"]
     assert same["vehicle"]["mass_kg"] == 1.3
     k = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE).k
     assert right["coefficients"]["flexible"]["k"]["value"] == pytest.approx(k, rel=0.04)
     message = refusal(capsys, *hits, log, "--mode", "flexible", "--config", str(other))
-    assert "a trial of another vehicle (0.9 kg, not 1.3 kg): identify the vehicles separately" in message
+    assert "the trial is of another vehicle (0.9 kg, not 1.3 kg): identify the vehicles separately" in message
 
 
 def test_a_given_mass_overrides_the_logs_mass_with_a_warning(

@@ -112,7 +112,7 @@ def test_free_is_refused_for_other_objectives(capsys: pytest.CaptureFixture[str]
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"visits": [{"position_m": [1.0, 0.0], "within_m": 0.1}]}, "without visits"),
+        ({"visits": [{"position_m": [1.0, 0.0], "within_m": 0.1}]}, "needs exactly one wall and no visits"),
         ({"start": {"position_m": [3.6, 0.0], "altitude_m": 1.0}}, "must be out of sight at start"),
         ({"start": {"position_m": [0.0, 2.3], "altitude_m": 1.0}}, "move start in front of the wall"),
         (
