@@ -222,7 +222,7 @@ class PostContact:
 
 
 class WallWithEnds:
-    """A wall's surface near its ends: the surface acts on each guard, the two edges on the outline.
+    """A wall's surface near its ends: the surface touches each guard, and its two edges touch the outline.
 
     Attributes:
         plane: the surface.

@@ -51,7 +51,7 @@ class Track(msgspec.Struct):
     If the log lacks a measurement, its array is empty.
 
     Attributes:
-        source: the file, for messages.
+        source: name of the file, which messages contain.
         imu_s: stamps of the IMU, (n,).
         specific_force, rate: specific force (m/s2) and angular rate (rad/s) in FRD, (n, 3).
         motor_s, motors: stamps (m,) and commands to the motors, 0 to 1, (m, motors).

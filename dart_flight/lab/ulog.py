@@ -56,7 +56,7 @@ class ULogFile(msgspec.Struct):
     """A PX4 log.
 
     Attributes:
-        source: the file, for messages.
+        source: name of the file, which messages contain.
         topics: name -> instance -> field -> array as PX4 wrote the array. Topics without samples are absent.
         parameters: PX4's parameters at the start of the log.
         version: PX4's version, or None if the version is not logged or PX4 was built between releases.

@@ -48,7 +48,7 @@ class RejoiningTrajectories(NamedTuple):
         settled_s: (n,) time from the candidate's beginning to the end of the correction.
         added: (2, n, 6) coefficients of the added polynomials before `settled_s`, constant term first.
         kept: (2, n, 6) coefficients of the added polynomials after `settled_s`, as functions of the time
-            since `settled_s`. They shift the end and add the final acceleration.
+            since `settled_s`. The polynomials shift the end state and add an acceleration at the end.
         position, velocity, acceleration, jerk: (2, n, k) samples, mission frame.
     """
 

@@ -1,9 +1,9 @@
 """Stepping of the core in flights over MAVSDK, with one queue of inputs and one thread at a time.
 
-Only the thread that holds `_owner` steps the core and sends the setpoints at once. In real time the core
-chooses this thread (`core.pace`). Near a wall MAVSDK's thread steps the core. Samples arrive on that thread,
-so no other thread has to wake up first (docs/latency.md). Away from walls the core's own thread steps the
-core.
+Only the thread that holds `_owner` steps the core. This thread also sends the setpoints, without delay. In
+real time the core chooses this thread (`core.pace`). Near a wall MAVSDK's thread steps the core. Samples
+arrive on that thread, so no other thread has to wake up first (docs/latency.md). Away from walls the core's
+own thread steps the core.
 
 In lockstep, the simulated world waits until the core has processed the world's samples. The thread that
 delivers a sample also steps the core. Near a wall it steps the core after each sample, away from walls after

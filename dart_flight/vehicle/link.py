@@ -60,7 +60,7 @@ class LinkEndpoint(msgspec.Struct, frozen=True):
     """The resource that a URL uses; two URLs with the same `key` exclude each other.
 
     Attributes:
-        key: part of the lease's file name.
+        key: part of the file name of the link's lease (`LinkLease`).
         udp_port: UDP port that this program binds, or None.
         host: local address of `udp_port`.
         device: path of the serial device, or None.

@@ -1,6 +1,7 @@
 """Monitoring of the telemetry streams, and the table of their rules: failure, limit, action.
 
-Silence is measured in host time, the rate by stamps, and the delay by stamps, receipts and round trips.
+Silence is measured in host time, and the rate is measured by the samples' stamps. The delay is measured by
+the samples' stamps, their times of receipt, and the link's round trips.
 """
 
 from __future__ import annotations

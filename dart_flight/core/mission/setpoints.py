@@ -1,4 +1,4 @@
-"""Construction of setpoints from a reference, the horizontal axes left free, and an added acceleration.
+"""Construction of setpoints from a reference, a set of free horizontal axes, and an added acceleration.
 
 On a free axis the setpoint is the measured motion, so that PX4 does not push along this axis. Only the
 acceleration still comes from the reference.

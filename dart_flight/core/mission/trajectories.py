@@ -80,7 +80,7 @@ class Trajectory(msgspec.Struct, frozen=True):
         pieces_s: Sequence[float],
         duration_s: float | None = None,
     ) -> Trajectory:
-        """Return a trajectory at constant altitude that continues after its end."""
+        """Return a trajectory at constant altitude; after its end the last velocity continues."""
         z = (altitude_m, 0.0, 0.0, 0.0, 0.0, 0.0) * len(pieces_s)
         lasts_s = sum(pieces_s) if duration_s is None else duration_s
         return cls(tuple(x), tuple(y), z, tuple(pieces_s), lasts_s)

@@ -70,7 +70,7 @@ class Parameters:
             self.size += len(names)
 
     def mode_indices(self, mode: str) -> dict[str, int]:
-        """Return the indices of k and f (logarithms), mu and nu of a mode."""
+        """Return where the unknowns of a mode are in the vector of unknowns: log k, log f, mu, nu."""
         first = 1 + 4 * self.modes.index(mode)
         return {name: first + i for i, name in enumerate(("k", "f", "mu", "nu"))}
 

@@ -183,8 +183,8 @@ class Timing(msgspec.Struct):
     """Latencies and jitter of a flight, milliseconds; arrays (n,).
 
     Attributes:
-        setpoint_interval_ms: intervals between successive setpoints. The time of a setpoint is here the time
-            at which the sample that triggered this setpoint was received.
+        setpoint_interval_ms: intervals between successive setpoints. Each setpoint counts at the time
+            of receipt of the sample that triggered it.
         imu_delay_ms: delays from the stamp of an IMU sample to its receipt, minus the smallest delay.
         recovery_ms: latencies of recoveries: from the receipt of the sample that triggers the recovery until
             the recovery setpoint is sent.

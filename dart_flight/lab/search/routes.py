@@ -103,7 +103,7 @@ def _shortest_through(places: Sequence[Vec2], blocked: Callable[[Vec2, Vec2], bo
 
 
 def _edge(wall: Wall) -> tuple[Vec2, Vec2]:
-    """Return the two ends of a wall's face, which is half a vehicle behind the wall's plane."""
+    """Return the ends of a wall's surface, half a vehicle behind the plane of the centre at first touch."""
     (nx, ny), back = wall.normal, wall.half_vehicle_m
     middle = (wall.point[0] - back * nx, wall.point[1] - back * ny)
     left, right = (_moved_along(wall, middle, side * 0.5 * wall.length_m) for side in (-1.0, 1.0))
