@@ -114,6 +114,16 @@ def test_the_planner_reproduces_the_cores_uncertainty_from_its_records(
         assert planner.age_s(unit(angle), 90 * S) == core.age_s(unit(angle), 90 * S)
 
 
+@given(angle=angles, offset_m=st.floats(-0.2, 0.2))
+def test_a_correction_moves_the_frame_along_the_walls_normal_only(angle: float, offset_m: float) -> None:
+    frame = FrameAnchors(DRIFT_M_S)
+    frame.begin(0)
+    wall = msgspec.structs.replace(WOOD, normal=unit(angle))
+    found = frame.correct_frame(wall, wall_estimate(None, None, offset_m, t_us=9 * S), 9 * S)
+    share = found.expected_sd_m**2 / (found.expected_sd_m**2 + 0.02**2 + 0.012**2)
+    assert found.moved_mission == pytest.approx([share * offset_m * n for n in unit(angle)], abs=1e-12)
+
+
 # --- walls ------------------------------------------------------------------------------------------------
 
 WOOD = Wall("wood", (2.0, 0.0), (-1.0, 0.0), 4.0, "wood")
