@@ -214,6 +214,22 @@ def test_the_plant_runs_without_answers_only_while_px4_boots(
         vehicle.step()
 
 
+def test_an_answer_to_an_earlier_tick_extends_the_wait(
+    mission: Mission, pair: tuple[HilLink, FakePx4]
+) -> None:
+    """While PX4 boots, it may answer the ticks before the present one first."""
+    link, fake = pair
+    vehicle = Px4Vehicle(mission, 1, link)
+    for _ in range(3):
+        vehicle.step()
+    fake.serve(3, True)
+    later = threading.Timer(0.1, fake.serve, (1, True))
+    later.start()
+    vehicle.step()
+    later.join()
+    assert link.controls.time_us == vehicle.time_us
+
+
 def test_a_closed_connection_is_a_lost_px4(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)

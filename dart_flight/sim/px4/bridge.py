@@ -125,13 +125,19 @@ class HilLink:
         """
         # PX4 stamps poses and fixes with its clock, which the later HIL_SENSOR advances.
         self.send(*others, sensor)
-        deadline = time.monotonic() + (_ANSWER_WAIT_S if self.locked else _BOOT_WAIT_S)
-        while not self._receive_answer(sensor.time_usec, deadline):
-            if time.monotonic() >= deadline:
-                if not self.locked:
-                    break
+        begun_s = time.monotonic()
+        while not self._receive_answer(sensor.time_usec, begun_s + self._patience_s):
+            if time.monotonic() < begun_s + self._patience_s:
+                continue
+            if self.locked:
                 raise Px4LostError(f"PX4 has not answered for {_ANSWER_WAIT_S:g} s")
+            break
         return self.controls
+
+    @property
+    def _patience_s(self) -> float:
+        """Longest wait for an answer, seconds; an answer to an earlier tick may lock the link during the wait."""
+        return _ANSWER_WAIT_S if self.locked else _BOOT_WAIT_S
 
     def _receive_answer(self, time_us: int, deadline: float) -> bool:
         self._socket.settimeout(max(1e-4, deadline - time.monotonic()))
