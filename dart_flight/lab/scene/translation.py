@@ -63,7 +63,7 @@ FORCES, SET_POINT, HITS = "/scene/forces", "/scene/setpoint", "/scene/hits"
 OUTLINES = ("/points/room", "/points/vehicle", "/points/path")
 SCENES = (ROOM, PLAN, VEHICLE, PATH, FORCES, SET_POINT, HITS)
 # Each message on these is complete, so a viewer that connects later needs only the newest.
-LASTING = frozenset((*SCENES, *OUTLINES))
+LASTING = frozenset((*SCENES, *OUTLINES, TRANSFORMS))
 
 _MIN_ARROW_N = 3.0  # above the noise of the estimate
 _PATH_STEP_M = 0.03

@@ -148,15 +148,18 @@ def test_a_viewer_that_joins_later_receives_room_and_vehicle(log: Log, view: Liv
     assert "/scene/vehicle" in viewer.messages
 
 
-def test_a_viewer_that_joins_after_the_last_record_receives_the_room(log: Log, view: LiveViewProcess) -> None:
+def test_a_viewer_that_joins_after_the_last_record_receives_room_and_position(
+    log: Log, view: LiveViewProcess
+) -> None:
     """The link may be lost, or the log no longer written."""
     for entry in log.entries[: len(log.entries) // 2]:
         view.feed(entry.record)
     wait_until(lambda: not view._waiting and not view._unsent)
     time.sleep(1.0)  # let the process publish the records
-    viewer, thread = start_viewer(view.port, lambda m: "/scene/room" in m)
+    viewer, thread = start_viewer(view.port, lambda m: "/scene/room" in m and bool(positions(m)))
     thread.join(PATIENCE_S)
     assert "/scene/room" in viewer.messages
+    assert len(positions(viewer.messages)) == 1
 
 
 def test_a_hanging_view_process_drops_records_without_delaying_the_flight(
