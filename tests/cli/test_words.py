@@ -257,7 +257,7 @@ def test_an_export_without_a_suffix_gets_the_suffix_of_the_viewer(
 
 @pytest.mark.parametrize(
     ("autopilot", "problem"),
-    [(12, None), (3, "from ArduPilot"), (0, "a generic autopilot"), (42, "autopilot 42")],
+    [(12, None), (3, "ArduPilot"), (0, "a generic autopilot"), (42, "autopilot 42")],
 )
 def test_an_autopilot_that_is_not_px4_is_named(autopilot: int, problem: str | None) -> None:
     fields = {"autopilot": autopilot, "base_mode": 129, "custom_mode": 6 << 16, "system_status": 4}

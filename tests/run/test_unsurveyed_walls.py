@@ -325,7 +325,7 @@ def test_check_reports_a_wall_that_may_block_a_planned_trajectory(north_sd_m: fl
 def test_small_standard_deviations_are_a_go() -> None:
     findings = check_mission(single((POINT, f"{POINT}, position_sd_m: 0.05, yaw_sd_deg: 2.0")))
     assert not no_goes(findings)
-    assert any("within 0.15 m (3 sd)" in f.says for f in findings)
+    assert any("error of 0.15 m (3 sd)" in f.says for f in findings)
 
 
 # --- missions without figures -----------------------------------------------------------------------------

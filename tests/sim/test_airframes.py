@@ -280,4 +280,4 @@ def test_wrong_arguments_of_calibrate_are_refused_in_one_line(
 def test_a_thrust_table_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = octorotor(tmp_path)
     assert main(["calibrate", "thrust", "a.ulg", "--config", str(config), "--write"]) == 2
-    assert "remove thrust.table first" in capsys.readouterr().err
+    assert "remove thrust.table" in capsys.readouterr().err
