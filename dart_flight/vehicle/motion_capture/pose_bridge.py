@@ -17,6 +17,7 @@ from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.base.records import PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.vehicle.clock import Clock
+from dart_flight.vehicle.motion_capture.pose_statistics import ShortestOffset
 from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
 
 _LOCAL_NED: Final = 1  # MAV_FRAME
@@ -121,7 +122,7 @@ class StaleFrames:
     """
 
     def __init__(self) -> None:
-        self._least_us: int | None = None  # smallest offset between receipt and stamp
+        self._shortest = ShortestOffset()
         self._since_us: int | None = None
 
     def contains(self, stamp_us: int, received_us: int) -> bool:
@@ -131,17 +132,16 @@ class StaleFrames:
         fresh.
         """
         offset_us = received_us - stamp_us
-        if self._least_us is None or offset_us < self._least_us:
-            self._least_us = offset_us
-        if offset_us - self._least_us <= _STALE_US:
+        self._shortest.add(offset_us, received_us)
+        if offset_us - self._shortest.least_us <= _STALE_US:
             self._since_us = None
             return False
         if self._since_us is None:
             self._since_us = received_us
-        if received_us - self._since_us > _JUMPED_US:
-            self._least_us, self._since_us = offset_us, None
-            return False
-        return True
+        if received_us - self._since_us <= _JUMPED_US:
+            return True
+        self._shortest, self._since_us = ShortestOffset(), None
+        return False
 
 
 class MotionCaptureBridge:

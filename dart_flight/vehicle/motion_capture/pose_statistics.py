@@ -56,6 +56,31 @@ class PoseFigures(msgspec.Struct, frozen=True):
     senders: tuple[str, ...] = ()
 
 
+class ShortestOffset:
+    """The smallest offset between receipt and stamp of a source's frames, the reference of their ages.
+
+    The clocks of source and host drift apart, so only the last `_BEST_S` seconds with frames count.
+    """
+
+    def __init__(self) -> None:
+        self._best_us: deque[int] = deque(maxlen=_BEST_S)  # by second of receipt
+        self._second: int | None = None
+
+    def add(self, offset_us: int, received_us: int) -> None:
+        """Add the offset of a frame, microseconds."""
+        second = received_us // 1_000_000
+        if second != self._second:
+            self._second = second
+            self._best_us.append(offset_us)
+        elif offset_us < self._best_us[-1]:
+            self._best_us[-1] = offset_us
+
+    @property
+    def least_us(self) -> int:
+        """The smallest offset, microseconds, after at least one frame."""
+        return min(self._best_us)
+
+
 class PoseStatistics:
     """The statistics of one source's poses.
 
@@ -73,8 +98,7 @@ class PoseStatistics:
         self._tracked_us: deque[int] = deque()  # receipt, within the window
         self._first_us: int | None = None
         self._longest_us = 0
-        self._best_us: deque[int] = deque(maxlen=_BEST_S)  # shortest receipt minus stamp, by second
-        self._second: int | None = None
+        self._shortest = ShortestOffset()
         self._late_us: deque[int] = deque(maxlen=_AGE_POSES)
         self._first_late_ms: float | None = None
         self._senders: dict[str, int] = {}  # newest receipt
@@ -111,20 +135,16 @@ class PoseStatistics:
             times.popleft()
         self._pose = self._room.pose_to_ned(pose.position_room, pose.q_body_to_room)
         if pose.source_us is not None:
-            self._add_age(now - pose.source_us, now // 1_000_000)
+            self._add_age(now - pose.source_us, now)
 
-    def _add_age(self, difference_us: int, second: int) -> None:
-        if second != self._second:
-            self._second = second
-            self._best_us.append(difference_us)
-        elif difference_us < self._best_us[-1]:
-            self._best_us[-1] = difference_us
-        self._late_us.append(difference_us)
+    def _add_age(self, offset_us: int, received_us: int) -> None:
+        self._shortest.add(offset_us, received_us)
+        self._late_us.append(offset_us)
         if self._first_late_ms is None and len(self._late_us) == _AGE_POSES:
             self._first_late_ms = self._late_ms()
 
     def _late_ms(self) -> float:
-        return 1e-3 * (statistics.median(self._late_us) - min(self._best_us))
+        return 1e-3 * (statistics.median(self._late_us) - self._shortest.least_us)
 
     def figures(self, now_us: int) -> PoseFigures:
         """Return the statistics at a host time, microseconds."""

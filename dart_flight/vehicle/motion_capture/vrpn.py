@@ -74,6 +74,7 @@ class VrpnSource:
         self._address, self._server = address, f"{address.host}:{address.port}"
         self._deliver: Callable[[RawPose], None] = lambda _: None
         self._senders: dict[int, str] = {}
+        self._link: socket.socket | None = None
         self._error: str | None = None
         self._pose_s = opened_s = time.monotonic()
         self._stopped = threading.Event()
@@ -107,8 +108,9 @@ class VrpnSource:
     def stop(self) -> None:
         """Stop delivering and close the connection."""
         self._stopped.set()
-        with contextlib.suppress(OSError, AttributeError):  # not connected
-            self._link.shutdown(socket.SHUT_RDWR)
+        if (link := self._link) is not None:
+            with contextlib.suppress(OSError):  # the connection is already lost
+                link.shutdown(socket.SHUT_RDWR)
         self._thread.join()
 
     def _run(self) -> None:

@@ -153,3 +153,10 @@ def test_poses_are_fresh_within_a_second_of_a_clock_jump_of_the_source(jump_us: 
     assert not any(found[:100])
     assert sum(found) <= 101
     assert not any(found[-50:])
+
+
+@pytest.mark.parametrize("drift", [-2e-4, 2e-4])
+def test_poses_stay_fresh_while_the_sources_clock_drifts_for_hours(drift: float) -> None:
+    """Standby forwards poses all day."""
+    stale = StaleFrames()
+    assert not any(stale.contains(round(t * (1.0 + drift)), t) for t in range(0, 10_000_000_000, 500_000))
