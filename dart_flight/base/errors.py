@@ -2,4 +2,4 @@
 
 
 class FlightError(Exception):
-    """The flight could not begin, for example without a vehicle or a simulator; the message is one line."""
+    """The flight could not begin, for example because no vehicle answered; the message is one line."""

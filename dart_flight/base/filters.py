@@ -52,7 +52,8 @@ class LowPass:
 class VarianceEstimate:
     """Running estimate of a noise variance: the mean of the squares that `update` receives.
 
-    Outliers have little weight. The variance stays above 0, because some noise is always possible.
+    A square far above the variance is clipped first. The variance stays above 0, because some noise is
+    always possible.
 
     Args:
         value: initial variance.

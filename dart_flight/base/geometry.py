@@ -156,8 +156,8 @@ def quaternion_from_rotation_vector(v: Vec3) -> Quaternion:
 def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float) -> Quaternion:
     """Return the attitude after `dt_s` seconds (either sign) at a constant body rate.
 
-    The result is the Hamilton product with `quaternion_from_rotation_vector(rate * dt)`. The product is
-    written out for speed: the core needs it for every sample, the plant for every millisecond.
+    The result is the Hamilton product with `quaternion_from_rotation_vector(rate * dt)`. The code writes the
+    product out for speed: the core calls this function every sample, and the simulation every millisecond.
     """
     rx, ry, rz = rate_frd_rad_s
     rx, ry, rz = rx * dt_s, ry * dt_s, rz * dt_s
@@ -206,7 +206,7 @@ def quaternion_from_intrinsic_xyz(x_rad: float, y_rad: float, z_rad: float) -> Q
 
 
 def quaternion_from_matrix(columns: Sequence[float]) -> Quaternion:
-    """Return the rotation of a matrix whose nine elements come column by column.
+    """Return the quaternion of a rotation matrix, given as nine elements column by column.
 
     Qualisys Track Manager (QTM) sends the elements in this order.
 
@@ -268,7 +268,7 @@ class MissionFrame:
 
     Attributes:
         north_m, east_m: the mission's origin in local NED.
-        down_m: local NED height of the mission's z = 0 (the ground under the take-off point).
+        down_m: down coordinate, local NED, of the mission's z = 0 (the ground at the take-off point).
         heading_rad: direction of the mission's x axis, clockwise from north.
         cos, sin: cosine and sine of the heading; they are stored because every conversion uses them.
     """
@@ -304,7 +304,7 @@ class MissionFrame:
         return (x * c + y * s + self.north_m, x * s - y * c + self.east_m, -z + self.down_m)
 
     def displaced(self, x_m: float, y_m: float) -> MissionFrame:
-        """Return the frame with its origin displaced along its own axes."""
+        """Return the same frame with the origin displaced by `x_m` and `y_m` along the frame's axes."""
         north, east, _ = self.point_to_ned((x_m, y_m, 0.0))
         return MissionFrame(north, east, self.down_m, self.heading_rad)
 

@@ -52,8 +52,8 @@ def identify_scale(lowest: float, highest: float) -> OutputScale | None:
     """Return the output scale that a range of raw values implies.
 
     Args:
-        lowest: smallest of all motors' values, without values of 0.
-        highest: largest of all motors' values.
+        lowest: smallest value above 0 of any motor.
+        highest: largest value of any motor.
 
     Returns:
         The scale, or None if no value is above 0 or a value exceeds every scale.
@@ -88,7 +88,7 @@ class MotorOutputDecoder:
         self.scale: OutputScale | None = None
 
     def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
-        """Return the throttle of each motor, or the reason why the outputs cannot be those of the motors.
+        """Return the throttle of each motor, or the reason why these outputs cannot drive the motors.
 
         Args:
             outputs: raw values; None for a value that is not a number.

@@ -32,7 +32,7 @@ def use_idle_priority() -> None:
 
 
 def measure_lateness_s() -> float:
-    """Measure short sleeps of this program for 0.5 s; return the worst scheduling latency, seconds."""
+    """Sleep repeatedly for 0.5 s in total; return the latest wake-up, seconds after the requested time."""
     worst_s, end_s = 0.0, time.monotonic() + _MEASURE_S
     while (now_s := time.monotonic()) < end_s:
         time.sleep(_NAP_S)
@@ -43,7 +43,7 @@ def measure_lateness_s() -> float:
 class ChildProcess(subprocess.Popen[bytes]):
     """A Python module that runs in its own process and session, and exchanges lines with this program.
 
-    The new session keeps Ctrl-C at the terminal away from the module.
+    Because of the new session, Ctrl-C at the terminal does not reach the module.
 
     Args:
         module: name of the module; it must exit when its standard input is closed.

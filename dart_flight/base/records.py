@@ -134,7 +134,7 @@ class Phase(StrEnum):
 
 
 class Override(StrEnum):
-    """Action of a guard override; an action replaces every action that is listed above it."""
+    """Action of the guard, in the order of rank; a higher rank replaces an action of lower rank."""
 
     NONE = "none"
     GIVE_UP = "give_up"  # on the ground: end the mission before take-off
@@ -223,7 +223,7 @@ class EscSample(Record, frozen=True, gc=False):
 
 
 class StatusSample(Record, frozen=True, gc=False):
-    """State of the autopilot that changes rarely; one record for every change."""
+    """Slowly changing state of the autopilot; every change is one record."""
 
     topic: ClassVar[str] = "/in/status"
     t_us: int
@@ -314,7 +314,7 @@ class LockPhase(StrEnum):
 
 
 class LockState(Record, frozen=True, gc=False):
-    """State of the locking mechanism on the core's time base."""
+    """State of the locking mechanism; the times are autopilot time."""
 
     topic: ClassVar[str] = "/in/lock"
     t_us: int
@@ -327,7 +327,7 @@ class LockState(Record, frozen=True, gc=False):
 
 
 class CommandResult(Record, frozen=True, gc=False):
-    """Result of a vehicle command, judged by telemetry and not by its acknowledgement."""
+    """Result of a vehicle command; telemetry decides the result, not the command's acknowledgement."""
 
     topic: ClassVar[str] = "/in/result"
     t_us: int
@@ -474,7 +474,7 @@ class LockCommand(Record, frozen=True, gc=False):
 
 
 class LockPermission(Record, frozen=True, gc=False):
-    """Whether the lock may move: only if the arms have no contact and have sprung back."""
+    """Whether the lock may move: only if the arms touch nothing and have returned to their rest position."""
 
     topic: ClassVar[str] = "/out/lock_permission"
     t_us: int
@@ -618,7 +618,7 @@ class ContactSide(StrEnum):
 
     @classmethod
     def from_lead(cls, lead_m: float) -> ContactSide:
-        """Return which guard touched first, from the lead of the right guard over the left one, metres."""
+        """Return which guard touched first; `lead_m` is the lead of the right guard over the left guard."""
         if abs(lead_m) < MIN_LEAD_M:
             return cls.BOTH
         return cls.RIGHT if lead_m > 0.0 else cls.LEFT
@@ -742,7 +742,7 @@ class PlanTaken(Record, frozen=True, gc=False):
 
 
 class ProbeEnd(Record, frozen=True, gc=False):
-    """A probe that has ended without contact, or a skipped leg that depends on a probe."""
+    """End of a probe without contact, or the skip of a leg because a probe did or did not touch its wall."""
 
     topic: ClassVar[str] = "/event/probe"
     t_us: int

@@ -1,4 +1,4 @@
-"""Base of the objects that run in a thread of their own while their context is open."""
+"""Base of the context managers that run a thread while the context is open."""
 
 from __future__ import annotations
 

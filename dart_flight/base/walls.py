@@ -47,9 +47,9 @@ class Wall(msgspec.Struct, frozen=True):
         material: key of the materials table.
         position_sd_m: standard deviation of the plane's position along the normal; None if not configured.
         yaw_sd_rad: standard deviation of the plane's direction, about `point`; None if not configured.
-        half_vehicle_m: distance from the vehicle's centre to the vehicle's side. Measured along the wall, an
-            impact is at least this distance inside the wall's ends, and a path past the wall is at least this
-            distance outside the ends.
+        half_vehicle_m: distance from the vehicle's centre to the vehicle's side. Along the wall, an impact is
+            at least this far inside the wall's ends, and a path past the wall is at least this far outside
+            the ends.
         post_radius_m: radius of the post, if the wall is the tangent plane of a post; 0 for a flat wall.
         sought: whether a probe searches for the wall, because the wall's position is unknown. In this case,
             the plane is assumed at the end of the probe's path.
@@ -91,7 +91,7 @@ class Wall(msgspec.Struct, frozen=True):
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether the configured position or direction of the wall has a tolerance."""
+        """Whether a standard deviation is configured for the wall's position or direction."""
         return bool(self.position_sd_m or self.yaw_sd_rad)
 
     def displaced(self, away_m: float) -> Wall:

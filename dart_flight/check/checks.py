@@ -67,7 +67,7 @@ class FlightContext(CheckContext[CheckFinding]):
         log_dir: the folder of the flight log.
         url: MAVSDK connection URL of the vehicle, or None without a vehicle.
         position_from: the position source that the operator claims, or None to use the vehicle's parameters.
-        reading: the vehicle's reports, or None. In a stage with a vehicle, the first check reads the reports.
+        reading: the vehicle's parameters and telemetry; None until the first check with a vehicle.
         found: the findings of the earlier checks.
     """
 
@@ -80,7 +80,7 @@ class FlightContext(CheckContext[CheckFinding]):
 
     @functools.cached_property
     def planned(self) -> PredictedFlight | None:
-        """The flight that the planner's model predicts, or None if it cannot be predicted."""
+        """The flight that the planner's model predicts, or None without a prediction."""
         return predict_flight_path(self.mission)
 
     @property
@@ -90,7 +90,7 @@ class FlightContext(CheckContext[CheckFinding]):
         return self.reading
 
     def read(self, reader: Callable[[Mission, str], VehicleReading]) -> list[CheckFinding]:
-        """Read the vehicle once for the checks of a stage; return no finding."""
+        """Read parameters and telemetry once for the checks of a stage; return no finding."""
         if self.reading is None and self.url is not None:
             self.reading = reader(self.mission, self.url)
         return []
@@ -109,7 +109,7 @@ class FlightContext(CheckContext[CheckFinding]):
         return evaluate_parameters(self.mission, v.values, self.position_from or v.position_from, v.version)
 
     def check_own_parameters(self) -> list[CheckFinding]:
-        """Judge the vehicle's own parameters if every other check for hardware in the loop has passed."""
+        """If all earlier checks have passed, judge the parameters that are not in `hitl.params`."""
         if not all(finding.go for finding in self.found):
             return []
         return evaluate_own_parameters(self.mission, self.vehicle.values, self.position_from)

@@ -31,7 +31,7 @@ _LEAST_MARGIN = 4.0  # below this, core, log and link together need more than on
 
 
 def check_lateness(mission: Mission) -> CheckFinding:
-    """Measure the lateness of this program for half a second.
+    """For half a second, measure how late this program wakes up.
 
     The finding is a no-go if the lateness exceeds the guard's `stream_timeout_s`.
     """
@@ -86,7 +86,8 @@ def measure_step_s(mission: Mission) -> float:
     """Return the processor time that the core needs per IMU period in flight, seconds.
 
     In one period the core processes an IMU sample and the other inputs that arrive with this sample. The time
-    is measured with two seconds of inputs from a vehicle at rest. A fixed factor converts it to flight.
+    is measured with two seconds of inputs from a vehicle at rest, and multiplied by a fixed factor: a period
+    in flight costs more.
 
     Raises:
         InputError: the mission cannot be flown.

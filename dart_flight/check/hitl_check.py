@@ -41,13 +41,13 @@ def evaluate_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
 def evaluate_own_parameters(
     mission: Mission, values: Mapping[str, float], position_from: PositionSource | None
 ) -> list[CheckFinding]:
-    """Judge the vehicle's own parameters as before a flight, except the parameters in `hitl.params`."""
+    """Judge the vehicle's parameters as before a real flight, except the parameters in `hitl.params`."""
     wanted = hitl_parameters()
     return [f for f in evaluate_parameters(mission, values, position_from) if f.item not in wanted]
 
 
 def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """Return whether the flight controller is disarmed and has restarted with hardware in the loop."""
+    """Return whether the flight controller is disarmed, and has restarted since SYS_HITL was set to 1."""
     if mode is None:
         return [CheckFinding("heartbeat", False, "no heartbeat with a mode within 3 s")]
     if mode.armed:

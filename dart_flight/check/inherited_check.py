@@ -8,7 +8,7 @@ from dart_flight.config.mission import Mission
 
 
 def check_inherited(mission: Mission) -> list[CheckFinding]:
-    """Return a remark that lists contradictions and inherited values; return no finding if there are none."""
+    """Return a remark that lists inherited values and contradictions; no finding if both are empty."""
     source = mission.vehicle_source
     if source is None:
         return []

@@ -52,8 +52,8 @@ _PEAK_SPEED = 1.875  # ratio of a transit's peak speed to its mean speed
 def predict_flight_path(mission: Mission) -> PredictedFlight | None:
     """Return the flight that the planner's model predicts.
 
-    The result is None if an approach cannot be flown, or if a wall has not been found yet. Other checks
-    report an approach that cannot be flown.
+    The result is None if an approach cannot be flown (other checks report the reason), or if the position of
+    a wall is still unknown.
     """
     if any(c.wall.sought for c in mission.collisions):
         return None
@@ -311,8 +311,8 @@ def _check_recovery(
 ) -> list[CheckFinding]:
     """Check the place to which a recovery leads.
 
-    If the vehicle hits the next wall during the recovery, the recovery must lead to that wall. Otherwise the
-    recovery must hit no wall and no post.
+    If the next collision has no approach, the recovery itself must lead to its wall. Otherwise the recovery
+    must hit no wall and no post.
     """
     hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
     place = collision.impact_point or (collision.predicted.position_m if collision.predicted else None)
@@ -381,9 +381,9 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
 def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
     """Return a finding about the recovery setpoint's distance outside the bounds.
 
-    A setpoint slightly outside is only a remark, because the vehicle must reach the place `first` (a text)
-    before the setpoint. A setpoint far outside is a no-go, because the collision's gain alpha is probably
-    wrong.
+    A setpoint slightly outside is only a remark, because the vehicle reaches another place before the
+    setpoint; `first` describes this place. A setpoint far outside is a no-go, because the collision's gain
+    alpha is probably wrong.
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:

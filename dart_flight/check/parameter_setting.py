@@ -71,7 +71,7 @@ def read_differences(
     restored: Path | None,
     progress: Progress = lambda done, of: None,
 ) -> ParameterReading:
-    """Read a vehicle's parameters and compare them with the wanted ones.
+    """Read a vehicle's parameters and compare them with the wanted values.
 
     Args:
         link: connection to the vehicle.

@@ -247,7 +247,7 @@ def _is_absent(
 
 
 def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[CheckFinding]:
-    """Remove gains and IMU position from `different`; return a finding for each one that PX4 has."""
+    """Remove gains and IMU position from `different`; return a finding for each parameter that PX4 has."""
     findings = []
     for name in (*GAINS, *IMU_POSITION):
         difference = different.pop(name, None)

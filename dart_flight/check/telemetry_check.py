@@ -27,7 +27,7 @@ class StreamRate(NamedTuple):
         name: name in the stream table.
         rate_hz: rate of usable samples.
         enough: whether the rate is sufficient for a mission.
-        unusable: if the rate is too low, the reason why messages are unusable; None if no message is.
+        unusable: the reason why messages are unusable; None if all are usable or the rate is sufficient.
     """
 
     name: str
@@ -56,11 +56,11 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
 
 
 def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Return a finding for each stream: a sufficient rate, or the reason for a lower one.
+    """Return a finding for each stream: the rate is sufficient, or the reason why the rate is too low.
 
     Args:
         observed: rates and senders.
-        values: parameters read from the vehicle, including MAV_ODOM_LP (`LOOPBACK`) if it was read.
+        values: parameters read from the vehicle. MAV_ODOM_LP (`LOOPBACK`) is optional.
     """
     findings = []
     for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):
@@ -103,7 +103,7 @@ def _describe(source: Source) -> str:
 
 
 def evaluate_battery(mission: Mission, observed: Observation) -> CheckFinding:
-    """Return whether the worst flight battery is sufficiently charged."""
+    """Return whether the worst flight battery, by voltage limit and then by charge, is good enough."""
     guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
     low = (left is not None and left < 2.0 * guard.battery_remaining) or (
         volts is not None and volts < guard.battery_v

@@ -115,7 +115,7 @@ def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
 
 
 def parse_release(text: str) -> Version | None:
-    """Return the major and minor number of a version text, or None if it is empty or 0.0.0."""
+    """Return the major and minor number of a version text, or None if the text is empty or 0.0.0."""
     major, _, rest = text.partition(".")
     minor = rest.partition(".")[0]
     return (int(major), int(minor)) if major.isdigit() and minor.isdigit() and int(major) else None

@@ -58,7 +58,7 @@ class _Terminal:
 
 
 def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: float) -> None:
-    """Write the measured age of the poses into the configuration; on failure, ask the operator to set it."""
+    """Write the poses' measured age into the configuration; on failure, ask the operator to write the age."""
     path = Path(source or default_config_path())
     try:
         refuse_unwritable(arguments, path)

@@ -164,7 +164,7 @@ def _report(
 
 
 def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoInUseError) -> int:
-    """Report that another process owns the servo: `status` shows the last command, other actions fail."""
+    """Report that another process owns the servo; `status` adds the last command, other actions fail."""
     print_status(f"lock: {error}")
     status = arguments.action == "status"
     if status or arguments.json:
@@ -210,7 +210,7 @@ def _unchanged(arguments: argparse.Namespace, config: LockConfig, why: str) -> i
 
 
 def _seek(steps: Calibration) -> bool:
-    """Process lines from standard input until both ends are known; return False if the operator quits."""
+    """Process input lines until both ends of the servo are known; return False if the operator quits."""
     while steps.current_end is not None:
         print_status(f"{steps.current_end} end, now {steps.pulse_us:g} us:")
         line = sys.stdin.readline()

@@ -62,16 +62,16 @@ def download_px4_log(
     before: Collection[Px4LogEntry] | None = None,
     log_id: int | None = None,
 ) -> Path:
-    """Download PX4's log of a flight with progress on the terminal, and return its path.
+    """Download PX4's log of a flight, show the progress, and return the path of the log.
 
     Args:
-        url, timeout_s, folder, armed, before: as for `fetch_px4_log`.
+        url, timeout_s, folder, armed, before: the arguments of `fetch_px4_log`.
         log_id: number of the log that the operator has chosen. If the number is None and several logs may
             belong to the flight, the operator must choose a log.
 
     Raises:
         InputError: several logs may belong to the flight, and there is no terminal or no valid choice.
-        FlightError: as `fetch_px4_log`.
+        FlightError: for the same reasons as in `fetch_px4_log`.
     """
     from rich.progress import Progress, TimeRemainingColumn  # slow to import
 

@@ -208,7 +208,7 @@ def _printable(value: Any) -> Any:
 
 @contextlib.contextmanager
 def keep_status(outcome: str) -> Iterator[None]:
-    """Keep the exit status of completed work if printing its result fails.
+    """If the result of completed work cannot be printed, keep the exit status of the work.
 
     Args:
         outcome: the result in one line, printed on standard error if standard output fails.

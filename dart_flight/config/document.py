@@ -67,7 +67,7 @@ class InputError(ValueError):
 
 
 def utf8_path(path: str | Path) -> str:
-    """Return a path as text that JSON can store and that leads to the same file.
+    """Return the text of a path, after a check that JSON can store the text.
 
     Raises:
         InputError: the path is not UTF-8.
@@ -106,7 +106,7 @@ def stamp_of(path: Path) -> Stamp:
 
 @contextlib.contextmanager
 def noting_files() -> Iterator[dict[Path, Stamp]]:
-    """Collect the files opened within the context, each with the stamp that it had before it was read."""
+    """Collect the files opened within the context, each with its stamp from before the opening."""
     noted: dict[Path, Stamp] = {}
     _noting.append(noted)
     try:
@@ -250,8 +250,9 @@ class Document:
     def error(self, key: Key, message: str) -> InputError:
         """Return an error at a key of this document, with the line of the key.
 
-        If the key is not in the file, the error has the line of the nearest key above the missing key. If an
-        option such as `--set` has set the key, the error names this option instead of file and line.
+        If the key is not in the file, the error has the line of the innermost existing section around the
+        key. If an option such as `--set` has set the key, the error names this option instead of file and
+        line.
         """
         for given, setting in self.set_by.items():
             # The error is at the setting, below it, or in a section that only the setting created.

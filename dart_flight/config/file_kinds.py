@@ -41,7 +41,7 @@ _MAGIC = {
 
 
 def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:
-    """Return the kind of a YAML file that matches its keys, or None if no kind or several kinds match."""
+    """Return a YAML file's kind, which its keys show; None if the keys match no kind or several kinds."""
     found = [kind for kind, marks in _MARKS.items() if any(mark in tree for mark in marks)]
     return found[0] if len(found) == 1 else None
 
@@ -95,7 +95,7 @@ def refuse_other_kind(path: str | Path, *wanted: FileKind) -> None:
 
 
 def refuse_other_keys(document: Document, wanted: FileKind) -> None:
-    """Check a parsed YAML file, as `refuse_other_kind`."""
+    """Raise an error if a parsed YAML file is of another known kind."""
     kind = kind_of_tree(document.tree)
     if kind is not None and kind is not wanted:
         raise InputError(f"this is {kind.value}", source=document.source)

@@ -54,8 +54,8 @@ class Inherited(NamedTuple):
     Attributes:
         file, base: the vehicle's own file, and the file that it inherits from.
         keys: inherited keys with their values, as text.
-        contradictions: for each changed value, the inherited keys that contradict it; both in the format of
-            `keys`.
+        contradictions: for each changed value, the inherited keys that contradict the change. The dict's
+            keys are texts such as "airframe.mass_kg 1.2 instead of 0.9"; the lists are like `keys`.
     """
 
     file: str
@@ -67,7 +67,7 @@ class Inherited(NamedTuple):
 def find_inherited(
     vehicle: VehicleConfig, file: str | None, settings: Sequence[str] = ()
 ) -> Inherited | None:
-    """Return the values that a vehicle inherits from a packaged vehicle or from the file that it extends.
+    """Return the values that a vehicle's file inherits from a packaged file or from the file in `extends`.
 
     Args:
         vehicle: the whole configuration.
@@ -103,7 +103,7 @@ def find_inherited(
 
 
 def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
-    """Return the keys that a file sets itself, and its base file; None for an unchanged packaged file."""
+    """Return the keys that a file itself sets, and the file's base; None for an unchanged packaged file."""
     own = Document.load(path).tree
     try:
         original = packaged("configs", path.name)

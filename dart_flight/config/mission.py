@@ -96,7 +96,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
         return self.wall.from_collision((self.approach_m_s[0], self.approach_m_s[1], 0.0))
 
     def as_written(self, start: Vec2) -> CollisionSpec:
-        """Return the collision as in a file; an impact point that follows from the approach is omitted."""
+        """Return the collision in a file's form, without an impact point that follows from the approach."""
         if self.probe is not None:
             return self._probe_as_written(self.probe)
         approach: ApproachSpec | None = None
@@ -185,7 +185,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def flat_walls(self) -> tuple[Wall, ...]:
-        """The walls without the tangent planes of posts."""
+        """The walls, except the tangent planes of posts."""
         return tuple(wall for wall in self.walls if not wall.post_radius_m)
 
     @property
@@ -250,7 +250,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return {**self._own_keys(), "vehicle": self.vehicle.to_dict()}
 
     def _own_keys(self) -> dict[str, Any]:
-        """Return the mission as `to_dict`, without the vehicle."""
+        """Return the result of `to_dict` without the vehicle."""
         written = MissionFile(
             **shared_keys(self, MissionKeys),
             version=1,
@@ -311,7 +311,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
 
 def _waypoints_as_written(mission: Mission) -> Iterator[WaypointSpec]:
-    """Yield waypoints and pauses as a file specifies them, without values that follow from other values."""
+    """Yield waypoints and pauses in the form of a file, which omits values that follow from other values."""
     altitude_m, usual_m_s = mission.altitude_m, mission.vehicle.flying.transit_speed_m_s
     for one in mission.waypoints:
         keys = shared_keys(one, WaypointKeys)
@@ -352,7 +352,7 @@ def parse_mission(
     config: str | Path | VehicleConfig | LoadedVehicle | None = None,
     settings: Sequence[str] = (),
 ) -> Mission:
-    """Resolve a parsed mission, as `load_mission`; `config` may be a loaded configuration."""
+    """Resolve a parsed mission in the same way as `load_mission`; `config` may be a loaded configuration."""
     refuse_other_keys(document, FileKind.MISSION)
     spec = document.convert(MissionFile)
     if isinstance(config, VehicleConfig):
@@ -582,7 +582,7 @@ def _check_trajectory(
     wall: Wall,
     document: Document,
 ) -> None:
-    """Raise InputError if a trajectory does not lead from the vehicle's position to the expected impact."""
+    """Raise InputError if a trajectory does not lead from the vehicle to the expected impact."""
     key: Key = ("collisions", i, "trajectory")
     if spec.predicted is None:
         raise document.error(key, "needs the key `predicted`, which gives the expected impact")
@@ -646,7 +646,7 @@ def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
 def _impact_point(
     spec: CollisionSpec, start: Vec2, wall: Wall, approach_m_s: Vec2, key: Key, document: Document
 ) -> Vec2:
-    """Return the impact point: as given, or where the approach from the start crosses the plane."""
+    """Return the file's impact point, or the point where the approach from the start crosses the plane."""
     given, along = spec.impact_point_m, spec.impact_along_m
     if given is not None and along is not None:
         raise document.error((*key, "impact_along_m"), "give impact_along_m or impact_point_m, not both")
@@ -675,7 +675,7 @@ def _impact_point(
 
 
 def _default_impact(collision: Collision, start: Vec2) -> Vec2:
-    """Return the impact point of a collision that specifies none."""
+    """Return the impact point of a collision whose file entry gives none."""
     assert collision.approach_m_s is not None
     if collision.trajectory is not None:
         return collision.wall.foot(collision.trajectory.states()[-1].position)

@@ -40,8 +40,8 @@ class FrameSpec(Section, frozen=True):
 
     Attributes:
         origin: local: PX4's local origin, displaced by north_m and east_m (motion capture, surveyed room);
-            takeoff: the origin is chosen so that the mission's start is directly above the take-off point;
-            then north_m and east_m displace it.
+            takeoff: the origin for which the mission's start is directly above the take-off point, displaced
+            by north_m and east_m.
         anchored_by: none: PX4's position is used as it is; touch: the position drifts, and every contact with
             a wall of the mission corrects the frame along the wall's normal.
         north_m, east_m: displacement of the frame's origin, m.
@@ -85,8 +85,8 @@ class BoundsSpec(Section, frozen=True):
     """The flight space, mission frame: [low, high] per axis.
 
     Attributes:
-        x, y: limits of the measured position, and of the position at which the vehicle would stop if it
-            braked now, m.
+        x, y: limits of the measured position, and of the position at which the vehicle would stop after
+            braking at once, m.
         z: limits above the take-off point, m; take-off and landing are exempt.
     """
 
@@ -218,15 +218,15 @@ class ProbeSpec(Section, frozen=True):
     Attributes:
         from_m: [x, y] of its start, mission frame.
         from_here: true: the leg starts at the vehicle's resting place, which is assumed to be near from_m;
-            false: the leg starts at from_m. Direction and length are the same in both cases. The value true
-            saves the transit to from_m, in which a drifting frame would drift further.
+            false: the leg starts at from_m. Direction and length are the same in both cases. With true, the
+            vehicle omits the transit to from_m, during which a drifting frame drifts further.
         direction: [x, y], any length; may be omitted for a wall of the mission, which is then approached
             along its normal.
         length_m: length of the leg, for the vehicle's centre.
-        speed_m_s: speed of the leg. At this speed the vehicle may be unable to stop before a wall, but an
-            impact must stay within the limits.
+        speed_m_s: speed of the leg. The vehicle need not be able to stop before a wall, but an impact at this
+            speed must stay within the limits.
         back_m: distance from the point of contact at which the vehicle waits afterwards.
-        material: material of a wall that is not in walls, if known; if not given, the contact identifies it.
+        material: material of a wall that is not in walls; default: the contact identifies the material.
     """
 
     from_m: Point2
@@ -336,11 +336,11 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
     Attributes:
         mode: state of the arms at the impact. If the vehicle has no lock, its arms are rigid and the key is
             optional.
-        predicted: written by plan.
+        predicted: the planner's prediction; `plan` writes this key.
         trajectory: trajectory to this wall. If the collision has an approach, the trajectory starts at rest.
             Without an approach, the trajectory starts at the predicted end of the previous collision. If
-            after_impact is replan, it is replaced in flight by a trajectory from the previous collision's
-            actual end. Without a trajectory the approach is straight, with a run-up.
+            after_impact is replan, the vehicle replaces the trajectory in flight by one from the previous
+            collision's actual end. Without a trajectory the approach is straight, with a run-up.
         if_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
             touched.
         if_not_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
@@ -359,11 +359,11 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
 
     Attributes:
         wall: a key of walls or posts. With a probe, the name of an unknown wall is also allowed.
-        approach: velocity at the impact; required for the first collision. Without it the recovery of the
-            previous collision leads to this wall.
+        approach: velocity at the impact; required for the first collision. Without an approach, the recovery
+            of the previous collision leads to this wall.
         probe: search for the wall; a collision with a probe has neither an approach nor gains.
-        impact_point_m: [x, y] on the wall's plane; default: where a straight line from start, in the
-            direction of the approach, meets the plane. For a post, the key is required: it is the position of
+        impact_point_m: [x, y] on the wall's plane; default: the point at which a straight line from start
+            along the approach meets the plane. For a post, the key is required: it is the position of
             the vehicle's centre at first touch.
         impact_along_m: the impact point as a distance along the wall from its middle, positive to the right
             when looking along the normal; give at most one of impact_point_m and impact_along_m. At a wall
@@ -403,7 +403,7 @@ class WaypointKeys(Section, frozen=True, kw_only=True):
 
 
 class WaypointSpec(WaypointKeys, frozen=True, kw_only=True):
-    """A waypoint, approached from rest to rest, or a pause in place; give exactly one of the two.
+    """A waypoint, at which the vehicle stops, or a pause in place; give exactly one of the two.
 
     Attributes:
         position_m: [x, y] of a waypoint, mission frame.
@@ -508,8 +508,8 @@ class FlownRecord(Section, frozen=True):
     def danger(self) -> str | None:
         """Reason not to fly the mission, or None.
 
-        Reasons are a nominal flight that is uncontrolled or does not complete, and an uncontrolled drawn
-        flight.
+        The reason is that the nominal flight is uncontrolled or does not complete, or that a drawn flight is
+        uncontrolled.
         """
         nominal = self.nominal
         if nominal.uncontrolled:
@@ -524,7 +524,7 @@ class FlownRecord(Section, frozen=True):
     def failure(self) -> str | None:
         """Reason not to offer the plan, or None.
 
-        Reasons are `danger`, a drawn flight that tilts too far, and too many drawn flights that do not
+        The reason is `danger`, or that a drawn flight tilts too far, or that too few drawn flights
         complete.
         """
         if self.danger is not None or self.drawn is None:
@@ -542,7 +542,7 @@ class FlownRecord(Section, frozen=True):
 
     @property
     def summary(self) -> str:
-        """Flights, times and saving in one line, for `plan`, `check` and the mission's picture."""
+        """Results of the flights and the saved time in one line, for `plan`, `check` and the picture."""
         drawn = self.drawn
         if drawn is None:
             return self.danger or "the nominal flight completes; no flights in drawn worlds were simulated"
@@ -562,8 +562,8 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
 
     Attributes:
         name: letters, digits and ' _.-', at most 64; names the flight's folder.
-        predicted: written by plan.
-        flown: written by plan.
+        predicted: the planner's prediction; `plan` writes this key.
+        flown: results of simulated flights; `plan` writes this key.
         goal_trajectory: trajectory to the goal, from the predicted end of the last collision, or from rest at
             start.
         after_impact: setpoint: fly the paper's recovery setpoint; replan: fly this setpoint, meanwhile plan a
@@ -596,7 +596,7 @@ class MissionFile(MissionKeys, frozen=True, kw_only=True):
         posts: posts by name; a post and a wall cannot have the same name.
         collisions: collisions in the order of flight; may be empty.
         waypoints: waypoints and pauses before, between and after the collisions, in the order of flight.
-        vehicle: vehicle configuration: a file, relative to this one, or its keys and values; default: the
+        vehicle: vehicle configuration: a path relative to the mission file, or keys and values; default: the
             default configuration.
     """
 

@@ -2,11 +2,12 @@
 
 A line is `vehicle-id component-id name value type`, separated by tabs, with type 6 for INT32 and 9 for
 REAL32. Lines that start with # are comments. In the packaged files, a comment above each parameter gives the
-reason for the parameter's value. If builds of PX4 differ, the comment has a separate line:
+reason for the parameter's value. If some builds of PX4
+lack the parameter, a separate comment line lists these builds:
 
 - `#? absent before v1.16` or `#? absent after v1.17`: these versions do not need the parameter.
-- `#? absent without gyro_fft`: builds without that module do not need the parameter.
-- `#? renamed NAME after v1.17`: these versions have the parameter under that name.
+- `#? absent without gyro_fft`: builds without the module gyro_fft do not need the parameter.
+- `#? renamed NAME after v1.17`: these versions have the parameter under the name NAME.
 
 `after v1.17` includes development versions of v1.18.
 """
@@ -61,7 +62,7 @@ class Parameter(msgspec.Struct, frozen=True):
     Attributes:
         name: PX4's name, at most 16 characters.
         value: wanted value; an int for INT32, a float for REAL32.
-        reason: comment lines directly above it, joined; empty if there are none.
+        reason: comment lines directly above the parameter's line, joined; empty without a comment.
         absent: builds of PX4 that do not have the parameter under this name, such as "before v1.16" or
             "without gyro_fft"; empty for none.
         renamed: name of the parameter in the builds of `absent`; None if these builds do not need the

@@ -49,11 +49,11 @@ class Probe(msgspec.Struct, frozen=True):
 def unknown_walls(
     spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
 ) -> dict[str, Wall]:
-    """Return the walls at unknown positions, by name; each is placed across the end of its probe's leg.
+    """Return the walls at unknown positions, by name; each wall is assumed at the end of its probe's leg.
 
     Raises:
-        InputError: the probe has no direction, an unknown material or a name in use; a collision at such a
-            wall comes before its probe; or a condition names a wall without an earlier probe.
+        InputError: the probe has no direction, an unknown material or a name in use; a collision at an
+            unknown wall comes before the wall's probe; or a condition names a wall without an earlier probe.
     """
     stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].coefficients(Mode.RIGID).k)
     looked_for = {one.wall for one in spec.collisions if one.probe is not None}

@@ -53,8 +53,8 @@ def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple
         actual: motors of PX4.
 
     Returns:
-        Two lists of messages: differences that show another vehicle in PX4 (number of motors, sides,
-            directions of rotation), and differences of size only.
+        Two lists of messages. The first lists differences in number, side or direction of rotation, which
+            show that PX4 flies another vehicle. The second lists differences in size.
     """
     if len(motors) != len(actual):
         return [f"PX4 has {len(actual)} motors, but the configuration has {len(motors)}"], []

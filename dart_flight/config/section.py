@@ -32,7 +32,7 @@ class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def without_defaults(value: Any) -> Any:
-    """Return a value as plain dictionaries and lists, without the fields that have their default."""
+    """Return a value as plain dictionaries and lists, without the fields whose value is the default."""
     if isinstance(value, msgspec.Struct):
         fields = msgspec.structs.fields(value)
         kept = {f.name: getattr(value, f.name) for f in fields if getattr(value, f.name) != _default_of(f)}

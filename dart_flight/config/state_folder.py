@@ -202,7 +202,7 @@ def read_held(path: Path) -> bytes | None:
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
-    """Return whether a path leads to an open file.
+    """Return whether a path still names the file that is open as `descriptor`.
 
     Raises:
         InputError: the path cannot be read.

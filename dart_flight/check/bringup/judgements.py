@@ -301,7 +301,7 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
 
 
 def measure_displacement(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
-    """Return the displacement of a carried vehicle; None if the distance is too short or the vehicle moves.
+    """Return how far the vehicle was carried; None if not far enough, or if the vehicle is still moving.
 
     Args:
         samples: odometry since the start.

@@ -10,7 +10,7 @@ the room's vertical. A mirrored room does not change the rates, because a rate i
 room reverses the accelerations, so a negative correlation of the accelerations reveals the mirroring.
 
 Gyro and accelerometer pass the same Gaussian filters as the poses. The second derivative of the Gaussian
-filters the noisy positions and differentiates them twice. From each acceleration its mean is subtracted,
+filters the noisy positions and differentiates them twice. The mean of each acceleration is subtracted,
 because the accelerometer also measures gravity.
 """
 
@@ -39,7 +39,7 @@ class MotionEstimate(NamedTuple):
 
     Attributes:
         latency_s: time of receipt of a pose minus the time at which the vehicle had this pose.
-        rate_correlation: correlation of the pose's and the gyro's rates at that latency, -1 to 1.
+        rate_correlation: correlation of the poses' rates, corrected by `latency_s`, with the gyro's, -1 to 1.
         turned_rad_s: root mean square of the gyro's rates about the axes, FRD.
         body_to_frd: rotation from the pose's body axes to the gyro's axes, 3 x 3; identity if the axes agree.
         up_room: upward vertical in the poses' frame; (0, 0, -1) if this frame is NED.
@@ -139,7 +139,7 @@ def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: A
     The result is None if the poses and the attitudes do not overlap.
 
     Args:
-        pose_s: times of the motion that the poses show, seconds, (n,).
+        pose_s: times at which the vehicle had the poses, seconds, (n,).
         q_body: attitudes of the poses, (n, 4).
         attitude_s: stamps of the vehicle's attitudes, seconds, (m,), increasing.
         q_frd: the vehicle's attitudes, (m, 4).
@@ -160,7 +160,7 @@ def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: A
 
 
 def _best_latency(pose_rate: Array, gyro_at: Callable[[float], Array]) -> float:
-    """Return the latency, seconds, at which the optimally rotated rates of the poses best match the gyro."""
+    """Return the latency, seconds, at which the poses' rates best match the gyro after the best rotation."""
 
     def agreement(latency_s: float) -> float:
         # The sum of the singular values, signed for a proper rotation, is Kabsch's best inner product.
@@ -196,7 +196,7 @@ def _resample(at_s: Array, times_s: Array, values: Array) -> Array:
 
 
 def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.bool_]:
-    """Return a mask of the times farther than `reach_s` (half the filter's width) from gaps between poses."""
+    """Return True for each time farther than `reach_s`, half the filter's width, from any pose gap."""
     whole = np.ones(len(grid), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(times_s) > _GAP_S):
         whole &= (grid < times_s[k] - reach_s) | (grid > times_s[k + 1] + reach_s)

@@ -191,7 +191,7 @@ class Bringup(CheckContext[StepFinding]):
         return self._link
 
     def _explain_silence(self, says: str) -> str:
-        """Return the reason why no autopilot answers; on a serial port, judge by the bytes that arrive."""
+        """Return why no autopilot answers; on a serial port, the received bytes show the reason."""
         link = parse_link(self._url)
         if link is None or link.kind != "serial":
             return says

@@ -227,7 +227,7 @@ class Thrust(Section, frozen=True):
 
 
 def _interpolate(points: tuple[tuple[float, float], ...], x: float, given: int) -> float:
-    """Interpolate a rising polyline: coordinate `given` (0 or 1) is `x`; return the other coordinate."""
+    """Return the other coordinate of a rising polyline at value `x` of coordinate `given` (0 or 1)."""
     i = max(1, bisect_left(points, x, key=itemgetter(given)))
     before, after = points[i - 1], points[i]
     share = (x - before[given]) / (after[given] - before[given])

@@ -48,10 +48,10 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
         mpc_z_p: velocity per vertical position error, 1/s.
         mpc_xy_vel_p_acc: acceleration per horizontal velocity error, 1/s.
         mpc_xy_vel_i_acc: acceleration per integral of the horizontal velocity error, 1/s2.
-        mpc_xy_vel_d_acc: opposing acceleration, as a share of the measured horizontal acceleration.
+        mpc_xy_vel_d_acc: share of the measured horizontal acceleration that PX4 subtracts from its command.
         mpc_z_vel_p_acc: acceleration per vertical velocity error, 1/s.
         mpc_z_vel_i_acc: acceleration per integral of the vertical velocity error, 1/s2.
-        mpc_z_vel_d_acc: opposing acceleration, as a share of the measured vertical acceleration.
+        mpc_z_vel_d_acc: share of the measured vertical acceleration that PX4 subtracts from its command.
         mpc_xy_vel_max: largest horizontal velocity setpoint, m/s.
         mpc_z_vel_max_up: largest climbing velocity setpoint, m/s.
         mpc_z_vel_max_dn: largest sinking velocity setpoint, m/s.

@@ -150,7 +150,7 @@ def default_config_path() -> Path:
 
 
 def _is_unchanged(path: Path) -> bool:
-    """Return whether a file equals the packaged file of the same name, or is no vehicle configuration."""
+    """Return True if a file equals the packaged file of the same name or is no vehicle configuration."""
     try:
         text = read_text(path)
         if re.search(rf"^({EXTENDS}|airframe):", text, re.MULTILINE) is None:

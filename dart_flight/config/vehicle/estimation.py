@@ -65,7 +65,7 @@ class Estimation(Section, frozen=True, kw_only=True):
         imu_noise_m_s2: initial standard deviation of one sample, until it is measured in flight.
         baseline_limit_n: largest horizontal baseline force. The baseline follows the force between contacts
             and is subtracted before detection.
-        arm_vibration: vibration of the unlocked arms in the IMU's samples, to be removed; null: not removed.
+        arm_vibration: vibration of the unlocked arms, removed from the IMU's samples; null: not removed.
         walls: prior of a wall's coefficients.
         position_drift_m_s: standard deviation of the drift velocity of PX4's position when PX4 relies on GPS
             velocity. The error of the mission frame between two contacts follows from this value

@@ -57,7 +57,7 @@ class Flying(Section, frozen=True):
     Attributes:
         climb_speed_m_s: largest speed of the climb.
         transit_speed_m_s: largest speed of transits, to the run-up point and to the goal.
-        acceleration_m_s2: largest acceleration of the reference.
+        acceleration_m_s2: largest acceleration of the reference, the motion that the setpoints command.
         jerk_m_s3: largest jerk of the reference; null: derived from speed and acceleration.
         yaw_rate_deg_s: largest yaw rate of the reference.
         steady_run_s: time at constant speed before the wall, so that the impact velocity is reached.
