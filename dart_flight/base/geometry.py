@@ -8,8 +8,8 @@ Frames (`docs/concepts.md`):
 * collision frame of a wall: X outward normal, Y to the right when looking along X in a z-up frame,
   Z = X x Y, which points down because walls are vertical.
 
-Vectors are plain tuples of floats and quaternions are (w, x, y, z): scalar arithmetic is deterministic and,
-for three numbers, faster than small arrays. Walls, with their collision frame, are in `walls`.
+Vectors are plain tuples of floats; quaternions are tuples (w, x, y, z). Scalar arithmetic is deterministic,
+and faster than arrays for three numbers. Walls, with their collision frame, are in `walls`.
 """
 
 from __future__ import annotations
@@ -321,7 +321,7 @@ class RoomFrame:
     """Conversion between the axes of a motion-capture room and PX4's local NED (docs/motion_capture.md).
 
     The axes of a marker body follow the same convention as the room's: x forward and z up, or z forward and
-    y up. Both origins are the same point.
+    y up. The room and local NED have the same origin.
 
     Args:
         y_up: whether the room's y axis points up; if not, its z axis does.

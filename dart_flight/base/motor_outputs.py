@@ -88,7 +88,7 @@ class MotorOutputDecoder:
         self.scale: OutputScale | None = None
 
     def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
-        """Return the throttle of each motor, or the reason why these outputs cannot drive the motors.
+        """Return the throttle of each motor, or the reason why these cannot be the motors' outputs.
 
         Args:
             outputs: raw values; None for a value that is not a number.

@@ -58,7 +58,7 @@ class LandedState(StrEnum):
 
 
 class SystemStatus(StrEnum):
-    """MAV_STATE of the autopilot's heartbeat; PX4 reports critical during a failsafe."""
+    """MAV_STATE of the autopilot's heartbeat; during a failsafe PX4 reports the value critical."""
 
     UNKNOWN = "unknown"
     UNINIT = "uninit"
@@ -223,7 +223,7 @@ class EscSample(Record, frozen=True, gc=False):
 
 
 class StatusSample(Record, frozen=True, gc=False):
-    """Slowly changing state of the autopilot; every change is one record."""
+    """Rarely changing state of the autopilot; every change is one record."""
 
     topic: ClassVar[str] = "/in/status"
     t_us: int
@@ -354,7 +354,7 @@ class ClockOffset(Record, frozen=True, gc=False):
 
 
 class RoundTrip(Record, frozen=True, gc=False):
-    """Timing of an answered request; the round trip bounds the delay of telemetry."""
+    """Timing of an answered request; the delay of telemetry is at most the round trip."""
 
     topic: ClassVar[str] = "/in/round_trip"
     received_us: int  # receipt of the answer
@@ -474,7 +474,7 @@ class LockCommand(Record, frozen=True, gc=False):
 
 
 class LockPermission(Record, frozen=True, gc=False):
-    """Whether the lock may move: only if the arms touch nothing and have returned to their rest position."""
+    """Whether the lock may move: only from `lock.relaxation_s` after a contact, when the arms are back."""
 
     topic: ClassVar[str] = "/out/lock_permission"
     t_us: int
@@ -625,7 +625,7 @@ class ContactSide(StrEnum):
 
 
 class ImpactBody(Record, frozen=True, gc=False):
-    """Geometry and torque of an impact, sent after its end (docs/torque.md)."""
+    """Geometry and torque of an impact, sent after the end of the impact (docs/torque.md)."""
 
     topic: ClassVar[str] = "/event/impact_body"
     t_us: int  # newest sample used
@@ -742,7 +742,7 @@ class PlanTaken(Record, frozen=True, gc=False):
 
 
 class ProbeEnd(Record, frozen=True, gc=False):
-    """End of a probe without contact, or the skip of a leg because a probe did or did not touch its wall."""
+    """End of a probe without contact, or the skip of a leg whose condition on a probe is not met."""
 
     topic: ClassVar[str] = "/event/probe"
     t_us: int
@@ -765,7 +765,7 @@ class FrameAnchor(Record, frozen=True, gc=False):
 
 
 class MissionEnd(Record, frozen=True, gc=False):
-    """End of the flight, as the core has decided it."""
+    """End of the flight, as decided by the core."""
 
     topic: ClassVar[str] = "/event/end"
     t_us: int

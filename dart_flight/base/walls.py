@@ -115,7 +115,7 @@ class Wall(msgspec.Struct, frozen=True):
         return ((self.position_sd_m or 0.0) ** 2 + turned * turned) ** 0.5
 
     def foot(self, position: Vec2 | Vec3) -> Vec2:
-        """Return the point of the wall, within its length, that is nearest to a position."""
+        """Return the wall's nearest point to a position; the point lies within the wall's length."""
         reach = 0.5 * self.length_m
         along = max(-reach, min(reach, self.along(position)))
         return (self.point[0] + along * self.tangent[0], self.point[1] + along * self.tangent[1])
@@ -128,7 +128,7 @@ class Wall(msgspec.Struct, frozen=True):
         return 0.5 * self.length_m - abs(self.along(position))
 
     def spans(self, position: Vec2 | Vec3) -> bool:
-        """Return whether the point lies in front of the wall's finite length."""
+        """Return whether the point, projected onto the wall's plane, lies between the wall's ends."""
         return abs(self.along(position)) <= 0.5 * self.length_m
 
     def to_collision(self, v_mission: Vec3) -> Vec3:

@@ -80,7 +80,7 @@ class FlightContext(CheckContext[CheckFinding]):
 
     @functools.cached_property
     def planned(self) -> PredictedFlight | None:
-        """The flight that the planner's model predicts, or None without a prediction."""
+        """The flight that the planner's model predicts, or None if the model cannot predict a flight."""
         return predict_flight_path(self.mission)
 
     @property

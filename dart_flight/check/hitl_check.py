@@ -24,7 +24,7 @@ _MOTORS = range(101, 113)  # output functions "Motor 1" to "Motor 12"
 
 
 def hitl_parameters() -> dict[str, Parameter]:
-    """Return name -> parameter: the additional parameters for hardware in the loop."""
+    """Return the additional parameters for hardware in the loop, by name."""
     return load_parameters(packaged("configs", "px4", "hitl.params"))
 
 

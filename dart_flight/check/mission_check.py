@@ -311,8 +311,8 @@ def _check_recovery(
 ) -> list[CheckFinding]:
     """Check the place to which a recovery leads.
 
-    If the next collision has no approach, the recovery itself must lead to its wall. Otherwise the recovery
-    must hit no wall and no post.
+    If the next collision has no approach, the recovery itself must lead to that collision's wall. Otherwise
+    the recovery must hit no wall and no post.
     """
     hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
     place = collision.impact_point or (collision.predicted.position_m if collision.predicted else None)

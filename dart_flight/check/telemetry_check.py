@@ -103,7 +103,7 @@ def _describe(source: Source) -> str:
 
 
 def evaluate_battery(mission: Mission, observed: Observation) -> CheckFinding:
-    """Return whether the worst flight battery, by voltage limit and then by charge, is good enough."""
+    """Return whether the flight battery with the worst reading is sufficiently charged."""
     guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
     low = (left is not None and left < 2.0 * guard.battery_remaining) or (
         volts is not None and volts < guard.battery_v

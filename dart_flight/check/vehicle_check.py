@@ -23,7 +23,7 @@ def round_trip_limit_s(mission: Mission) -> float:
 
 
 def evaluate_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
-    """Judge the round trip, which limits the samples' delay; `seconds` is None if no request was answered."""
+    """Judge the round trip, an upper bound of the samples' delay; `seconds` is None without an answer."""
     item, limit_s = "round_trip", round_trip_limit_s(mission)
     if seconds is None:
         return CheckFinding(item, True, "the vehicle does not answer TIMESYNC", remark=True)

@@ -70,7 +70,7 @@ class ParameterRow(msgspec.Struct, frozen=True):
 
 
 def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[str, Parameter]:
-    """Return name -> wanted parameter; measured values replace the placeholders of the files.
+    """Return the wanted parameters by name; measured values replace the placeholders of the files.
 
     Args:
         mission: provides the vehicle and the frame.

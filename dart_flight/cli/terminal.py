@@ -157,7 +157,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def tables() -> Console:
-    """Return the console for a command's result without `--json`: standard output.
+    """Return the console for results that are not JSON: standard output.
 
     Printing raises `OutputError` if the write fails.
     """

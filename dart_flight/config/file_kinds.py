@@ -11,7 +11,7 @@ from dart_flight.config.document import Document, InputError, open_file
 
 
 class FileKind(Enum):
-    """Kinds of input files, with a description and what to do with them."""
+    """Kinds of input files; each value describes the files and their use."""
 
     MISSION = "a mission, which is an input of fly, dry-run, simulate and check"
     SCENARIO = "a scenario: `dart-flight plan` makes a mission from it"
@@ -41,7 +41,7 @@ _MAGIC = {
 
 
 def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:
-    """Return a YAML file's kind, which its keys show; None if the keys match no kind or several kinds."""
+    """Return the kind that a YAML file's keys show; None if the keys match no kind or several kinds."""
     found = [kind for kind, marks in _MARKS.items() if any(mark in tree for mark in marks)]
     return found[0] if len(found) == 1 else None
 

@@ -1,7 +1,4 @@
-"""Checks of walls, places and modes, for missions and scenarios.
-
-The checks compare walls, places and modes with each other and with the vehicle.
-"""
+"""Checks of walls, places and modes against each other and the vehicle, for missions and scenarios."""
 
 from __future__ import annotations
 

@@ -339,8 +339,8 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
         predicted: the planner's prediction; `plan` writes this key.
         trajectory: trajectory to this wall. If the collision has an approach, the trajectory starts at rest.
             Without an approach, the trajectory starts at the predicted end of the previous collision. If
-            after_impact is replan, the vehicle replaces the trajectory in flight by one from the previous
-            collision's actual end. Without a trajectory the approach is straight, with a run-up.
+            after_impact is replan, a trajectory from the previous collision's actual end replaces this
+            trajectory in flight. Without a trajectory the approach is straight, with a run-up.
         if_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
             touched.
         if_not_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
@@ -488,7 +488,7 @@ class FlownRecord(Section, frozen=True):
     Attributes:
         software: version of the software that flew the mission.
         digest: fingerprint of mission and vehicle at that time; `check` compares the present fingerprint with
-            it.
+            this value.
         nominal, drawn: the flight in the nominal world, and the flights with random differences; drawn is
             null if the nominal flight failed.
         free_time_s: median duration of flights without collisions, simulated in the same random worlds; null

@@ -2,8 +2,8 @@
 
 A line is `vehicle-id component-id name value type`, separated by tabs, with type 6 for INT32 and 9 for
 REAL32. Lines that start with # are comments. In the packaged files, a comment above each parameter gives the
-reason for the parameter's value. If some builds of PX4
-lack the parameter, a separate comment line lists these builds:
+reason for the parameter's value. If some builds of PX4 lack the parameter under this name, a separate
+comment line lists these builds:
 
 - `#? absent before v1.16` or `#? absent after v1.17`: these versions do not need the parameter.
 - `#? absent without gyro_fft`: builds without the module gyro_fft do not need the parameter.

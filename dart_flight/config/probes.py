@@ -49,7 +49,7 @@ class Probe(msgspec.Struct, frozen=True):
 def unknown_walls(
     spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
 ) -> dict[str, Wall]:
-    """Return the walls at unknown positions, by name; each wall is assumed at the end of its probe's leg.
+    """Return the walls at unknown positions, by name, each perpendicular to its probe's leg at the leg's end.
 
     Raises:
         InputError: the probe has no direction, an unknown material or a name in use; a collision at an

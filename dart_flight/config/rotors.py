@@ -54,7 +54,7 @@ def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple
 
     Returns:
         Two lists of messages. The first lists differences in number, side or direction of rotation, which
-            show that PX4 flies another vehicle. The second lists differences in size.
+            show that PX4 is configured for another vehicle. The second lists differences in size.
     """
     if len(motors) != len(actual):
         return [f"PX4 has {len(actual)} motors, but the configuration has {len(motors)}"], []

@@ -144,7 +144,7 @@ class Bringup(CheckContext[StepFinding]):
         mission: provides the vehicle and the required streams.
         url: MAVSDK connection URL.
         operator: the operator at the vehicle.
-        wait_s: timeout of the operator's actions, seconds.
+        wait_s: longest wait for an action of the operator, seconds.
         opened: function to call after the link has opened, such as `LinkLease.lock_device`.
     """
 

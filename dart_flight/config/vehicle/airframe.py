@@ -54,8 +54,8 @@ class Airframe(Section, frozen=True, kw_only=True):
         arm_x_m: distance of a motor from the centre of mass, forward.
         arm_y_m: distance of a motor from the centre of mass, sideways.
         yaw_torque_per_thrust_m: drag torque of a propeller over its thrust, N m per N.
-        guard_along_m: each side has two guard points that touch a wall first; this is the distance from the
-            middle of the side to one of them.
+        guard_along_m: distance from the middle of a side to each of the side's two guard points, which touch
+            a wall first.
         listed: 4 to 8 motors in PX4's order, for an airframe other than a quadrotor in X (arm_x_m and arm_y_m
             are then null); `calibrate airframe` prints this list.
     """
@@ -102,7 +102,7 @@ class Airframe(Section, frozen=True, kw_only=True):
     def outline_m(self) -> list[Vec2]:
         """Corners of the guards seen from above, (forward, left), m, counter-clockwise from the front left.
 
-        Each side has two points that touch a wall first, `guard_along_m` from its middle and
+        Each side has two points that touch a wall first, `guard_along_m` from the side's middle and
         `contact_distance_m` from the centre of mass.
         """
         out, along = self.contact_distance_m, self.guard_along_m

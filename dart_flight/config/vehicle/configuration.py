@@ -161,7 +161,7 @@ def _is_unchanged(path: Path) -> bool:
 
 
 def extended_file(path: Path) -> str | None:
-    """Return the name of the configuration that a file extends; None if unreadable or without `extends`."""
+    """Return the value of `extends` in a file; None if the file is unreadable or has no `extends`."""
     try:
         found = re.search(rf"^{EXTENDS}:\s*([^\s#]+)", read_text(path), re.MULTILINE)
     except InputError:

@@ -64,13 +64,13 @@ class Flying(Section, frozen=True):
         setpoint_delay_s: delay from the stamp of an odometry sample until the autopilot executes the setpoint
             computed from this sample. The setpoint is the reference at the sample's time plus this delay.
             null: 0.024 with PX4, none in the embedded simulator.
-        attitude_delay_s: further delay, in addition to setpoint_delay_s, because the attitude's rate loop
-            responds late. The setpoint's acceleration and jerk are those of the reference at the sample's
-            time plus both delays. null: 0.05 with PX4, none in the embedded simulator.
+        attitude_delay_s: delay that adds to setpoint_delay_s, because the attitude's rate loop responds late.
+            The setpoint's acceleration and jerk are those of the reference at the sample's time plus both
+            delays. null: 0.05 with PX4, none in the embedded simulator.
         ready_timeout_s: longest wait for telemetry, for offboard mode, for arming, or for the end of a climb
             or transit.
         replan_within_s: time from the end of a contact to the start of a trajectory planned in flight; the
-            planner must finish within it.
+            planner must finish within this time.
     """
 
     climb_speed_m_s: Speed
