@@ -209,7 +209,7 @@ class ActuatorSample(Record, frozen=True, gc=False):
     t_us: int
     received_us: int
     motors: tuple[float, ...]  # in PX4's order
-    stamp_is_estimated: bool = True  # whether the stamp is mapped host time: the message has none
+    stamp_is_estimated: bool = True  # whether the stamp is converted host time: the message has no stamp
 
 
 class EscSample(Record, frozen=True, gc=False):
@@ -231,7 +231,7 @@ class StatusSample(Record, frozen=True, gc=False):
     armed: bool = False
     flight_mode: FlightMode = FlightMode.UNKNOWN
     landed: LandedState = LandedState.UNKNOWN
-    local_position_ok: bool = False  # a position has arrived; ESTIMATOR_STATUS, if sent, has one too
+    local_position_ok: bool = False  # odometry has arrived, and ESTIMATOR_STATUS, if sent, is healthy
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
     system_status: SystemStatus = SystemStatus.UNKNOWN  # MAV_STATE in the heartbeat
@@ -298,7 +298,7 @@ class PoseSample(Record, frozen=True, gc=False):
     q_body_to_room: Quaternion
     frame_number: int | None = None  # counter of the source, or None if it has none
     source_us: int | None = None  # the source's own stamp, on its clock
-    sender: str = ""  # address of the source, to detect a second one
+    sender: str = ""  # address of the source, to detect a second source
 
 
 # --- inputs: lock, results, operator, time -----------------------------------------------------------
@@ -439,12 +439,12 @@ class Setpoint(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/out/setpoint"
     frequent: ClassVar[bool] = True
     t_us: int
-    trigger_received_us: int  # receipt of the sample that triggered it
+    trigger_received_us: int  # receipt of the sample that triggered the setpoint
     position_ned: Vec3
     yaw_ned_rad: float
     velocity_ned: Vec3 | None = None
     acceleration_ned: Vec3 | None = None
-    recovery: bool = False  # whether it is the recovery setpoint of an impact; its latency is measured
+    recovery: bool = False  # whether this is the recovery setpoint of an impact, whose latency is measured
 
 
 class VehicleAction(StrEnum):
@@ -474,7 +474,7 @@ class LockCommand(Record, frozen=True, gc=False):
 
 
 class LockPermission(Record, frozen=True, gc=False):
-    """Whether the lock may move: only from `lock.relaxation_s` after a contact, when the arms are back."""
+    """Whether the lock may move: not during a contact, and not until the arms have relaxed after it."""
 
     topic: ClassVar[str] = "/out/lock_permission"
     t_us: int
@@ -492,7 +492,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     position_mission: Vec3
     velocity_mission: Vec3
     acceleration_mission: Vec3  # acceleration by thrust and drag
-    setpoint_mission: Vec3  # setpoint in force until `begin_us`, m
+    setpoint_mission: Vec3  # setpoint that is valid until `begin_us`, m
     lock_ready_us: (
         int | None
     )  # earliest time with the lock settled and the vehicle square to the wall; None: never
@@ -682,7 +682,7 @@ class DetectionFloor(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/estimate/detection"
     t_us: int
-    threshold_n: float  # lowest threshold in force
+    threshold_n: float  # lowest of the present thresholds
     noise_short_n: float  # standard deviation of one component of the short mean
     noise_long_n: float  # standard deviation of one component of the long mean
     rigid_n: float  # peak above which a rigid contact with this wall is always detected
@@ -755,7 +755,7 @@ class FrameAnchor(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/event/anchor"
     t_us: int
     wall: str
-    moved_mission: Vec2  # displacement of the frame's origin, in its previous axes
+    moved_mission: Vec2  # displacement of the frame's origin, in the frame's previous axes
     expected_sd_m: float  # standard deviation of the frame along the normal before the correction
     sd_m: float  # standard deviation of the frame along the normal after the correction
     age_s: float | None  # age of the previous anchor along this normal, or None if there was none
@@ -834,7 +834,7 @@ class TruthContact(Record, frozen=True, gc=False):
     """One simulated contact, start to end."""
 
     topic: ClassVar[str] = "/truth/contact"
-    t_us: int  # first force
+    t_us: int  # time of the first force
     end_us: int
     wall: str
     mode: Mode

@@ -239,7 +239,7 @@ def _is_absent(
     """
     if version is not None:
         return missing.is_absent_in(version)
-    # A newer parameter is absent if a parameter of older versions only is present, and vice versa.
+    # If a parameter that only older versions have is present, a newer parameter is absent, and vice versa.
     when = {"before": "after", "after": "before"}.get(missing.absent.partition(" ")[0])
     return any(
         one.absent.startswith(f"{when} ") and (one.name in values) for one in wanted.values() if one.absent

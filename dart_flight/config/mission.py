@@ -54,7 +54,7 @@ from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 
 _PAUSE_S = 60.0
 # PX4's estimator still settles after power-on: movement of the estimate before arming is no motion, and the
-# mission frame follows it.
+# mission frame follows the estimate.
 ESTIMATE_MOVED_M = 0.05
 # A trajectory is rounded, and it ends at the onset of the force, slightly before the plane.
 _TRAJECTORY_OFF_M, _TRAJECTORY_OFF_M_S = 0.05, 0.05

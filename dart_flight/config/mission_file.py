@@ -29,7 +29,7 @@ Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
 _MOST_BROKEN_OFF = 0.1  # largest share of drawn flights that may fail for a plan to be offered
-# In a set of twenty drawn flights with a tilt of 74 degrees, one flight of the next set tumbled.
+# Twenty drawn flights of one mission tilted by up to 74 degrees; one flight of the next set tumbled.
 _MOST_TILT_DEG = 60.0
 Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]

@@ -117,7 +117,7 @@ def estimate_motion(
     up = mean_force / max(1e-9, float(np.linalg.norm(mean_force)))
     by_imu, by_pose = by_imu - mean_force, by_pose - by_pose.mean(axis=0)
     power = float((by_imu**2).sum())
-    # Most of the noise is in the pose's acceleration, so regress that on the IMU's.
+    # Most of the noise is in the pose's acceleration, so regress the pose's on the IMU's.
     scale = float((by_imu * by_pose).sum()) / max(1e-9, power)
     sideways = by_imu - np.outer(by_imu @ up, up)
     turned_rad_s = np.sqrt((reference**2).mean(axis=0))
