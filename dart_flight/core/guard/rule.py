@@ -32,7 +32,7 @@ class RuleCondition(NamedTuple):
 
     Attributes:
         description: description of the problem for the manual's table.
-        threshold: values that the cause compares: keys of vehicle configuration or mission, or constants.
+        threshold: limits that `cause` applies, as text: keys of configuration or mission, or constants.
         cause: function that returns the present problem as text. If `cause` is None, a finding of the mission
             fires the rule.
     """

@@ -108,7 +108,7 @@ class StreamWatch:
     """Telemetry streams of one flight.
 
     Attributes:
-        rates_hz: rates of the streams by stamps, over the last second.
+        rates_hz: rates of the streams over the last second, measured by the stamps.
         stale: number of consecutive samples whose stamps lie far in the past, by stream.
         delay: age of the samples at their receipt.
         host_us: receipt of the newest stamped sample.

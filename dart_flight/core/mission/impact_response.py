@@ -57,7 +57,7 @@ class ImpactResponse:
         return ExpectedContact(watching, wall.normal, wall.material, wall)
 
     def _is_due(self, progress: MissionState, collision: Collision) -> bool:
-        """Return whether an onset now counts as planned; a second onset before the peak is unplanned."""
+        """Return whether the plan has an onset at this time; a second onset before the peak is unplanned."""
         rehearsed = self._mission.standoff_m is not None
         return not rehearsed and progress.phase is not Phase.CONTACT and _is_expected(progress, collision)
 
@@ -107,7 +107,7 @@ class ImpactResponse:
         return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
     def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
-        """If vibration would hide the planned impact, report a finding: the vehicle would keep pushing."""
+        """If vibration would hide the planned impact, report a finding, because PX4 would push into the wall."""
         collision, vehicle = progress.collision, self._mission.vehicle
         if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
             return NO_CHANGE

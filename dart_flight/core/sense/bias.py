@@ -36,7 +36,7 @@ class HoverBias:
 
     Attributes:
         bias_x, bias_y: accelerometer bias, body FRD, m/s2. The accelerometer's readings include the bias.
-        scale: true thrust divided by the thrust of the curve, limited to a range about 1.
+        scale: true thrust divided by the thrust of the curve, limited to within `THRUST_SCALE_LIMIT` of 1.
         thrust_ratio: the same ratio without a limit, or None before the ratio has settled.
         noise_m_s2: standard deviation of the white noise in one sample of one axis.
     """
@@ -98,8 +98,8 @@ def _bounded(value: float, most: float) -> float:
 class ForceBaseline:
     """Slow horizontal force, mission frame, newton, limited in size.
 
-    The detector subtracts `value` before it compares a force with a threshold. `value` is the baseline of
-    some samples ago. The start of a contact is therefore not subtracted from the contact itself.
+    The detector subtracts `value` before it compares a force with a threshold. `value` is some
+    samples old, so the start of a contact is not subtracted from the contact itself.
     """
 
     def __init__(self, config: Estimation) -> None:
