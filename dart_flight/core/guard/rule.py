@@ -1,7 +1,7 @@
 """A rule of the guard: when it is evaluated, and the function that evaluates it.
 
-`rules` has the table. The rules of the streams and of PX4's estimator are in `stream_watch` and
-`estimator_watch`.
+`rules` has the table of all rules. `stream_watch`, `pose_watch` and `estimator_watch` define the rules about
+the streams, the poses and PX4's estimator.
 """
 
 from __future__ import annotations

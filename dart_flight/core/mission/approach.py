@@ -1,4 +1,4 @@
-"""Approaches to walls: straight runs with smooth speed, probes, and checks of the room that they need.
+"""Approaches to walls: straight runs with smooth speed, probes, and checks of their free space.
 
 A reference is position, velocity and acceleration in the mission frame as functions of time. PX4 receives it
 as feed-forward, so its P-PID cascade only corrects errors.
@@ -31,7 +31,7 @@ _ON_RAY_M = 1e-6  # tolerance of a start on the ray of its approach
 
 
 class NoApproachError(ValueError):
-    """There is no room for the run-up, or an obstacle blocks it."""
+    """There is no room for a run-up, or an obstacle blocks the run-up."""
 
 
 class RunUp(NamedTuple):

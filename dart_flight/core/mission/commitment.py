@@ -45,7 +45,7 @@ def may_commit(
         mission: the mission, for limits, bounds and vehicle.
         following: the collision ahead.
         met: predicted impact with the wall.
-        ready_s: time until the lock is settled; infinite if it is in fault.
+        ready_s: time until the lock is settled; infinite if the lock is in fault.
         state: state of the vehicle.
     """
     if ready_s > met.after_s - SETTLED_BEFORE_S:

@@ -50,8 +50,8 @@ class ReplanRequests:
     ) -> Change:
         """Request a plan for the next leg, once after each contact.
 
-        In a mission with its own trajectories, the request is repeated in flight (`_should_repeat`). These
-        trajectories are too short for the errors of PX4's loop to decay.
+        In a mission with its own trajectories, the request is repeated in flight (`_should_repeat`), because
+        these trajectories are too short for the errors of PX4's loop to decay.
 
         Args:
             progress: state of the mission.

@@ -152,8 +152,8 @@ class SetpointSelection:
     def _thrust_after_contact(self, progress: MissionState, state: FlightState) -> Vec3:
         """Return the acceleration of the mission's trajectory, as if it began at the end of the contact.
 
-        The acceleration is zero during a contact. If the vehicle is already as fast as the trajectory,
-        for example because it leans off the wall, the acceleration is also zero.
+        The acceleration is zero during a contact. If the vehicle is already as fast as the trajectory, for
+        example because it leans off the wall, the acceleration is also zero.
         """
         trajectory, end_us = self._next_trajectory(progress), progress.lock.contact_end_us
         if trajectory is None or end_us is None:
@@ -194,7 +194,7 @@ class SetpointSelection:
 
         The vehicle's actual time to impact corresponds to a point of the trajectory. The result is the
         planned thrust at this point minus the planned thrust at `since_s`. Without this correction, a vehicle
-        ahead of its trajectory would meet the wall before leaning off the wall.
+        ahead of its trajectory would meet the wall before it leans off the wall.
 
         Args:
             progress: state of the mission, with the trajectory to the wall.

@@ -1,9 +1,9 @@
 """Errors of the force estimate, learnt in flight: hover bias, thrust scale, noise, slow baseline.
 
 Without contact, the accelerometer reads the thrust along the thrust axis, because drag along that axis is
-small. Across the axis, a hovering vehicle reads only its own bias and perhaps wind. A limited baseline
-follows slow forces, such as wind and errors of thrust and drag in tilted flight. A contact rises too fast for
-the baseline. The force estimator and the impact detector use this module.
+small. Across this axis, the accelerometer in hover reads only its own bias and perhaps wind. A limited
+baseline follows slow forces, such as wind and errors of thrust and drag in tilted flight. A contact rises too
+fast for the baseline. The force estimator and the impact detector use this module.
 """
 
 from __future__ import annotations

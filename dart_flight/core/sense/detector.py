@@ -70,7 +70,7 @@ class ExpectedContact(NamedTuple):
 
 
 class _Sample:
-    """A sample of the contact; forces minus the baseline, newton, mission frame."""
+    """A sample of the contact; its forces exclude the baseline, newton, mission frame."""
 
     __slots__ = ("clipped", "dt_us", "fx", "fy", "push", "t_us")
 

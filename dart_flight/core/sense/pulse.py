@@ -160,7 +160,7 @@ class _Ends:
         self._sigma, self._push, self._slope = sigma, push, slope
 
     def at(self, s: float) -> tuple[float, float, float, float]:
-        """Return the four quantities that the class's docstring lists, `s` seconds after the onset."""
+        """Return the four quantities of the class's first line, `s` seconds after the onset."""
         if s <= 0.0:
             return 0.0, 0.0, 0.0, 0.0
         sigma, push, slope = self._sigma, self._push, self._slope

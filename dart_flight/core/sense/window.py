@@ -91,7 +91,7 @@ class WindowMean:
         self.noise_n = math.sqrt(quick if quick > slow else slow)
 
     def forget(self) -> None:
-        """Discard the pending noise samples, after an onset or a gap in the stream."""
+        """Discard the noise samples that are not used yet; call after an onset or a gap in the stream."""
         self._pending.clear()
         self._past.clear()
 

@@ -78,8 +78,8 @@ class InertiaCalibration(msgspec.Struct):
         windows: number of windows of `WINDOW_S` seconds.
         axes: roll, pitch, yaw.
         motor_lag_s: motor lag for which the motors explain the largest part of the rate changes, s.
-        drift_rad_s2: angular acceleration about the three axes if the motors cause no torque. An offset
-            centre of mass causes this acceleration.
+        drift_rad_s2: angular acceleration about the three axes that remains without motor torque. An
+            offset centre of mass causes this acceleration.
         notes: remarks on the logs.
     """
 
@@ -91,7 +91,7 @@ class InertiaCalibration(msgspec.Struct):
 
     @property
     def inertia_kg_m2(self) -> tuple[float | None, float | None, float | None]:
-        """The inertia about the three axes; None where refused."""
+        """The inertia about the three axes; None for a refused axis."""
         x, y, z = (axis.value for axis in self.axes)
         return (x, y, z)
 

@@ -88,7 +88,7 @@ _BY_STRETCH = ("square", "linear", "force", "volts", "start_s")  # the arrays of
 
 
 class ThrustCalibration(msgspec.Struct):
-    """A thrust curve and its quality of fit. A standard error is None where the value was not fitted."""
+    """A thrust curve and its quality of fit. A standard error is None if the value was not fitted."""
 
     segments: int
     rejected: dict[str, int]  # test -> number of rejected windows
