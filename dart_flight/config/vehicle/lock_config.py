@@ -43,7 +43,7 @@ class Servo(Section, frozen=True):
         direction: 1: the cam angle increases with the pulse width; -1: it decreases.
         min_pulse_us: shortest allowed pulse.
         max_pulse_us: longest allowed pulse.
-        tolerance_us: largest distance from an end's pulse width at which the servo still counts as being at
+        tolerance_us: largest difference from an end's pulse width at which the servo still counts as being at
             this end.
         supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
