@@ -24,7 +24,7 @@ class CoefficientArrays(NamedTuple):
 
     @classmethod
     def from_table(cls, table: Coefficients | Sequence[Coefficients]) -> CoefficientArrays:
-        """Return one set as zero-dimensional arrays, or n sets (mode, material) as arrays of shape (n,)."""
+        """Return zero-dimensional arrays for one set, or arrays of shape (n,) for n sets."""
         if isinstance(table, Coefficients):
             return cls(*(np.asarray(v, dtype=float) for v in (table.k, table.f, table.mu, table.nu)))
         return cls(*(np.array([getattr(row, name) for row in table], dtype=float) for name in cls._fields))

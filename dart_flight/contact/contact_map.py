@@ -2,7 +2,7 @@
 
 In contact the law (paper, Sec. IV-B) is a damped oscillator with a one-sided force. The plane of first touch
 is the plane on which the vehicle's centre lies when the vehicle first touches the wall. x is the centre's
-signed distance to this plane. a is the acceleration along the normal by other forces: gravity in a drop, the
+signed distance to this plane. a is the normal acceleration that other forces cause: gravity in a drop, the
 controller's push in flight. v is the normal velocity at the onset, and V = |v| + |a|/omega is the speed
 scale. With
 
@@ -22,10 +22,11 @@ w = sqrt(1 - zeta^2) and A = theta / w,
 
 The units of the four rows are 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp`
 contact never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force has
-no elementary form, nor does the release if a is not 0. A safeguarded Newton iteration finds both to machine
-precision.
+no elementary form. If a is not 0, the time of release has none either. A safeguarded Newton iteration finds
+both to machine precision.
 
-All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); normal < 0 approaches.
+All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); a negative normal velocity
+approaches.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ _NEAR_CRITICAL = 1e-8  # of 1 - zeta^2
 
 
 class WallHit(NamedTuple, Generic[T]):
-    """Result of a wall hit, with contact force (lx, ly, lz) in the collision frame; `T`: an array or a float.
+    """Result of a wall hit; (lx, ly, lz) is the contact force, collision frame. `T` is an array or a float.
 
     Attributes:
         normal_out_m_s, tangential_out_m_s: velocity when the force returns to zero.
@@ -170,9 +171,9 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
     monotonically in time, and phi and xi' are elementary functions of r:
         tau = acot((zeta + r)/w)/w,   Q = 1 + 2 zeta r + r^2,   phi = exp(-zeta tau)/sqrt(Q),
         xi' = -phi (r + 2 zeta).
-    Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. A `touch` contact follows the same
-    solution with c times `_Shape.scale`, but begins later, at r = `_Shape.entry`. In this contact, r never
-    exceeds its initial value.
+    Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. A `touch` contact has the same
+    solution, with c multiplied by `_Shape.scale`. It begins later, at r = `_Shape.entry`, and r never exceeds
+    this value.
     """
     two_zeta = 2.0 * s.zeta
     rate = -s.zeta / s.w
@@ -363,7 +364,7 @@ def contact_map(
             approach, it does not touch the wall: the velocity is unchanged, and force and contact time are 0.
         tangential_m_s: velocity along the wall at the onset.
         onset: onset rule.
-        rows: row of the table for each collision's (mode, material); broadcasts with the velocities.
+        rows: index of the table's row for each collision; broadcasts with the velocities.
         acceleration_m_s2: constant acceleration along the normal by other forces during the contact, such as
             the controller's push. It is negative into the wall; None means no acceleration. If a pushed
             vehicle comes to rest at the wall, contact time and impulse are infinite and the speeds are 0.
@@ -401,7 +402,7 @@ def contact_map(
 def friction_per_speed(
     coefficients: CoefficientArrays, mass_kg: float, onset: Onset
 ) -> Callable[[Array], Array]:
-    """Return a fast function that computes only the peak friction force, for one set of coefficients.
+    """Return a fast function for one set of coefficients that computes the peak friction per speed.
 
     Returns:
         A function of the normal velocity (m/s, any shape, < 0 approaches). It returns the peak friction force
@@ -459,8 +460,8 @@ def drop_map(
     Args:
         coefficients: one set, or one per drop (broadcasts with the heights).
         mass_kg: vehicle mass.
-        height_m: height from which the resting vehicle is released, > 0: height of its centre above the plane
-            of first touch.
+        height_m: height, > 0, of the vehicle's centre above the plane of first touch at the release from
+            rest.
         onset: onset rule.
 
     Raises:

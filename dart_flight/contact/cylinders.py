@@ -3,19 +3,20 @@
 A wall's surface acts on each guard separately. The foot of a guard is the guard's projection onto the
 surface. A guard whose foot lies beyond the wall's end does not touch the surface. The end itself is an edge:
 a cylinder of small radius whose face is tangent to the surface. A cylinder acts on the vehicle's outline,
-which consists of the guards and the bars between them. The force acts at the outline's nearest point to the
-axis, along the horizontal normal from the axis. Friction acts along the horizontal tangent. The lever arm of
-friction is reduced as for guards (`propeller_guards`).
+which consists of the guards and the bars between them. The force acts at the outline's point nearest to the
+axis, in the direction of the cylinder's horizontal normal. Friction acts along the horizontal tangent. The
+lever arm of friction is reduced as for guards (`propeller_guards`).
 
-A bar rests on the springs of its two guards, k/2 and f/2 each. At the fraction s of its length the stiffness
-is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall that touches both guards. This
-*share* of k is fixed at the touch and kept while the bar is pressed. The depth stays continuous when the
-cylinder's axis enters the outline. The stored energy, 1/2 share k x^2, therefore depends on the depth alone,
-and sliding adds no energy.
+A bar rests on the springs of its two guards, k/2 and f/2 each. At the fraction s of the bar's length the
+stiffness is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall that touches both
+guards. The *share* is this stiffness divided by k. It is fixed at the touch and kept while the bar is
+pressed. The depth stays continuous when the cylinder's axis enters the outline. The stored energy, 1/2 share
+k x^2, therefore depends on the depth alone, and sliding adds no energy.
 
-To add no energy, a surface also presses only points that reach it from outside. A guard may move past the
-wall's end and then behind the surface. This guard touches nothing until it is in front of the surface again.
-While the surface presses one of a bar's guards, this guard carries the load, and the bar touches no edge.
+A surface presses only points that reach the surface from outside; otherwise it would add energy. A guard may
+move past the wall's end and then behind the surface. This guard touches nothing until it is in front of the
+surface again. While the surface presses one of a bar's guards, this guard carries the load, and the bar
+touches no edge.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class Cylinder(NamedTuple):
 
 
 class Corner(NamedTuple):
-    """A corner of the vehicle's outline, with the indices of all guards at this place."""
+    """A corner of the vehicle's outline, with the indices of all guards that have its x and y."""
 
     guard: PropellerGuard
     numbers: tuple[int, ...]
@@ -55,8 +56,8 @@ class NearestPoint(NamedTuple):
         normal: NED, horizontal, from the cylinder into the vehicle.
         guard: the point itself as a guard, body FRD.
         share: stiffness and damping at this point, as a share of the whole side's k and f.
-        deflections: for the guards whose springs support the point, each guard's index and deflection per
-            metre of depth.
+        deflections: index and deflection per metre of depth, for each guard whose spring supports the
+            point.
     """
 
     x_m: float
@@ -72,7 +73,7 @@ class ContactPoint(NamedTuple):
     Attributes:
         guard: the point, body FRD.
         normal: NED, into the vehicle.
-        tangent: NED, horizontal: the Y axis of the collision frame with that normal.
+        tangent: NED, horizontal: the Y axis of the collision frame that has this normal.
         x_m: distance to the surface; negative behind it.
         c: coefficients of this point alone.
     """
@@ -85,7 +86,7 @@ class ContactPoint(NamedTuple):
 
 
 def outline(guards: Sequence[PropellerGuard]) -> tuple[Corner, ...]:
-    """Return the vehicle's outline seen from above, clockwise, with one corner per place."""
+    """Return the outline, clockwise seen from above; guards with the same x and y form one corner."""
     places: dict[tuple[float, float], list[int]] = {}
     for number, guard in enumerate(guards):
         places.setdefault((round(guard.at[0], 9), round(guard.at[1], 9)), []).append(number)
@@ -142,8 +143,8 @@ class CylinderContact:
         cylinder: its position and radius.
         coefficients: coefficients for the whole side of the vehicle; None if not set.
         share: share of k and f, fixed at the touch; None if the outline is not pressed.
-        stood_in: whether the outline is inside the cylinder without force, because a guard carried the load
-            first, or because the outline did not come from outside.
+        stood_in: whether the outline is inside the cylinder but is not pressed. The reason is that a guard
+            carried the load first, or that the outline did not come from outside.
     """
 
     def __init__(self, cylinder: Cylinder) -> None:
@@ -245,7 +246,7 @@ class WallWithEnds:
 
     @property
     def is_plain(self) -> bool:
-        """Whether no contact state is stored. Then, except near its ends, the wall acts like its surface."""
+        """Whether no contact state is stored, so that the wall, except near its ends, acts like a plane."""
         return not self.beside and all(one.share is None and not one.stood_in for one in self.edges)
 
     @property
@@ -266,7 +267,7 @@ class WallWithEnds:
             edge.share, edge.stood_in = None, near.x_m < 0.0
 
     def may_touch(self, q: Quaternion, position: Vec3, within_m: float) -> bool:
-        """Return whether the wall can press a point of the vehicle before a point moves by `within_m`.
+        """Return whether the wall can press a point of the vehicle that moves by at most `within_m`.
 
         If the wall can press no point, update the stored contact state as `touch` would.
         """
@@ -344,7 +345,7 @@ class WallWithEnds:
         return _press(points, q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)[0]
 
     def _foot_points(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
-        """Yield each guard's index, height over the surface, and offset from the middle along the wall."""
+        """Yield each guard's index, distance in front of the surface, and offset from the wall's middle."""
         o = self.plane.point
         offset = (position[0] - o[0], position[1] - o[1], position[2] - o[2])
         n, t = rotate_back(q, self.plane.normal), rotate_back(q, self.plane.tangent)

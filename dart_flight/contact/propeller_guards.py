@@ -8,7 +8,7 @@ therefore has the normal force, contact time and exit velocity of the point law.
 times the guard's normal force times the guard's own sliding velocity. The vertical force of all guards
 together is -nu L/(1 + L), where L is the sum of the normal forces on the wall.
 
-The paper does not specify how much friction rotates the vehicle, nor the lever arm of the vertical force.
+The paper specifies neither the lever arm of the friction nor the lever arm of the vertical force.
 Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at a point with a
 reduced lever arm. The sliding velocity is computed at the same point, so friction only removes energy.
 
@@ -38,7 +38,7 @@ class PropellerGuard(NamedTuple):
 
 
 class Plane(NamedTuple):
-    """A wall's surface with the axes of its collision frame, world frame (NED or any other).
+    """A wall's surface and the axes of the wall's collision frame, in the world frame (NED or other).
 
     Attributes:
         point: a point on the surface, halfway between its ends.
@@ -80,7 +80,7 @@ UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, (0.0, 0.0, 0.0))
 def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
     """Return the eight guards of a four-fold symmetric vehicle: front, right, back, left, two each.
 
-    A point model has two guards, both in the centre of mass; the sum of their forces is the point law's.
+    A point model has two guards in the centre of mass; their forces add up to the point law's force.
     """
     if body.body is BodyModel.POINT:
         return (PropellerGuard(_CENTRE, _CENTRE),) * 2
@@ -117,11 +117,11 @@ def touch(
         c: coefficients of the whole side, as in the point law.
         onset: onset rule.
         plane: the surface.
-        position, velocity: m and m/s, of the centre of mass, world frame.
+        position, velocity: of the centre of mass, world frame, m and m/s.
         rate_frd: angular velocity, rad/s.
-        vertical_sign: sign of the vertical force along Z of the collision frame, which points down. -1: the
-            force is up, as the paper writes lz; 1: down.
-        vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
+        vertical_sign: -1: the vertical force is up, as the paper writes lz; 1: it is down. Z of the
+            collision frame points down.
+        vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
     """
     world = plane.normal
     nx, ny, nz = rotate_back(q, world)

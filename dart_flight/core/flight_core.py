@@ -66,7 +66,7 @@ class FlightCore:
 
     @property
     def pace(self) -> Pace:
-        """Required pace of the next steps."""
+        """Pace at which the shell should pass the next inputs."""
         senses, phase = self._senses, self._executive.progress.phase
         if self._guard.telemetry_late:
             return Pace.BATCHED  # old samples are not stepped one by one, so the backlog empties sooner
@@ -125,5 +125,5 @@ class FlightCore:
 
 
 def _fault() -> MissionFinding:
-    """Return the active exception as a finding of the mission, with the exception's place in the code."""
+    """Return the active exception, with its place in the code, as the finding `mission_fault`."""
     return MissionFinding("mission_fault", traceback.format_exc(limit=-2).strip().replace("\n", " | "))

@@ -1,4 +1,4 @@
-"""Tools for study on the ground.
+"""Tools for work on the ground.
 
-The tools import modules of the part that flies. The part that flies does not import the tools.
+The tools import modules that run in flight. The modules that run in flight do not import the tools.
 """

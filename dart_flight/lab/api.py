@@ -154,8 +154,8 @@ def simulate(
         log_dir: folder in which a folder for the log is created; by default the log is kept in memory.
 
     Raises:
-        InputError: the mission cannot be flown, the seed is not a whole number, or a name in `vary` or the
-            fault is unknown.
+        InputError: the mission cannot be flown, the seed is not a whole number, or `vary` contains an unknown
+            name, or the fault is unknown.
     """
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < 2**31:
         raise InputError(f"expected a whole number from 0 to {2**31 - 1}, not {seed!r}", key=("seed",))
@@ -387,8 +387,8 @@ def identify(
     Args:
         trials: files (CSV, PX4 ULog, flight log), folders of flight logs, flights, logs, or `Trial`s made
             from your own arrays.
-        vehicle: supplies the mass and the onset rule; default `load_vehicle()`. A flight log contains its own
-            configuration, which is used for its trials.
+        vehicle: supplies the mass and the onset rule; default `load_vehicle()`. The trials of a flight
+            log use the configuration in the log.
         mode: state of the arms in trials that do not record the state; for flights, only collisions in this
             mode are used.
         surface: for flights, only collisions with this material are used.

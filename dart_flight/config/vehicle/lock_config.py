@@ -43,8 +43,8 @@ class Servo(Section, frozen=True):
         direction: 1: the cam angle increases with the pulse width; -1: it decreases.
         min_pulse_us: shortest allowed pulse.
         max_pulse_us: longest allowed pulse.
-        tolerance_us: the servo is considered to be at an end if its pulse width differs from the end's pulse
-            width by at most this value.
+        tolerance_us: largest difference from an end's pulse width at which the servo still counts as being at
+            this end.
         supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
         s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
@@ -321,7 +321,7 @@ class LockConfig(Section, frozen=True):
 
     @property
     def switch_time_s(self) -> float:
-        """Seconds from the driver's acceptance of a command to `settled`: speed-limited travel and margin."""
+        """Time from an accepted command to `settled`, s: the travel at limited speed, plus the margin."""
         travel, servo = self.servo.full_travel_s, self.servo
         if self.ramp_us_s is not None:
             travel = max(travel, abs(servo.rigid_pulse_us - servo.flexible_pulse_us) / self.ramp_us_s)

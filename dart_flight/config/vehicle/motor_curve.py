@@ -1,4 +1,4 @@
-"""The thrust curve of one motor: conversion between command and thrust. Two numbers define the curve.
+"""The thrust curve of one motor, which converts between command and thrust. Two numbers define the curve.
 
 It is a separate module because it is compiled (docs/speed.md): the simulated vehicle evaluates it for every
 motor, every millisecond.
@@ -12,11 +12,11 @@ _LINEAR: Final = 1e-6  # smaller shares of the square term count as none
 
 
 class MotorCurve:
-    """The curve full_n * (square u^2 + (1 - square) u) with the command u from 0 to 1.
+    """The curve `full_n` * (`square` * u^2 + (1 - `square`) * u), where the command u is from 0 to 1.
 
     Args:
         full_n: thrust at full command.
-        square: share of the square term.
+        square: share of the quadratic term.
     """
 
     def __init__(self, full_n: float, square: float) -> None:

@@ -15,7 +15,7 @@ Lever = Annotated[float, Meta(ge=-1.0, le=1.0)]
 
 
 class BodyModel(StrEnum):
-    """Part of the simulated vehicle that touches a wall."""
+    """Points of the simulated vehicle that touch a wall: the centre of mass, or the guards."""
 
     POINT = "point"
     GUARDS = "guards"
@@ -31,10 +31,10 @@ class ContactBody(Section, frozen=True):
         guard_height_m: height of the guards above the centre of mass.
         friction_lever_share: lever arm of friction about the centre of mass, as a share of the guards' lever
             arm; 0: friction acts at the centre of mass, 1: at the guards.
-        vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
+        vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
         fold_share: movement of an unlocked arm and its motor, as a share of the guard's penetration; 0:
             motors do not move.
-        scatter: relative standard deviation of the coefficients between impacts.
+        scatter: relative standard deviation by which the coefficients vary between impacts.
         half_engaged: whether the rods stop half-way, so that the arms are neither locked nor unlocked.
     """
 
@@ -90,7 +90,7 @@ class Simulation(Section, frozen=True, kw_only=True):
             receiver with or without corrections. If a real PX4 flies the simulated vehicle, command-line
             options select its position source.
         operator_s: time from the beginning of a pause until the operator continues, in simulated time; null:
-            no response, the pause times out.
+            the operator does not respond, and the pause times out.
     """
 
     imu_noise_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)]

@@ -1,1 +1,1 @@
-"""The guard: rules that limit the mission, and the flight after a rule has fired."""
+"""The guard: the rules that limit the mission, and the commands after a rule has fired."""

@@ -1,4 +1,4 @@
-"""Resets of PX4's estimator, from ODOMETRY's reset counter and the jumps of position, velocity, heading.
+"""Resets of PX4's estimator. ODOMETRY's counter gives the time of a reset, the jumps give its size.
 
 The guard evaluates the newest reset; the verdict lists all resets.
 """
@@ -58,9 +58,9 @@ class EstimatorResets:
         self._heading.add_attitude(item)
 
     def add_odometry(self, item: OdometrySample) -> tuple[float, float]:
-        """Return the sample's step in position (m) and velocity (m/s) from the previous sample.
+        """Return the steps of position (m) and velocity (m/s) since the previous sample.
 
-        The position's step is the distance from the position predicted with the velocities.
+        The step of position is the distance between the sample's position and the extrapolated position.
         """
         before, self._odometry = self._odometry, item
         if before is None or not 0 < item.t_us - before.t_us <= _JUMP_REACH_US:

@@ -104,7 +104,7 @@ class EstimatorWatch:
         return f"heading stepped by {step_deg:.1f} deg, limit {limit:.0f} deg"
 
     def invalid_estimate(self) -> str | None:
-        """Return for how long PX4's estimate has been invalid, as text, or None if this time is short."""
+        """Return a text if PX4's estimate has been invalid for too long; otherwise None."""
         since_us = self._invalid_since_us
         lasting_s = 0.0 if since_us is None else (self._now_us - since_us) * 1e-6
         return f"no valid estimate for {lasting_s:.1f} s" if lasting_s > ESTIMATOR_BAD_S else None

@@ -1,4 +1,4 @@
-"""The conditions that the guard's rules evaluate: the flight state, and the history that they need.
+"""The conditions that the guard's rules evaluate: the flight state, and the history that the rules need.
 
 `observe` is called once per step, before the rules. If a stream has the autopilot's stamps, durations use
 these stamps. A simulator that runs faster than real time therefore gives the same durations. Only silence is
@@ -137,7 +137,7 @@ class FlightConditions:
 
     @property
     def circumstances(self) -> str:
-        """Text to append to a stream's failure: other vehicles, pauses of this program; may be empty."""
+        """Possible causes of a stream's failure, as text to append: another vehicle, a pause, or nothing."""
         other = self.others.other_system
         known = f"; {other}" if other is not None else ""
         if self._pause_us and self.state.host_us - self._paused_us < _PAUSE_MEMORY_US:
@@ -148,7 +148,7 @@ class FlightConditions:
 
     @property
     def just_after_impact(self) -> bool:
-        """Whether an impact is recent; its effects on estimator and altitude are then not faults."""
+        """Whether an impact is recent, so that its effects on estimator and altitude are not faults."""
         return self.impact is not None and self.state.now_us - self.impact.t_us < IMPACT_WINDOW_S * 1e6
 
     @property
@@ -205,8 +205,8 @@ class FlightConditions:
         """Whether PX4 seems to have left offboard a moment ago, by itself or by a pilot's switch.
 
         Another vehicle, not yet detected, may have sent the reported mode. During this moment the guard makes
-        no decision and sends nothing. If PX4 has announced the mode change, or a gap explains it, the mode
-        change is certain.
+        no decision and sends nothing. If PX4 has announced the mode change, or telemetry has just returned
+        after a gap, the mode change counts as certain.
         """
         if self._left_since_us is None or self.failsafe_reported or self.streams.was_cut_off:
             return False
@@ -244,8 +244,8 @@ class FlightConditions:
     def landing_s(self) -> float:
         """Time in land mode while armed, seconds.
 
-        It is the smaller of autopilot time and host time, because a jump of the stamps must not stop the
-        motors in the air.
+        The result is the smaller of autopilot time and host time. Otherwise a jump of the stamps could make
+        the guard stop the motors in the air.
         """
         if self._landing_since_us is None:
             return 0.0
@@ -264,7 +264,7 @@ class FlightConditions:
         self.others.add_sample(name, item)
 
     def _record_pause(self, host_us: int) -> None:
-        """Record a pause of this program, during which no tick arrived, since the previous step."""
+        """Record that this program has paused since the previous step: no tick arrived."""
         pause_us = host_us - self._stepped_us
         if pause_us > self._pause_us or host_us - self._paused_us > _PAUSE_MEMORY_US:
             self._pause_us, self._paused_us = pause_us, host_us

@@ -106,7 +106,7 @@ class Guard:
         Args:
             item: the step's input, which has updated `state`.
             state, sensed: estimates of the step.
-            phase: phase of the mission after its proposal.
+            phase: phase of the mission after this step's proposal.
             proposal: the mission's proposal.
 
         Returns:
@@ -178,7 +178,7 @@ class Guard:
     def _apply_explanation(
         self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
     ) -> None:
-        """If `rule` explains why the rule in force fired, put `rule` in force, with the reason `detail`."""
+        """Put `rule` in force, with the reason `detail`, if it explains why the present rule fired."""
         if detail is not None and self._rule is not None and self._rule.name in rule.explains:
             if rule.of_streams:
                 detail += self._watch.circumstances
@@ -271,7 +271,7 @@ class Guard:
             self._land(state, out)
 
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
-        """Return whether the vehicle rests far from `hold` after breaking off, for example after a tilt.
+        """Return whether a vehicle that broke off rests far from `hold`, for example because it tilted.
 
         The guard then holds the vehicle at its resting place. On the way back to `hold`, PX4's integrator
         would push the vehicle past `hold`, towards the wall.

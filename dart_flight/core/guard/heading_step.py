@@ -54,7 +54,7 @@ class HeadingStep:
             self._waiting = None
 
     def add_attitude(self, item: AttitudeSample) -> None:
-        """Compare an attitude with the gyro's integrated rate, once the rate of the same time has arrived."""
+        """Compare an attitude with the gyro's integrated rate, after IMU samples have reached its stamp."""
         if self._imu_us is None:
             return
         if item.t_us > self._imu_us:

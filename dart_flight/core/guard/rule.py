@@ -1,7 +1,7 @@
 """A rule of the guard: when it is evaluated, and the function that evaluates it.
 
-`rules` has the table. The rules of the streams and of PX4's estimator are in `stream_watch` and
-`estimator_watch`.
+`rules` has the table of all rules. `stream_watch`, `pose_watch` and `estimator_watch` define the rules about
+the streams, the poses and PX4's estimator.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class RuleCondition(NamedTuple):
 
     Attributes:
         description: description of the problem for the manual's table.
-        threshold: values that the cause compares: keys of vehicle configuration or mission, or constants.
+        threshold: limits that `cause` applies, as text: keys of configuration or mission, or constants.
         cause: function that returns the present problem as text. If `cause` is None, a finding of the mission
             fires the rule.
     """

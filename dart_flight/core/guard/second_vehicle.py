@@ -41,7 +41,7 @@ class SecondClockDetector:
         self._turns: deque[int] = deque(maxlen=_TURNS)  # receipts, host time
 
     def update(self, t_us: int, received_us: int) -> None:
-        """Process the stamp of every sample of the stream, in the order of receipt."""
+        """Process the stamp of a sample; call for every sample of the stream, in the order of receipt."""
         newest = self._newest_us
         if newest is None or t_us > newest:
             elapsed_us = max(0, received_us - self._received_us)
@@ -78,7 +78,7 @@ class SecondPositionDetector:
     """Detects a second vehicle in the positions of ODOMETRY.
 
     Args:
-        jump_m: largest distance, after extrapolation by the velocity, between positions of one vehicle.
+        jump_m: largest distance between two positions of one vehicle beyond what its speed explains.
     """
 
     def __init__(self, jump_m: float) -> None:
@@ -89,7 +89,7 @@ class SecondPositionDetector:
         self._turns: deque[int] = deque(maxlen=_TURNS)  # receipts, host time
 
     def update(self, sample: OdometrySample) -> None:
-        """Process every sample, in the order of receipt, regardless of its stamp."""
+        """Process a sample; call for every sample in the order of receipt, whatever its stamp is."""
         here, other = self._here, self._other
         self._here = sample
         if here is None or sample.received_us - here.received_us > _REACH_US:
@@ -135,7 +135,7 @@ class OtherVehicles:
         self._other_system: int | None = None
 
     def add_sample(self, name: str, item: Stamped) -> None:
-        """Process every sample of a stream, in the order of receipt."""
+        """Process a sample of a stream; call for every sample, in the order of receipt."""
         if self.same_system is not None:
             return
         received_us, clocks = item.received_us, self._clocks[name]

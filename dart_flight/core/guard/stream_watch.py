@@ -46,10 +46,10 @@ _AGE_MAX_S: Final = 999.0  # limit for a stream that never arrived
 class TelemetryDelay:
     """Age of a vehicle's samples at their receipt; unknown before the first round trip.
 
-    A constant delay does not show in stamps, because the clock offset hides it. A round trip bounds this
-    delay. The autopilot answers at some time between request and receipt, so the clock offset from a round
-    trip is wrong by at most half the duration of the round trip. The age of an IMU sample is computed from
-    its stamp, its receipt, and the most accurate offset so far.
+    A constant delay does not show in stamps, because the clock offset hides it. A request's round trip bounds
+    this delay. The autopilot answers at some time between request and receipt, so the clock offset from a
+    round trip is wrong by at most half the duration of the round trip. The age of an IMU sample is computed
+    from its stamp, its receipt, and the most accurate offset so far.
 
     Args:
         limit_s: samples older than this are late.
@@ -108,7 +108,7 @@ class StreamWatch:
     """Telemetry streams of one flight.
 
     Attributes:
-        rates_hz: rates of the streams by stamps, over the last second.
+        rates_hz: rates of the streams over the last second, measured by the stamps.
         stale: number of consecutive samples whose stamps lie far in the past, by stream.
         delay: age of the samples at their receipt.
         host_us: receipt of the newest stamped sample.

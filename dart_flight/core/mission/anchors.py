@@ -1,8 +1,9 @@
 """Accuracy of the mission frame when PX4's position drifts, and the frame's correction by contacts.
 
-A contact measures the place of its wall along the wall's normal only, with an error of 1 to 2 cm. Afterwards
-PX4 integrates its velocity, so the position drifts. The velocity error is nearly constant, so the standard
-deviation of the drift grows in proportion to the age of the contact (docs/anchors.md).
+A contact is an *anchor*: it measures the place of its wall, along the wall's normal only, with an error of 1
+to 2 cm. Afterwards PX4 integrates its velocity, so the position drifts. The velocity error is nearly
+constant, so the standard deviation of the drift grows in proportion to the age of the contact
+(docs/anchors.md).
 
     information = sum over anchors n n' / (s^2 + (drift age)^2),    sd along n = sqrt(n' information^-1 n)
 
@@ -42,7 +43,7 @@ class FrameAnchors:
     """The anchors of one flight.
 
     Args:
-        drift_m_s: standard deviation of the velocity error by which PX4's position drifts.
+        drift_m_s: standard deviation of PX4's velocity error, which makes PX4's position drift.
         start_us: time at which the frame was set at the start.
     """
 
@@ -61,7 +62,7 @@ class FrameAnchors:
         self._anchors.append(anchor)
 
     def correct_frame(self, wall: Wall, estimate: WallEstimate, now_us: int) -> FrameAnchor:
-        """Return the correction of the frame along a wall's normal, from a contact, and add its anchor.
+        """Add the anchor of a contact, and return the frame's correction along the wall's normal.
 
         The difference between measured and assumed wall is divided between frame and wall in proportion to
         their variances.

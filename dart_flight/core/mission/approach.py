@@ -1,4 +1,4 @@
-"""Approaches to walls: straight runs with smooth speed, probes, and checks of the room that they need.
+"""Approaches to walls: straight runs with smooth speed, probes, and checks of their free space.
 
 A reference is position, velocity and acceleration in the mission frame as functions of time. PX4 receives it
 as feed-forward, so its P-PID cascade only corrects errors.
@@ -31,7 +31,7 @@ _ON_RAY_M = 1e-6  # tolerance of a start on the ray of its approach
 
 
 class NoApproachError(ValueError):
-    """There is no room for the run-up, or an obstacle blocks it."""
+    """There is no room for a run-up, or an obstacle blocks the run-up."""
 
 
 class RunUp(NamedTuple):
@@ -54,12 +54,12 @@ def run_up(
 
     The approach follows a ray that ends at the impact. If the mission's start lies on this ray and is far
     enough from the wall, the run-up begins there. Otherwise the run-up begins on the ray at the distance that
-    the acceleration and the steady run need. This distance counts from a plane that
-    lies three standard deviations in front of the wall.
+    the acceleration and the steady run need. This distance counts from a plane that lies
+    three standard deviations in front of the wall.
 
     Args:
         start: start of the mission.
-        impact: position of the vehicle's centre at the plane.
+        impact: impact point, on the wall's plane.
         velocity: velocity at the impact, mission frame, m/s.
         flying: settings of acceleration and steady run.
         wall: the wall to be hit.
@@ -102,7 +102,7 @@ def is_blocked(
     Args:
         wall: the obstacle.
         a, b: ends of the segment, mission frame.
-        end_clearance_m: required distance of `b` from the plane; `a` keeps `CLEARANCE_M`.
+        end_clearance_m: required distance of `b` from the plane; for `a` it is `CLEARANCE_M`.
     """
     here = wall.signed_distance(a)
     da, db = here - CLEARANCE_M, wall.signed_distance(b) - end_clearance_m
@@ -235,7 +235,7 @@ class TransitSegment(NamedTuple):
 
 
 def transit_segments(mission: Mission) -> list[TransitSegment]:
-    """Return the segments to the waypoints and, if no recovery leads to the goal, to the goal."""
+    """Return the segments to the waypoints, and to the goal if no recovery or trajectory leads there."""
     found: list[TransitSegment] = []
     here: Vec3 | None = (*mission.start, mission.altitude_m)
     flown = 0

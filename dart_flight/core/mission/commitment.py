@@ -3,7 +3,7 @@
 While a hold would still stop the vehicle before the wall, an approach continues. Later, when a hold would be
 too late, the approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the
 impact, and the impact must be acceptable in *either* mode. If a servo without feedback is stuck, the impact
-occurs in the other mode. Executive, planner and `check` use this rule.
+occurs in the mode that was not planned. Executive, planner and `check` use this rule.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def may_commit(
         mission: the mission, for limits, bounds and vehicle.
         following: the collision ahead.
         met: predicted impact with the wall.
-        ready_s: time until the lock is settled; infinite if it is in fault.
+        ready_s: time until the lock is settled; infinite if the lock is in fault.
         state: state of the vehicle.
     """
     if ready_s > met.after_s - SETTLED_BEFORE_S:
@@ -80,7 +80,7 @@ def is_acceptable_in_either_mode(
     Args:
         vehicle: the vehicle, for materials, mass and gains.
         limits: the mission's limits, for the force.
-        bounds: the recovery setpoint may leave them by `SETPOINT_OUTSIDE_M`.
+        bounds: the flight space; the recovery setpoint may lie `SETPOINT_OUTSIDE_M` outside.
         wall: the wall.
         alphas_m_per_n: gains (A_n, A_t) of the recovery setpoint.
         place: position of the vehicle's centre at the impact, mission frame, metres.

@@ -1,9 +1,9 @@
 """Feed-forward that keeps PX4's velocity loop from reacting to a contact.
 
-While a wall stops the vehicle, PX4 still follows its last setpoint. It reacts to the lost speed by leaning
-into the wall. Its D term opposes acceleration: if the wall pushes back harder, the D term leans the vehicle
+While a wall stops the vehicle, PX4 still follows its last setpoint. PX4 reacts to the lost speed by leaning
+into the wall. PX4's D term opposes acceleration: if the wall pushes back harder, the D term leans the vehicle
 further into the wall. At 1 m/s and `MPC_XY_VEL_D_ACC` 0.2 the D term causes more than half of the tilt after
-an impact (docs/results/body.md). From onset to peak the setpoint is therefore the measured motion, so that
+an impact (docs/results/body.md). From onset to peak the setpoint therefore repeats the measured motion, and
 PX4 does not push. The feed-forward also cancels the D term's response to the contact. This part of the
 feed-forward is also added to the recovery setpoint, until the D term's filter has decayed.
 """
@@ -41,8 +41,8 @@ def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: M
         height_m: height above the centre of mass at which the wall's force acts; None if unknown.
         out_m: horizontal distance of the propeller guards from the centre of mass, metres.
         planned: mode of the arms if the impact ends a trajectory of the mission; None if the impact is
-            replanned. A mission's trajectory with rigid arms leans the vehicle off the wall; a replanned
-            trajectory leans the vehicle less.
+            replanned. A mission's trajectory with rigid arms leans the vehicle off the wall, further
+            than a replanned trajectory does.
     """
     if height_m is None:
         return 0.0

@@ -41,7 +41,7 @@ class Course(NamedTuple):
         return Course((point[0], point[1], self.altitude_m), self.altitude_m)
 
     def move_frame(self, by: Vec2) -> Course:
-        """Keep the target in place when the mission frame's origin moves by a vector in frame axes."""
+        """Keep the target's real place when the mission frame's origin moves by `by`, in frame axes."""
         x, y, z = self.target
         return self._replace(target=(x - by[0], y - by[1], z))
 
@@ -51,12 +51,12 @@ class Course(NamedTuple):
         return self._transit((x, y, self.altitude_m), flying.climb_speed_m_s, flying)
 
     def fly_to(self, point: Vec2, flying: Flying, speed_m_s: float | None = None) -> Course:
-        """Fly from rest at the target to rest at a point; by default at transit speed."""
+        """Fly from the present target to a point, from rest to rest, by default at transit speed."""
         target = (point[0], point[1], self.altitude_m)
         return self._transit(target, speed_m_s or flying.transit_speed_m_s, flying)
 
     def fly_to_waypoint(self, place: Vec3, flying: Flying, speed_m_s: float) -> Course:
-        """Fly from rest at the target to rest at a waypoint, and keep the waypoint's altitude."""
+        """Fly from the present target to a waypoint, from rest to rest, and keep the waypoint's altitude."""
         return self._replace(altitude_m=place[2])._transit(place, speed_m_s, flying)
 
     def follow(self, trajectory: Trajectory) -> Course:

@@ -299,7 +299,7 @@ class Executive:
             p.add_finding("climb_timeout", "the altitude was not reached in time")
 
     def _start_next(self, cue: PhaseTrigger, state: FlightState, p: Proposal) -> None:
-        """Begin the next leg from rest at the target; for a collision, `cue` triggers the phase."""
+        """Begin the next leg at the target, from rest; for a collision, `cue` triggers its phase."""
         self._skip_legs(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:
@@ -375,7 +375,7 @@ class Executive:
         self.progress.course = self.progress.course.fly_to(begin[:2], self._flying)
 
     def _replan_approach(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """Plan the approach to a wall's estimated position; a probe without `from_here` keeps its line."""
+        """Plan the approach to a wall's estimated position; if a probe has no `from_here`, keep its line."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
@@ -588,7 +588,7 @@ class Executive:
             self._transition(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
 
     def _head_for_goal(self, state: FlightState, distance_m: float) -> None:
-        """Hold the goal; if a step to the goal would be faster than a transit, fly a transit instead."""
+        """Command the goal as a step; if the step would exceed the transit speed, fly a transit instead."""
         vehicle, goal, course = self.mission.vehicle, self.mission.goal.position_m, self.progress.course
         if vehicle.px4.mpc_xy_p * distance_m > vehicle.flying.transit_speed_m_s:
             self.progress.course = course.hold(state.position).fly_to(goal, self._flying)

@@ -3,8 +3,8 @@
 An oblique wall rotates the vehicle. The motors correct the yaw slowly, because only their drag torque acts
 about the vertical axis. If the heading command is a large step, PX4 overshoots, because its integrator winds
 up while the torque is at its limit. The next contact is then oblique again. The commanded heading is
-therefore limited in two ways. First, the commanded heading leads the actual heading by no more than the
-torque can follow. Second, the resulting rotation is always slow enough that the same torque can stop it in
+therefore limited in two ways. First, the lead over the actual heading never requests more than the
+available torque. Second, the resulting rotation is always slow enough that the same torque can stop it in
 time.
 """
 

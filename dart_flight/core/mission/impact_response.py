@@ -57,14 +57,14 @@ class ImpactResponse:
         return ExpectedContact(watching, wall.normal, wall.material, wall)
 
     def _is_due(self, progress: MissionState, collision: Collision) -> bool:
-        """Return whether an onset now counts as planned; a second onset before the peak is unplanned."""
+        """Return whether the plan expects an onset now; a second onset before the peak is unplanned."""
         rehearsed = self._mission.standoff_m is not None
         return not rehearsed and progress.phase is not Phase.CONTACT and _is_expected(progress, collision)
 
     # -- onset and peak --
 
     def on_onset(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
-        """Respond to an onset: proceed if it was planned, get clear after a bounce, or report a finding."""
+        """Respond to an onset: continue if it was planned, leave the wall after a bounce, else report it."""
         if self._is_bounce(progress, event.position_mission, state):
             return self._on_bounce(event, progress, state)
         change, collision = Change(replan=progress.replan.contact_begins()), progress.collision
@@ -107,7 +107,7 @@ class ImpactResponse:
         return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
     def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
-        """If vibration would hide the planned impact, report a finding: the vehicle would keep pushing."""
+        """If vibration would hide the planned impact, report a finding: PX4 would push into the wall."""
         collision, vehicle = progress.collision, self._mission.vehicle
         if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
             return NO_CHANGE
@@ -158,7 +158,7 @@ class ImpactResponse:
     # -- lock state indicated by a contact --
 
     def on_wall_estimate(self, estimate: WallEstimate) -> Change:
-        """Report a contact that indicates another mode than the lock reports."""
+        """Report a contact whose estimated mode of the arms differs from the mode that the lock reports."""
         if estimate.mode_felt is None or estimate.mode_reported in (None, estimate.mode_felt):
             return NO_CHANGE
         detail = (

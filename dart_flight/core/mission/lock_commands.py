@@ -21,7 +21,7 @@ class LockCommandState(NamedTuple):
 
     Attributes:
         contact_begin_us: beginning of the last contact.
-        contact_end_us: end of the last contact; None during a contact, or before the first.
+        contact_end_us: end of the last contact; None during a contact, or before the first contact.
         permitted: whether the lock may move; None if not decided yet.
         commanded, commanded_us: the last commanded mode, and the time of the command in this phase.
     """

@@ -46,9 +46,9 @@ class MissionState:
         anchors: contacts that corrected the mission frame; None if PX4's position does not drift.
         expected: the next expected contact.
         contact_height_m: height above the centre of mass at which the walls' force acts; None if unknown.
-        arrived_us, reached_us, captured_us: time of arrival at the target, at the waypoint, at the goal.
+        arrived_us, reached_us, captured_us: times of arrival: at the target, at the waypoint, at the goal.
         least_miss_m: smallest distance to the goal after the last contact.
-        final_error_m: distance from the goal at the end of the hold at the goal, or None.
+        final_error_m: distance from the goal after the goal has been held; None before.
         stood_at_ned: position of the vehicle when the mission frame was set.
         down_us: time since which the vehicle has been landed and disarmed.
     """
@@ -94,7 +94,7 @@ class MissionState:
 
     @property
     def waypoint(self) -> Waypoint | None:
-        """The next or present waypoint or pause before the next collision, or None."""
+        """The present or next waypoint or pause, if it comes before the next collision; otherwise None."""
         waypoints = self.mission.waypoints
         if self.stops < len(waypoints) and waypoints[self.stops].after == self.index:
             return waypoints[self.stops]

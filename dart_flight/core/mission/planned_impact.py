@@ -10,8 +10,8 @@ from dart_flight.contact.law import Onset
 def impact_velocity(collision: Collision) -> tuple[float, float] | None:
     """Return the planned (normal, tangential) impact velocity in m/s, collision frame.
 
-    Without a planned velocity, return the predicted one. If a recovery leads to the wall, the mission may
-    have neither; the result is then None.
+    If no velocity is planned, return the predicted velocity. If a recovery leads to the wall, the mission may
+    contain neither velocity; the result is then None.
     """
     if collision.approach_m_s is not None:
         return collision.approach_m_s

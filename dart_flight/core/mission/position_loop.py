@@ -5,8 +5,8 @@ Per axis, with p the position, v the velocity, and a the acceleration at the pre
     a_cmd = kv (kp (p_ref - p) - v) - kd a,     da/dt = (a_cmd - a) / tau
 
 kp, kv, kd are MPC_XY_P, MPC_XY_VEL_P_ACC, MPC_XY_VEL_D_ACC; tau is the lag of attitude loop and motors.
-`least_distance_m` omits the velocity integral and drag, which have little effect during braking, about half
-a second. The planner's model (`flight_model`) includes velocity integral and drag.
+`least_distance_m` omits the velocity integral and drag: both have little effect during braking, which takes
+about half a second. The planner's model (`flight_model`) includes velocity integral and drag.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def predict_impact(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> PlaneImpact | None:
-    """Predict when a vehicle that flies to a setpoint meets a plane; return None if not within `horizon_s`.
+    """Predict the impact with a plane on the way to a setpoint; None: there is none within `horizon_s`.
 
     Args: as in `least_distance_m`.
     """

@@ -17,7 +17,7 @@ class MissionFinding(NamedTuple):
     Attributes:
         rule: name of the rule in `core.guard.rules`.
         detail: description.
-        note_only: whether it is only logged and the mission continues.
+        note_only: whether the finding is only logged, so that the mission continues.
     """
 
     rule: str
@@ -34,7 +34,7 @@ class Proposal:
         expected: next expected contact, for the detector at the next step.
         frame: the mission frame, if this step has set it.
         altitude_m: new altitude of the mission, or None if unchanged.
-        end: the end of the flight, if this step ends it as planned, or None.
+        end: the planned end of the flight, if this step reaches it; otherwise None.
     """
 
     def __init__(self) -> None:

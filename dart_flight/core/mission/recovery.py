@@ -2,6 +2,7 @@
 
     p_ref = p(t_c) + (A_n N - A_t T) force,   N = n n', T = t t'
 
+Here t_c is the time of the peak normal force, n the wall's outward normal, t its tangent, A_n and A_t gains.
 The normal force moves the setpoint away from the wall, and the friction force moves it onward along the wall.
 The height is unchanged.
 """

@@ -15,7 +15,7 @@ class Replan(NamedTuple):
     """Requests to the planner, and the trajectory that is flown; times are autopilot time.
 
     Attributes:
-        number, tries: number of all requests, and of those since the last contact.
+        number, tries: number of requests in this flight, and since the last contact.
         has_wall_estimate: whether the last contact has produced an estimate of its wall.
         request: the request that an answer must match.
         answer: accepted answer that is not flown yet.
@@ -63,7 +63,7 @@ class Replan(NamedTuple):
         return self.trajectory is not None and now_us - self.begin_us >= self.trajectory.duration_s * 1e6
 
     def impact_in_s(self, state: FlightState) -> float:
-        """Return the seconds until the trajectory meets the next wall; minus infinity without an impact."""
+        """Return the time until the trajectory's next impact, s; minus infinity if no impact is planned."""
         return -math.inf if self.impact_us is None else (self.impact_us - state.now_us) * 1e-6
 
     def predict_impact(self, closing_m_s: float, state: FlightState) -> PlaneImpact | None:

@@ -50,8 +50,8 @@ class ReplanRequests:
     ) -> Change:
         """Request a plan for the next leg, once after each contact.
 
-        In a mission with its own trajectories, the request is repeated in flight (`_should_repeat`). These
-        trajectories are too short for the errors of PX4's loop to decay.
+        In a mission with its own trajectories, the request is repeated in flight (`_should_repeat`), because
+        these trajectories are too short for the errors of PX4's loop to decay.
 
         Args:
             progress: state of the mission.
@@ -121,8 +121,9 @@ class ReplanRequests:
     def _should_repeat(self, replan: Replan, now_us: int) -> bool:
         """Return whether to repeat the request, in a mission with its own trajectories.
 
-        Some time after the last request, repeat the request if the active trajectory is not nearly over. Also
-        repeat the request if the vehicle missed the beginning of the new trajectory, so that none is active.
+        A request is repeated at the earliest `_AGAIN_US` after the last request, and not near the end of the
+        active trajectory. If the vehicle missed the beginning of the new trajectory, no trajectory is active;
+        the request is then repeated too.
         """
         trajectory, asked = replan.trajectory, replan.request
         if asked is None or self._mission.goal_trajectory is None or now_us - asked.t_us < _AGAIN_US:
@@ -141,7 +142,7 @@ class ReplanRequests:
     # -- accepted answers --
 
     def approach(self, progress: MissionState, now_us: int) -> Change:
-        """Return an approach from rest, at the planner's impact velocity, if there is room."""
+        """If there is room, return an approach from rest with the impact velocity that the planner chose."""
         answer, following = progress.replan.answer, progress.collision
         if answer is None or not progress.replan.from_rest or following is None:
             return NO_CHANGE
@@ -158,7 +159,7 @@ class ReplanRequests:
         return Change(outputs=(taken,), replan=replan, approach=approach)
 
     def trajectory(self, progress: MissionState, state: FlightState) -> Change:
-        """Return an answer's trajectory at its begin time, if the vehicle is close to the trajectory."""
+        """When an answer's trajectory begins, return this trajectory if the vehicle is close to it."""
         replan, answer = progress.replan, progress.replan.answer
         if answer is None or replan.from_rest or state.now_us < answer.begin_us:
             return NO_CHANGE
@@ -232,7 +233,7 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
-    """Return whether the vehicle follows its active trajectory, and whether the new one ends much later."""
+    """Return True if the vehicle follows its active trajectory and the new trajectory ends much later."""
     flown = replan.trajectory
     if flown is None or not replan.must_not_be_later:
         return False

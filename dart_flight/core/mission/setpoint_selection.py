@@ -1,4 +1,4 @@
-"""Selection of the setpoint and heading of a phase: trajectory, coasting, contact, or step."""
+"""Selection of a phase's heading and setpoint: on a trajectory, coasting, in contact, or a step."""
 
 from __future__ import annotations
 
@@ -152,8 +152,8 @@ class SetpointSelection:
     def _thrust_after_contact(self, progress: MissionState, state: FlightState) -> Vec3:
         """Return the acceleration of the mission's trajectory, as if it began at the end of the contact.
 
-        The acceleration is zero during a contact. It is also zero if the vehicle is already as fast as the
-        trajectory, for example because the vehicle leans off the wall.
+        The acceleration is zero during a contact. If the vehicle is already as fast as the trajectory, for
+        example because it leans off the wall, the acceleration is also zero.
         """
         trajectory, end_us = self._next_trajectory(progress), progress.lock.contact_end_us
         if trajectory is None or end_us is None:
@@ -194,7 +194,7 @@ class SetpointSelection:
 
         The vehicle's actual time to impact corresponds to a point of the trajectory. The result is the
         planned thrust at this point minus the planned thrust at `since_s`. Without this correction, a vehicle
-        ahead of its trajectory would meet the wall before leaning off the wall.
+        ahead of its trajectory would meet the wall before it leans off the wall.
 
         Args:
             progress: state of the mission, with the trajectory to the wall.
@@ -215,14 +215,14 @@ class SetpointSelection:
     # -- references --
 
     def _reference(self, progress: MissionState, t_us: int, since_us: int | None) -> Reference:
-        """Return the command at a time: a point of the trajectory, or the target, commanded as a step."""
+        """Return the command at a time: a point of the trajectory or, without a trajectory, the target."""
         course = progress.course
         if course.trajectory is None or since_us is None:
             return Reference(course.target)
         return self._lead(course.trajectory, (t_us - since_us) * 1e-6)
 
     def _lead(self, trajectory: Trajectory, since_s: float) -> Reference:
-        """Return the reference of a trajectory for the time at which PX4 executes it.
+        """Return the reference of a trajectory for the time at which PX4 executes the setpoint.
 
         The acceleration is taken at an even later time, because the attitude lags. This time is limited to
         the trajectory's end, because the trajectory has no thrust afterwards. Drag and the response of PX4's

@@ -115,7 +115,7 @@ class Trajectory(msgspec.Struct, frozen=True):
     def run_up(
         cls, begin: Vec2, velocity: Vec2, ramp_s: float, steady_s: float, altitude_m: float
     ) -> Trajectory:
-        """Return an acceleration from rest and a steady run, which continues through the wall.
+        """Return a trajectory that accelerates from rest, then runs steadily and continues through the wall.
 
         The speed grows as 3 s^2 - 2 s^3, where s is the elapsed fraction of the ramp.
 

@@ -21,7 +21,7 @@ class AngularMotion:
     """Angular rate and acceleration over the newest tick.
 
     Attributes:
-        known: whether the newest sample shortly follows another sample.
+        known: whether the newest sample follows the previous sample without a gap.
         rate: mean rate over the tick, rad/s, FRD.
         acceleration: mean angular acceleration over the tick, rad/s2, FRD; zero if not known.
         dt_s: time between the newest two samples.

@@ -42,7 +42,7 @@ class ArmFilter:
         self._x = self._vx = self._y = self._vy = 0.0
 
     def add(self, ax: float, ay: float) -> tuple[float, float]:
-        """Return a tick's IMU reading, m/s2, if a contact accelerates the centre of mass by (`ax`, `ay`).
+        """Return the reading, m/s2, of a tick in which a contact causes the acceleration (`ax`, `ay`).
 
         This function is the inverse of `remove`.
         """

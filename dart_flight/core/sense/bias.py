@@ -1,9 +1,9 @@
 """Errors of the force estimate, learnt in flight: hover bias, thrust scale, noise, slow baseline.
 
 Without contact, the accelerometer reads the thrust along the thrust axis, because drag along that axis is
-small. Across the axis, a hovering vehicle reads only its own bias and perhaps wind. A limited baseline
-follows slow forces, such as wind and errors of thrust and drag in tilted flight. A contact rises too fast for
-the baseline. The force estimator and the impact detector use this module.
+small. Across this axis, the accelerometer in hover reads only its own bias and perhaps wind. A limited
+baseline follows slow forces, such as wind and errors of thrust and drag in tilted flight. A contact rises too
+fast for the baseline. The force estimator and the impact detector use this module.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class HoverBias:
 
     Attributes:
         bias_x, bias_y: accelerometer bias, body FRD, m/s2. The accelerometer's readings include the bias.
-        scale: true thrust divided by the thrust of the curve, limited to a range about 1.
+        scale: true thrust divided by the thrust of the curve, limited to within `THRUST_SCALE_LIMIT` of 1.
         thrust_ratio: the same ratio without a limit, or None before the ratio has settled.
         noise_m_s2: standard deviation of the white noise in one sample of one axis.
     """
@@ -98,8 +98,8 @@ def _bounded(value: float, most: float) -> float:
 class ForceBaseline:
     """Slow horizontal force, mission frame, newton, limited in size.
 
-    The detector subtracts `value` before it compares a force with a threshold. `value` is the baseline of
-    some samples ago. The start of a contact is therefore not subtracted from the contact itself.
+    The detector subtracts `value` before it compares a force with a threshold. `value` is some
+    samples old, so the start of a contact is not subtracted from the contact itself.
     """
 
     def __init__(self, config: Estimation) -> None:

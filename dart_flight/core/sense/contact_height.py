@@ -3,9 +3,9 @@
 A wall pushes on the guards of one side, `contact_distance_m` ahead of the centre of mass and at some height
 above it. The force times this height pitches the vehicle back, and the lever grows with the pitch. If battery
 and payload move the centre of mass by 2 cm, the vehicle can turn over at 3 m/s (docs/results/faster_hits.md).
-A gentle contact yields the height, and the planner leans the vehicle accordingly at later contacts
-(`planning.replanner`). The planner needs the height when the contact ends, before the contact is fitted. The
-core therefore computes the height in closed form.
+The core estimates the height from a gentle contact. At later contacts the planner leans the vehicle
+accordingly (`planning.replanner`). The planner needs the height when the contact ends, before the contact is
+fitted. The core therefore computes the height in closed form.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class ContactHeight:
         return self._moment / self._weight if self._weight >= _LEAST_N2 else None
 
     def add(self, contact: ContactRequest) -> None:
-        """Add a planned contact; ignore any other.
+        """Add a planned contact; ignore an unplanned contact.
 
         The touching side is the side of the body that faces the wall. The height is the least-squares
         solution of torque = -(height n_s + distance n_z) force. The torque is about the roll or pitch axis,

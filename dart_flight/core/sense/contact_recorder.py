@@ -126,7 +126,7 @@ class ContactRecorder:
         return request
 
     def accept(self, answer: ContactAnswer) -> tuple[ImpactBody | None, WallEstimate | None]:
-        """Return the body and wall records of an answer, or (None, None) if no request awaits it."""
+        """Return the body and wall records of an answer, or (None, None) if the answer has no request."""
         request = self.unanswered.pop(answer.number, None)
         if request is None:
             return None, None

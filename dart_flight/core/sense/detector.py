@@ -70,7 +70,7 @@ class ExpectedContact(NamedTuple):
 
 
 class _Sample:
-    """A sample of the contact; forces minus the baseline, newton, mission frame."""
+    """A sample of the contact; its forces exclude the baseline, newton, mission frame."""
 
     __slots__ = ("clipped", "dt_us", "fx", "fy", "push", "t_us")
 
@@ -241,9 +241,9 @@ class ImpactDetector:
     def detection_floor_n(self, duration_s: float) -> float:
         """Return the least peak at which a half-sine of this duration is certainly detected, newton.
 
-        Each window has a detection floor. The floor is the sum of the threshold and one standard deviation,
-        divided by the share of the peak that the window's mean keeps. The result is the lowest floor among
-        the windows in use.
+        Each window has a detection floor. The floor is the threshold plus one standard deviation, divided
+        by the ratio of the window's mean to the peak. The result is the lowest floor among the windows in
+        use.
         """
         best = math.inf
         for i, threshold in enumerate(self.thresholds_n()):

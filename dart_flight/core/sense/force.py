@@ -6,8 +6,8 @@ Here f is the specific force at the centre of mass, without gravity, and T is th
 from body to mission, and b is the air drag along the mission's axes. `core/sense/angular_motion.py` corrects
 f for an IMU away from the centre of mass. The autopilot's stamps align the streams. A reading is the mean
 over one tick. The anti-alias filter delays the reading, so the tick ends before the reading's stamp. The gyro
-extrapolates the attitude to the middle of this tick. The thrust is averaged over the tick that ends at the
-stamp.
+extrapolates the attitude to the middle of this tick. The thrust, however, is averaged from the previous stamp
+to this stamp.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class PulsePrior(NamedTuple):
 
 
 class NormalPulse(NamedTuple):
-    """A fitted normal pulse: its parameters, and its peak with time and standard error.
+    """A fitted pulse of the normal force: its parameters, and its peak with time and standard error.
 
     The parameters are onset, slope of the force at the onset, frequency, damping and push. `misfit` is the
     mean square of the residuals. Each residual is divided by its standard deviation, which includes the
@@ -77,7 +77,7 @@ class NormalPulse(NamedTuple):
 
 
 def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, float]:
-    """Return force and impulse for unit push, then for unit slope, `s` seconds after the onset."""
+    """Return force and impulse for a push of 1, then for a slope of 1, `s` seconds after the onset."""
     if s <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
     w2 = omega * omega
@@ -145,7 +145,7 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 
 
 class _Ends:
-    """The pulse at the end of a reading: force, impulse per slope, impulse, and the impulse's derivative.
+    """The pulse at the end of a reading: force, impulse for a slope of 1, impulse, impulse's derivative.
 
     The derivative is with respect to the log frequency. It is a finite difference between two frequencies
     whose logarithms differ by 1e-4, with the same damping and decay. Each frequency's constants are computed
@@ -160,7 +160,7 @@ class _Ends:
         self._sigma, self._push, self._slope = sigma, push, slope
 
     def at(self, s: float) -> tuple[float, float, float, float]:
-        """Return the four quantities that the class's docstring lists, `s` seconds after the onset."""
+        """Return the four quantities of the class's first line, `s` seconds after the onset."""
         if s <= 0.0:
             return 0.0, 0.0, 0.0, 0.0
         sigma, push, slope = self._sigma, self._push, self._slope

@@ -44,8 +44,8 @@ class Sensed:
 
     Attributes:
         estimate: external force, or None if the input yields none.
-        impacts: events of the detector, usually none. When an approach begins, they include the detection
-            floor.
+        impacts: events of the detector, usually none. At the beginning of an approach, they include the
+            smallest detectable force (`DetectionFloor`).
         in_contact: whether a contact has begun and not ended.
         torque: external torque, or None if the input yields none.
         contact: records of a contact that has ended: the request for its fit, or the results of the fit.

@@ -204,7 +204,7 @@ class FlightState:
                 del texts[next(iter(texts))]
 
     def text_about(self, beginning: str) -> str:
-        """Return "; " and the newest warning with this beginning, or an empty string if there is none."""
+        """Return the newest warning with this beginning, after a "; "; an empty string if there is none."""
         texts = {**self._px4_texts, **self._found_on_link}
         found = [text for text in sorted(texts, key=lambda text: texts[text]) if text.startswith(beginning)]
         return f"; {found[-1]}" if found else ""
@@ -305,7 +305,7 @@ class FlightState:
             command: refused command; if PX4 gives no other reason, its answer to the command is returned.
 
         Returns:
-            Text such as "; PX4 reports: No offboard signal" to append, empty if there is no reason.
+            Text to append, such as "; PX4 reports: No offboard signal"; empty if there is no reason.
         """
         own = self._recent(self._found_on_link)
         here = "; " + ", ".join(own) if own else ""

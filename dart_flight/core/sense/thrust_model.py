@@ -74,7 +74,7 @@ class LaggedCommands:
 
 
 class ThrustModel:
-    """Model of the total thrust along the body's up axis, newton, mean over a tick of the IMU.
+    """Model of the total thrust along the body's up axis: the mean over an IMU tick, newton.
 
     Attributes:
         source: source of the last result. None if no source has data yet; hover thrust is then assumed.

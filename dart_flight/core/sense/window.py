@@ -74,7 +74,7 @@ class WindowMean:
         self.mean = (self._x / n, self._y / n)
 
     def learn(self, dt_s: float) -> None:
-        """Update the noise outside of contacts, from the present mean and the mean one window earlier."""
+        """Update the noise from the present mean and the mean one window earlier (not during contacts)."""
         past, pending, mean = self._past, self._pending, self.mean
         if len(past) == past.maxlen:
             (x, y), (before_x, before_y) = mean, past[0]
@@ -91,13 +91,13 @@ class WindowMean:
         self.noise_n = math.sqrt(quick if quick > slow else slow)
 
     def forget(self) -> None:
-        """Discard the pending noise samples, after an onset or a gap in the stream."""
+        """Discard the noise samples that are not used yet; call after an onset or a gap in the stream."""
         self._pending.clear()
         self._past.clear()
 
 
 def half_sine_share(samples: int, duration_s: float, period_s: float) -> float:
-    """Return the largest window mean of a half-sine in the worst case, divided by the half-sine's height.
+    """Return the share of a half-sine's height that the largest window mean reaches in the worst case.
 
     In the worst case, the centre of the window lies half a sampling period off the middle of the half-sine.
     The result is the closed form of a sum of equally spaced sines.

@@ -6,12 +6,13 @@ Over a short window the motors' torque changes the rates:
 
 The motors' torque follows from their commands through the thrust curve, their lag, their positions and the
 propellers' drag. A plot of rate change over integral, with a point for each window, therefore has the slope
-1/J. Both sides have errors. The gyro and disturbances affect the rates; motor behaviour between the recorded
-commands affects the torques. If all errors are assigned to the rates, the fit gives the upper bound of J; if
+1/J. The gyro and disturbances cause errors of the rates. Motor behaviour between the recorded commands causes
+errors of the torques. If all errors are assigned to the rates, the fit gives the upper bound of J; if
 they are assigned to the torques, it gives the lower bound. The estimate lies between the two bounds, and its
 interval contains both bounds. The rates at a window's ends are averages over some samples, because a
-controller responds to the noise of a single sample. The motors' lag is varied and the best value is kept. If
-the torques about an axis are too small, or the two bounds differ too much, the axis gets no estimate.
+controller responds to the noise of a single sample. The fit tries several lags of the motors and keeps the
+lag that leaves the least variance unexplained. If the torques about an axis are too small, or the two bounds
+differ too much, the axis gets no estimate.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class AxisInertia(msgspec.Struct):
         torque_nm: standard deviation of the motors' mean torque over a window.
         rate_change_rad_s: standard deviation of the rate's change over a window.
         explained: fraction of the variance of the rate's change that the motors explain.
-        refused: the reason for having no value, or empty.
+        refused: the reason why there is no value; empty if there is a value.
     """
 
     axis: str
@@ -77,8 +78,8 @@ class InertiaCalibration(msgspec.Struct):
         windows: number of windows of `WINDOW_S` seconds.
         axes: roll, pitch, yaw.
         motor_lag_s: motor lag for which the motors explain the largest part of the rate changes, s.
-        drift_rad_s2: angular acceleration about the three axes if the motors cause no torque. An offset
-            centre of mass causes this acceleration.
+        drift_rad_s2: angular acceleration about the three axes that remains without motor torque. An
+            offset centre of mass causes this acceleration.
         notes: remarks on the logs.
     """
 
@@ -90,7 +91,7 @@ class InertiaCalibration(msgspec.Struct):
 
     @property
     def inertia_kg_m2(self) -> tuple[float | None, float | None, float | None]:
-        """The inertia about the three axes; None where refused."""
+        """The inertia about the three axes; None for a refused axis."""
         x, y, z = (axis.value for axis in self.axes)
         return (x, y, z)
 
@@ -247,7 +248,7 @@ def _integral(values: Array, step: Array) -> Array:
 def _fit(
     windows: _Windows, vehicle: VehicleConfig
 ) -> tuple[list[AxisInertia], tuple[float, float, float], float]:
-    """Return the three axes' inertias, the drift, and the sum of the unexplained fractions."""
+    """Return the three axes' inertias, the drift, and the sum of their unexplained fractions of variance."""
     inertia = np.array(vehicle.airframe.inertia_kg_m2)
     axes: list[AxisInertia] = []
     drift = np.zeros(3)

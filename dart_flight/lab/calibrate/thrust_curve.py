@@ -1,9 +1,9 @@
 """Fit of the motors' thrust curve to the hover segments of flights (docs/force.md).
 
 During slow, steady flight the thrust equals the mass times the specific force along the thrust axis. Each
-quiet segment of a log therefore gives one point of the curve: the commands and the force. Averages over a
-segment decide whether the segment is quiet, because vibration changes single samples of a real vehicle in
-hover by several m/s2. The curve
+quiet segment of a log therefore gives one point of the curve: the commands and the force. Vibration
+changes single samples of a real vehicle in hover by several m/s2. The averages over a segment therefore
+decide whether the segment is quiet. The curve
 
     T = full_n * sum over the motors of (factor u^2 + (1 - factor) u)
 
@@ -88,7 +88,7 @@ _BY_STRETCH = ("square", "linear", "force", "volts", "start_s")  # the arrays of
 
 
 class ThrustCalibration(msgspec.Struct):
-    """A thrust curve and its quality of fit. A standard error is None where the value was not fitted."""
+    """A thrust curve and its quality of fit. A standard error is None if the value was not fitted."""
 
     segments: int
     rejected: dict[str, int]  # test -> number of rejected windows
@@ -217,7 +217,7 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 
     Args:
         p: the points.
-        factor: value of the factor if it is not fitted or the points do not determine it.
+        factor: value to use if the factor is not fitted, or if the points do not determine the factor.
         exponent: exponent of the voltage. None means that the exponent is fitted if the voltage varies. If
             the voltage is unknown, the exponent has no effect.
         fit_factor: whether to fit the factor. A result outside 0 to 1 is clipped and has no standard error.
