@@ -261,8 +261,8 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Points], Curve]]:
     """Return the cross-validation error of the best kind of curve, and the function that fits this kind.
 
-    A kind of curve uses or ignores the voltage, and its factor is fitted or configured. Each kind is fitted to
-    some of the segments and compared with the other segments.
+    A kind of curve uses or ignores the voltage, and its factor is fitted or configured. Each kind is fitted
+    to some of the segments and compared with the other segments.
 
     Args:
         points: quiet segments.

@@ -81,7 +81,8 @@ def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
 def friction(hits: Sequence[MeasuredImpact]) -> Estimate | None:
     """Return the paper's mu from the speeds before and after hits.
 
-    mu is ln(in / out) of the velocities along the wall, divided by the change of the normal velocity.
+    mu = ln(v_in / v_out) / dv, with the velocities v_in and v_out along the wall before and after the hit,
+    and the change dv of the normal velocity.
     """
     pairs = []
     for h, before, after in _sliding_hits(hits):

@@ -54,7 +54,7 @@ def is_number(value: Cell) -> bool:
 
 
 def write_number(value: Cell) -> str:
-    """Return a number as text with at least three digits, or a dash if unknown."""
+    """Return a number as text with at least three digits; an unknown number becomes a dash."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
     if not isinstance(value, float):
