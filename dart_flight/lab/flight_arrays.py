@@ -99,7 +99,7 @@ class FlightArrays:
 
     @cached_property
     def posed(self) -> PoseArrays:
-        """The poses that this program forwarded to PX4; empty without motion capture or frame."""
+        """The poses that this program forwarded to PX4; empty without motion capture or mission frame."""
         samples = self.topic_in_ned(PoseSample)
         tracked: list[PoseSample] = [s for s in samples.records if isinstance(s, PoseSample) and s.tracked]
         received = np.array([s.t_us for s in tracked], dtype=float)

@@ -241,7 +241,7 @@ def _digest(mission: Mission, spreads: Mapping[str, float], case: Mapping[str, s
 
 
 def items_of(asked: CampaignSpec, points: Sequence[Point]) -> Iterator[Item]:
-    """Return every flight, ordered by seed and then by point, so that a partial campaign is balanced."""
+    """Yield every flight, ordered by seed, then by point, so that all points are flown equally often."""
     for seed in range(asked.seed, asked.seed + asked.runs):
         for point in points:
             yield Item(point.number, seed)

@@ -138,11 +138,11 @@ class GridPoint(msgspec.Struct, frozen=True):
 
 
 class DifferingQuantity(msgspec.Struct, frozen=True):
-    """A drawn quantity that differs between completed flights and the flights with one end cause.
+    """A drawn quantity that differs between completed flights and flights with the same end cause.
 
     Attributes:
         name: name of the quantity.
-        failed, completed: medians; for a word, the fraction of flights that drew the word.
+        failed, completed: median over the flights of each group; for a word, the fraction that drew the word.
         chance: probability that the quantity is higher in a failed flight than in a completed flight; 0.5
             means no difference.
     """
@@ -459,7 +459,7 @@ def _end_causes(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[EndCa
 def _differing_quantities(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], names: Sequence[str]
 ) -> list[DifferingQuantity]:
-    """Return the drawn quantities that differ most between flights with one end cause and completed flights.
+    """Return the drawn quantities that differ most between completed flights and flights with an end cause.
 
     Args:
         ended: flights with this end cause.
@@ -502,7 +502,7 @@ def _separations(
 
 
 def _numbers(rows: Sequence[_SummaryRow], i: int, word: str | None) -> list[float]:
-    """Return a drawn quantity of each flight; for a word, 1 if the flight drew it and 0 otherwise."""
+    """Return a drawn quantity of each flight; with `word`, return 1 if the flight drew this word, else 0."""
     if word is not None:
         return [float(row.drawn[i] == word) for row in rows]
     return [value for row in rows if isinstance(value := row.drawn[i], float)]

@@ -137,7 +137,7 @@ class HitFit:
         return np.nan_to_num(np.concatenate(parts))
 
     def residuals(self, theta: Array) -> Array:
-        """Return the weighted errors of the hits, followed by the prior."""
+        """Return the weighted errors of the hits, then the residuals of the prior."""
         errors = self._counts * (self._errors(theta) - self._moved)
         return np.concatenate((errors, (theta - self._start) / _PRIOR_SD))
 

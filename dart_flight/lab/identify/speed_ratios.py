@@ -56,7 +56,7 @@ def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
 
 
 def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpact, float, float]]:
-    """Yield each hit with motion along the wall, and the velocities along the wall before and after it."""
+    """Yield (hit, velocity before, velocity after), along the wall, for hits with such a velocity before."""
     for h in hits:
         before, after = h.tangential_in_m_s, h.tangential_out_m_s
         if before is None or after is None:
@@ -66,7 +66,7 @@ def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpa
 
 
 def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """Return the ratio of the velocities along the wall after and before a hit.
+    """Return the velocity along the wall after a hit, divided by this velocity before the hit.
 
     The ratio is negative if the vehicle reverses along the wall. The result is None if no hit has
     motion along the wall.

@@ -79,7 +79,7 @@ class InspectedImpact(msgspec.Struct):
 
 
 class Estimated(NamedTuple):
-    """A force estimate with the thrust that it assumes.
+    """A force estimate, and the thrust that the estimate assumes.
 
     Attributes:
         force: the estimate.

@@ -39,7 +39,7 @@ class PageTable(NamedTuple):
 
     @property
     def columns(self) -> list[tuple[str, bool]]:
-        """(heading, whether the column contains numbers) for each column."""
+        """The columns, each as (heading, whether the column contains numbers)."""
         first = next((row for row in self.rows if not isinstance(row, str)), [])
         return [(head or "", is_number(cell)) for head, cell in zip_longest(self.heads, first)]
 
