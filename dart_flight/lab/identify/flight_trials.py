@@ -25,11 +25,11 @@ ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
     """Return the planned collisions of a flight as trials, by material.
 
-    Only collisions with `material` in `mode` are returned. If the age of the motion capture's poses is known,
-    the positions are those of the poses. Otherwise they are PX4's estimate, which smooths the velocity change
-    of a contact. The force is the flight core's estimate. All series are in the wall's collision frame and on
-    the autopilot's clock. The wall's plane comes from the mission, or from the contact if a probe searched
-    for the wall. The vehicle comes from the log.
+    `material` and `mode` select the collisions; None and `UNLABELLED` select all. If the age of the motion
+    capture's poses is known, the positions are those of the poses. Otherwise they are PX4's estimate, which
+    smooths the velocity change of a contact. The force is the flight core's estimate. All series are in the
+    wall's collision frame and on the autopilot's clock. The wall's plane comes from the mission, or from the
+    contact if a probe searched for the wall. The vehicle comes from the log.
 
     Raises:
         InputError: the log does not contain its mission.

@@ -28,9 +28,11 @@ class IdentifyResult(NamedTuple):
     """The trials, the coefficients identified from them, and the vehicle that the fit used.
 
     Attributes:
-        trials: the trials as read. found: the result of the fit. vehicle: the vehicle whose mass, modes and
-        onset rule were used. flown: the vehicle in the logs, with its source, if it replaced the vehicle
-        given to `identify_trials`. mass_kg, onset: mass and onset rule used in the fit.
+        trials: the trials as read.
+        found: the result of the fit.
+        vehicle: the vehicle whose mass, modes and onset rule were used.
+        flown: the vehicle in the logs, with its source, if it replaced the given vehicle; otherwise None.
+        mass_kg, onset: mass and onset rule used in the fit.
     """
 
     trials: list[Trial]

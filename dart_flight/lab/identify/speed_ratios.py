@@ -56,7 +56,7 @@ def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
 
 
 def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpact, float, float]]:
-    """Yield (hit, velocity before, velocity after), along the wall, for hits with such a velocity before."""
+    """Yield each hit with motion along the wall, with the velocities along the wall before and after."""
     for h in hits:
         before, after = h.tangential_in_m_s, h.tangential_out_m_s
         if before is None or after is None:

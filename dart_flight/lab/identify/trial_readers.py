@@ -75,7 +75,7 @@ def _acceleration(reading: TrialReading) -> float:
 
 
 def read_csv(path: Path, reading: TrialReading) -> list[Trial]:
-    """Read a CSV file whose header contains `time_s` and any of `COLUMNS` (`normal_m` or one of `_ANY_OF`).
+    """Read a CSV file whose header contains `time_s`, one of `_ANY_OF`, and any others of `COLUMNS`.
 
     An empty cell means that the column has no sample at this time.
 

@@ -1,4 +1,4 @@
-"""Specific thrust and drag of an unknown vehicle, fitted from its own log."""
+"""Specific thrust and drag of an unknown vehicle, fitted to the vehicle's own log."""
 
 from __future__ import annotations
 
