@@ -241,7 +241,7 @@ def _digest(mission: Mission, spreads: Mapping[str, float], case: Mapping[str, s
 
 
 def items_of(asked: CampaignSpec, points: Sequence[Point]) -> Iterator[Item]:
-    """Yield every flight, ordered by seed, then by point, so that a partial campaign covers all points evenly."""
+    """Yield every flight by seed, then by point, so that a partial campaign covers all points evenly."""
     for seed in range(asked.seed, asked.seed + asked.runs):
         for point in points:
             yield Item(point.number, seed)
