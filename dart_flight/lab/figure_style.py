@@ -67,11 +67,11 @@ PAGE, COLUMN = Look(4.6, 9.0), Look(3.5, 8.0)
 
 
 def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Any, Any]:
-    """Return a figure and its axes; the height is proportional to the width in `look`.
+    """Return a figure and its axes; the aspect of the figure does not depend on `look`.
 
     Args:
         look: width and text size.
-        height: height at the width of `PAGE`, inches.
+        height: height of the figure, inches, if it is as wide as `PAGE`.
         rows, columns, options: arguments of `Figure.subplots`.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415  (an extra, and slow)

@@ -63,8 +63,8 @@ class ForceArrays(NamedTuple):
 class FlightArrays:
     """The arrays of one flight.
 
-    Times are in seconds; 0 s is the zero that `flight_time` defines for every output of a flight. `time_of`
-    converts the autopilot's stamps.
+    Times are in seconds and count from the first IMU sample (`flight_time`). `time_of` converts stamps of the
+    autopilot.
 
     Attributes:
         log: the flight log.
@@ -74,8 +74,8 @@ class FlightArrays:
             move the frame (`frame_at`); each position is converted with the frame valid at its time.
         estimated: the motion estimated by PX4; empty without a frame.
         true: the true motion of a simulated vehicle; empty for a real vehicle.
-        estimated_force: the force estimated by the flight core. The lag of the IMU's reading is subtracted,
-            so the times are those at which the force acted.
+        estimated_force: the force estimated by the flight core, at the times when it acted: the lag of the
+            IMU's reading is subtracted.
         true_force: the true force of a simulated vehicle; empty for a real vehicle.
     """
 
@@ -99,7 +99,7 @@ class FlightArrays:
 
     @cached_property
     def posed(self) -> PoseArrays:
-        """The poses that this program forwarded to PX4; empty without motion capture or frame."""
+        """The poses that this program forwarded to PX4; empty without motion capture or mission frame."""
         samples = self.topic_in_ned(PoseSample)
         tracked: list[PoseSample] = [s for s in samples.records if isinstance(s, PoseSample) and s.tracked]
         received = np.array([s.t_us for s in tracked], dtype=float)
@@ -127,17 +127,17 @@ class FlightArrays:
         return list(self.topic(kind).records)  # type: ignore[arg-type]
 
     def time_of(self, t_us: int) -> float:
-        """Return the time of an autopilot stamp in seconds since the start."""
+        """Return the time of an autopilot stamp, in seconds since the first IMU sample."""
         return (t_us - self.start_us) * 1e-6
 
     def topic_in_ned(self, kind: type[Record]) -> Topic:
-        """Return the records of a kind, or none if the flight has no mission frame to convert them with."""
+        """Return the records of a kind with vectors in NED; empty if the flight has no mission frame."""
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
     def frame_at(self, t_us: int) -> MissionFrame | None:
         """Return the mission frame valid at a time, or None if the flight has no mission frame.
 
-        The first frame is also valid before it begins.
+        Before the first frame begins, the first frame is returned.
         """
         laid = [frame for from_us, frame in self._frames if from_us <= t_us]
         return laid[-1] if laid else self.frame
@@ -148,7 +148,7 @@ class FlightArrays:
         return np.asarray(vectors @ np.array([frame.vector_from_ned(axis) for axis in _AXES]))
 
     def places_from_ned(self, places: Array, time_s: Array) -> Array:
-        """Return positions (n, 3) in local NED, at times (n,), in the mission frame valid at each time."""
+        """Convert positions (n, 3) from local NED, each with the mission frame valid at its time."""
         if not self._frames:
             return self.from_ned(places)
         begin_s = [self.time_of(t_us) for t_us, _ in self._frames]

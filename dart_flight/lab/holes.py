@@ -38,12 +38,12 @@ def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None
 
 
 def describe_cut_end(at_s: float, where: str = "") -> str:
-    """Return the line for a log that was cut at a time; `where` locates the vehicle, such as "in the air"."""
+    """Return the line for a log that ends too early, at `at_s`; `where` is a text such as "in the air"."""
     return f"cut: the log ends{f' {where},' if where else ''} at {at_s:.2f} s"
 
 
 def describe_missing_parts(log: Log) -> list[str]:
-    """Return a line if a flight log was cut, and a line for each hole.
+    """Return the lines that describe the cut end and the holes of a flight log.
 
     The printed times count from the first IMU sample.
     """

@@ -261,16 +261,15 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Points], Curve]]:
     """Return the cross-validation error of the best kind of curve, and the function that fits this kind.
 
-    The kinds of curve differ in two choices. A curve uses the voltage or ignores the voltage. Its factor is
-    fitted or is the configured factor. Each kind is fitted to some of the segments and compared with the
-    other segments.
+    A kind of curve uses or ignores the voltage, and its factor is fitted or configured. Each kind is fitted
+    to some of the segments and compared with the other segments.
 
     Args:
         points: quiet segments.
         square_share: the configured factor (`Curve.factor`).
 
     Returns:
-        The root mean square error on held-out segments divided by the mean thrust, and the function.
+        The error (`_held_out`) of the best kind, and the function that fits a curve of this kind to points.
     """
     known = bool(np.isfinite(points.volts).all())
     choices = [
@@ -282,7 +281,7 @@ def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Poin
 
 
 def fit_problem(error: float) -> str:
-    """Return the reason to reject a curve with this error on held-out segments, or an empty string."""
+    """Return why a curve with this `_held_out` error is rejected; empty if the error is small enough."""
     if error <= _MAX_ERROR:
         return ""
     return f"the error on held-out segments is {100.0 * error:.0f} %, limit {100.0 * _MAX_ERROR:.0f} %"
@@ -299,7 +298,7 @@ def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], C
 
 
 def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
-    """Return the root mean square error on held-out segments, divided by the mean thrust."""
+    """Return the root mean square error on held-out segments, as a fraction of the mean thrust."""
     part = (np.arange(len(points.force)) // _BLOCK) % min(_FOLDS, max(2, len(points.force) // _BLOCK))
     squares = []
     for fold in np.unique(part):

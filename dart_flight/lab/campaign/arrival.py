@@ -1,4 +1,4 @@
-"""Arrival times at the goal, by the same rule for a flight's log and for its plan."""
+"""Arrival times at the goal, of flown and of planned flights. Both use the same limits."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ class GoalArrival(NamedTuple):
 
     Attributes:
         begin_us: time at which the mission's own trajectories begin.
-        visits_us: passages of the visited places in order, up to the first place that was missed.
-        there_us: arrival at the goal after the visits, nearly at rest; None if the flight landed earlier.
+        visits_us: time at which the vehicle passes each visited place, up to the first missed place.
+        there_us: time after the visits at which the vehicle is nearly at rest at the goal; None if it landed
+            earlier.
     """
 
     begin_us: float
@@ -42,7 +43,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
     Args:
         log: log of a simulated flight; the log contains the truth.
         mission: the mission that was flown.
-        visits: places, each with the distance, metres, within which the vehicle must pass the place.
+        visits: (place, largest distance in metres at which the vehicle may pass this place).
     """
     truth, phases = log["/truth/state"], log["/event/phase"]
     changes = list(zip(phases["t_us"], map(str, phases["after"]), phases["collision"], strict=True))
@@ -71,7 +72,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
 
 
 def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
-    """Return the time from which a planned flight stays slow and close to the goal until the flight ends."""
+    """Return the time, s, after which a planned flight remains slow and close to the goal."""
     last = found.legs[-1]
     begin = found.time_s - last.duration_s
     there = begin

@@ -1,7 +1,7 @@
 """The specification of a campaign: missions x settings x cases x seeds, and the resulting points and items.
 
-`dart-flight campaign` builds the specification from its options. Each measurement that the manual reports has
-a specification in a file (`tools/campaigns/*.yaml`), with a function that judges each flight.
+`dart-flight campaign` builds the specification from its options. For each measurement in the manual, a file
+(`tools/campaigns/*.yaml`) contains a specification and names a function that judges each flight.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         missions: mission files.
-        config: vehicle configuration to use instead of the missions'.
+        config: vehicle configuration that replaces the configuration of each mission.
         settings: configuration key -> its values, as written.
-        vary: random differences of the simulated world, as written (`sim.draws`).
-        runs: number of seeds for every mission and combination of values, starting with `seed`.
+        vary: entries that make the simulated world differ at random from the mission (`sim.draws`).
+        runs: number of seeds. Each mission with each combination of values is flown with the seeds `seed`,
+            `seed` + 1, and so on.
         keep: the flights whose logs are kept.
         cases: further variations of the flights. Each case is a mapping key -> value, and the table has one
             column for each key. Instead of a list, a function that returns the cases can be named.
@@ -79,11 +80,11 @@ class Point(NamedTuple):
     Attributes:
         number: number of the point, from 1.
         path: mission file, as given.
-        values: values of the settings in order, followed by those of the case.
+        values: values of the settings in order, then the values of the case.
         mission: the resolved mission.
         spreads: standard deviations of the drawn quantities by name.
         digest: hash of the resolved mission and vehicle without their file names.
-        case: value by key; empty without cases.
+        case: key -> value; empty if the specification has no cases.
     """
 
     number: int
@@ -183,7 +184,7 @@ def named_function(name: str) -> Callable[..., Any]:
 
 
 def row_type(name: str) -> type[msgspec.Struct]:
-    """Return the type of the rows that a function returns; the function's annotation contains this type.
+    """Return the type of the rows that a function returns, from the function's return annotation.
 
     Raises:
         InputError: the function is not annotated with a `msgspec.Struct`.
@@ -240,7 +241,7 @@ def _digest(mission: Mission, spreads: Mapping[str, float], case: Mapping[str, s
 
 
 def items_of(asked: CampaignSpec, points: Sequence[Point]) -> Iterator[Item]:
-    """Return every flight, ordered by seed and then by point, so that a partial campaign is balanced."""
+    """Yield every flight by seed, then by point, so that a partial campaign covers all points evenly."""
     for seed in range(asked.seed, asked.seed + asked.runs):
         for point in points:
             yield Item(point.number, seed)
@@ -265,7 +266,7 @@ def campaign_of(asked: CampaignSpec, points: Sequence[Point]) -> Campaign:
 
 
 def difference(kept: Campaign, wanted: Campaign) -> str | None:
-    """Return the reason why `kept` cannot be resumed as `wanted`, or None if at most seeds were added."""
+    """Return why `kept` cannot be resumed as `wanted`; None if `wanted` is equal or only has more seeds."""
     a, b = kept.asked, wanted.asked
     for name, before, now in (
         ("the missions", a.missions, b.missions),

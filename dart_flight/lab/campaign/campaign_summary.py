@@ -46,7 +46,7 @@ _OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
 
 
 class FigureSpread(msgspec.Struct, frozen=True):
-    """The distribution of a flight's numerical result over the flights in which this result is known."""
+    """The distribution of one numerical result of a campaign. Flights without this result are left out."""
 
     flights: int
     median: float
@@ -88,13 +88,13 @@ class Drawn(msgspec.Struct, frozen=True):
 
 
 class FigureTrend(msgspec.Struct, frozen=True):
-    """A significant correlation, over the completed flights, of a figure with a drawn quantity.
+    """A significant correlation between a figure and a drawn quantity in the completed flights.
 
     Attributes:
         figure, name: names of the figure and of the drawn quantity.
         correlation: rank correlation (Spearman), -1 to 1.
-        p_value: probability that chance alone causes such a strong correlation with at least one of the tried
-            quantities (Bonferroni).
+        p_value: probability that, by chance alone, at least one of the tried quantities correlates so
+            strongly (Bonferroni).
         points: drawn quantity and figure of each of the first 400 flights.
     """
 
@@ -138,11 +138,11 @@ class GridPoint(msgspec.Struct, frozen=True):
 
 
 class DifferingQuantity(msgspec.Struct, frozen=True):
-    """A drawn quantity that differs between completed flights and the flights with one end cause.
+    """A drawn quantity that differs between completed flights and flights with the same end cause.
 
     Attributes:
         name: name of the quantity.
-        failed, completed: medians; for a word, the fraction of flights that drew the word.
+        failed, completed: median over the flights of each group; for a word, the fraction that drew the word.
         chance: probability that the quantity is higher in a failed flight than in a completed flight; 0.5
             means no difference.
     """
@@ -154,7 +154,7 @@ class DifferingQuantity(msgspec.Struct, frozen=True):
 
 
 class EndCause(msgspec.Struct, frozen=True):
-    """A cause of failure: the guard rule, or the first word of the reason."""
+    """A cause of failure: the reason up to its first colon, such as the name of a guard rule."""
 
     rule: str
     flights: int
@@ -192,7 +192,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         unexplained_modes: flights in which arms and lock were in different modes although no lock fault was
             drawn. If there are such flights, the campaign proves nothing.
         vary: standard deviations of the drawn quantities.
-        software: version that flew.
+        software: version of dart-flight that flew.
         vehicle: vehicle of the first mission and setting.
     """
 
@@ -459,7 +459,7 @@ def _end_causes(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[EndCa
 def _differing_quantities(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], names: Sequence[str]
 ) -> list[DifferingQuantity]:
-    """Return the drawn quantities that differ most between flights with one end cause and completed flights.
+    """Return the drawn quantities that differ most between completed flights and flights with an end cause.
 
     Args:
         ended: flights with this end cause.
@@ -502,7 +502,7 @@ def _separations(
 
 
 def _numbers(rows: Sequence[_SummaryRow], i: int, word: str | None) -> list[float]:
-    """Return a drawn quantity of each flight; for a word, 1 if the flight drew it and 0 otherwise."""
+    """Return a drawn quantity of each flight; with `word`, return 1 if the flight drew this word, else 0."""
     if word is not None:
         return [float(row.drawn[i] == word) for row in rows]
     return [value for row in rows if isinstance(value := row.drawn[i], float)]

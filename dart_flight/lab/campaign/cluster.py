@@ -36,7 +36,7 @@ def on_cluster(url: str) -> Engine:
     """Return an engine that flies on the workers of the scheduler at a URL (`tcp://host:8786`).
 
     Raises:
-        InputError: Dask's distributed is not installed.
+        InputError: the package `distributed` (Dask) is not installed.
     """
     try:
         import distributed  # noqa: F401, PLC0415
@@ -46,7 +46,7 @@ def on_cluster(url: str) -> Engine:
 
 
 def _work(url: str, flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrupt) -> Landings:
-    """Fly the items on the scheduler's workers, like `run.workers.work`.
+    """Fly the items on the scheduler's workers; `run.workers.work` does the same in local processes.
 
     Raises:
         FlightError: the scheduler does not answer or has no worker.

@@ -1,7 +1,6 @@
 """Flights with one fault each: the cells of the fault matrix, and random faults.
 
-The log of every flight is written and must be readable. `watched_flight` lists the other conditions of a
-controlled flight.
+A flight counts as controlled if its log is readable and the conditions in `watched_flight` hold.
 """
 
 from __future__ import annotations

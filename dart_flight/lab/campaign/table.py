@@ -1,7 +1,7 @@
 """The table of a campaign: a CSV file that survives Ctrl-C, SIGKILL, power loss and a full disk.
 
-Every row is written with one call and flushed to the disk about once a second. An incomplete last row, after
-a full disk or a power loss, is cut off and its flight is repeated.
+Every row is written with one call and flushed to the disk about once a second. A full disk or a power loss
+may leave an incomplete last row. This row is then removed, and its flight is repeated.
 """
 
 from __future__ import annotations
@@ -130,7 +130,8 @@ def flown_in(path: Path, keys: Sequence[str], points: Sequence[Point]) -> set[It
     """Return the flights that have a row.
 
     Raises:
-        InputError: as for `rows_in`, or a row belongs to no flight of this campaign, or is a duplicate.
+        InputError: the table cannot be read (`rows_in`), or a row is a duplicate or belongs to another
+            campaign.
     """
     numbers = {(point.path, *point.values): point.number for point in points}
     found: set[Item] = set()

@@ -1,10 +1,10 @@
-"""A fast flight that continues until landing, and the check that it stayed under control.
+"""A flight in the fast world that continues until landing, and the check that the vehicle stayed controlled.
 
 A flight is controlled if all of these conditions hold:
 
 * No exception escaped.
-* The mission or the guard landed and disarmed the vehicle, or PX4's failsafe did so after the program had
-  ended. Alternatively a pilot took over, and the vehicle holds still outside offboard mode.
+* The mission or the guard landed and disarmed the vehicle. If the program had ended, PX4's failsafe did this.
+  Alternatively a pilot took over, and the vehicle holds still outside offboard mode.
 * A flight that did not complete gives a reason. This is not required if the program itself hung or was
   killed.
 * The true motion stays within the limits of `dart_flight.recording.uncontrolled`.
@@ -45,7 +45,7 @@ def place_walls(
 
 
 class WatchedFlight:
-    """A fast flight, with the extremes of its true motion and the reasons why it is uncontrolled.
+    """A flight in the fast world, its extremes of the true motion, and the reasons why it is uncontrolled.
 
     Args:
         mission: the mission with the assumed walls.
@@ -77,7 +77,7 @@ class WatchedFlight:
         self.flight.autopilot.send_text = self._on_status_text
 
     def run(self) -> Verdict:
-        """Fly until the vehicle is down, or a pilot holds it, and return the verdict."""
+        """Fly until the vehicle has landed or a pilot holds the vehicle; return the verdict."""
         try:
             self.flight.run()
             self._run_out()

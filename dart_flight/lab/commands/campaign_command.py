@@ -116,7 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _requested_campaign(arguments: argparse.Namespace) -> Any:
-    """Return the specification from the command line; None if --resume uses the existing campaign's."""
+    """Return the specification from the command line; None if --resume alone continues a campaign."""
     from dart_flight.lab.campaign.campaign_spec import CampaignSpec, Keep, parse_grid
 
     given = {

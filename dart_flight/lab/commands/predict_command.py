@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _from_ratios(arguments: argparse.Namespace) -> int:
-    """Predict the outgoing speeds from restitution and tangential ratio; all other fields are null."""
+    """Predict the outgoing speeds from restitution and tangential ratio; other fields are null."""
     from dart_flight.lab.predict import prediction
 
     if arguments.restitution is None:

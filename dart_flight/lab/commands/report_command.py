@@ -39,7 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the page and return 0, also for a log that was cut."""
+    """Write the page and return 0, even if a log was cut."""
     from dart_flight.lab.report.page import comparison_page, flight_page
     from dart_flight.lab.report.recorded_flight import RecordedFlight
 

@@ -18,12 +18,12 @@ class Estimate(NamedTuple):
 
     @classmethod
     def about(cls, value: float, half: float, least: float = -math.inf, most: float = math.inf) -> Estimate:
-        """Return `value` with the interval `value` +- `half`, all clipped to `least` and `most`."""
+        """Return `value` with the interval `value` +- `half`, both clipped to the range `least` to `most`."""
         return cls(*(min(max(v, least), most) for v in (value, value - half, value + half)))
 
 
 class SetAside(NamedTuple):
-    """Number of samples that a fit ignores in its window.
+    """Numbers of samples in the window of a trial's fit.
 
     Attributes:
         free: ignored samples in free flight. They deviate by more than five standard deviations.
@@ -45,7 +45,7 @@ class TrialFit(NamedTuple):
         onset_s: time of the onset in the recording.
         normal_m_s, tangential_m_s: velocity at the onset.
         samples_in_contact: number of position samples in contact.
-        push_m_s2: acceleration by the controller along the normal, before and after the contact; 0 if free
+        push_m_s2: controller's acceleration along the normal before and after the contact; (0, 0) if free
             flight was straight.
         used: `samples` if the samples were fitted, `whole` if only speeds, peak and duration were used.
         normal_out_m_s, tangential_out_m_s: velocity after the contact, measured without a contact law.
@@ -53,7 +53,7 @@ class TrialFit(NamedTuple):
         force_delay_s: delay of the force samples' clock relative to the position samples' clock; None if
             forces or positions were not recorded.
         misfit: ratio of the residual in contact to the noise in free flight, for the worst channel.
-        set_aside: samples that the fit ignores.
+        set_aside: numbers of ignored samples.
     """
 
     name: str
@@ -113,8 +113,8 @@ class HeldOut(NamedTuple):
         hits: number of predicted hits.
         law: errors of the paper's law; None if the hits do not determine the law's coefficients.
         baselines: baseline -> errors; each baseline predicts only one of the two quantities.
-        scatter: errors if each hit is predicted from the median of all hits at its speed; None if no speed
-            was repeated.
+        scatter: errors of a prediction of each hit from the median of all hits at its speed; None if no speed
+            has three hits.
         earned: whether the law predicts better than the baselines in every assessable quantity.
         sentence: the comparison as a sentence.
     """
@@ -133,10 +133,10 @@ class FitQuality(NamedTuple):
     """The assessment of a fit.
 
     Attributes:
-        good: whether no residual exceeds its expectation; None if nothing can be assessed.
+        good: False if a residual exceeds its limit in `expected`; None if nothing can be assessed.
         expected: quantity -> largest residual of a good fit, in the unit of the quantity.
-        says: a sentence for each quantity whose residual exceeds its expectation; the sentence also states
-            what to check.
+        says: a sentence for each quantity whose residual exceeds its limit; the sentence also states what to
+            check.
     """
 
     good: bool | None
@@ -156,8 +156,8 @@ class Identification(NamedTuple):
         trials: fit of each trial.
         vertical_side: direction of the vertical force: 1 along `vertical_m`, -1 against it, None if unknown.
         notes: remarks for the reader, in sentences.
-        restitution: mode -> outgoing over incoming speed, along the normal.
-        tangential_ratio: mode -> outgoing over incoming velocity along the wall.
+        restitution: mode -> outgoing speed / incoming speed along the normal.
+        tangential_ratio: mode -> outgoing velocity / incoming velocity along the wall.
         held_out: mode -> prediction errors on held-out hits.
         fit: assessment of the fit.
     """

@@ -35,13 +35,12 @@ _COEFFICIENTS = ("k", "f", "mu", "nu")
 
 
 def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identification:
-    """Identify the coefficients of each mode from trials at one plane (paper, Sec. IV-B and V-A).
+    """Identify the coefficients of each mode from trials (paper, Sec. IV-B and V-A).
 
     Args:
-        trials: recordings. All trials are at the same plane, and trials of one mode have the same
-            coefficients.
+        trials: recordings. All trials hit the same plane, and trials of one mode have the same coefficients.
         mass_kg: vehicle mass.
-        onset: onset rule of the fitted model; k and f depend on it slightly.
+        onset: onset rule of the fitted model; the rule affects k and f slightly.
 
     Raises:
         InputError: SciPy is missing, or a trial cannot be used; the error names the trial and the reason.
@@ -82,7 +81,7 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
 def _fit_samples(
     trials: Sequence[Trial], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
 ) -> SampleResult:
-    """Fit the samples of the trials whose positions show the contact."""
+    """Fit the samples of the trials that have enough position samples in contact."""
     positions = [i for i, trial in enumerate(trials) if hits[i].turn is not None and trial.position_measured]
     # With slow sampling the measured extent of the hit, widened to whole samples, decides. With fast sampling
     # that extent begins too late, so the fit decides.

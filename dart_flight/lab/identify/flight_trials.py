@@ -25,11 +25,11 @@ ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
     """Return the planned collisions of a flight as trials, by material.
 
-    `material` and `mode` restrict the collisions. If the age of the motion capture's poses is known, the
-    positions are these poses. Otherwise the positions are PX4's estimate, which smooths the velocity change
-    of a contact. The force is the flight core's estimate. All series are in the wall's collision frame and on
-    the autopilot's clock. If a probe searched for the wall, the contact's measurement gives the plane;
-    otherwise the mission gives the plane. The log gives the vehicle.
+    `material` and `mode` select the collisions; None and `UNLABELLED` select all. If the age of the motion
+    capture's poses is known, the positions are those of the poses. Otherwise they are PX4's estimate, which
+    smooths the velocity change of a contact. The force is the flight core's estimate. All series are in the
+    wall's collision frame and on the autopilot's clock. The wall's plane comes from the mission, or from the
+    contact if a probe searched for the wall. The vehicle comes from the log.
 
     Raises:
         InputError: the log does not contain its mission.
@@ -100,7 +100,8 @@ def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> lis
     If `material` is None, all collisions of the flight must be with the same material.
 
     Raises:
-        InputError: the collisions are with several materials; `MissingDataError` if there is no collision.
+        InputError: the collisions are with several materials.
+        MissingDataError: there is no collision.
     """
     by_material = trials_of(log, material, mode)
     if not by_material:

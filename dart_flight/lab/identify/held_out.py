@@ -39,7 +39,9 @@ def speed_groups(speed: Array) -> NDArray[np.intp]:
 
 
 def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> HeldOut:
-    """Predict the hits of each speed (or each hit, if all have one speed) from a fit to the other hits.
+    """Predict the hits at each speed from a fit to the hits at other speeds, and return the errors.
+
+    If all hits have the same speed, predict each hit from the other hits.
 
     Args:
         hits: hits of one mode.
@@ -83,13 +85,13 @@ def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> He
 def _errors(
     table: HitTable, folds: NDArray[np.intp], by: Callable[[HitTable, HitTable], tuple[Array, Array]]
 ) -> Errors:
-    """Return the errors of a prediction on held-out hits.
+    """Return the errors of the function `by` on held-out hits.
 
     Args:
         table: the hits.
         folds: number of the fold of each hit. The hits of a fold are predicted from the other hits.
-        by: function of the known hits and the held-out hits; it predicts the latter's peaks and outgoing
-            speeds.
+        by: called with the known hits and the held-out hits; returns the predicted peaks and outgoing speeds
+            of the held-out hits.
     """
     peak, out = np.empty(folds.size), np.empty(folds.size)
     for fold in np.unique(folds):
@@ -100,7 +102,7 @@ def _errors(
 def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
     """Predict peak and outgoing speed in proportion to the incoming speed.
 
-    The factors are the median ratios of the known hits. Without known ratios, the prediction is NaN.
+    The factors are the median ratios of the known hits. If no hit has a ratio, the prediction is NaN.
     """
     ratios = (median(values / known.speed_in) for values in (known.peak, known.speed_out))
     peak, out = ((math.nan if ratio is None else ratio) * held.speed_in for ratio in ratios)
@@ -108,9 +110,9 @@ def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
 
 
 def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
-    """Return the errors if each hit is predicted from the median of all hits at its speed.
+    """Return the errors of a prediction of each hit from the median of all hits at its speed.
 
-    No law has smaller errors.
+    A law that depends only on the speed cannot have smaller errors.
     """
     peak, out = np.full(groups.size, math.nan), np.full(groups.size, math.nan)
     for group in np.unique(groups):
@@ -122,7 +124,7 @@ def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
 
 
 def _compare(law: Errors, ratios: Errors, words: str) -> tuple[bool, str]:
-    """Return whether the law has smaller errors in every assessable quantity; also the result in words."""
+    """Return whether the law has smaller errors in every assessable quantity, and a sentence on this."""
     named = zip(("peak force", "outgoing speed"), (FORCE_PROPORTIONAL, CONSTANT_RESTITUTION), strict=True)
     judged = [
         (name, mine, base)

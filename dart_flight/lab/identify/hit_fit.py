@@ -1,7 +1,7 @@
 """Fit of k and f to the measurements of whole hits: outgoing speed, peak force, duration and depth.
 
-If the paper's law does not describe a contact, a fit of the law to the samples gives a wrong peak. The fit
-of this module therefore ignores the samples and uses the quantities that a prediction needs.
+If the paper's law does not describe a contact, a fit of the law to the samples gives a wrong peak. This fit
+therefore ignores the samples and uses the quantities that the law must predict.
 """
 
 from __future__ import annotations
@@ -85,13 +85,13 @@ class HitTable(NamedTuple):
 
 
 def median(values: Array) -> float | None:
-    """Return the median of the finite values, or None without any."""
+    """Return the median of the finite values; None if no value is finite."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if finite.size else None
 
 
 def predict(k: float, f: float, hits: HitTable, mass_kg: float, onset: Onset) -> WallHit[Array]:
-    """Predict the hits from their incoming speeds by the law."""
+    """Apply the law to the incoming speeds of the hits, and return the predicted hits."""
     zero = np.zeros_like(hits.speed_in)
     push = hits.acceleration if hits.acceleration.any() else None
     coefficients = CoefficientArrays(zero + k, zero + f, zero, zero)
@@ -137,7 +137,7 @@ class HitFit:
         return np.nan_to_num(np.concatenate(parts))
 
     def residuals(self, theta: Array) -> Array:
-        """Return the weighted errors of the hits, followed by the prior."""
+        """Return the weighted errors of the hits, then the residuals of the prior."""
         errors = self._counts * (self._errors(theta) - self._moved)
         return np.concatenate((errors, (theta - self._start) / _PRIOR_SD))
 
@@ -148,7 +148,7 @@ class HitFit:
     def reweight(self, theta: Array) -> None:
         """Replace the errors by Huber's pseudo-values.
 
-        A least-squares fit to the pseudo-values has the solution and the covariance of Huber's robust fit.
+        A least-squares fit to the pseudo-values gives the same solution and covariance as Huber's robust fit.
         """
         errors = self._errors(theta).reshape(4, -1)
         inside = (np.abs(errors) <= self.robust_from) & self._known
@@ -158,7 +158,7 @@ class HitFit:
         self._moved = (errors - pseudo).ravel()
 
     def variance(self, theta: Array) -> float:
-        """Return 1, because the assumed deviations are errors of the law, which more hits do not reduce."""
+        """Return 1: the assumed deviations are errors of the law, and more hits do not reduce them."""
         return 1.0
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:

@@ -25,13 +25,13 @@ FLIGHT_LOG = ".mcap"
 
 
 class IdentifyResult(NamedTuple):
-    """The trials, the result of their identification, and the vehicle used for it.
+    """The trials, the coefficients identified from them, and the vehicle that the fit used.
 
     Attributes:
         trials: the trials as read.
         found: the result of the fit.
         vehicle: the vehicle whose mass, modes and onset rule were used.
-        flown: the vehicle that the logs contain, with its source; None if the given vehicle is the same.
+        flown: the vehicle in the logs, with its source, if it replaced the given vehicle; otherwise None.
         mass_kg, onset: mass and onset rule used in the fit.
     """
 
@@ -130,7 +130,7 @@ def _alike(first: VehicleConfig, other: VehicleConfig) -> bool:
 
 
 def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> LoadedVehicle | None:
-    """Return the vehicle that flew if it differs from the given one.
+    """Return the logged vehicle if its mass, modes or onset rule differ from those of `vehicle`, else None.
 
     Raises:
         InputError: the trials are of different vehicles.

@@ -1,4 +1,4 @@
-"""The joint fit of the law to the samples of all trials that show their contact, and its result."""
+"""The joint fit of the law to the samples of several trials, and the result of this fit."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def solve(
 
 
 def _is_curved(fit: SampleFit, theta: Array) -> bool:
-    """Return whether free flight before or after any wall hit is more curved than noise explains."""
+    """Return whether free flight before or after any wall hit curves more than the noise explains."""
     for i, trial in enumerate(fit.trials):
         if trial.acceleration_m_s2 != 0.0:
             continue
@@ -96,7 +96,7 @@ def _is_curved(fit: SampleFit, theta: Array) -> bool:
 
 @dataclass
 class SampleResult:
-    """The result of a fit of samples, part of `Identification`; empty if no trial shows its contact.
+    """The result of a fit of samples, part of `Identification`; empty if all trials have too few samples.
 
     Attributes:
         trials: index of a trial among the trials given to `identify` -> fit of this trial.
@@ -117,7 +117,7 @@ def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResul
 
     Args:
         fit, theta: the fit and its parameters.
-        places: index of each of the fit's trials among the trials given to `identify`.
+        places: for each fitted trial, its index among the trials given to `identify`.
     """
     halves = half_widths(fit, theta)
     plane_m = Estimate.about(float(theta[0]), float(halves[0]))
@@ -187,7 +187,7 @@ def _residuals(fit: SampleFit, theta: Array) -> dict[str, float]:
 
 
 def _misfit(fit: SampleFit, theta: Array, i: int) -> tuple[float | None, str]:
-    """Return the largest ratio of the residual in contact to the noise, and its channel."""
+    """Return the ratio of residual in contact to noise of the worst channel, and this channel's name."""
     worst: float | None = None
     channel = ""
     window = fit.windows[i]

@@ -52,11 +52,11 @@ class MeasuredImpact:
         contact_s: duration of the contact.
         compression_m: largest displacement into the wall since first touch.
         acceleration_m_s2: acceleration along the normal without a contact, -9.81 in a drop.
-        begin_s, end_s: start and end of the contact in the recording, widened to whole samples.
+        begin_s, end_s: start and end of the contact in the recording, rounded outwards to samples.
         samples_in_contact: position samples in this interval.
         clipped: whether the sensor saturated, so that the peak is unknown.
         notes: remarks for the reader, in sentences.
-        turn: the turn from approach to departure in the recorded positions.
+        turn: reversal from approach to departure in the recorded positions.
     """
 
     name: str
@@ -230,7 +230,7 @@ def _extent(
 def _tangential_velocities(
     trial: Trial, begin: float, end: float
 ) -> tuple[float | None, float | None, float]:
-    """Return the velocities along the wall before and after contact, and the larger of their deviations."""
+    """Return the velocities along the wall before and after contact, and the larger standard deviation."""
     for name, slope in (("tangential_m", True), ("tangential_m_s", False)):
         if name not in trial.series:
             continue
@@ -259,7 +259,7 @@ class _ForcePulse:
 
 
 def _measure_force(trial: Trial, begin: float, end: float) -> _ForcePulse:
-    """Return peak and duration of the measured normal force, near a contact found in the positions."""
+    """Return peak and duration of the measured normal force, around the contact from `begin` to `end`."""
     if "normal_force_n" not in trial.series:
         return _ForcePulse()
     time, value = trial.series["normal_force_n"]
@@ -317,7 +317,10 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
 
 
 def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
-    """Measure a drop by accelerometer readings along the normal: rest, fall, pulse, flight, next pulse."""
+    """Measure a drop from accelerometer readings along the normal.
+
+    The readings show rest, fall, the pulse of the contact, flight, and the next pulse.
+    """
     if trial.acceleration_m_s2 >= 0.0:
         raise InputError(
             "an accelerometer alone does not give the impact speed at a wall; record normal_m or normal_m_s, "
@@ -367,10 +370,10 @@ def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
 
 
 def _find_pulse(time: Array, value: Array, noise: float, name: str) -> int:
-    """Return the first sample of the pulse after free fall, or else of a pulse above 3 g.
+    """Return the index of the first sample of the contact's pulse.
 
-    The pulse of a soft drop hardly exceeds 1 g. The sensor also reads 1 g while the vehicle is held. The
-    samples before the pulse must therefore show free fall, unless the pulse exceeds 3 g.
+    The pulse of a soft drop hardly exceeds 1 g, and the sensor also reads 1 g while the vehicle is held. The
+    pulse must therefore follow free fall. If no pulse follows free fall, a pulse above 3 g is accepted.
     """
     largest = float(value.max())
     strong = np.flatnonzero(value > max(0.1 * largest, 15.0 * noise))
@@ -455,7 +458,7 @@ def _fall(time: Array, reading: Array, begin_at: int, noise: float) -> float | N
 
 
 def _bounce(time: Array, reading: Array, end_at: int, threshold: float) -> float | None:
-    """Return the rebound speed, computed from the time until the next contact; None if not found."""
+    """Return the rebound speed, from the time until the next contact; None if this time is unknown."""
     later = np.flatnonzero((np.abs(reading) > threshold) & (time > time[end_at] + _BRIDGED_S))
     if not later.size:
         return None

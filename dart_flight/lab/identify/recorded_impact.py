@@ -78,7 +78,7 @@ def find_impact(trial: Trial) -> TrialImpact:
     """Find the first strong turn from approach to departure in a recording of any length.
 
     Raises:
-        InputError: there is no impact, or its position or speed is too large for the units metre and second.
+        InputError: there is no impact, or its position or speed is implausible, as if a unit were wrong.
     """
     refuse_unusable(trial)
     time, value = trial.normal
@@ -150,7 +150,7 @@ def deviation_of(errors: Array) -> float:
 
 
 def noise_of(series: Series) -> float:
-    """Return the standard deviation of white noise on smooth motion, from third differences."""
+    """Return the standard deviation of the white noise in a series; third differences remove the motion."""
     if series.value.size < 8:
         return 1e-3
     third = np.diff(series.value, 3)

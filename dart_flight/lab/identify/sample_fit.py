@@ -6,8 +6,9 @@ of the mode. Every trial has its own onset time and approach velocity. A trial w
 also has a clock delay. The law is the paper's closed form in time (`dart_flight.lab.predict.path`): free
 flight, contact, free flight.
 
-In real flights the controller accelerates the vehicle before and after a wall contact. If the recordings show
-such curvature, every wall hit gets three unknown constant accelerations: before, in and after the contact.
+In real flights the controller accelerates the vehicle before and after a wall contact. If this curves the
+recorded free flight, every wall hit gets three unknown constant accelerations: before, in and after the
+contact.
 Otherwise straight flight is assumed, because fewer unknowns are determined more accurately.
 """
 
@@ -70,7 +71,7 @@ class Parameters:
             self.size += len(names)
 
     def mode_indices(self, mode: str) -> dict[str, int]:
-        """Return where the unknowns of a mode are in the vector of unknowns: log k, log f, mu, nu."""
+        """Return the indices of a mode's unknowns (log k, log f, mu, nu) in the parameter vector."""
         first = 1 + 4 * self.modes.index(mode)
         return {name: first + i for i, name in enumerate(("k", "f", "mu", "nu"))}
 
@@ -103,7 +104,7 @@ class SampleFit:
     """The `LawProblem` of the samples of several trials.
 
     Args:
-        trials: trials whose positions show the contact.
+        trials: trials with enough position samples in contact.
         hits: hits of the trials, in the same order.
         mass_kg, onset: as for `identify`.
         pushed: whether the fit also estimates constant accelerations before, in and after each wall contact.
@@ -168,7 +169,7 @@ class SampleFit:
 
     @staticmethod
     def _pushed(theta: Array, own: dict[str, int], name: str, since: Array, end_s: float) -> Array:
-        """Return the contribution of the controller's accelerations outside the contact to a channel."""
+        """Return the effect on a channel of the controller's accelerations before and after the contact."""
         late, early = np.maximum(since - end_s, 0.0), np.minimum(since, 0.0)
         after, before = theta[own[f"{name[0]}_after"]], theta[own[f"{name[0]}_before"]]
         if name.startswith("n"):  # the contact's shape already includes its own acceleration
@@ -183,7 +184,7 @@ class SampleFit:
         return np.concatenate([counts[name] * error / self.sd[name] for name, error in errors.items()])
 
     def prior(self, theta: Array) -> Array:
-        """Return the residuals of the priors on the plane's position and, weakly, on the coefficients."""
+        """Return the residuals of the priors on plane, coefficients (weak), accelerations and delays."""
         weak = []
         for mode in self.parameters.modes:
             at = self.parameters.mode_indices(mode)
@@ -216,13 +217,13 @@ class SampleFit:
         return np.concatenate([*blocks, prior])
 
     def span(self, theta: Array, i: int) -> tuple[float, float, ContactMotion]:
-        """Return onset and release of trial i by the law, as times in the recording, and the contact."""
+        """Return (onset, release, contact) of trial i by the law; both times count as in the recording."""
         contact = self.contact(theta, i)
         begin = float(theta[self.parameters.own[i]["onset"]])
         return begin, begin + (contact.end_s if math.isfinite(contact.end_s) else 0.3), contact
 
     def in_contact(self, theta: Array, i: int) -> int:
-        """Return the number of samples of trial i that show the contact's shape."""
+        """Return the number of samples of trial i between the fitted onset and release."""
         begin, end, _ = self.span(theta, i)
         return self.trials[i].samples_between(begin, end)
 

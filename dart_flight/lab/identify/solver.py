@@ -1,11 +1,10 @@
 """The solver of all fits of the law, and the intervals of its unknowns.
 
 A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns.
-The intervals hold even if the law is wrong. Every unknown has two standard deviations. The statistical
-deviation follows from the information of data and priors, and holds if the law is right. The resampled
-deviation describes, to first order, how the estimate changes if the data are resampled. If the interval of
-the resampled deviation is wider than chance explains, this interval is used. Otherwise the interval of the
-statistical deviation is used.
+The intervals hold even if the law is wrong. Every unknown has two intervals. The statistical interval follows
+from the assumed deviations of data and priors, and holds if the law is right. The resampled interval follows
+from the change of the estimate, to first order, if the data are resampled. If the resampled interval is wider
+than chance explains, it is used. Otherwise the statistical interval is used.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class LawProblem(Protocol):
         """Replace the weights of the data by weights from their residuals."""
 
     def variance(self, theta: Array) -> float:
-        """Return the ratio of the data's variance to the variance that the assumed deviations would give."""
+        """Return the actual variance of the data, relative to the variance that the weights assume."""
 
     def resampling_groups(self) -> Sequence[NDArray[np.intp]]:
         """Return the groups of rows that are resampled together."""
@@ -74,7 +73,7 @@ def descend(problem: LawProblem, theta: Array, losses: Sequence[str]) -> Array:
 
 
 def difference(theta: Array, j: int, function: Callable[[Array], Array]) -> Array:
-    """Return the derivative with respect to unknown `j`, by central differences."""
+    """Return the derivative of `function` with respect to unknown `j`, by central differences."""
     h = 1e-6 * max(1.0, abs(float(theta[j])))
     up, down = theta.copy(), theta.copy()
     up[j] += h
@@ -84,7 +83,7 @@ def difference(theta: Array, j: int, function: Callable[[Array], Array]) -> Arra
 
 
 def covariance(jacobian: Array) -> Array:
-    """Return the covariance of all unknowns, the inverse information of data and priors."""
+    """Return the covariance of all unknowns: the inverse of J^T J, if J is the Jacobian."""
     scale = np.sqrt(np.sum(jacobian**2, axis=0))
     scale[scale == 0.0] = 1.0
     inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-14, hermitian=True)

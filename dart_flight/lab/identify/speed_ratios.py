@@ -56,7 +56,7 @@ def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
 
 
 def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpact, float, float]]:
-    """Yield each hit with motion along the wall, and the velocities along the wall before and after it."""
+    """Yield each hit with motion along the wall, with the velocities along the wall before and after."""
     for h in hits:
         before, after = h.tangential_in_m_s, h.tangential_out_m_s
         if before is None or after is None:
@@ -66,7 +66,7 @@ def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpa
 
 
 def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """Return the ratio of the velocities along the wall after and before a hit.
+    """Return the velocity along the wall after a hit, divided by this velocity before the hit.
 
     The ratio is negative if the vehicle reverses along the wall. The result is None if no hit has
     motion along the wall.
@@ -81,7 +81,8 @@ def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
 def friction(hits: Sequence[MeasuredImpact]) -> Estimate | None:
     """Return the paper's mu from the speeds before and after hits.
 
-    mu is ln(in / out) of the velocities along the wall, divided by the change of the normal velocity.
+    mu = ln(v_in / v_out) / dv, with the velocities v_in and v_out along the wall before and after the hit,
+    and the change dv of the normal velocity.
     """
     pairs = []
     for h, before, after in _sliding_hits(hits):

@@ -1,4 +1,4 @@
-"""Synthetic trials with sensor noise, as a laboratory would record them, from known coefficients."""
+"""Trials simulated from known coefficients, with the sampling and the noise of a laboratory's sensors."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def drop_trial(
 
 
 def write_csv(trial: Trial, path: Path) -> None:
-    """Write a trial in the format that `dart-flight identify` reads (all series at the same times)."""
+    """Write a trial as a CSV file for `dart-flight identify`; all series must have the same times."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["time_s", *trial.series])

@@ -27,11 +27,11 @@ _TURNS = 0.1  # ratio from which the rotation is reported
 def widen_intervals(
     found: dict[str, Estimate | None], trials: Sequence[Trial], hits: Sequence[MeasuredImpact]
 ) -> tuple[dict[str, Estimate | None], list[str]]:
-    """Return coefficients with intervals widened for this kind of recording, and notes.
+    """Widen the intervals of coefficients by the systematic errors of the trials; return notes, too.
 
     Args:
         found: k, f, mu, nu of one mode.
-        trials: the trials they are fitted to.
+        trials: the trials to which the coefficients are fitted.
         hits: hits of these trials, in the same order.
     """
     shares = {name: max(trial.allowance.get(name, 0.0) for trial in trials) for name in found}

@@ -75,7 +75,7 @@ def _acceleration(reading: TrialReading) -> float:
 
 
 def read_csv(path: Path, reading: TrialReading) -> list[Trial]:
-    """Read a CSV file with a header: `time_s`, `normal_m`, and any of `COLUMNS`.
+    """Read a CSV file whose header contains `time_s`, one of `_ANY_OF`, and any others of `COLUMNS`.
 
     An empty cell means that the column has no sample at this time.
 
@@ -238,7 +238,7 @@ def read_flight(path: Path, reading: TrialReading) -> list[Trial]:
     """Return the collisions of a flight log as trials.
 
     Raises:
-        InputError: as for `trials_at_one`, or drops are requested: no mission contains drops.
+        InputError: `trials_at_one` fails, or drops are requested (a flight log contains no drops).
     """
     if reading.drop:
         raise InputError(

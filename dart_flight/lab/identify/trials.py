@@ -45,9 +45,9 @@ class Trial:
 
     Attributes:
         name: name for messages, usually the file.
-        series: series by column name (`COLUMNS`); rates may differ. A trial has the column `normal_m`. A
-            trial from an accelerometer alone has the column `specific_force_m_s2` instead, along the outward
-            normal (in a drop: up).
+        series: series by column name (`COLUMNS`); rates may differ. A trial has the column `normal_m`. If
+            only an accelerometer recorded the trial, this column is replaced by `specific_force_m_s2`,
+            positive along the outward normal (in a drop: up).
         mode: `rigid`, `flexible` or `unlabelled`.
         acceleration_m_s2: acceleration along the normal in free flight: 0 at a wall, -9.81 in a drop.
         height_m: height of a drop, if known.
@@ -78,9 +78,9 @@ class Trial:
         return self.series["normal_m"]
 
     def samples_between(self, begin_s: float, end_s: float) -> int:
-        """Return the number of position samples or of normal force samples between two times.
+        """Return the number of samples between two times.
 
-        The result is the larger of the two numbers.
+        If the trial has positions and normal forces, return the larger of their numbers.
         """
         shown = [self.series[name].time_s for name in ("normal_m", "normal_force_n") if name in self.series]
         return max(int(np.sum((time >= begin_s) & (time <= end_s))) for time in shown)
@@ -122,9 +122,9 @@ class TrialReading:
 
 
 def without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
-    """Leave out velocities differenced from positions, and dead channels.
+    """Remove dead channels, and velocities that were computed from the positions; return notes, too.
 
-    Differenced velocities would count the positions twice. Dead channels seem to have no noise and would
+    Computed velocities would count the positions twice. Dead channels seem to have no noise and would
     dominate the fit.
     """
     kept, notes = [], []

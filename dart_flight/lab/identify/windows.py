@@ -1,10 +1,11 @@
 """Selection and weights of the samples in a fit.
 
 A window has two parts. In *free flight*, a sample that deviates by more than five standard deviations is a
-recording error and is ignored. In *contact*, that test would be wrong, because most large deviations there
-are errors of the law. The contact therefore has its own scale, estimated from its own residuals. Outlying
-samples of the contact get smaller weights (Huber). A sample in contact is set aside only if the samples
-before and after it fit well. At most a tenth of a contact is set aside, and the number is reported.
+recording error and is ignored. In *contact*, this test would ignore good samples, because most large
+deviations are errors of the law. The contact therefore has its own scale, estimated from its own residuals.
+Outlying samples of the contact get smaller weights (Huber). A sample in contact is set aside only if the
+samples before and after it fit well. At most a tenth of a contact's samples is set aside, and a note gives
+their number.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ class TrialWindow(NamedTuple):
         series: the samples.
         counts: weight of each residual. Weight 0 ignores the sample, weight 1 assumes the noise of free
             flight.
-        contact: mask of the samples in contact. A sample is in contact if the law or the measurement without
-            a law (`measured_impacts`) says so.
+        contact: mask of the samples in contact: in the contact that the law predicts, or in the contact that
+            `measured_impacts` measured without a law.
     """
 
     series: dict[str, Series]
@@ -105,7 +106,7 @@ def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float
 
 
 def _spikes(size: Array, contact: Mask, scale: float) -> NDArray[np.intp]:
-    """Return the contact's outliers between good neighbours, the worst first, to be set aside."""
+    """Return the samples in contact to set aside: outliers between good neighbours, the worst first."""
     far = contact & (size > _SPIKE * scale)
     near = size <= _HUBER * scale
     before = np.concatenate(([True], near[:-1]))

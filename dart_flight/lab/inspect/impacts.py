@@ -58,7 +58,7 @@ class InspectedImpact(msgspec.Struct):
         direction_deg: direction of the force, clockwise from north.
         clipped: whether the accelerometer saturated, so that the peak is a lower bound.
         kind: `impact`, or one of the following. `touch-down`: PX4 reports a landing shortly after the impact.
-            `crash`: the impact ends a fall, or follows such an impact within seconds. `untold`: a manoeuvre
+            `crash`: the impact ends a fall, or follows a crash within 3 s. `untold`: a manoeuvre
             cannot be excluded. There are three possible reasons: the peak is below four standard deviations,
             the vehicle has crashed before, or the vehicle does not hover and its thrust is unknown
             (`is_thrust_known`).
@@ -79,7 +79,7 @@ class InspectedImpact(msgspec.Struct):
 
 
 class Estimated(NamedTuple):
-    """A force estimate with the thrust that it assumes.
+    """A force estimate, and the thrust that the estimate assumes.
 
     Attributes:
         force: the estimate.
@@ -480,7 +480,7 @@ def _height(track: Track, t_s: float) -> float | None:
 def _is_certain(impact: InspectedImpact, thrust_known: bool, known_s: Array) -> bool:
     """Return whether an impact is certainly a contact.
 
-    The peak must be at least four of its standard deviations, and no manoeuvre may explain the peak. If the
+    The peak must be at least four times its standard deviation, and no manoeuvre may explain the peak. If the
     thrust is unknown, hover thrust is assumed. The log must then show that the vehicle hovers, or the peak
     must exceed 5 g.
     """

@@ -25,7 +25,7 @@ def inspect_file(path: str | Path, vehicle: VehicleConfig, mass_kg: float | None
 
     Args:
         path: a ULog of PX4 1.9 or later.
-        vehicle: supplies thresholds and estimator settings; the thresholds refer to its mass.
+        vehicle: supplies the estimator settings and the thresholds, which hold for this vehicle's mass.
         mass_kg: mass of the vehicle that flew, or None if unknown.
 
     Raises:

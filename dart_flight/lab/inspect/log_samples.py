@@ -23,9 +23,8 @@ Sample = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 def samples_of(track: Track, curve: SpecificThrust | None, motors: int) -> Iterator[Sample]:
     """Yield the samples of a log in the order of their stamps.
 
-    The gyro propagates the logged attitude, so that every IMU sample has an attitude sample. All `motors`
-    get the same command: the collective command, converted by the curve and interpolated between logged
-    values.
+    The gyro propagates the logged attitude, so that every IMU sample has an attitude sample. Every motor gets
+    the collective command, which is converted by the curve and interpolated between logged values.
     """
     stamps, attitude_us = _us(track.imu_s), _us(track.attitude_s)
     f, rate, q = track.specific_force, track.rate, track.q

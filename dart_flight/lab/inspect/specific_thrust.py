@@ -1,4 +1,4 @@
-"""Specific thrust and drag of an unknown vehicle, fitted from its own log."""
+"""Specific thrust and drag of an unknown vehicle, fitted to the vehicle's own log."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
     """Fit the specific thrust, as a function of the motor commands, to the quiet segments of a flight.
 
     Returns:
-        The curve, or the reason for having none.
+        The curve, or the reason why there is no curve.
     """
     lag = vehicle.thrust.motor_lag_s
     points = quiet_points(track, 1.0, lag)

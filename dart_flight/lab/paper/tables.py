@@ -192,7 +192,7 @@ def dual_rows(vehicle: VehicleConfig) -> Iterator[DualRow]:
 
 
 class FlightRow(NamedTuple):
-    """Peaks of the collision in flight; accelerations are force over mass."""
+    """Peak forces of the paper's collision in flight, and the same forces divided by the mass."""
 
     mode: Mode
     onset: Onset

@@ -52,7 +52,8 @@ def _nodes() -> _Nodes:
 class _Integral:
     """The integral and the double integral of a function, from time 0 to any time.
 
-    Quadrature computes the integrals from 0 to `end`. Outside of this interval the function is constant.
+    Quadrature computes the integrals from 0 to `end`. Before 0 the function equals `before`, after `end` it
+    equals `after`.
     """
 
     def __init__(self, function: Callable[[Array], Array], end: float, before: float, after: float) -> None:
@@ -98,8 +99,7 @@ class _Integral:
     def _outside(self, t: Array) -> tuple[Array, Array]:
         """Return two arrays: the time relative to the onset, and the time since the end of the contact.
 
-        The first array is negative before the onset and 0 after the onset. The second array is 0 until the
-        end of the contact.
+        The first array is min(t, 0). The second array is 0 until the end of the contact.
         """
         return np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)
 
@@ -192,7 +192,7 @@ class ContactMotion:
     def rise(self, time_s: ArrayLike) -> Array:
         """Return the velocity in m/s that the vertical force causes.
 
-        The velocity is positive along the force. It holds for a coefficient nu of 1 N and scales with nu.
+        The velocity is positive along the force. It holds for nu = 1 N and is proportional to nu.
         """
         t = np.asarray(time_s, dtype=float)
         return self._raised.once(t) if self.has_contact else np.zeros_like(t)
@@ -200,7 +200,7 @@ class ContactMotion:
     def lift(self, time_s: ArrayLike) -> Array:
         """Return the displacement in m that the vertical force causes.
 
-        The displacement is positive along the force. It holds for a coefficient nu of 1 N and scales with nu.
+        The displacement is positive along the force. It holds for nu = 1 N and is proportional to nu.
         """
         t = np.asarray(time_s, dtype=float)
         return self._raised.twice(t) if self.has_contact else np.zeros_like(t)
@@ -252,7 +252,7 @@ def trajectory(
 
     Args:
         contact: the hit.
-        time_s: times since the onset (n,), s; negative before it.
+        time_s: times since the onset (n,), s; negative before the onset.
         tangential_m_s: velocity along the wall at the onset.
         vertical_sign: sign of the vertical force along Z of the collision frame. -1 is the paper's sign.
     """

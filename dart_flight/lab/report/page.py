@@ -1,7 +1,7 @@
 """The pages of one flight, and of several flights of one mission: the values that the templates print.
 
-The page of one flight contains a script that animates the flight. If the browser runs no scripts, the page
-lacks the animation and nothing else.
+The page of one flight contains a script that animates the flight. If the browser runs no scripts, only the
+animation is missing.
 """
 
 from __future__ import annotations
@@ -384,8 +384,8 @@ def _mean(values: Sequence[float]) -> tuple[float, float]:
 def beyond(disagreement: dict[str, tuple[float, float]]) -> bool:
     """Return whether the measured peak forces of a material contradict the contact law.
 
-    The condition: the magnitude of a mean disagreement exceeds both `AGREES` and half the width of the mean's
-    95 % interval.
+    They contradict the law if the magnitude of a mean disagreement exceeds both `AGREES` and half the width
+    of the mean's 95 % interval.
     """
     return any(abs(mean) > max(half, AGREES) for mean, half in disagreement.values())
 

@@ -180,7 +180,7 @@ def _room(mission: Mission) -> dict[str, Any]:
 
 
 def _thinned(line: Array) -> list[Vec2]:
-    """Return points of the line that are some centimetres apart, including both ends."""
+    """Return both ends of a line, and points between them that are some centimetres apart."""
     kept = [line[0]]
     for point in line[1:-1]:
         if math.dist(point[:2], kept[-1][:2]) > _PLANNED_STEP_M:

@@ -87,9 +87,9 @@ class Impact:
         at_s: time of detection, s, counted as in `FlightArrays`.
         prediction: the predicted hit over time; its times count from the predicted onset.
         predicted: figures of the predicted hit.
-        onset_s: time of the predicted onset, s, counted as in `FlightArrays`. With this time, the predicted
-            and the measured peak coincide. If no peak was measured, the predicted force reaches the detection
-            threshold at `at_s`.
+        onset_s: time of the predicted onset, s, counted as in `FlightArrays`. The onset is chosen so that the
+            predicted and the measured peak coincide. If no peak was measured, the onset is chosen so that the
+            predicted force reaches the detection threshold at `at_s`.
         compared: planned, predicted, measured and true figures.
     """
 
@@ -183,8 +183,8 @@ class Timing(msgspec.Struct):
     """Latencies and jitter of a flight, milliseconds; arrays (n,).
 
     Attributes:
-        setpoint_interval_ms: intervals between successive setpoints. Each setpoint counts at the time
-            of receipt of the sample that triggered it.
+        setpoint_interval_ms: intervals between the times at which the triggers of successive setpoints were
+            received. A trigger is the sample that causes a setpoint.
         imu_delay_ms: delays from the stamp of an IMU sample to its receipt, minus the smallest delay.
         recovery_ms: latencies of recoveries: from the receipt of the sample that triggers the recovery until
             the recovery setpoint is sent.
@@ -213,7 +213,7 @@ class RecordedFlight:
 
     @cached_property
     def replay(self) -> Replay:
-        """The replay of the flight core's decisions, which takes as long as a simulation."""
+        """The replay of the flight core's decisions; computing the replay takes as long as a simulation."""
         return replay(self.log)
 
     @classmethod
@@ -227,7 +227,7 @@ class RecordedFlight:
 
     @property
     def name(self) -> str:
-        """The name that distinguishes the flight from others: its folder, and a simulation's seed."""
+        """The name of the flight: its folder and, if the flight was simulated, its seed."""
         folder = Path(self.log.source).resolve().parent.name
         return f"{folder} (seed {self.log.seed})" if self.log.seed is not None else folder
 

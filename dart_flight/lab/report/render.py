@@ -39,7 +39,7 @@ class PageTable(NamedTuple):
 
     @property
     def columns(self) -> list[tuple[str, bool]]:
-        """(heading, whether the column contains numbers) for each column."""
+        """The columns, each as (heading, whether the column contains numbers)."""
         first = next((row for row in self.rows if not isinstance(row, str)), [])
         return [(head or "", is_number(cell)) for head, cell in zip_longest(self.heads, first)]
 
@@ -54,7 +54,7 @@ def is_number(value: Cell) -> bool:
 
 
 def write_number(value: Cell) -> str:
-    """Return a number as text with at least three digits, or a dash if unknown."""
+    """Return a number as text with at least three digits; an unknown number becomes a dash."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
     if not isinstance(value, float):

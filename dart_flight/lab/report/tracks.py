@@ -104,9 +104,9 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return, for each time in `at_s`, the index of the last entry of `times` up to this time.
+    """For each time in `at_s`, return the index of the last entry of `times` that is not later.
 
-    A second array states whether there is such an entry.
+    A second array states whether such an entry exists.
     """
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0

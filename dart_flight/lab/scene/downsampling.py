@@ -59,8 +59,8 @@ WANTED: frozenset[type[Record]] = frozenset({*_ALL, *_EVERY, *_STRONGEST})
 class Downsampler:
     """A filter that receives the records of a flight in order and passes on those that a display needs.
 
-    Periods are measured in the autopilot's time. The filter passes on a period's strongest sample when the
-    period ends. The output may therefore contain newer records before this sample.
+    Periods are measured in the autopilot's time. Of the force samples in a period, the filter passes on the
+    strongest when the period ends. Newer records of other kinds may therefore precede this sample.
     """
 
     def __init__(self) -> None:

@@ -1,9 +1,9 @@
 """The part of a live view in the flight's process: it passes on records and never waits for viewers.
 
-On the flight's own thread a record costs a type check and an append. A thread of this module downsamples,
-encodes and writes to a non-blocking pipe; records that do not fit are dropped and counted. Translation,
-WebSocket and viewers run in a separate process (`scene.server`). If this process fails, the flight only
-prints a line.
+The flight's own thread only checks the type of a record and appends the record to a queue. A thread of this
+module downsamples, encodes and writes to a non-blocking pipe; records that do not fit are dropped and
+counted. Translation, WebSocket and viewers run in a separate process (`scene.server`). If this process fails,
+the flight prints a line and continues.
 """
 
 from __future__ import annotations

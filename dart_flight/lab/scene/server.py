@@ -3,7 +3,7 @@
 The first line is a `LiveViewSpec`. Each further line is one record: its topic, a blank, and its JSON as in
 the flight log. The process tries to open the port, prints the result as one line of JSON (`PortStatus`), and
 prints nothing else. The process runs with idle priority and ends when its standard input ends. Viewers cannot
-publish: the server's only capability is the time of the flight.
+publish, because the server offers them only the time of the flight (`Capability.Time`).
 """
 
 from __future__ import annotations

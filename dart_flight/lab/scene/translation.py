@@ -117,8 +117,8 @@ class SceneTranslator:
         frame: the mission frame in local NED, if known beforehand. If not, the frame comes from the flight's
             anchor record. Until that record, each reported position counts as the take-off point.
         show_room: whether to show the mission's room and plan.
-        from_truth: whether to show the true motion of the vehicle. Use this if this software simulates the
-            vehicle but does not fly it.
+        from_truth: whether to show the true motion of the vehicle. Set this if another program flies the
+            vehicle that this software simulates.
     """
 
     def __init__(

@@ -207,8 +207,8 @@ def _colliding_variants(scenario: Scenario) -> dict[str, Scenario]:
 def _is_offered(record: FlownRecord, free: FlownMission | None, scenario: Scenario) -> bool:
     """Return whether to offer a colliding plan that succeeds in simulation.
 
-    The plan is offered if the scenario demands it, if it saves time, or if no flight without a collision
-    succeeds.
+    The plan is offered if the scenario demands its hits or touches, if it saves time, or if no flight without
+    a collision succeeds.
     """
     demanded = not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
     saves = record.saving_s is not None and record.saving_s > 0.0

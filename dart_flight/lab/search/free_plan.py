@@ -1,9 +1,9 @@
-"""The fastest flight without a collision, for comparison with colliding plans of the same limits.
+"""The fastest flight without a collision, for comparison with colliding plans within the same limits.
 
 Along a straight line, Ruckig finds the optimum (time-optimal with bounded speed, acceleration and jerk).
 Around walls, the plan is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).
-No other flight is faster by more than `gap_s`, the plan's time minus a lower bound. The lower bound is the
-time along a straight line as long as the shortest path around the walls' edges.
+No flight without a collision takes less time than a straight line that is as long as the shortest path
+around the walls' edges. `gap_s` is the plan's time minus this lower bound.
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ def straight_time_s(length_m: float, limits: MotionLimits) -> float:
 def rest_at_s(place: Vec2, velocity: Vec2, goal: Vec2, limits: MotionLimits) -> float:
     """Return the time from passing a goal at some velocity until the vehicle rests at the goal.
 
-    Each axis gets only a share of the limits. The time of a plan with hits may therefore be too long, but is
-    never too short. A velocity above the speed limit is reduced to the limit.
+    Each axis gets 1/sqrt(2) of the limits, so that the total stays within the limits. The result may
+    therefore be too long, but is never too short. A velocity above the speed limit is reduced to the limit.
     """
     speed = math.hypot(*velocity)
     most = _AXIS * limits.speed_m_s

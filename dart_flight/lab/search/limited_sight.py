@@ -2,8 +2,8 @@
 
 Until the detection, and during the reaction time, the vehicle cruises straight towards the wall. A flight
 without a hit cruises at the highest speed from which it can stop (`safe_speed_m_s`). A colliding flight
-cruises as fast as an allowed hit permits. After the reaction, both flights continue to the goal as fast as
-possible.
+cruises at the highest speed from which a feasible hit exists. After the reaction, both flights continue to
+the goal as fast as possible.
 """
 
 from __future__ import annotations

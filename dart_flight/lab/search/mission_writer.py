@@ -108,8 +108,9 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
 
     Each wall to be hit is touched once, and the vehicle rests at the start after each touch.
 
-    The touches measure each wall's direction and vertical force. Without touches, a first hit succeeds only
-    at up to 2 m/s (docs/results/faster_hits.md). A hit on a rotated wall turns the vehicle.
+    The touches measure each wall's direction and vertical force. If the assumed direction is wrong, a hit
+    turns the vehicle. Without touches, a first hit succeeds only at up to 2 m/s
+    (docs/results/faster_hits.md).
     """
     modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # a wall's first hit decides
     touches = [
@@ -135,10 +136,11 @@ def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
 def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Vec2:
     """Return the gains (A_n, A_t) of a hit's recovery setpoint, m/N.
 
-    The recovery setpoint is active from the peak of the hit until the replanned trajectory begins. With these
-    gains, the thrust per mass stays at u, its value at the onset: u = a + drag v_in, with the acceleration a
-    and the velocity v_in at the onset. PX4's position loop commands kv (kp A F - v_out), with the gain A, the
-    peak force F, the outgoing velocity v_out, kp = MPC_XY_P and kv = MPC_XY_VEL_P_ACC. This command equals u.
+    The recovery setpoint is active from the peak of the hit until the replanned trajectory begins. The gains
+    keep the thrust per mass at its value u at the onset: u = a + drag v_in, where a is the acceleration and
+    v_in the velocity at the onset. PX4's position loop commands kv (kp A F - v_out), where A is the gain, F
+    the peak force and v_out the outgoing velocity; kp = MPC_XY_P and kv = MPC_XY_VEL_P_ACC. The gains make
+    this command equal to u.
     """
     response, px4 = ContactResponse.at_wall(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)

@@ -89,9 +89,9 @@ class ContactResponse(NamedTuple):
     Attributes:
         restitution: outgoing over incoming normal velocity.
         contact_s: duration of the contact.
-        lead_s: with `onset: lcp`, the force begins before the vehicle reaches the plane of first touch, and
-            ends before the vehicle is back at the plane. At both times, the distance to the plane is `lead_s`
-            times the normal speed.
+        lead_s: distance from the plane of first touch at which the force begins or ends, divided by the
+            normal speed there. With `onset: lcp`, the force begins before the vehicle reaches the plane, and
+            ends before the vehicle is back at the plane. With the other rule, `lead_s` is 0.
         peak_n_per_m_s: peak of the normal force, divided by the incoming velocity.
         friction_s_per_m: decay of the velocity along the wall. A hit multiplies this velocity by
             exp(-friction_s_per_m * incoming velocity).
@@ -145,7 +145,7 @@ class Hit(NamedTuple):
     Attributes:
         visit: the visit that the vehicle passes at the moment of the hit; None if there is no such visit.
         guess: initial guess of the position.
-        velocity_m_s: (normal, tangential) velocity of the hit; None: the solver chooses it.
+        velocity_m_s: (normal, tangential) velocity of the hit; None if the solver chooses the velocity.
     """
 
     wall: Wall
@@ -156,7 +156,7 @@ class Hit(NamedTuple):
 
 
 class RouteCorner(NamedTuple):
-    """The corner at which a path around a wall's end enters another half-plane.
+    """A corner of a path around a wall's end; there the path passes from one half-plane to another.
 
     `place` is an initial guess of the corner.
     """
@@ -473,7 +473,7 @@ def _as_trajectory(problem: Problem, n: int, values: list[Array]) -> OptimalTraj
 
 
 def _leg(begin: Array, pieces: list[tuple[float, float, float]]) -> TrajectoryPieces:
-    """Return a leg in which pieces of equal jerk are merged."""
+    """Return a leg; successive pieces with the same jerk become one piece."""
     joined: list[tuple[float, float, float]] = []
     for dt, jx, jy in pieces:
         if joined and math.hypot(joined[-1][1] - jx, joined[-1][2] - jy) < 1e-3:

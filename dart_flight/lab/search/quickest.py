@@ -1,11 +1,11 @@
 """The fastest flight from the start through the visits to the goal, with any number of hits that save time.
 
 The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time. The
-bound is the sum of the contact times and of the least times for the straight legs of the shortest path
-through the events. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the
-time of the best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`)
-finds places, velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is
-faster and the servo has enough time.
+bound follows from the shortest path through the events: it is the sum of the contact times and of the least
+times along the path's straight legs. The sequence with the lowest bound is computed first. A sequence whose
+bound exceeds the time of the best flight found is not computed. For a computed sequence, optimal control
+(`optimal_trajectory`) finds places, velocities and times. Flexible arms are tried first. A hit is changed to
+rigid arms if this is faster and the servo has enough time.
 """
 
 from __future__ import annotations
@@ -94,9 +94,9 @@ class QuickestResult(msgspec.Struct, frozen=True):
         free: the fastest plan without a hit; None if there is no path or a place is reachable only by a hit.
         colliding: the fastest plan with hits; None if no plan with hits can be faster than the free plan.
         computed, pruned: number of computed sequences, and number of sequences excluded by their bounds.
-        gap_s: largest time by which a sequence that was not computed could be faster than the best plan.
-        most_hits: limit on the number of hits; None if no sequence with more hits could be faster than the
-            best plan.
+        gap_s: largest time by which one of the sequences not computed could be faster than the best plan.
+        most_hits: limit of the search on the number of hits, if a sequence with more hits could be faster
+            than the best plan; otherwise None.
         elapsed_s: duration of the search.
     """
 

@@ -54,11 +54,11 @@ class _Box(NamedTuple):
 def place_labels(
     axis: Any, labels: Sequence[Label], lines: Iterable[Array], taken: Iterable[Array], font_pt: float
 ) -> None:
-    """Write every label at the position near its point where the label covers the least.
+    """Write every label near its point, at the position with the lowest cost.
 
-    If a label is far from its point, a thin line connects the two. Each label takes the best position on
-    several rings around its point. The cost of a position grows with the overlap with existing text, with
-    the covered lines, and with the distance. Set the limits and the aspect of the axis before the call.
+    If a label is far from its point, a thin line connects the two. The possible positions lie on several
+    rings around the point. The cost of a position grows with the overlap with existing text, with the covered
+    lines, and with the distance. Set the limits and the aspect of the axis before the call.
 
     Args:
         axis: an axis with an equal aspect.

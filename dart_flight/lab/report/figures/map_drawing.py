@@ -280,7 +280,7 @@ def draw_hit(
 
 
 def name_hits(axis: Any, largest_n: float) -> None:
-    """Add legend entries for the force arrows, with the scale of the arrows, and for recovery setpoints."""
+    """Add two legend entries: the force arrows with their scale, and the recovery setpoints."""
     words = f"peak force, 0.1 m: {0.1 * largest_n / LONGEST_ARROW_M:.0f} N"
     axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=words)
     axis.plot([], [], "x--", color=SET_POINT, linewidth=1.0, markersize=5, label="recovery setpoint")

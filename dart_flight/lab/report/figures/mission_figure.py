@@ -172,7 +172,7 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
 
 
 def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
-    """Draw a line from the begin to the end of each probe; return the label and the line of each probe."""
+    """Draw the line that each probe flies; return the label and the line of each probe."""
     found = []
     for collision in mission.collisions:
         if collision.probe is None:
@@ -188,7 +188,7 @@ def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
 
 
 def _from_rest(mission: Mission, planned: PredictedFlight) -> list[Array]:
-    """Return each straight segment from rest to rest, also after a recovery, as ends (2, 3) in metres."""
+    """Return the two ends (2, 3), m, of each straight segment from rest to rest, also after recoveries."""
     segments = predicted_segments(mission, planned.hits)
     return [np.array([segment.begin or segment.end, segment.end]) for segment in segments]
 
@@ -251,8 +251,8 @@ def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[l
 def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top: float) -> None:
     """Draw the side view along y.
 
-    A wall is hatched if the view shows its end. Other walls are plain, because the vehicle flies in front of
-    these walls.
+    A wall that the view shows edge-on is hatched. Other walls are plain, because the vehicle flies in front
+    of them.
     """
     out = mission.vehicle.airframe.contact_distance_m
     for wall in mission.walls:
