@@ -129,7 +129,7 @@ def status_text(state: LockState) -> str:
 
 
 def _run_start(before_us: int | None, t_us: int) -> int:
-    """Return the start of an unbroken run of readings: `before_us` if a run has begun, otherwise `t_us`."""
+    """Return the time at which the present run of readings began: `t_us` if no run has begun before."""
     return t_us if before_us is None else before_us
 
 
@@ -295,7 +295,7 @@ class LockStateMachine:
             self._transition(t_us, LockEvent.DISPLACED, reason=self._fault_reason(fault, reading))
 
     def _fault_has_lasted(self, t_us: int, wrong: bool) -> bool:
-        """Return whether a fault has lasted for the debounce time."""
+        """Return whether the fault that `wrong` reports has lasted for the debounce time."""
         self._wrong_since_us = _run_start(self._wrong_since_us, t_us) if wrong else None
         return self._wrong_since_us is not None and self._has_lasted(self._wrong_since_us, t_us)
 

@@ -338,8 +338,8 @@ def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
 
     The braking distance is proportional to a sum: the speed plus `ATTITUDE_LAG_S` times the acceleration. The
     tables give the distance for a sum of 1 m/s. The first table holds for an acceleration towards the wall,
-    the second for an acceleration away from the wall. A third array contains, for each entry, the share of
-    the speed in the sum.
+    the second for an acceleration away from the wall. A third array contains the sum's share that is due to
+    the speed, for each entry.
     """
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0

@@ -392,10 +392,7 @@ class Replanner:
     def _stays_clear(
         self, x: Array, y: Array, duration_s: Array, wall: Wall | None, obstacles: list[Wall]
     ) -> NDArray[np.bool_]:
-        """Return a mask of the trajectories within the bounds and the speed limit.
-
-        These trajectories also touch no wall except `wall`.
-        """
+        """Return which trajectories respect the bounds and speed limit and touch no wall except `wall`."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
         states = (_derivative(c, times, order).astype(np.float32) for order in (0, 1) for c in (x, y))
         window = GridWindow(np.linspace(0.0, 1.0, _SAMPLES), *states)
@@ -442,10 +439,10 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 
 
 def _straights(slack: float) -> list[tuple[float, float]]:
-    """Return the options for the straight flight before a wall, best first: pairs (duration in s, count).
+    """Return options for the straight flight before a wall, best first, as pairs (duration, count).
 
-    `slack` is the tolerance of the wall's position, metres. The straight flight begins earlier: `count` times
-    `slack` is added to its length.
+    The straight flight lasts for the duration (s) and in addition covers `count` times `slack`, the tolerance
+    of the wall's position in metres.
     """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]

@@ -90,7 +90,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
 
 
 def _figures(mission: Mission) -> dict[str, float]:
-    """Return mission key -> default standard deviation, for walls that have no configured deviations."""
+    """Return default standard deviations by mission key, for walls without configured deviations."""
     figures = {}
     for wall in mission.flat_walls:
         if wall.position_sd_m is None:
@@ -146,7 +146,7 @@ def _modes(mission: Mission, wall: Wall) -> Sequence[Mode]:
 
 
 def surveyed_walls(mission: Mission, measured: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the keys of a mission's measured walls.
+    """Return the mission file's keys for each measured wall, by wall name.
 
     Args:
         mission: mission with these walls.
@@ -173,7 +173,7 @@ def surveyed_walls(mission: Mission, measured: Mapping[str, Any]) -> dict[str, d
 def surveyed_collisions(
     mission: Mission, written: Sequence[Mapping[str, Any]], measured: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return the keys of a mission's collisions, expressed relative to the measured walls.
+    """Return the mission file's keys for each collision, expressed relative to the measured walls.
 
     Gains along the mission's axes, and places in the mission frame, would be wrong for a wall that was found
     at another place.

@@ -6,8 +6,8 @@ has the number of the input that caused the record. A replay feeds the inputs in
 Log times are on the autopilot's clock. `ClockOffset` relates this clock to the host's monotonic clock, and
 the description of the flight relates the monotonic clock to the calendar.
 
-A separate thread encodes and writes the records in small chunks, so a killed process loses the records of at
-most 0.2 s. Once a second the thread syncs the chunks to the disk, because a crash of the vehicle may
+A separate thread encodes and writes the records in small chunks, so a killed process loses at most the last
+0.2 s of records. Once a second the thread syncs the chunks to the disk, because a crash of the vehicle may
 disconnect the battery. A file that reaches `part_bytes` is finished, and the next file (`flight.part2.mcap`,
 ...) begins. After `most_parts` files, only decisions are recorded and telemetry is discarded.
 """

@@ -1,11 +1,12 @@
 """Shell around the core for flights over MAVSDK: streams -> queue -> core -> vehicle, lock, log.
 
 The threads are:
-    MAVSDK's thread builds records and queues them. Near a wall this thread also steps the core
-    (`core_thread`). The core thread steps the core and sends setpoints. The lock thread, if there is a lock,
-    steps the lock's state machine and may block on its driver. The log thread encodes and writes records. The
-    event loop (asyncio) handles the connection, arming, mode changes, signals and the operator's keys. The
-    terminal thread passes the records to `progress`.
+    MAVSDK's thread builds records and queues them. Near a wall it also steps the core (`core_thread`).
+    The core thread steps the core and sends setpoints.
+    The lock thread, if there is a lock, steps the lock's state machine and may block on the lock's driver.
+    The log thread encodes and writes records.
+    The event loop (asyncio) handles the connection, arming, mode changes, signals and the operator's keys.
+    The terminal thread passes the records to `progress`.
 """
 
 from __future__ import annotations
@@ -108,14 +109,14 @@ class LockThread:
 
     Args:
         make_session: function that makes the session, which contains the state machine and the driver. The
-            thread calls this function when the autopilot's time is known. Before that, the lock's stamps
+            thread calls this function only when the autopilot's time is known. Otherwise the lock's stamps
             could be later than the autopilot's time.
         states: queue in which the session puts the lock's states, in order.
         clock_known: function that returns whether the autopilot's time is known.
         deliver: callback for every state of the lock.
         after_poll: callback after every poll of the driver.
-        lockstep: reporter to the simulated world, or None in real time. In lockstep, the world waits for the
-            app, and the driver is polled in simulated time.
+        lockstep: reporter of progress to the simulated world, or None in real time. In lockstep, the world
+            waits for the app, and the driver is polled in simulated time.
     """
 
     def __init__(
@@ -203,7 +204,7 @@ class FlightApp:
         deadman_note: file in which the deadman reports why it killed the program, or None for no deadman.
         lock_faults: faults of the mock servo from the start of the flight.
         opened: callback for the moment when the link is open.
-        unwanted: numbers of the MAVLink messages that the vehicle is asked to stop on this link.
+        unwanted: numbers of MAVLink messages; the app asks the vehicle not to send them on this link.
         lockstep: whether the world waits for this program. If so, the program's clock is simulated time.
         mocap_url: URL of the source of the forwarded poses, or None to use the vehicle's `mocap.url`.
 
@@ -606,7 +607,7 @@ class FlightApp:
 
 
 def _in_background(terminal: int) -> bool:
-    """Return whether another job has the terminal, so that this process is in the background."""
+    """Return whether this process is in the background because another job has the terminal."""
     try:
         return os.tcgetpgrp(terminal) != os.getpgrp()
     except OSError:  # not the terminal of this session, so there is no job control

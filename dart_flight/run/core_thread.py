@@ -6,8 +6,8 @@ arrive on that thread, so no other thread has to wake up first (docs/latency.md)
 own thread steps the core.
 
 In lockstep, the simulated world waits until the core has processed the world's samples. The thread that
-delivers a sample also steps the core. Near a wall it steps the core after each sample, away from walls after
-every 20 ms of simulated time.
+delivers a sample also steps the core: after each sample near a wall, and after every 20 ms of simulated time
+away from walls.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class CoreThread:
     Args:
         runner: runner that steps the core and carries out the core's outputs.
         alive: callback that feeds the deadman, called at least every 20 ms unless a step hangs.
-        lockstep: reporter to a simulated world that waits for the app, or None in real time.
+        lockstep: reporter of progress to a simulated world that waits for the app, or None in real time.
         after_step: callback after every step in lockstep, before the report to the world.
     """
 

@@ -137,7 +137,7 @@ class SystemdNotice:
     def alive(self) -> None:
         """Feed systemd's watchdog at most twice per period of the watchdog.
 
-        Call this method more often than that.
+        Call this method more often than twice per period.
         """
         now = time.monotonic()
         if self._period_s is not None and now - self._sent_s >= self._period_s:

@@ -1,4 +1,4 @@
-"""Scenario files (version 1), the planner's input, as YAML types and as a checked `Scenario`.
+"""The planner's input: YAML types of scenario files (version 1), and the checked `Scenario`.
 
 A scenario shares start, goal, bounds, walls, limits and frame with a mission (`config.mission`), and defines
 a search instead of collisions. `docs/missions.md` explains every key.

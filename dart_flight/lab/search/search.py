@@ -336,7 +336,7 @@ class ScenarioSearch:
     # -- plans and explanations --
 
     def explain(self, chosen: list[tuple[Candidates, int]], free: FreePlan | None = None) -> tuple[Plan, ...]:
-        """Return a plan for each chosen candidate, in the order given. Each plan contains its collisions."""
+        """Return a plan with its collisions for each chosen candidate, in the order given."""
         plans: dict[int, Plan] = {}
         groups: dict[int, list[tuple[int, Candidates, int]]] = {}
         for rank, (c, i) in enumerate(chosen, start=1):
@@ -421,7 +421,7 @@ def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
 
 
 def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
-    """Return the draws of `robust`, the same for all candidates; each wall and mode is drawn separately."""
+    """Return the draws of `robust`, which all candidates share. Each wall and mode has its own factors."""
     u = scenario.uncertainty
     rng = np.random.default_rng(seed)
     draws = []

@@ -27,7 +27,7 @@ class RequiredParameter(msgspec.Struct, frozen=True):
     Attributes:
         name: PX4's name.
         value: required value; if `mask` is set, the required value of the masked bits.
-        why: consequence of another value.
+        why: consequence if the parameter has another value.
         mask: bits that matter, or None for all.
     """
 
