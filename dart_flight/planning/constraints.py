@@ -33,7 +33,8 @@ Array = NDArray[np.float64]
 Codes = NDArray[np.int8]
 
 MIN_REBOUND_M_S = 0.05
-# A wall counts as touched if it would be reached within this time: forces begin before the plane (`lcp`).
+# A wall counts as touched if the vehicle would reach the plane within this time, because forces may begin
+# before the plane (`lcp`).
 _TOUCH_S = 0.01
 _THICK_M = 0.5  # beyond this distance behind the plane the vehicle is on the other side of the wall
 _LOCK_POLL_S = 0.02

@@ -59,7 +59,7 @@ CONTACT_SCATTER: Final = 0.05  # of k, f, mu and nu between contacts with the sa
 SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong (docs/felt.md)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
-_POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
+_POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
 _PLACE_M: Final = (
     0.1  # least deviation of a wall's place from the plan; wide, because the force determines it
 )
@@ -68,16 +68,16 @@ _UNPLANNED_RAD: Final = math.radians(15.0)  # of an unplanned wall, whose normal
 _UNKNOWN_SPREAD: Final = 0.8  # of the coefficients of a wall of unknown material, relative
 _KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations above which the material is not in the table
 _MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which the law does not fit
-_VELOCITY_M_S: Final = 0.04  # deviation of PX4's velocity, at rest and of the speed
-_VELOCITY_SHARE: Final = 0.02
+_VELOCITY_M_S: Final = 0.04  # standard deviation of PX4's velocity at rest
+_VELOCITY_SHARE: Final = 0.02  # share of the speed that is added to this deviation
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
-_LEVER_SHARE: Final = 0.3  # prior mean of the lever at which friction acts, in distances to the wall
-_LEVER_SD: Final = 0.3  # its prior deviation, so that a contact may also have no lever or twice as much
+_LEVER_SHARE: Final = 0.3  # prior mean of b, the friction's lever divided by d
+_LEVER_SD: Final = 0.3  # prior standard deviation of b: a contact may also have no lever, or twice the mean
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
 _TORQUE_ERROR: Final = 0.05  # correlated between ticks
-_SURE_SIGMA: Final = 5.0  # of the sum of the readings: below it there was no contact
+_SURE_SIGMA: Final = 5.0  # standard deviations of the sum of the readings; a smaller sum is no contact
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
 # Incidences at which a fit begins.
@@ -679,5 +679,5 @@ def _moved(theta: Array, step: Array) -> Array:
     old = theta[_FACTORS]
     moved[_FACTORS] = np.clip(moved[_FACTORS], np.maximum(0.5 * old, _MIN_FACTOR), 2.0 * old)
     moved[_D] = np.clip(moved[_D], -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD)
-    moved[_B] = np.clip(moved[_B], 0.0, 1.0)  # from the centre of mass to the guards
+    moved[_B] = np.clip(moved[_B], 0.0, 1.0)  # 0: at the centre of mass, 1: at the guards
     return moved

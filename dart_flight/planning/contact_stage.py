@@ -177,7 +177,7 @@ class ContactStage:
         self._normal: Array = np.zeros((6, 3))
         self._depths: Array = np.zeros(0)  # 1 + xi' at the nodes
         self._depth_end = 0.0
-        # Distance to the peak, distance, integral, acceleration per E at the nodes.
+        # Per unit of u at the nodes: distance to the peak, distance, integral, acceleration.
         self._by_speed: Array = np.zeros((0, 0))
         self._push: Array = np.zeros((0, 0))  # weights times acceleration per input at the nodes
         self._push_speed: Array = np.zeros((0, 0))

@@ -299,7 +299,7 @@ def closest(
         slope = (p * u).sum(axis=0)
         speed2 = (u * u).sum(axis=0)
         curve = speed2 + (p * b).sum(axis=0)
-        # Far from the minimum the curvature may be negative; that of Gauss-Newton is not.
+        # Far from the minimum the curvature may be negative; Gauss-Newton's curvature is never negative.
         step = slope / np.where(curve > 0.1 * speed2, np.where(curve > 0.0, curve, 1.0), speed2 + 1e-12)
         new = np.clip(d - step, low, high)
         done = bool((np.abs(new - d) <= 1e-8).all())

@@ -53,17 +53,17 @@ _SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the planned velocity, tried in 
 # Flight at constant velocity before the plane, so that the attitude settles; shorter if space is limited.
 _STRAIGHT_S = (0.3, 0.1)
 _SAMPLES = 24  # of a trajectory, for the constraints
-_LAST = 3  # of a trajectory's samples
+_LAST = 3  # number of a trajectory's last samples
 _PUSH_SAMPLES = 12  # for acceleration and jerk, which are checked first
 # Of PX4's tilt limit; the rest is for wind, errors and the position loop's corrections.
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
 _GENTLE_REJOINING_S = 0.05  # the same for rejoining, where the joined trajectory is within limits
-_REJOINING_ALLOWANCE = 1.25  # of the limit, which the planned trajectory may already use up
-_SPEED_TOLERANCE = 1.01  # planned speed over flown
-# Two errors turn the vehicle in a contact (docs/results/faster_hits.md): too much lean off the wall, in plans
-# for rigid arms, and a lean into the wall that begins so late that the lag removes it.
+_REJOINING_ALLOWANCE = 1.25  # factor on the limit, because the planned trajectory may already reach the limit
+_SPEED_TOLERANCE = 1.01  # largest ratio of planned to flown speed
+# Two errors turn the vehicle in a contact (docs/results/faster_hits.md). One is too much lean off the wall in
+# plans for rigid arms. The other is a lean into the wall that begins so late that the lag removes the lean.
 _THRUST_OFF_SHARE = 0.5  # of the plan's final thrust off a rigid wall; the lag removes the rest
 _LEANS_IN_M_S3 = 8.0  # jerk into the wall at the end above which another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
@@ -229,9 +229,9 @@ class Replanner:
             walls = self._obstacles(self._start(request), request.t_us)
             clear = self._constraints.path(window, until, wall, begins=True, walls=walls) == 0
             rejoining, push, over = rejoining.select(np.flatnonzero(clear)), push[clear], over[clear]
-        # Prefer the planned impact speed: a slower impact is a different one.
+        # Prefer the planned impact speed: a slower impact is another impact than planned.
         slow = (rejoining.slower > _SPEED_TOLERANCE) & (collision is not None)
-        if request.under_way:  # a slower one does not improve on the trajectory in progress
+        if request.under_way:  # a slower trajectory does not improve on the trajectory in progress
             rejoining, push = rejoining.select(np.flatnonzero(~slow)), push[~slow]
             over, slow = over[~slow], slow[~slow]
         if wall is not None:
@@ -313,7 +313,7 @@ class Replanner:
         ahead_s = (request.begin_us - request.t_us) * 1e-6
         vectors = (request.position_mission, request.velocity_mission, request.acceleration_mission)
         place, speed, push = (np.array(vector[:2]) for vector in vectors)
-        if request.under_way:  # the reference changes little in this time
+        if request.under_way:  # the trajectory's acceleration changes little in this time
             states = np.stack(
                 [place + ahead_s * (speed + 0.5 * ahead_s * push), speed + ahead_s * push, push]
             )

@@ -588,7 +588,7 @@ def _actual_approach(
     later_s = before / -into
     x, y = grid.impact_x + vx * later_s, grid.impact_y + vy * later_s
     codes = grid.codes.copy()
-    # The wall's position is drawn, so only the vehicle's own half must fit on it.
+    # The wall's position is drawn, so no margin for uncertainty is needed beside half a vehicle.
     beyond = wall.end_distance_m((x, y)) < wall.half_vehicle_m
     codes[(codes == 0) & beyond] = CODE[Refusal.BEYOND_WALL]
     actual = grid._replace(codes=codes, impact_x=x, impact_y=y, impact_s=grid.impact_s + later_s)

@@ -22,7 +22,7 @@ from dart_flight.core.mission.wall_uncertainty import position_margin_m
 _SPEED_M_S = 0.5  # slow, but well above the detection threshold in either mode
 _RUN_UP_M = 0.5  # in front of the nearest possible position of the wall
 _BACK_M = 0.5
-_ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)  # shares of a wall's length, candidates for the contact
+_ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)  # possible contacts, in shares of the wall's length from its middle
 _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 
 

@@ -106,7 +106,7 @@ class WallMeasurements:
         )
         true = self._true_wall(name, estimate, drawn)
         if true is not None:
-            # Compare at the contact: elsewhere along the wall the direction's error adds to it.
+            # Compare at the contact: elsewhere along the wall the direction's error adds to the position's.
             point = estimate.plane_point_mission
             at = wall.foot(point) if point is not None else wall.point
             found.truth_error_m = true.signed_distance(at)

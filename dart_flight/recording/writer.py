@@ -69,13 +69,13 @@ class LogPart:
 
         `number` is the number of the recorded input, or of the input that caused the record.
         """
-        time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times; a broken clock does
+        time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times, but a faulty clock has
         channel = self._channels[type(record)]
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
 
     def flush(self) -> None:
         """End the chunk and pass it to the operating system."""
-        # The library ends a chunk only at a megabyte, which would cost a killed flight many seconds.
+        # The library ends a chunk only at a megabyte; a killed process would lose many seconds of records.
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.flush()
 

@@ -77,11 +77,11 @@ from dart_flight.vehicle.motion_capture.source import PoseSource, open_source
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 
 _SHOW_PERIOD_S = 0.2  # the update period of the live line
-_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # while the lock travels, and otherwise
+_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # polling periods: while the lock travels, and otherwise
 _SWITCH_INTERVAL_S = 0.001  # a computing thread yields to MAVSDK's callbacks after a millisecond
 _KEY_PAUSE_S = 0.5
-_LOOK_PERIOD_S = 0.5  # for other vehicles, and for the end of the simulated world
-_END_GRACE_S = 0.3  # for the last truth and the log
+_LOOK_PERIOD_S = 0.5  # between checks for other vehicles and for the end of the simulated world
+_END_GRACE_S = 0.3  # wait after the flight for the last truth and the log
 
 Progress = Callable[[Record], None]
 
@@ -200,7 +200,7 @@ class FlightApp:
         observe: callback for every record and the record's input number, on the core thread.
         world: simulated world, or None for a real vehicle.
         progress: callback for every record. It runs on a separate thread, because a terminal may block.
-        clock: autopilot's clock, or None for the clock of a vehicle in real time.
+        clock: autopilot's clock, or None if the autopilot's time advances with real time.
         deadman_note: file in which the deadman reports why it killed the program, or None for no deadman.
         lock_faults: faults of the mock servo from the start of the flight.
         opened: callback for the moment when the link is open.
@@ -244,7 +244,7 @@ class FlightApp:
         self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
         self._bridge: MotionCaptureBridge | None = None
-        self._unsent: set[str] = set()  # causes of setpoints not sent that were reported
+        self._unsent: set[str] = set()  # errors already reported for setpoints that were not sent
         self._done = asyncio.Event()
         self._ended = threading.Event()
         self.loop: asyncio.AbstractEventLoop | None = None

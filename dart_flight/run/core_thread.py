@@ -25,7 +25,7 @@ from dart_flight.vehicle.clock import host_us
 
 _TICK_S: Final = 0.02
 _STOP_S: Final = 2.0
-_BACKLOG: Final = 64  # inputs; beyond it only the newest of the state streams is stepped
+_BACKLOG: Final = 64  # queued inputs; of more, only the newest sample of each state stream is kept
 _STATE_STREAMS: Final = (AttitudeSample, OdometrySample, ActuatorSample)
 
 
@@ -85,12 +85,12 @@ class CoreThread:
             self._step_now()
 
     def _step_now(self) -> None:
-        # The owner checks the queue again after a step, so an input that finds it owned is not lost.
+        # The owner checks the queue again after a step, so an input that arrives during the step is not lost.
         while self._in_haste and not self._queue.empty() and self._owner.acquire(blocking=False):
             try:
                 self._step_queued()
             except BaseException as fault:
-                # MAVSDK's thread would swallow it, so the core's thread raises it and the deadman acts.
+                # MAVSDK's thread would swallow the exception, so the core's thread raises it (deadman).
                 self._fault, self._pace = fault, Pace.BATCHED
             finally:
                 self._owner.release()

@@ -24,9 +24,9 @@ from pathlib import Path
 
 CORE, LOOP = b"c", b"l"
 _ARM, _LET_GO = b"a", b"q"
-_OWN_PAUSES = 2.0  # periods: a watcher that did not run for longer restarts its timeouts
+_OWN_PAUSES = 2.0  # periods; a watcher that did not run for a longer time restarts its timeouts
 FEED_PERIOD_S = 0.1  # longest period; each feed costs a wake-up
-_FEEDS = 5  # within `starve_s`: all but one of them may be late
+_FEEDS = 5  # number within `starve_s`; all of them but one may be late
 _MIN_S = 0.001
 _WORD = struct.Struct("=cd")  # message and its time; a write this short is atomic
 _MAX_WORDS = 400  # in one read

@@ -81,7 +81,7 @@ _POSITION_SD_EVERY: Final = (
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
 _TIMESYNC_EVERY: Final = 25  # ticks between measurements of the round trip, as in the app
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last setpoint at 20 Hz
-_LONGEST_S: Final = 180.0  # of a flight, without the holds of its mission
+_LONGEST_S: Final = 180.0  # longest duration of a flight, without the mission's holds
 _NAN3 = (math.nan, math.nan, math.nan)
 FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,

@@ -205,7 +205,7 @@ class LegEnd(Enum):
 
     REST = "rest"  # no velocity, no acceleration
     REVERSAL = "reversal"  # no velocity along the leg
-    HIT = "hit"  # any velocity into a wall, and the remaining velocity after it
+    HIT = "hit"  # before the hit any velocity into the wall, after the hit the remaining velocity
     ANY = "any"
 
 
@@ -277,7 +277,7 @@ class _Search:
         self.colliding: QuickestPlan | None = None
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], QuickestPlan | None] = {}
-        self.least_open_s = self.left_out_s = math.inf  # lower bounds: not computed, omitted
+        self.least_open_s = self.left_out_s = math.inf  # lowest bounds: not computed, too many hits
         # Every bound needs the responses, so compute them once.
         self._responses = {
             (wall.name, mode): ContactResponse.at_wall(self.vehicle, wall, mode)
@@ -557,7 +557,9 @@ def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
     if isinstance(event, Hit):
         wall = event.wall
         here, there = abs(wall.signed_distance(a)), abs(wall.signed_distance(b))
-        share = here / (here + there) if here + there > 0.0 else 0.5  # straight line to the mirror image
+        share = (
+            here / (here + there) if here + there > 0.0 else 0.5
+        )  # on the straight line to the mirror image of b
         place = wall.foot((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])))
         return place if event.visit is None else _nearest_in(event.visit, place)
     (ax, ay), (bx, by), (cx, cy) = a, b, event.place

@@ -279,7 +279,8 @@ class ScenarioSearch:
         if objective is Objective.FASTEST:
             return c._replace(score=c.time_s)
         if objective is Objective.GENTLEST:
-            # Only candidates within the goal's capture radius count, or within that distance of the best.
+            # Only candidates within the goal's capture radius count. If there are none, the least miss plus
+            # this radius is the limit.
             radius = self.scenario.goal.capture_radius_m
             least = min(float(m.miss_m.min()) for m in all_found if m.rows.size)
             allowed = radius if least <= radius else least + radius

@@ -129,7 +129,7 @@ class Px4Driver:
             value = actuator_value(self._config, pulse_us)
             self._set_actuator(self._config.px4.actuator_index, value)
         except Exception as error:
-            # The callable is the shell's: after any exception the lock has not moved.
+            # The shell's callable may raise anything; after any exception the lock has not moved.
             expected = isinstance(error, FlightError | OSError | ValueError)
             what = str(error) if expected else f"the command was not sent: {type(error).__name__}: {error}"
             raise DriverError(f"PX4 actuator {self._config.px4.actuator_index}: {what}") from error
