@@ -80,7 +80,7 @@ class PredictedFlight(msgspec.Struct):
 def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> Vec2:
     """Return the impact point, mission frame.
 
-    The first known point is used: from the mission, from the model, or the middle of the wall.
+    The mission's point is used if known, otherwise the model's point, otherwise the middle of the wall.
     """
     if collision.impact_point is not None:
         return collision.impact_point

@@ -131,7 +131,7 @@ class Replanner:
         self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
 
     def update_wall(self, felt: WallEstimate) -> None:
-        """Store a wall estimate; use its coefficients only if its mode and fit are valid."""
+        """Store a wall estimate; use its coefficients only if the mode is known and the fit succeeded."""
         self._survey.add_estimate(felt, self._walls[felt.wall])
         mode = felt.mode_felt or felt.mode_reported
         if mode is not None and not felt.problem:

@@ -77,7 +77,7 @@ class CoreThread:
     def arrive(self, item: Input) -> None:
         """Queue an input of a stream, from any thread.
 
-        If the core's pace requires this, the calling thread steps the core with the queued inputs at once.
+        If a step is due at once, the calling thread steps the core with the queued inputs.
         """
         now = self._lockstep is None or self._lockstep.completes_batch(item)
         self._queue.put(item)

@@ -367,7 +367,7 @@ class _Search:
                 yield more
 
     def _is_wanted(self, events: Sequence[Event]) -> bool:
-        """Return whether the events contain at least one hit, and every demanded hit."""
+        """Return whether the events contain a hit, and exactly the demanded hits if hits are demanded."""
         walls = _walls_hit(events)
         return bool(walls) and (not self._demanded or walls == self._demanded)
 

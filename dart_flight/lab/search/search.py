@@ -352,7 +352,7 @@ class ScenarioSearch:
         return tuple(plans[rank] for rank in sorted(plans))
 
     def _compared(self, plan: Plan, arrivals: Arrivals, k: int, free: FreePlan | None) -> Plan:
-        """Return the plan with its time to rest at the goal, compared with the free plan."""
+        """Return the plan with its time to rest at the goal and its saving against the free plan."""
         if free is None or free.time_s is None:
             return plan
         velocity, goal = (float(arrivals.vx[k]), float(arrivals.vy[k])), self.scenario.goal.position_m
