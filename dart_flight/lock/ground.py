@@ -33,7 +33,7 @@ def ground_driver(
 ) -> Driver:
     """Return the configured driver.
 
-    If the last command went to the mock, the mock's horn starts at the end commanded there.
+    If the last command went to the mock, the mock's horn starts at the commanded end.
 
     Raises:
         DriverError: as in `make_driver`.

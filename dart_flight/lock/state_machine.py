@@ -144,9 +144,7 @@ class LockStateMachine:
         self._state = LockState(t_us=t_us, phase=LockPhase.UNKNOWN, mode=None)
         self._permitted = False
         self._target: Mode | None = None  # commanded or found; kept in a fault to compare readings
-        self._pulses_off = (
-            False  # whether the pulses should be off: readings without pulses are then expected
-        )
+        self._pulses_off = False  # whether readings without pulses are expected
         self._begun_us = t_us  # start of the present travel
         self._sent_us: int | None = None  # start of the target's pulse at the driver's output
         self._closed_since_us: int | None = None  # start of the target switch's closure during a travel

@@ -254,7 +254,7 @@ class Replanner:
         return None
 
     def _thrust_off(self, wall: Wall, written: Trajectory) -> float:
-        """Return the thrust per mass, m/s2, at the end of the mission's trajectory; positive off the wall."""
+        """Return the thrust per mass, m/s2, at the end of the mission's trajectory; > 0 off the wall."""
         end = written.at(written.duration_s)
         drag_n, _ = drag_along(wall, self._mission.vehicle.airframe.drag_per_s)
         return wall.to_collision(end.acceleration)[0] + drag_n * wall.to_collision(end.velocity)[0]
@@ -430,7 +430,7 @@ class Replanner:
 def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
     """Return by how much each trajectory's final jerk towards the wall exceeds `_LEANS_IN_M_S3`.
 
-    The result is a number of steps of `_LEANS_IN_STEP_M_S3`, rounded up; 0 within the limit.
+    The unit of the result is `_LEANS_IN_STEP_M_S3`, rounded up. Within the limit the result is 0.
     """
     (nx, ny), (jx, jy) = wall.normal, rejoining.jerk[:, :, -_LAST:]
     too_fast = np.max(-(nx * jx + ny * jy), axis=1, initial=0.0) - _LEANS_IN_M_S3

@@ -342,7 +342,7 @@ class FlightApp:
                     task.cancel()
 
     def show(self, record: Record) -> None:
-        """Queue for display a record that is not from the core; call this from any thread."""
+        """Queue a record that is not from the core, for display. Any thread may call this."""
         self._shown.append(record)
 
     def stop(self) -> None:

@@ -25,7 +25,7 @@ from dart_flight.vehicle.clock import host_us
 
 _TICK_S: Final = 0.02
 _STOP_S: Final = 2.0
-_BACKLOG: Final = 64  # queued inputs; of more, only the newest sample of each state stream is kept
+_BACKLOG: Final = 64  # inputs; if more are queued, only each state stream's newest sample is kept
 _STATE_STREAMS: Final = (AttitudeSample, OdometrySample, ActuatorSample)
 
 
@@ -90,7 +90,8 @@ class CoreThread:
             try:
                 self._step_queued()
             except BaseException as fault:
-                # MAVSDK's thread would swallow the exception, so the core's thread raises it (deadman).
+                # MAVSDK's thread would swallow the exception. The core's thread therefore raises it, and the
+                # deadman acts.
                 self._fault, self._pace = fault, Pace.BATCHED
             finally:
                 self._owner.release()

@@ -89,14 +89,14 @@ class Deadman:
             self._write(part)
 
     def restart_if_dead(self) -> None:
-        """Start another watcher if this one has died."""
+        """Start another watcher if the present watcher has died."""
         if self._process.poll() is not None:
             self._start()
             if self._armed:
                 self._write(_ARM)
 
     def disarm(self) -> None:
-        """End the watcher without killing the app, after the flight."""
+        """After the flight, end the watcher without killing the app."""
         # Keep the pipe open: the core thread may still write to its descriptor.
         self._write(_LET_GO)
         with contextlib.suppress(subprocess.TimeoutExpired):

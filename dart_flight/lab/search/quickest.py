@@ -557,9 +557,7 @@ def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
     if isinstance(event, Hit):
         wall = event.wall
         here, there = abs(wall.signed_distance(a)), abs(wall.signed_distance(b))
-        share = (
-            here / (here + there) if here + there > 0.0 else 0.5
-        )  # on the straight line to the mirror image of b
+        share = here / (here + there) if here + there > 0.0 else 0.5  # straight line to b's mirror image
         place = wall.foot((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])))
         return place if event.visit is None else _nearest_in(event.visit, place)
     (ax, ay), (bx, by), (cx, cy) = a, b, event.place

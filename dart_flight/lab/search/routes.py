@@ -126,7 +126,7 @@ def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:
 
 
 def _corners_around_ends(wall: Wall) -> Iterator[Vec2]:
-    """Yield corners around a wall's ends: in front of the wall and behind it, off its plane."""
+    """Yield corners around a wall's ends, on both sides of the wall, just beyond the clearance."""
     (tx, ty), (nx, ny), reach = wall.tangent, wall.normal, 0.5 * wall.length_m
     for side, face in itertools.product((-1.0, 1.0), (-1.0, 1.0)):
         tip = (wall.point[0] + side * reach * tx, wall.point[1] + side * reach * ty)

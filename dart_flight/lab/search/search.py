@@ -97,7 +97,7 @@ class Plan(msgspec.Struct, frozen=True):
         score: value of the ranking criterion; smaller is better. The unit is m (nearest, robust), s (fastest)
             or N (gentlest).
         normal_m_s, tangential_m_s: approach of the first collision.
-        goal_miss_m: closest approach to the goal after the last contact, at nominal values.
+        goal_miss_m: smallest distance to the goal after the last contact, at nominal values.
         time_to_goal_s: time from `start` to the closest approach, including transit and run-up, plus the time
             for the remaining distance to the goal at transit speed.
         peak_force_n: largest force of any contact, normal and friction together.
@@ -162,7 +162,7 @@ class SearchResult(msgspec.Struct, frozen=True):
 
     Attributes:
         plans: the best plans, in order.
-        candidates, feasible: number of candidates, and number of feasible ones.
+        candidates, feasible: number of candidates, and number of feasible candidates.
         refused: numbers of rejected candidates by reason.
         trajectories: number of simulated trajectories, including the draws of `robust`.
         elapsed_s: duration, including preparation.
