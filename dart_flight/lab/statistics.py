@@ -52,7 +52,7 @@ def wilson(successes: int, flights: int) -> tuple[float, float]:
 
 
 def bin_edges(values: Sequence[float], most: int = 8, least_in_one: int = 25) -> list[float]:
-    """Return the edges of bins with about equal counts, from quantiles; one bin if there are few values."""
+    """Return quantiles as the edges of bins with about equal counts. For few values there is one bin."""
     ordered = sorted(values)
     count = max(1, min(most, len(ordered) // least_in_one))
     edges = [ordered[round(i * (len(ordered) - 1) / count)] for i in range(count + 1)]

@@ -129,8 +129,9 @@ class SteppedSimulation:
         self.reset()
 
     def reset(self, seed: int | None = None) -> SteppedObservation:
-        """Return the vehicle to hovering at the mission's start; the same seed gives the same simulation.
+        """Begin again with the vehicle hovering at the mission's start, and return the first observation.
 
+        The same seed gives the same simulation.
         Args:
             seed: new seed; by default the present seed.
         """

@@ -51,10 +51,10 @@ class Track(msgspec.Struct):
     If the log lacks a measurement, its array is empty.
 
     Attributes:
-        source: name of the file, which messages contain.
+        source: name of the file, for messages.
         imu_s: stamps of the IMU, (n,).
         specific_force, rate: specific force (m/s2) and angular rate (rad/s) in FRD, (n, 3).
-        motor_s, motors: stamps (m,) and commands to the motors, 0 to 1, (m, motors).
+        motor_s, motors: stamps (m,), and motor commands (m, motors) from 0 to 1.
         attitude_s, q: stamps (a,) and attitudes, FRD to NED, (a, 4).
         position_s: stamps of PX4's estimate, (k,).
         position, velocity: estimates in m and m/s, (k, 3), NaN where PX4 had no estimate.

@@ -3,7 +3,7 @@
 The content of `actuator_outputs` depends on PX4's version and on the output type. Parameters limit the pulse
 widths: `PWM_MIN` and `PWM_MAX` until 1.11, `PWM_MAIN_MIN` and `PWM_MAIN_MAX` in 1.12, and parameters of each
 pin since 1.13. DShot uses 0 to 1999, UAVCAN 0 to 8191 and the simulation 0 to 1. A log may have several
-instances of this topic. In this case one instance contains the motors; the others contain servos or nothing.
+instances of `actuator_outputs`: one contains the motors, the others contain servos or nothing.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class ULogFile(msgspec.Struct):
     """A PX4 log.
 
     Attributes:
-        source: name of the file, which messages contain.
+        source: name of the file, for messages.
         topics: name -> instance -> field -> array as PX4 wrote the array. Topics without samples are absent.
         parameters: PX4's parameters at the start of the log.
         version: PX4's version, or None if the version is not logged or PX4 was built between releases.
@@ -150,7 +150,8 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
 def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
     """Return a mask of a topic's plausible samples.
 
-    The stamp of a plausible sample is close to its neighbours, and each value is within range or NaN.
+    A sample is plausible if its stamp is close to the neighbouring stamps, and each value is within range or
+    NaN.
     """
     stamps = np.asarray(data["timestamp"]).astype(float)
     good = np.ones(len(stamps), dtype=bool)
@@ -167,7 +168,7 @@ def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
 
 
 def refuse_other_vehicles(log: ULogFile) -> None:
-    """Reject a log of an unsupported PX4 version, of another vehicle type, or without arming.
+    """Reject a log if PX4's version or the vehicle type is unsupported, or the vehicle was never armed.
 
     A log that lacks this information is accepted.
 
@@ -272,7 +273,7 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
 def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tuple[Array, Array]:
     """Return the shortest and longest pulse of each output.
 
-    Up to three parameters can set such a limit: for the pin, for the port, or for all ports. The limit comes
+    Up to three parameters can set each limit: for the pin, for the port, or for all ports. The limit comes
     from the first of these parameters that has a value.
     """
     bank = "MAIN" if instance == 0 else "AUX"

@@ -1,6 +1,6 @@
-"""Calibration of the two end stops by hand, in small steps. The driver is used only through a callable.
+"""Calibration of the two end stops by hand, in small steps. A function of the caller moves the servo.
 
-The angles of the cam at its ends are known: theta_0 (flexible) and theta_0 + 90 degrees (rigid). The operator
+The cam's angles at the two ends are known: theta_0 (flexible) and theta_0 + 90 degrees (rigid). The operator
 therefore calibrates only the pulse width of each end. The direction follows from the two pulse widths.
 """
 

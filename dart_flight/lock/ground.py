@@ -33,7 +33,7 @@ def ground_driver(
 ) -> Driver:
     """Return the configured driver.
 
-    The initial position of a mock's horn is the end, flexible or rigid, of the last command to the mock.
+    If the last command went to the mock, the mock's horn starts at the commanded end.
 
     Raises:
         DriverError: as in `make_driver`.

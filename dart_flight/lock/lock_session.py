@@ -1,4 +1,4 @@
-"""A driver and its state machine, for a thread that may block.
+"""A lock's driver and state machine in one object, for a thread that may block.
 
 Each call also executes the actions that the state machine returns. The lock command, the campaign and the
 tests use `LockSession`. The flight app may use `LockSession` in the lock's thread, or step the state machine

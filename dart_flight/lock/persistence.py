@@ -27,9 +27,9 @@ class LastCommand(msgspec.Struct, frozen=True):
     Attributes:
         driver: driver that sent the command.
         mode: commanded mode.
-        at_utc: wall-clock time of the last change, ISO 8601.
+        at_utc: wall-clock time of the last change of the lock's state, ISO 8601.
         pid: process that sent the command.
-        phase: phase at the last change; `travelling` means that the process ended during the travel.
+        phase: phase after this change; `travelling` means that the process ended during the travel.
         feedback: whether a limit switch confirmed the position.
     """
 
@@ -136,7 +136,7 @@ class ServoInUseError(Exception):
 
 
 class ServoOwnership(Lease):
-    """The right to move the servo: the owner holds the file `lock.pid` with the owner's process number."""
+    """The right to move the servo: the owner holds `lock.pid`, which contains the owner's process number."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = HeldFile((folder or state_dir()) / "lock.pid")

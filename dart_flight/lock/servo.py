@@ -1,7 +1,7 @@
 """The servo: pulse width for a horn angle, travel time, and a model of the horn's motion.
 
-All code here is pure: the simulated time, an integer in microseconds, is an argument. The data of the HiTec
-HS-322HD (manufacturer's catalogue) are configuration: 0.19 s per 60 degrees at 4.8 V, 0.15 s at 6 V, 50 Hz
+All code here is pure: the time, an integer in microseconds, is an argument. The configuration contains the
+data of the HiTec HS-322HD (manufacturer's catalogue): 0.19 s per 60 degrees at 4.8 V, 0.15 s at 6 V, 50 Hz
 frame, 900 to 2100 us. The servo has no position feedback: the software knows the command and the travel time,
 not the position of the horn.
 """
@@ -45,7 +45,7 @@ NO_FAULTS = ServoFaults()
 
 
 class ServoModel:
-    """The horn's true motion in simulated time: constant speed to the commanded pulse width.
+    """Model of the horn's true motion: the horn moves at constant speed to the commanded pulse width.
 
     Without pulses the horn keeps its position by gear friction. Time never runs backwards: a `t_us` before
     the previous `t_us` is replaced by the previous value.

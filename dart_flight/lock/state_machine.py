@@ -129,7 +129,7 @@ def status_text(state: LockState) -> str:
 
 
 def _run_start(before_us: int | None, t_us: int) -> int:
-    """Return the start of an unbroken run of readings: `before_us` if a run has begun, otherwise `t_us`."""
+    """Return the time at which the present run of readings began: `t_us` if no run has begun before."""
     return t_us if before_us is None else before_us
 
 
@@ -144,7 +144,7 @@ class LockStateMachine:
         self._state = LockState(t_us=t_us, phase=LockPhase.UNKNOWN, mode=None)
         self._permitted = False
         self._target: Mode | None = None  # commanded or found; kept in a fault to compare readings
-        self._pulses_off = False  # on request: a reading without pulses is then expected
+        self._pulses_off = False  # whether readings without pulses are expected
         self._begun_us = t_us  # start of the present travel
         self._sent_us: int | None = None  # start of the target's pulse at the driver's output
         self._closed_since_us: int | None = None  # start of the target switch's closure during a travel
@@ -295,7 +295,7 @@ class LockStateMachine:
             self._transition(t_us, LockEvent.DISPLACED, reason=self._fault_reason(fault, reading))
 
     def _fault_has_lasted(self, t_us: int, wrong: bool) -> bool:
-        """Return whether a fault has lasted for the debounce time."""
+        """Return whether the fault that `wrong` reports has lasted for the debounce time."""
         self._wrong_since_us = _run_start(self._wrong_since_us, t_us) if wrong else None
         return self._wrong_since_us is not None and self._has_lasted(self._wrong_since_us, t_us)
 

@@ -33,7 +33,8 @@ Array = NDArray[np.float64]
 Codes = NDArray[np.int8]
 
 MIN_REBOUND_M_S = 0.05
-# A wall counts as touched if it would be reached within this time: forces begin before the plane (`lcp`).
+# A wall counts as touched if the vehicle would reach the plane within this time, because forces may begin
+# before the plane (`lcp`).
 _TOUCH_S = 0.01
 _THICK_M = 0.5  # beyond this distance behind the plane the vehicle is on the other side of the wall
 _LOCK_POLL_S = 0.02
@@ -338,8 +339,8 @@ def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
 
     The braking distance is proportional to a sum: the speed plus `ATTITUDE_LAG_S` times the acceleration. The
     tables give the distance for a sum of 1 m/s. The first table holds for an acceleration towards the wall,
-    the second for an acceleration away from the wall. A third array contains, for each entry, the share of
-    the speed in the sum.
+    the second for an acceleration away from the wall. A third array contains the sum's share that is due to
+    the speed, for each entry.
     """
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0

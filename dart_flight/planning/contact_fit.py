@@ -7,18 +7,18 @@ positive if the vehicle is turned left. Each side of the vehicle has a right gua
 (g = -1). The guards are at the distance a (`guard_along_m`) from the side's middle. The side is at the
 distance d (`contact_distance_m`) from the centre:
 
-    x_g = x - g a sin i + d (1 - cos i)        depth of a guard F   = sum of max(0, -(k x_g + f dx_g/dt)/2) T
-    = -mu F (v_t + b d di/dt)              the lever of the friction is b d M   = a cos(i) (F_1 - F_-1) - d
-    sin(i) F - b d T              torque, positive turns to the right m dv/dt = force + push by thrust and
-    drag
+    x_g = x - g a sin i + d (1 - cos i)                         depth of a guard
+    F   = sum of max(0, -(k x_g + f dx_g/dt)/2)                 normal force, over both guards
+    T   = -mu F (v_t + b d di/dt)                               friction; its lever is b d
+    M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T            torque, positive turns to the right
+    m dv/dt = force + push by thrust and drag
 
-Attitude and gyro give the angle of incidence to the planned wall. i is this angle minus the angle between the
-real and the planned wall. The fit estimates k, f and mu as multiples of their prior values. The fit also
-estimates the wall's angle, the initial distance and velocity, and the share b of the lever in d. Rigid and
-flexible arms obey the same law with different coefficients, so both modes are fitted. From several start
-values of the angle, Levenberg-Marquardt steps lead to the most probable values. All combinations of mode,
-start, damping and derivative are computed in one array; a combination is called a lane. The evidence is
-Laplace's approximation:
+Attitude and gyro give the angle of incidence to the planned wall. This angle minus the angle between the real
+and the planned wall is i. The fit estimates k, f and mu as multiples of their prior values. The fit also
+estimates the wall's angle, the initial distance and velocity, and b. Rigid and flexible arms obey the same
+law with different coefficients, so both modes are fitted. From several start values of the angle,
+Levenberg-Marquardt steps lead to the most probable values. One array holds all combinations of mode, start
+value, damping and shifted parameter; a combination is called a lane. The evidence is Laplace's approximation:
 
     2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
 
@@ -59,7 +59,7 @@ CONTACT_SCATTER: Final = 0.05  # of k, f, mu and nu between contacts with the sa
 SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong (docs/felt.md)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
-_POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
+_POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
 _PLACE_M: Final = (
     0.1  # least deviation of a wall's place from the plan; wide, because the force determines it
 )
@@ -68,16 +68,16 @@ _UNPLANNED_RAD: Final = math.radians(15.0)  # of an unplanned wall, whose normal
 _UNKNOWN_SPREAD: Final = 0.8  # of the coefficients of a wall of unknown material, relative
 _KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations above which the material is not in the table
 _MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which the law does not fit
-_VELOCITY_M_S: Final = 0.04  # deviation of PX4's velocity, at rest and of the speed
-_VELOCITY_SHARE: Final = 0.02
+_VELOCITY_M_S: Final = 0.04  # standard deviation of PX4's velocity at rest
+_VELOCITY_SHARE: Final = 0.02  # share of the speed that is added to this deviation
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
-_LEVER_SHARE: Final = 0.3  # prior mean of the lever at which friction acts, in distances to the wall
-_LEVER_SD: Final = 0.3  # its prior deviation, so that a contact may also have no lever or twice as much
+_LEVER_SHARE: Final = 0.3  # prior mean of b, the friction's lever divided by d
+_LEVER_SD: Final = 0.3  # prior standard deviation of b: a contact may also have no lever, or twice the mean
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
 _TORQUE_ERROR: Final = 0.05  # correlated between ticks
-_SURE_SIGMA: Final = 5.0  # of the sum of the readings: below it there was no contact
+_SURE_SIGMA: Final = 5.0  # standard deviations of the sum of the readings; a smaller sum is no contact
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
 # Incidences at which a fit begins.
@@ -115,7 +115,9 @@ class Belief(NamedTuple):
 
 
 class Ticks(NamedTuple):
-    """The readings of a contact, averaged over ticks; arrays (T,) over the ticks, or (T, M) with the modes.
+    """The readings of a contact, averaged over short intervals (ticks).
+
+    The arrays have the shape (T,) for T ticks, or (T, M) for T ticks and M modes.
 
     Attributes:
         h: duration of the tick, s.
@@ -142,7 +144,7 @@ class Ticks(NamedTuple):
     bound: NDArray[np.bool_]
 
     def merged(self) -> Ticks:
-        """Merge neighbouring ticks to about `_MAX_TICKS`, but do not merge ticks at full scale."""
+        """Merge neighbouring ticks until about `_MAX_TICKS` remain; leave ticks at full scale unmerged."""
         size = -(-len(self.h) // _MAX_TICKS)
         if size == 1:
             return self
@@ -164,7 +166,7 @@ class Contact(NamedTuple):
         ticks: readings from a few ticks before the first touch until shortly after the contact.
         touched_s: approximate time from the beginning of the first tick to the first touch, s.
         velocity: PX4's velocity at the touch along the planned wall's axes, m/s.
-        incidence_rad: angle between the leading edge and the planned wall at the touch.
+        incidence_rad: angle of incidence to the planned wall at the touch.
         noise_n, noise_nm: standard deviation of a force reading and of a torque reading.
         place_sd, angle_sd: prior standard deviation of the wall's place (m) and direction (rad).
     """
@@ -309,7 +311,7 @@ class ContactFit:
         return cost, jacobian, at
 
     def _residuals(self, theta: Array, mode: NDArray[np.intp]) -> Array:
-        """Return readings minus model, then parameters minus prior, each over its standard deviation."""
+        """Return (readings - model), then (parameters - prior), each divided by its standard deviation."""
         t, c = self._ticks, self.contact
         co, so = np.cos(theta[_D]), np.sin(theta[_D])
         force, along, torque = (part.mean(axis=1) for part in self.forces(t, theta, mode, _SUBSTEPS))
@@ -421,7 +423,7 @@ class ContactFit:
         return float(mean), math.sqrt(after) / float(mean)
 
     def _vertical(self, b: Belief, force: Array) -> tuple[float, float, float]:
-        """Return the factor on nu, its standard deviation, and the evidence of the mean vertical force.
+        """Fit nu to the mean vertical force; return the factor on nu, its deviation, and the evidence.
 
         nu is the coefficient of the vertical force. At the normal force F, the vertical force is
         nu F/(1 + F).
@@ -553,7 +555,7 @@ class ContactFitter:
         return ContactFit(contact, before, self._vehicle), begin_us
 
     def _ticks(self, request: ContactRequest) -> Ticks:
-        """Return the readings; for each mode, the arms' vibration in this mode is removed."""
+        """Return the readings. Only the readings for the flexible mode are without the arms' vibration."""
         arms, mass = self._vehicle.estimation.arm_vibration, self._vehicle.airframe.mass_kg
         tick_s, (nx, ny) = self._vehicle.imu.tick_s, request.normal
         t_us, force = np.array(request.sample_us), np.array(request.force_mission)
@@ -619,8 +621,8 @@ def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mo
 
     The largest of many noisy samples is biased. A mean over a tick underestimates the peak that occurs when
     the second guard touches the wall. The model therefore gives the shape of the torque about the vertical,
-    and the samples near the model's peak give the size. The rest of the measured torque is smoothed and
-    added.
+    and the samples near the model's peak give the size. The difference between the measured and the modelled
+    torque is smoothed and added.
     """
     torque, down = np.array(request.torque_frd), _down(request.q_frd_to_ned)
     model = fit.forces(fit.contact.ticks, found.theta[:, None], np.array([mode]), _FINE)[2][:, :, 0]
@@ -677,5 +679,5 @@ def _moved(theta: Array, step: Array) -> Array:
     old = theta[_FACTORS]
     moved[_FACTORS] = np.clip(moved[_FACTORS], np.maximum(0.5 * old, _MIN_FACTOR), 2.0 * old)
     moved[_D] = np.clip(moved[_D], -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD)
-    moved[_B] = np.clip(moved[_B], 0.0, 1.0)  # from the centre of mass to the guards
+    moved[_B] = np.clip(moved[_B], 0.0, 1.0)  # 0: at the centre of mass, 1: at the guards
     return moved

@@ -1,4 +1,4 @@
-"""A planned contact, including the controller that remains active during the contact.
+"""A planned contact: the contact law, and PX4's controller, which remains active during the contact.
 
 The contact law alone (paper, Sec. IV-B) determines the duration T, the time t_p of the force peak and, with
 the detector's rule, the time t_e of the recovery setpoint. All three depend on coefficients and mass, not on
@@ -12,8 +12,8 @@ normal, PX4's loop gives
     a'  = (kv e + i - kd (a - b x') - a) / tau,      i' = ki e
 
 Along the wall, friction dominates. By the contact law alone, the velocity u follows u' = -(mu/m) lx u, and q
-is the distance along the wall since the onset. The controller's error is e = kp (s - q) - u, and its thrust
-adds a velocity d:
+is the distance along the wall since the onset. The controller's error is e = kp (s - q) - u, and the
+controller's thrust adds a velocity d:
 
     a' = (kv e + i - kd a - a) / tau,      i' = ki e
     d' = -(mu/m) lx d + a,                 velocity u + d
@@ -177,7 +177,7 @@ class ContactStage:
         self._normal: Array = np.zeros((6, 3))
         self._depths: Array = np.zeros(0)  # 1 + xi' at the nodes
         self._depth_end = 0.0
-        # Distance to the peak, distance, integral, acceleration per E at the nodes.
+        # Per unit of u at the nodes: distance to the peak, distance, integral, acceleration.
         self._by_speed: Array = np.zeros((0, 0))
         self._push: Array = np.zeros((0, 0))  # weights times acceleration per input at the nodes
         self._push_speed: Array = np.zeros((0, 0))
@@ -331,7 +331,7 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
 class _Phases:
     """Quadrature over a contact's two phases: before and after the recovery setpoint.
 
-    Each phase has J nodes. An integral of f is a matrix times the values of f at all 2 J nodes.
+    Each phase has J nodes. The integral of a function f is a matrix times f's values at all 2 J nodes.
     """
 
     def __init__(self, first_s: float, second_s: float) -> None:

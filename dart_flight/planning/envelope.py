@@ -14,15 +14,16 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import BodyModel, VehicleConfig
 from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
 
-# Normal speed; at 3.5 m/s a body with guards tilts by more than 60 degrees (docs/px4.md).
+# Largest normal speed flown; at 3.5 m/s a body with guards tilts by more than 60 degrees (docs/px4.md).
 FLOWN_UP_TO_M_S = 3.0
-# Every impact up to this incidence was recovered, up to 2 m/s, and rigid at 3 m/s.
+# Flights recovered from every impact up to this incidence: in both modes up to 2 m/s, rigid also at 3 m/s.
 INCIDENCE_FLOWN_DEG = 30.0
-# Largest normal speed of recovered impacts, by distance of the guards below and above the centre of mass, m.
-# Below is worse: the vehicle tips in the direction in which the setpoint leans it.
+# Rows: normal speed (m/s); largest distances (m) of the guards below and above the centre of mass with
+# which flights recovered. Guards below are worse: the vehicle tips in the direction in which the setpoint
+# already leans the vehicle.
 HEIGHTS_FLOWN_M = ((0.5, 0.05, 0.05), (1.0, 0.03, 0.05), (2.0, 0.0, 0.05), (3.0, 0.0, 0.03))
 CLIP_SHARE = 0.95  # of full scale; the rest is a margin for tilt, noise and friction
-# Of full scale. At 254 N (1.25) the estimate was wrong by 0.16 to 0.26 m, at 296 N (1.45) by 1.3 m.
+# Share of full scale. At 254 N (1.25) PX4's position was wrong by 0.16 to 0.26 m, at 296 N (1.45) by 1.3 m.
 LOST_SHARE = 1.3
 
 

@@ -166,7 +166,7 @@ class Grid(NamedTuple):
         return Grid(self.flight, self.x[rows], self.y[rows], self.goal_x[rows], self.goal_y[rows])
 
     def window(self, first: int) -> GridWindow:
-        """Return one window of grid points, including both ends."""
+        """Return the grid points from `first` to `first + WINDOW`, including both."""
         ax, ay = self.flight.axes
         part = slice(first, first + WINDOW + 1)
         x, y = self.x @ ax.position[:, part], self.y @ ay.position[:, part]
@@ -188,7 +188,7 @@ class Grid(NamedTuple):
 
 
 class SeriesSolution:
-    """Solutions as power series, each about the candidate's own time."""
+    """Solutions as power series in time. Each candidate's series is about the candidate's own grid point."""
 
     def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes
@@ -257,7 +257,7 @@ def first_crossing(position: Array, lead_s: float, low: float, high: float) -> A
     Args:
         position: power series (order + 1, n) of x about the grid point.
         lead_s: weight of the velocity x'.
-        low, high: range of the search.
+        low, high: range of the search, seconds from the grid point.
     """
     g = position
     if lead_s:
@@ -287,7 +287,8 @@ def closest(
             if a flight begins at the grid point, and `high` is 0 if a flight ends there.
 
     Returns:
-        Time from the grid point, distance, and position and velocity there (x, y, vx, vy), each (n,).
+        Time of the closest approach (from the grid point), distance to the goal, and state (x, y, vx, vy) at
+        this time, each (n,).
     """
     both = np.stack((x, y), axis=1)
     at = np.array(goal)[:, None]
@@ -298,7 +299,7 @@ def closest(
         slope = (p * u).sum(axis=0)
         speed2 = (u * u).sum(axis=0)
         curve = speed2 + (p * b).sum(axis=0)
-        # Far from the minimum the curvature may be negative; that of Gauss-Newton is not.
+        # Far from the minimum the curvature may be negative; Gauss-Newton's curvature is never negative.
         step = slope / np.where(curve > 0.1 * speed2, np.where(curve > 0.0, curve, 1.0), speed2 + 1e-12)
         new = np.clip(d - step, low, high)
         done = bool((np.abs(new - d) <= 1e-8).all())

@@ -1,4 +1,4 @@
-"""The source of PX4's position, and its consequences for a mission with walls."""
+"""The source of PX4's position, and the source's consequences for a mission with walls."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def simulated_source(mission: Mission) -> PositionSource:
 def frame_problem(mission: Mission, source: PositionSource) -> str | None:
     """Return the reason why a mission's frame is not valid with a position source, or None.
 
-    With GPS, PX4's local frame begins where PX4 was powered on. The mission's frame must then be at the
-    take-off point, or the mission must start at the origin of the local frame.
+    With GPS, PX4's local origin is where PX4 was powered on. The mission's frame must then be at the take-off
+    point, or the mission must start at the local origin.
     """
     spec = mission.frame
     surveyed = spec.origin == "local" and (

@@ -57,7 +57,7 @@ class PredictedFlight(msgspec.Struct):
     """The flight model's prediction for a mission.
 
     Attributes:
-        approaches: line of each approach, by the index of the collision at its end; mission frame, metres. A
+        approaches: line of each approach, by the index of the approached collision; mission frame, metres. A
             line leads from the previous resting position (if known and different) through the run-up point to
             the impact. For a collision with its own trajectory, the line consists of points of this
             trajectory.
@@ -65,7 +65,7 @@ class PredictedFlight(msgspec.Struct):
             ends at the next onset, or at the closest approach to the goal. Index 0 is a trajectory from rest
             at the start to the goal. In the first row of a leg after a contact, the velocity is 0.
         hits: impacts by collision index, except impacts that the model does not reach.
-        goal_miss_m: closest approach to the goal after the last contact; None if not reached.
+        goal_miss_m: smallest distance to the goal after the last contact; None if not predicted.
         walls: walls at random positions, drawn from the uncertainty that the mission declares. If the
             prediction uses the nominal walls, this is empty.
     """
@@ -80,7 +80,7 @@ class PredictedFlight(msgspec.Struct):
 def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> Vec2:
     """Return the impact point, mission frame.
 
-    The first known point is used: from the mission, from the model, or the middle of the wall.
+    The mission's point is used if known, otherwise the model's point, otherwise the middle of the wall.
     """
     if collision.impact_point is not None:
         return collision.impact_point

@@ -32,8 +32,8 @@ _STEP_S = 0.03  # between the possible starting times on the planned trajectory
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
 _LEAST_S = 0.2  # shortest trajectory
 _SAME_S = 1e-6  # shorter pieces are dropped
-SETTLED_S = 0.2  # before a wall the trajectory equals the planned one for this time: the attitude's lag
-_SETTLED_SHARE = 0.3  # largest share of a trajectory
+SETTLED_S = 0.2  # duration of the part before a wall that equals the planned trajectory: the attitude's lag
+_SETTLED_SHARE = 0.3  # largest share of this part in a trajectory
 
 
 class RejoiningTrajectories(NamedTuple):

@@ -53,17 +53,17 @@ _SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the planned velocity, tried in 
 # Flight at constant velocity before the plane, so that the attitude settles; shorter if space is limited.
 _STRAIGHT_S = (0.3, 0.1)
 _SAMPLES = 24  # of a trajectory, for the constraints
-_LAST = 3  # of a trajectory's samples
+_LAST = 3  # number of a trajectory's last samples
 _PUSH_SAMPLES = 12  # for acceleration and jerk, which are checked first
 # Of PX4's tilt limit; the rest is for wind, errors and the position loop's corrections.
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
 _GENTLE_REJOINING_S = 0.05  # the same for rejoining, where the joined trajectory is within limits
-_REJOINING_ALLOWANCE = 1.25  # of the limit, which the planned trajectory may already use up
-_SPEED_TOLERANCE = 1.01  # planned speed over flown
-# Two errors turn the vehicle in a contact (docs/results/faster_hits.md): too much lean off the wall, in plans
-# for rigid arms, and a lean into the wall that begins so late that the lag removes it.
+_REJOINING_ALLOWANCE = 1.25  # factor on the limit, because the planned trajectory may already reach the limit
+_SPEED_TOLERANCE = 1.01  # largest ratio of planned to flown speed
+# Two errors turn the vehicle in a contact (docs/results/faster_hits.md). One is too much lean off the wall in
+# plans for rigid arms. The other is a lean into the wall that begins so late that the lag removes the lean.
 _THRUST_OFF_SHARE = 0.5  # of the plan's final thrust off a rigid wall; the lag removes the rest
 _LEANS_IN_M_S3 = 8.0  # jerk into the wall at the end above which another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
@@ -131,7 +131,7 @@ class Replanner:
         self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
 
     def update_wall(self, felt: WallEstimate) -> None:
-        """Store a wall estimate; use its coefficients only if its mode and fit are valid."""
+        """Store a wall estimate; use its coefficients only if the mode is known and the fit succeeded."""
         self._survey.add_estimate(felt, self._walls[felt.wall])
         mode = felt.mode_felt or felt.mode_reported
         if mode is not None and not felt.problem:
@@ -229,9 +229,9 @@ class Replanner:
             walls = self._obstacles(self._start(request), request.t_us)
             clear = self._constraints.path(window, until, wall, begins=True, walls=walls) == 0
             rejoining, push, over = rejoining.select(np.flatnonzero(clear)), push[clear], over[clear]
-        # Prefer the planned impact speed: a slower impact is a different one.
+        # Prefer the planned impact speed: a slower impact is another impact than planned.
         slow = (rejoining.slower > _SPEED_TOLERANCE) & (collision is not None)
-        if request.under_way:  # a slower one does not improve on the trajectory in progress
+        if request.under_way:  # a slower trajectory does not improve on the trajectory in progress
             rejoining, push = rejoining.select(np.flatnonzero(~slow)), push[~slow]
             over, slow = over[~slow], slow[~slow]
         if wall is not None:
@@ -254,7 +254,7 @@ class Replanner:
         return None
 
     def _thrust_off(self, wall: Wall, written: Trajectory) -> float:
-        """Return the thrust per mass, m/s2, at the end of the mission's trajectory; positive off the wall."""
+        """Return the thrust per mass, m/s2, at the end of the mission's trajectory; > 0 off the wall."""
         end = written.at(written.duration_s)
         drag_n, _ = drag_along(wall, self._mission.vehicle.airframe.drag_per_s)
         return wall.to_collision(end.acceleration)[0] + drag_n * wall.to_collision(end.velocity)[0]
@@ -313,7 +313,7 @@ class Replanner:
         ahead_s = (request.begin_us - request.t_us) * 1e-6
         vectors = (request.position_mission, request.velocity_mission, request.acceleration_mission)
         place, speed, push = (np.array(vector[:2]) for vector in vectors)
-        if request.under_way:  # the reference changes little in this time
+        if request.under_way:  # the trajectory's acceleration changes little in this time
             states = np.stack(
                 [place + ahead_s * (speed + 0.5 * ahead_s * push), speed + ahead_s * push, push]
             )
@@ -392,10 +392,7 @@ class Replanner:
     def _stays_clear(
         self, x: Array, y: Array, duration_s: Array, wall: Wall | None, obstacles: list[Wall]
     ) -> NDArray[np.bool_]:
-        """Return a mask of the trajectories within the bounds and the speed limit.
-
-        These trajectories also touch no wall except `wall`.
-        """
+        """Return which trajectories respect the bounds and speed limit and touch no wall except `wall`."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
         states = (_derivative(c, times, order).astype(np.float32) for order in (0, 1) for c in (x, y))
         window = GridWindow(np.linspace(0.0, 1.0, _SAMPLES), *states)
@@ -433,7 +430,7 @@ class Replanner:
 def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
     """Return by how much each trajectory's final jerk towards the wall exceeds `_LEANS_IN_M_S3`.
 
-    The result is a number of steps of `_LEANS_IN_STEP_M_S3`, rounded up; 0 within the limit.
+    The unit of the result is `_LEANS_IN_STEP_M_S3`, rounded up. Within the limit the result is 0.
     """
     (nx, ny), (jx, jy) = wall.normal, rejoining.jerk[:, :, -_LAST:]
     too_fast = np.max(-(nx * jx + ny * jy), axis=1, initial=0.0) - _LEANS_IN_M_S3
@@ -442,10 +439,10 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 
 
 def _straights(slack: float) -> list[tuple[float, float]]:
-    """Return the options for the straight flight before a wall, best first: pairs (duration in s, count).
+    """Return options for the straight flight before a wall, best first, as pairs (duration, count).
 
-    `slack` is the tolerance of the wall's position, metres. The straight flight begins earlier: `count` times
-    `slack` is added to its length.
+    The straight flight lasts for the duration (s) and in addition covers `count` times `slack`, the tolerance
+    of the wall's position in metres.
     """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]

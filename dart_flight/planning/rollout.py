@@ -246,10 +246,7 @@ class Rollout:
         return self._arrive(_merge(fronts)) if fronts else []
 
     def _weight(self, collision: int) -> int:
-        """Return the number of mode sequences that begin with the same modes at the first walls.
-
-        `collision` is the number of these walls.
-        """
+        """Return the number of mode sequences that share given modes at the first `collision` walls."""
         return int(len(self.task.modes) ** (len(self.walls) - collision))
 
     def _refuse(self, codes: NDArray[np.int8], collision: int) -> NDArray[np.bool_]:
@@ -573,9 +570,9 @@ def _actual_approach(
 ) -> tuple[ApproachGrid, Array, Array, float, float]:
     """Return the impacts of planned approaches on a wall that differs from the planned wall.
 
-    Velocities and their offsets are converted from the planned wall's frame to the true wall's frame. The
-    gains of a recovery setpoint therefore apply to the true wall's axes. If the gains of both axes are equal,
-    the frame makes no difference.
+    The velocities, and the velocity offsets `shift`, are converted from the planned wall's frame to the true
+    wall's frame. The gains of a recovery setpoint therefore apply to the true wall's axes. If the gains of
+    both axes are equal, the frame makes no difference.
 
     Returns:
         Approaches, normal velocity, tangential velocity, offset of the normal velocity, and offset of the
@@ -591,7 +588,7 @@ def _actual_approach(
     later_s = before / -into
     x, y = grid.impact_x + vx * later_s, grid.impact_y + vy * later_s
     codes = grid.codes.copy()
-    # The wall's position is drawn, so only the vehicle's own half must fit on it.
+    # The wall's position is drawn, so no margin for uncertainty is needed beside half a vehicle.
     beyond = wall.end_distance_m((x, y)) < wall.half_vehicle_m
     codes[(codes == 0) & beyond] = CODE[Refusal.BEYOND_WALL]
     actual = grid._replace(codes=codes, impact_x=x, impact_y=y, impact_s=grid.impact_s + later_s)
@@ -606,7 +603,7 @@ def _actual_approach(
 
 
 def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
-    """Return the component of (x, y) along a direction; if the direction is an axis, multiply only once."""
+    """Return the component of (x, y) along a direction, by one product if the direction is an axis."""
     nx, ny = x.dtype.type(direction[0]), y.dtype.type(direction[1])
     along: NDArray[Any] = x * nx if ny == 0.0 else y * ny if nx == 0.0 else x * nx + y * ny
     return along

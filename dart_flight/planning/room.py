@@ -6,10 +6,10 @@ with the normal n if
 
     c_i . n - h_i(n) = offset        for all these contacts
 
-This holds for any incidence. The fit uses as few walls as possible. Every contact belongs to one wall, and
-the contacts of a wall are neighbours in direction. Consecutive walls intersect in the corners. If a wall has
-only one contact, more probes are needed beside this contact. If a corner does not lie between the contacts of
-its two walls, another probe is needed in the direction between these contacts.
+This holds for any incidence. The fit uses as few walls as possible. Every contact belongs to one wall. The
+contacts of a wall have consecutive directions from the start. Consecutive walls intersect in corners. If a
+wall has only one contact, more probes are needed beside this contact. If a corner does not lie between the
+contacts of its two walls, another probe is needed in the direction between these contacts.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Room(NamedTuple):
 
 
 def plan_star(mission: Mission, directions_rad: Sequence[float], speed_m_s: float = _SPEED_M_S) -> Mission:
-    """Return the mission with a probe from its start in each direction, up to its bounds.
+    """Return the mission with a probe in each direction, from the mission's start to its bounds.
 
     Raises:
         InputError: the mission does not permit the probes.
@@ -271,7 +271,7 @@ def contacts_from_walls(walls: Sequence[Any], directions_rad: Sequence[float]) -
 
 
 def room_keys(room: Room, material: str) -> dict[str, dict[str, Any]]:
-    """Return the walls of a closed room as a mission file defines them: keys of each wall, by wall name."""
+    """Return a mission file's keys for each wall of a closed room, by wall name."""
     found = {}
     for k, wall in enumerate(room.walls):
         (ax, ay), (bx, by) = room.corners[k - 1] or (0.0, 0.0), room.corners[k] or (0.0, 0.0)

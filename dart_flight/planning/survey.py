@@ -22,7 +22,7 @@ from dart_flight.core.mission.wall_uncertainty import position_margin_m
 _SPEED_M_S = 0.5  # slow, but well above the detection threshold in either mode
 _RUN_UP_M = 0.5  # in front of the nearest possible position of the wall
 _BACK_M = 0.5
-_ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)  # shares of a wall's length, candidates for the contact
+_ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)  # possible contacts, in shares of the wall's length from its middle
 _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 
 
@@ -90,7 +90,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
 
 
 def _figures(mission: Mission) -> dict[str, float]:
-    """Return mission key -> default standard deviation, for walls that have no configured deviations."""
+    """Return default standard deviations by mission key, for walls without configured deviations."""
     figures = {}
     for wall in mission.flat_walls:
         if wall.position_sd_m is None:
@@ -146,7 +146,7 @@ def _modes(mission: Mission, wall: Wall) -> Sequence[Mode]:
 
 
 def surveyed_walls(mission: Mission, measured: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the keys of a mission's measured walls.
+    """Return the mission file's keys for each measured wall, by wall name.
 
     Args:
         mission: mission with these walls.
@@ -173,7 +173,7 @@ def surveyed_walls(mission: Mission, measured: Mapping[str, Any]) -> dict[str, d
 def surveyed_collisions(
     mission: Mission, written: Sequence[Mapping[str, Any]], measured: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return the keys of a mission's collisions, expressed relative to the measured walls.
+    """Return the mission file's keys for each collision, expressed relative to the measured walls.
 
     Gains along the mission's axes, and places in the mission frame, would be wrong for a wall that was found
     at another place.

@@ -69,8 +69,8 @@ class EventFormatter:
     """Converts the records of a flight, in order, to events.
 
     Args:
-        every_problem: whether to report problems in other flight modes as well. The problems of other modes
-            are reported only while PX4's checks list no problem in the present mode.
+        every_problem: whether to report PX4's problems in other flight modes while there is no problem in the
+            present mode. Problems in the present mode are always reported.
     """
 
     def __init__(self, every_problem: bool = False) -> None:

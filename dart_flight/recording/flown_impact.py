@@ -60,7 +60,7 @@ class Velocities(msgspec.Struct):
 
 
 class LockTimes(msgspec.Struct):
-    """Times of the lock switch that follows a collision, autopilot time."""
+    """Times of the lock's change of mode after a collision, autopilot time."""
 
     contact_end_us: int | None = None
     relaxed_us: int | None = None

@@ -63,7 +63,7 @@ class LogFollower:
         return entries
 
     def _whole_records(self) -> bytes:
-        """Return the whole records that follow the bytes returned by the previous call."""
+        """Return the complete records after the bytes that the previous call returned."""
         if self._continued and part_path(self._path, self._part + 1).exists():
             self._next_part()
         with open(part_path(self._path, self._part), "rb") as file:

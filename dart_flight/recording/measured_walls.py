@@ -29,7 +29,7 @@ class MeasuredWall(msgspec.Struct):
         touched_m: [x, y] of the vehicle's centre at the first touch of the last contact.
         material: name in the table of materials; null if unknown.
         coefficients: estimates of k, f, mu and nu by mode, each with its relative standard deviation.
-        age_s: time from the contact to the flight's end.
+        age_s: time from the last contact to the flight's end.
         truth_error_m: error of the plane's measured position at the contact. The error is positive if the
             measured plane is on the free side of the true plane. Simulation only.
         truth_error_deg: error of the plane's measured direction (measured minus true). Simulation only.
@@ -106,7 +106,7 @@ class WallMeasurements:
         )
         true = self._true_wall(name, estimate, drawn)
         if true is not None:
-            # Compare at the contact: elsewhere along the wall the direction's error adds to it.
+            # Compare at the contact: elsewhere along the wall the direction's error adds to the position's.
             point = estimate.plane_point_mission
             at = wall.foot(point) if point is not None else wall.point
             found.truth_error_m = true.signed_distance(at)

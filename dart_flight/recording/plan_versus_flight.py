@@ -97,7 +97,7 @@ def _as_written(mission: Mission, collision: Collision) -> tuple[Velocities, Vec
 def deviations(
     mission: Mission, planned: Prediction, flown: Sequence[FlownImpact], goal_miss_m: float | None
 ) -> list[Deviation]:
-    """Return a deviation for every planned value, in the mission's order; an empty list for a rehearsal.
+    """Return a deviation for every planned value, in the mission's order. For a rehearsal the list is empty.
 
     Args:
         mission: the mission with its tolerances.

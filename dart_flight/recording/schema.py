@@ -61,7 +61,7 @@ CLOCKS = {
 
 
 def describe(name: str, comment: str = "") -> str:
-    """Return one line with a field's unit, frame and comment; the name gives unit, clock and frame."""
+    """Return one line with a field's unit, frame and comment; unit, clock and frame follow from the name."""
     parts = [_unit(name), _frame(name), comment]
     return "; ".join(part for part in parts if part)
 

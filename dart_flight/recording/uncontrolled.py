@@ -26,7 +26,7 @@ class TruthExtremes:
     """The largest excursion, tilt and landing speed of a simulated flight so far.
 
     Attributes:
-        excursion_m: largest distance out of the bounds, sideways or above.
+        excursion_m: largest distance outside the bounds, sideways or upwards.
         landing_m_s: largest downward speed at the ground.
         tilt_rad: largest tilt of the body.
         last: the last sample.

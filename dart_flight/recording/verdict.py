@@ -60,9 +60,10 @@ class ResetFigures(msgspec.Struct):
     PX4's reset counter changes at a reset. The steps are the largest steps within 0.1 s of this change.
 
     Attributes:
-        position_m: step of the position beyond the motion that the estimated velocities predict.
+        position_m: step of the estimated position, relative to its prediction from the previous sample.
         velocity_m_s: step of the estimated velocity.
-        heading_deg: step of the heading that the gyro does not explain, positive clockwise from above.
+        heading_deg: step of the heading, minus the rotation that the gyro measured; positive clockwise seen
+            from above.
     """
 
     t_us: int
@@ -343,8 +344,8 @@ class VerdictBuilder:
     def _goal_reached(self) -> bool | None:
         """Return whether the vehicle came within the goal's capture radius, or None before the flight's end.
 
-        The nearest distance is the miss distance if the vehicle passed the goal. If not, and if the flight
-        was completed, the nearest distance is the final distance from the goal.
+        If the vehicle passed the goal, the miss distance is compared with the radius. Otherwise, for a
+        completed flight, the final distance from the goal is compared.
         """
         if self.end is None:
             return None

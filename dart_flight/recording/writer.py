@@ -6,8 +6,8 @@ has the number of the input that caused the record. A replay feeds the inputs in
 Log times are on the autopilot's clock. `ClockOffset` relates this clock to the host's monotonic clock, and
 the description of the flight relates the monotonic clock to the calendar.
 
-A separate thread encodes and writes the records in small chunks, so a killed process loses the records of at
-most 0.2 s. Once a second the thread syncs the chunks to the disk, because a crash of the vehicle may
+A separate thread encodes and writes the records in small chunks, so a killed process loses at most the last
+0.2 s of records. Once a second the thread syncs the chunks to the disk, because a crash of the vehicle may
 disconnect the battery. A file that reaches `part_bytes` is finished, and the next file (`flight.part2.mcap`,
 ...) begins. After `most_parts` files, only decisions are recorded and telemetry is discarded.
 """
@@ -69,13 +69,13 @@ class LogPart:
 
         `number` is the number of the recorded input, or of the input that caused the record.
         """
-        time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times; a broken clock does
+        time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times, but a faulty clock has
         channel = self._channels[type(record)]
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
 
     def flush(self) -> None:
         """End the chunk and pass it to the operating system."""
-        # The library ends a chunk only at a megabyte, which would cost a killed flight many seconds.
+        # The library ends a chunk only at a megabyte; a killed process would lose many seconds of records.
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.flush()
 

@@ -1,11 +1,12 @@
 """Shell around the core for flights over MAVSDK: streams -> queue -> core -> vehicle, lock, log.
 
 The threads are:
-    MAVSDK's thread builds records and queues them. Near a wall this thread also steps the core
-    (`core_thread`). The core thread steps the core and sends setpoints. The lock thread, if there is a lock,
-    steps the lock's state machine and may block on its driver. The log thread encodes and writes records. The
-    event loop (asyncio) handles the connection, arming, mode changes, signals and the operator's keys. The
-    terminal thread passes the records to `progress`.
+    MAVSDK's thread builds records and queues them. Near a wall it also steps the core (`core_thread`).
+    The core thread steps the core and sends setpoints.
+    The lock thread, if there is a lock, steps the lock's state machine and may block on the lock's driver.
+    The log thread encodes and writes records.
+    The event loop (asyncio) handles the connection, arming, mode changes, signals and the operator's keys.
+    The terminal thread passes the records to `progress`.
 """
 
 from __future__ import annotations
@@ -76,11 +77,11 @@ from dart_flight.vehicle.motion_capture.source import PoseSource, open_source
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 
 _SHOW_PERIOD_S = 0.2  # the update period of the live line
-_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # while the lock travels, and otherwise
+_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # polling periods: while the lock travels, and otherwise
 _SWITCH_INTERVAL_S = 0.001  # a computing thread yields to MAVSDK's callbacks after a millisecond
 _KEY_PAUSE_S = 0.5
-_LOOK_PERIOD_S = 0.5  # for other vehicles, and for the end of the simulated world
-_END_GRACE_S = 0.3  # for the last truth and the log
+_LOOK_PERIOD_S = 0.5  # between checks for other vehicles and for the end of the simulated world
+_END_GRACE_S = 0.3  # wait after the flight for the last truth and the log
 
 Progress = Callable[[Record], None]
 
@@ -108,14 +109,14 @@ class LockThread:
 
     Args:
         make_session: function that makes the session, which contains the state machine and the driver. The
-            thread calls this function when the autopilot's time is known. Before that, the lock's stamps
+            thread calls this function only when the autopilot's time is known. Otherwise the lock's stamps
             could be later than the autopilot's time.
         states: queue in which the session puts the lock's states, in order.
         clock_known: function that returns whether the autopilot's time is known.
         deliver: callback for every state of the lock.
         after_poll: callback after every poll of the driver.
-        lockstep: reporter to the simulated world, or None in real time. In lockstep, the world waits for the
-            app, and the driver is polled in simulated time.
+        lockstep: reporter of progress to the simulated world, or None in real time. In lockstep, the world
+            waits for the app, and the driver is polled in simulated time.
     """
 
     def __init__(
@@ -199,11 +200,11 @@ class FlightApp:
         observe: callback for every record and the record's input number, on the core thread.
         world: simulated world, or None for a real vehicle.
         progress: callback for every record. It runs on a separate thread, because a terminal may block.
-        clock: autopilot's clock, or None for the clock of a vehicle in real time.
+        clock: autopilot's clock, or None if the autopilot's time advances with real time.
         deadman_note: file in which the deadman reports why it killed the program, or None for no deadman.
         lock_faults: faults of the mock servo from the start of the flight.
         opened: callback for the moment when the link is open.
-        unwanted: numbers of the MAVLink messages that the vehicle is asked to stop on this link.
+        unwanted: numbers of MAVLink messages; the app asks the vehicle not to send them on this link.
         lockstep: whether the world waits for this program. If so, the program's clock is simulated time.
         mocap_url: URL of the source of the forwarded poses, or None to use the vehicle's `mocap.url`.
 
@@ -243,7 +244,7 @@ class FlightApp:
         self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
         self._bridge: MotionCaptureBridge | None = None
-        self._unsent: set[str] = set()  # causes of setpoints not sent that were reported
+        self._unsent: set[str] = set()  # errors already reported for setpoints that were not sent
         self._done = asyncio.Event()
         self._ended = threading.Event()
         self.loop: asyncio.AbstractEventLoop | None = None
@@ -341,7 +342,7 @@ class FlightApp:
                     task.cancel()
 
     def show(self, record: Record) -> None:
-        """Queue for display a record that is not from the core; call this from any thread."""
+        """Queue a record that is not from the core, for display. Any thread may call this."""
         self._shown.append(record)
 
     def stop(self) -> None:
@@ -606,7 +607,7 @@ class FlightApp:
 
 
 def _in_background(terminal: int) -> bool:
-    """Return whether another job has the terminal, so that this process is in the background."""
+    """Return whether this process is in the background because another job has the terminal."""
     try:
         return os.tcgetpgrp(terminal) != os.getpgrp()
     except OSError:  # not the terminal of this session, so there is no job control

@@ -6,8 +6,8 @@ arrive on that thread, so no other thread has to wake up first (docs/latency.md)
 own thread steps the core.
 
 In lockstep, the simulated world waits until the core has processed the world's samples. The thread that
-delivers a sample also steps the core. Near a wall it steps the core after each sample, away from walls after
-every 20 ms of simulated time.
+delivers a sample also steps the core: after each sample near a wall, and after every 20 ms of simulated time
+away from walls.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dart_flight.vehicle.clock import host_us
 
 _TICK_S: Final = 0.02
 _STOP_S: Final = 2.0
-_BACKLOG: Final = 64  # inputs; beyond it only the newest of the state streams is stepped
+_BACKLOG: Final = 64  # inputs; if more are queued, only each state stream's newest sample is kept
 _STATE_STREAMS: Final = (AttitudeSample, OdometrySample, ActuatorSample)
 
 
@@ -35,7 +35,7 @@ class CoreThread:
     Args:
         runner: runner that steps the core and carries out the core's outputs.
         alive: callback that feeds the deadman, called at least every 20 ms unless a step hangs.
-        lockstep: reporter to a simulated world that waits for the app, or None in real time.
+        lockstep: reporter of progress to a simulated world that waits for the app, or None in real time.
         after_step: callback after every step in lockstep, before the report to the world.
     """
 
@@ -77,7 +77,7 @@ class CoreThread:
     def arrive(self, item: Input) -> None:
         """Queue an input of a stream, from any thread.
 
-        If the core's pace requires this, the calling thread steps the core with the queued inputs at once.
+        If a step is due at once, the calling thread steps the core with the queued inputs.
         """
         now = self._lockstep is None or self._lockstep.completes_batch(item)
         self._queue.put(item)
@@ -85,12 +85,13 @@ class CoreThread:
             self._step_now()
 
     def _step_now(self) -> None:
-        # The owner checks the queue again after a step, so an input that finds it owned is not lost.
+        # The owner checks the queue again after a step, so an input that arrives during the step is not lost.
         while self._in_haste and not self._queue.empty() and self._owner.acquire(blocking=False):
             try:
                 self._step_queued()
             except BaseException as fault:
-                # MAVSDK's thread would swallow it, so the core's thread raises it and the deadman acts.
+                # MAVSDK's thread would swallow the exception. The core's thread therefore raises it, and the
+                # deadman acts.
                 self._fault, self._pace = fault, Pace.BATCHED
             finally:
                 self._owner.release()

@@ -24,9 +24,9 @@ from pathlib import Path
 
 CORE, LOOP = b"c", b"l"
 _ARM, _LET_GO = b"a", b"q"
-_OWN_PAUSES = 2.0  # periods: a watcher that did not run for longer restarts its timeouts
+_OWN_PAUSES = 2.0  # periods; a watcher that did not run for a longer time restarts its timeouts
 FEED_PERIOD_S = 0.1  # longest period; each feed costs a wake-up
-_FEEDS = 5  # within `starve_s`: all but one of them may be late
+_FEEDS = 5  # number within `starve_s`; all of them but one may be late
 _MIN_S = 0.001
 _WORD = struct.Struct("=cd")  # message and its time; a write this short is atomic
 _MAX_WORDS = 400  # in one read
@@ -89,14 +89,14 @@ class Deadman:
             self._write(part)
 
     def restart_if_dead(self) -> None:
-        """Start another watcher if this one has died."""
+        """Start another watcher if the present watcher has died."""
         if self._process.poll() is not None:
             self._start()
             if self._armed:
                 self._write(_ARM)
 
     def disarm(self) -> None:
-        """End the watcher without killing the app, after the flight."""
+        """After the flight, end the watcher without killing the app."""
         # Keep the pipe open: the core thread may still write to its descriptor.
         self._write(_LET_GO)
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -137,7 +137,7 @@ class SystemdNotice:
     def alive(self) -> None:
         """Feed systemd's watchdog at most twice per period of the watchdog.
 
-        Call this method more often than that.
+        Call this method more often than twice per period.
         """
         now = time.monotonic()
         if self._period_s is not None and now - self._sent_s >= self._period_s:

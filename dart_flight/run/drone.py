@@ -32,7 +32,7 @@ def fly_vehicle(
         log_dir: folder for the flight's folder.
         progress: callback for every record, on a separate thread.
         lease: lease of the link, or None to acquire a lease for this flight. The lease stores the log's path.
-        viewer: callback for every record, on the thread that processed it.
+        viewer: callback for every record, on the thread that processed the record.
 
     Raises:
         InputError: the log cannot be written.

@@ -49,10 +49,10 @@ def fly_embedded(
         deadman: whether to start the deadman, which kills this program if it hangs. Used in real time only.
         fault: fault to inject, or None.
         spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
-        speed: highest number of simulated seconds per second.
+        speed: highest number of simulated seconds per real second.
         realtime: whether simulated time advances without waiting for this program. If so, timeouts use the
             host's time.
-        viewer: callback for every record, on the thread that produced it.
+        viewer: callback for every record, on the thread that produced the record.
 
     Raises:
         InputError: the log cannot be written.

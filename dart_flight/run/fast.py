@@ -81,7 +81,7 @@ _POSITION_SD_EVERY: Final = (
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
 _TIMESYNC_EVERY: Final = 25  # ticks between measurements of the round trip, as in the app
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last setpoint at 20 Hz
-_LONGEST_S: Final = 180.0  # of a flight, without the holds of its mission
+_LONGEST_S: Final = 180.0  # longest duration of a flight, without the mission's holds
 _NAN3 = (math.nan, math.nan, math.nan)
 FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
@@ -451,8 +451,8 @@ def fly_fast(
         seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
         progress: callback for every record.
-        lock_faults: faults of the mock servo from the start of the flight, or None for the faults that the
-            seed draws.
+        lock_faults: faults of the mock servo from the start of the flight, or None for the faults drawn with
+            the seed.
         fault: fault to inject, with its time.
         spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
         keep_record: callback for the complete record; without `log_dir` the record's log is in memory.

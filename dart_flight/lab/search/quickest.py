@@ -180,7 +180,7 @@ def hit_limits_of(scenario: Scenario) -> HitLimits:
 
 
 def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:
-    """Return the bounds, reduced by the margin of plans, as half-planes."""
+    """Return the bounds as half-planes, moved inwards by the margin `_OFF_BOUNDS_M`."""
     (x0, x1), (y0, y1) = scenario.bounds.x, scenario.bounds.y
     return (
         HalfPlane((1.0, 0.0), x0 + _OFF_BOUNDS_M),
@@ -205,7 +205,7 @@ class LegEnd(Enum):
 
     REST = "rest"  # no velocity, no acceleration
     REVERSAL = "reversal"  # no velocity along the leg
-    HIT = "hit"  # any velocity into a wall, and the remaining velocity after it
+    HIT = "hit"  # before the hit any velocity into the wall, after the hit the remaining velocity
     ANY = "any"
 
 
@@ -236,10 +236,10 @@ class LeastTimes:
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
-        """Return the time and the distance between an end of a leg and the point at which a speed is reached.
+        """Return the time and the distance in which the vehicle gains or loses speed at an end of a leg.
 
         Time and distance are arrays with one entry for each speed of `_speeds`. If `levels` is True, the
-        acceleration must be zero when the speed is reached.
+        acceleration must be zero at this speed.
         """
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)
@@ -277,7 +277,7 @@ class _Search:
         self.colliding: QuickestPlan | None = None
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], QuickestPlan | None] = {}
-        self.least_open_s = self.left_out_s = math.inf  # lower bounds: not computed, omitted
+        self.least_open_s = self.left_out_s = math.inf  # lowest bounds: not computed, too many hits
         # Every bound needs the responses, so compute them once.
         self._responses = {
             (wall.name, mode): ContactResponse.at_wall(self.vehicle, wall, mode)
@@ -288,7 +288,7 @@ class _Search:
         self._room, self._demanded = room_of(scenario), _demanded(scenario)
 
     def run(self, enough: Callable[[], bool], progress: Progress) -> None:
-        """Compute sequences, the lowest bound first.
+        """Compute the plans of sequences; begin with the sequence that has the lowest bound on its time.
 
         The search ends when no remaining sequence can be faster than the best plan, or `enough` returns True.
         """
@@ -367,7 +367,7 @@ class _Search:
                 yield more
 
     def _is_wanted(self, events: Sequence[Event]) -> bool:
-        """Return whether the events contain at least one hit, and every demanded hit."""
+        """Return whether the events contain a hit, and exactly the demanded hits if hits are demanded."""
         walls = _walls_hit(events)
         return bool(walls) and (not self._demanded or walls == self._demanded)
 
@@ -379,7 +379,7 @@ class _Search:
     # -- bounds --
 
     def _bound_s(self, events: Sequence[Event]) -> float:
-        """Return a lower bound on the time through the events, from the least leg times and the contacts."""
+        """Return a lower bound on the time of a sequence: the sum of the least leg and contact times."""
         places = _shortest_path_through(self.scenario.start, events, self._goal)
         total = 0.0
         for k, (a, b) in enumerate(itertools.pairwise(places)):
@@ -408,8 +408,8 @@ class _Search:
     def _largest_speed_after_hit_m_s(self) -> float:
         """Return an upper bound on the speed after any hit.
 
-        The bound assumes the largest velocity along the wall and no friction. The normal velocity is the
-        largest within the limits of the total speed and of a hit, multiplied by the restitution.
+        The bound assumes the largest velocity along the wall and no friction. The normal velocity after the
+        hit is the restitution times the largest normal velocity that the speed and hit limits permit.
         """
         fastest, hits, left = self.limits.speed_m_s, self.hits, 0.0
         for wall, mode in itertools.product(self.walls, self.scenario.modes):
@@ -451,7 +451,7 @@ class _Search:
         return QuickestPlan(found.time_s, found, events)
 
     def _problem(self, events: Sequence[Event]) -> Problem | None:
-        """Return the optimal control problem of the events and of the path's corners between the events.
+        """Return the optimal control problem whose parts end at the events and at the path's corners.
 
         The result is None if there is no path from one event to the next.
         """
@@ -512,13 +512,13 @@ def _count_hits(events: Sequence[Event]) -> int:
 
 
 def _serves(wall: Wall, visit: Visit) -> bool:
-    """Return whether the vehicle can pass the place of a visit while the vehicle hits a wall."""
+    """Return whether a hit of a wall can be near enough to a visit's place to count as the visit."""
     off_m = math.hypot(wall.signed_distance(visit.place), min(0.0, wall.end_distance_m(visit.place)))
     return off_m <= visit.within_m
 
 
 def _repeats(events: Sequence[Event]) -> bool:
-    """Return whether one hit of a wall would serve two consecutive events."""
+    """Return whether one hit could replace two consecutive events of a sequence."""
     return any(
         isinstance(hit, Hit)
         and (
@@ -553,11 +553,11 @@ def _shortest_path_through(start: Vec2, events: Sequence[Event], goal: Vec2) -> 
 
 
 def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
-    """Return the place of an event that minimises the path between two places."""
+    """Return the place for an event at which the path from `a` through this place to `b` is shortest."""
     if isinstance(event, Hit):
         wall = event.wall
         here, there = abs(wall.signed_distance(a)), abs(wall.signed_distance(b))
-        share = here / (here + there) if here + there > 0.0 else 0.5  # straight line to the mirror image
+        share = here / (here + there) if here + there > 0.0 else 0.5  # straight line to b's mirror image
         place = wall.foot((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])))
         return place if event.visit is None else _nearest_in(event.visit, place)
     (ax, ay), (bx, by), (cx, cy) = a, b, event.place

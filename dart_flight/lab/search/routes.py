@@ -1,8 +1,8 @@
 """Shortest polylines past walls and posts, and regions that keep each part of a polyline clear of obstacles.
 
-Each part of a path stays on one side of every wall: in the half-plane in front of the wall or behind the
-wall. If a part leads past a wall's end, the part stays beyond this end. The distance of a part from walls'
-edges and from posts is at least half a vehicle plus a margin.
+Each part of a path stays on one side of every wall: in front of the wall, behind the wall, or beyond one of
+the wall's ends. The distance of a part from posts and from the ends of walls is at least half a vehicle plus
+a margin.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TOUCH_M = 0.01  # distance that a path to a place at a wall keeps from the wall'
 
 
 class Obstacles(NamedTuple):
-    """Walls, bounds and discs around posts, sized for a vehicle at any yaw."""
+    """Walls, bounds and discs around posts. The discs are large enough for a vehicle at any yaw."""
 
     walls: tuple[Wall, ...]
     discs: tuple[Disc, ...]
@@ -64,7 +64,7 @@ def shortest_path(begin: Vec2, end: Vec2, obstacles: Obstacles) -> list[Vec2] | 
 
 
 def least_length_m(begin: Vec2, end: Vec2, obstacles: Obstacles) -> float:
-    """Return a lower bound on the length of the paths that go around the edges of walls.
+    """Return a lower bound on the length of the paths that go around the ends of walls.
 
     Posts are ignored. The result is still a lower bound, because posts only lengthen a path.
     """
@@ -81,7 +81,7 @@ def least_length_m(begin: Vec2, end: Vec2, obstacles: Obstacles) -> float:
 
 
 def _shortest_through(places: Sequence[Vec2], blocked: Callable[[Vec2, Vec2], bool]) -> list[Vec2] | None:
-    """Return the shortest polyline from places[0] to places[1], through any other places (Dijkstra)."""
+    """Return the shortest polyline from places[0] to places[1]; other places may be corners (Dijkstra)."""
     best, queue = {0: 0.0}, [(0.0, 0)]
     previous: dict[int, int] = {}
     while queue:
@@ -103,7 +103,7 @@ def _shortest_through(places: Sequence[Vec2], blocked: Callable[[Vec2, Vec2], bo
 
 
 def _edge(wall: Wall) -> tuple[Vec2, Vec2]:
-    """Return the ends of a wall's surface, half a vehicle behind the plane of the centre at first touch."""
+    """Return the ends of a wall's surface. The surface is half a vehicle behind the wall's plane."""
     (nx, ny), back = wall.normal, wall.half_vehicle_m
     middle = (wall.point[0] - back * nx, wall.point[1] - back * ny)
     left, right = (_moved_along(wall, middle, side * 0.5 * wall.length_m) for side in (-1.0, 1.0))
@@ -126,7 +126,7 @@ def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:
 
 
 def _corners_around_ends(wall: Wall) -> Iterator[Vec2]:
-    """Yield corners around a wall's ends, in front of the wall and behind, at the clearance from the wall."""
+    """Yield corners around a wall's ends, on both sides of the wall, just beyond the clearance."""
     (tx, ty), (nx, ny), reach = wall.tangent, wall.normal, 0.5 * wall.length_m
     for side, face in itertools.product((-1.0, 1.0), (-1.0, 1.0)):
         tip = (wall.point[0] + side * reach * tx, wall.point[1] + side * reach * ty)
@@ -150,7 +150,8 @@ def _within_bounds(places: Sequence[Vec2], bounds: BoundsSpec) -> list[Vec2]:
 def _cuts(disc: Disc, a: Vec2, b: Vec2) -> bool:
     """Return whether a straight path enters a disc.
 
-    A path that begins or ends inside the disc counts only if it comes nearer to the centre than both ends.
+    A path that begins or ends inside the disc enters only if its middle part is nearer to the centre than
+    both ends.
     """
     nearest_m = distance_to_segment(disc.centre, a, b)
     return nearest_m < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))
@@ -174,7 +175,7 @@ def _on_one_side_each(path: list[Vec2], walls: Sequence[Wall], bounds: BoundsSpe
 def _fits(a: Vec2, b: Vec2, wall: Wall) -> bool:
     """Return whether a straight path is on one side of a wall.
 
-    If the path begins or ends at the wall, it must be in front of the wall.
+    If the path begins or ends at the wall, the whole path must be in front of the wall.
     """
     if _is_at(wall, a) or _is_at(wall, b):
         return min(wall.signed_distance(a), wall.signed_distance(b)) >= 0.0

@@ -1,4 +1,4 @@
-"""Scenario files (version 1), the planner's input, as YAML types and as a checked `Scenario`.
+"""The planner's input: YAML types of scenario files (version 1), and the checked `Scenario`.
 
 A scenario shares start, goal, bounds, walls, limits and frame with a mission (`config.mission`), and defines
 a search instead of collisions. `docs/missions.md` explains every key.
@@ -142,7 +142,7 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
             The touches measure the walls' direction and vertical force. Without this key there are no
             touches.
         sequence: walls in the order of the hits: up to four, or up to 16 with the objective quickest. With
-            `any` the planner chooses walls and order. With `any` and quickest it may also choose no wall.
+            `any` the planner chooses walls and order; with the objective quickest it may choose no wall.
         search: the approaches to try; the objective quickest does not use this key.
         name: name of the written mission; by default the name of this file.
         vehicle: vehicle configuration, relative to this file; by default the default configuration.

@@ -97,7 +97,7 @@ class Plan(msgspec.Struct, frozen=True):
         score: value of the ranking criterion; smaller is better. The unit is m (nearest, robust), s (fastest)
             or N (gentlest).
         normal_m_s, tangential_m_s: approach of the first collision.
-        goal_miss_m: closest approach to the goal after the last contact, at nominal values.
+        goal_miss_m: smallest distance to the goal after the last contact, at nominal values.
         time_to_goal_s: time from `start` to the closest approach, including transit and run-up, plus the time
             for the remaining distance to the goal at transit speed.
         peak_force_n: largest force of any contact, normal and friction together.
@@ -162,7 +162,7 @@ class SearchResult(msgspec.Struct, frozen=True):
 
     Attributes:
         plans: the best plans, in order.
-        candidates, feasible: number of candidates, and number of feasible ones.
+        candidates, feasible: number of candidates, and number of feasible candidates.
         refused: numbers of rejected candidates by reason.
         trajectories: number of simulated trajectories, including the draws of `robust`.
         elapsed_s: duration, including preparation.
@@ -279,7 +279,8 @@ class ScenarioSearch:
         if objective is Objective.FASTEST:
             return c._replace(score=c.time_s)
         if objective is Objective.GENTLEST:
-            # Only candidates within the goal's capture radius count, or within that distance of the best.
+            # Only candidates within the goal's capture radius count. If there are none, the least miss plus
+            # this radius is the limit.
             radius = self.scenario.goal.capture_radius_m
             least = min(float(m.miss_m.min()) for m in all_found if m.rows.size)
             allowed = radius if least <= radius else least + radius
@@ -336,7 +337,7 @@ class ScenarioSearch:
     # -- plans and explanations --
 
     def explain(self, chosen: list[tuple[Candidates, int]], free: FreePlan | None = None) -> tuple[Plan, ...]:
-        """Return a plan for each chosen candidate, in the order given. Each plan contains its collisions."""
+        """Return a plan with its collisions for each chosen candidate, in the order given."""
         plans: dict[int, Plan] = {}
         groups: dict[int, list[tuple[int, Candidates, int]]] = {}
         for rank, (c, i) in enumerate(chosen, start=1):
@@ -351,7 +352,7 @@ class ScenarioSearch:
         return tuple(plans[rank] for rank in sorted(plans))
 
     def _compared(self, plan: Plan, arrivals: Arrivals, k: int, free: FreePlan | None) -> Plan:
-        """Return the plan with its time to rest at the goal, compared with the free plan."""
+        """Return the plan with its time to rest at the goal and its saving against the free plan."""
         if free is None or free.time_s is None:
             return plan
         velocity, goal = (float(arrivals.vx[k]), float(arrivals.vy[k])), self.scenario.goal.position_m
@@ -421,7 +422,7 @@ def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
 
 
 def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
-    """Return the draws of `robust`, the same for all candidates; each wall and mode is drawn separately."""
+    """Return the draws of `robust`, which all candidates share. Each wall and mode has its own factors."""
     u = scenario.uncertainty
     rng = np.random.default_rng(seed)
     draws = []

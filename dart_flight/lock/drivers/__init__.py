@@ -99,7 +99,7 @@ if set(DRIVERS) != set(LockDriver):
 
 
 def driver_names(chosen: Callable[[DriverEntry], bool]) -> str:
-    """Return the names of the chosen drivers as text: `maestro, pwm or px4`."""
+    """Return the names of the drivers for which `chosen` is True, as text: `maestro, pwm or px4`."""
     *first, last = [kind.value for kind, entry in DRIVERS.items() if chosen(entry)]
     return f"{', '.join(first)} or {last}" if first else last
 

@@ -1,4 +1,4 @@
-"""A modelled servo behind a modelled controller, on the shell's time base; nothing real moves.
+"""A model of the servo and of its controller, on the shell's time base; no hardware moves.
 
 The modelled faults also occur in a real lock. In a dry-run the shell passes `horn_pulse_us` to the simulated
 vehicle.

@@ -1,7 +1,7 @@
-"""A real driver, together with a model of the horn that the configured servo would move.
+"""A real driver, together with a model of the servo's horn.
 
-This driver is for a simulated vehicle that flies with a real servo. An analogue servo does not report its
-position. The model therefore moves the simulated arms while the real servo moves on the table.
+This driver is for a simulated vehicle with a real servo on the table. The modelled horn moves the simulated
+arms, because an analogue servo does not report its position.
 """
 
 from __future__ import annotations

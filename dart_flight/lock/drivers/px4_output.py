@@ -27,7 +27,7 @@ class RequiredParameter(msgspec.Struct, frozen=True):
     Attributes:
         name: PX4's name.
         value: required value; if `mask` is set, the required value of the masked bits.
-        why: consequence of another value.
+        why: consequence if the parameter has another value.
         mask: bits that matter, or None for all.
     """
 
@@ -129,7 +129,7 @@ class Px4Driver:
             value = actuator_value(self._config, pulse_us)
             self._set_actuator(self._config.px4.actuator_index, value)
         except Exception as error:
-            # The callable is the shell's: after any exception the lock has not moved.
+            # The shell's callable may raise anything; after any exception the lock has not moved.
             expected = isinstance(error, FlightError | OSError | ValueError)
             what = str(error) if expected else f"the command was not sent: {type(error).__name__}: {error}"
             raise DriverError(f"PX4 actuator {self._config.px4.actuator_index}: {what}") from error
