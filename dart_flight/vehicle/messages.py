@@ -1,4 +1,4 @@
-"""The acceptance table: the MAVLink messages that the program uses, and the conditions of their acceptance.
+"""The acceptance table: which MAVLink messages the program uses, and when it accepts a message.
 
 The program uses a message only if the sender is the autopilot's component, the message's instance is accepted
 and the values are usable. `VehicleSession` subscribes to the messages in this table, and docs/link.md shows
