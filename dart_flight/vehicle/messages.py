@@ -462,7 +462,7 @@ class MessageEntry(msgspec.Struct, frozen=True):
         frame: coordinate frame.
         units: units and scale.
         invalid: text with the conditions under which a message has no usable values.
-        instance: name of the field that distinguishes several senders in one component, or None.
+        instance: name of the field that distinguishes the instances in one component, or None.
         instances: accepted values of the field named in `instance`, or None if all values are accepted.
         which: description of the accepted instances for the manual's table.
     """
