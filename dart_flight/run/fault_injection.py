@@ -64,9 +64,9 @@ class FaultyFlight(Protocol):
 
 
 class FlightWithFault:
-    """One fault in one fast flight: when the fault begins, and how it affects the link of app and vehicle.
+    """Injector of a fault into a flight of the fast world; it also models the link of app and vehicle.
 
-    If the app hangs, MAVSDK repeats the last setpoint until the deadman ends the process.
+    As in a flight over MAVSDK, the last setpoint of a hung app is repeated until the deadman kills the app.
     """
 
     def __init__(self, flight: FaultyFlight, fault: Fault, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""Record of one flight: its log, its verdict, and its onlookers; every world uses it."""
+"""Record of one flight in any world: its log, its verdict, and its onlookers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class MemoryLog:
 class FlightRecord:
     """Recorder of one flight.
 
-    The caller calls the recorder for every record, in order, with the record and its number.
+    Call the recorder once for each record, in the order of the records.
 
     Args:
         mission: mission that is flown.
@@ -148,7 +148,7 @@ class FlightRecord:
 
     @property
     def _speed(self) -> float | None:
-        """Achieved simulated seconds per second, or None without a simulated vehicle."""
+        """Simulated seconds per second of the computer's time, or None without a simulated vehicle."""
         if self._first is None or self._last is None or self._last[1] <= self._first[1]:
             return None
         return 1e-6 * (self._last[0] - self._first[0]) / (self._last[1] - self._first[1])

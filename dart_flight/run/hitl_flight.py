@@ -89,7 +89,7 @@ def fly_hitl(
 
 
 def _leave_disarmed(mission: Mission, url: str) -> None:
-    """Disarm the flight controller: without the simulated sensors, PX4 does not disarm by itself.
+    """Disarm the flight controller: when the simulated sensors stop, PX4 does not disarm by itself.
 
     Raises:
         FlightError: the flight controller does not answer, or refuses.

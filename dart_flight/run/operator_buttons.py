@@ -165,7 +165,7 @@ _HELD_S, _GAP_S = 0.5, 2.0
 
 
 class RcSwitch:
-    """Switch of the transmitter that moves the lock: high is rigid, low is flexible.
+    """The transmitter's switch for the lock: high is rigid, low is flexible.
 
     The middle position has no effect. After the start, or after a gap in the pulses, the first position also
     has no effect. The lock moves only if the switch changes and then holds its new position.

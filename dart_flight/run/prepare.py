@@ -136,7 +136,7 @@ def as_rehearsal(mission: Mission, standoff_m: float | None) -> Mission:
 
     Args:
         mission: mission to rehearse.
-        standoff_m: distance to the wall, or None to return the mission unchanged.
+        standoff_m: distance from the wall at the stop, or None to return the mission unchanged.
 
     Raises:
         InputError: the distance is below 0.1 m or above 2 m.

@@ -69,7 +69,7 @@ class ProgramFault:
 
 
 def fill_disk_of(path: Path | None) -> None:
-    """Let this process's writes to an open file fail with ENOSPC, as on a full disk."""
+    """Make every write of this process to the open file `path` fail with ENOSPC, as on a full disk."""
     full = os.open("/dev/full", os.O_WRONLY)
     for name in os.listdir("/proc/self/fd"):
         with contextlib.suppress(OSError):

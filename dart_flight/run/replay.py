@@ -197,7 +197,7 @@ def _compare(
 def _pairs(
     recorded: Sequence[Record], replayed: Sequence[Record]
 ) -> list[tuple[Record | None, Record | None]]:
-    """Return pairs (recorded, replayed) of records of one decision; values in the two records may differ.
+    """Return pairs (recorded, replayed) of records of the same decision; their values may differ.
 
     A record without a counterpart is paired with None.
     """

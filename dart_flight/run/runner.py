@@ -1,7 +1,7 @@
-"""Runner that steps the core and carries out the core's outputs, used by every shell.
+"""The runner of every flight: it steps the core and carries out the core's outputs.
 
 The app (MAVSDK) and the fast world (in process) differ only in the source of inputs and in the receiver of
-commands (`CommandSink`). The numbers, order and records of the inputs are handled in the same way.
+commands (`CommandSink`). Both number, order and record the inputs in the same way.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Core(Protocol):
 
     @property
     def pace(self) -> Pace:
-        """Pace at which the core must process the next inputs."""
+        """Whether the core must process the next inputs in batches or immediately."""
 
     def step(self, item: Input) -> list[Output]:
         """Advance by one input."""
@@ -69,8 +69,8 @@ class CoreRunner:
 
         Args:
             item: input of the core.
-            more: whether another input follows at once. The step with that input may replace the setpoint of
-                this step, which is therefore not sent yet.
+            more: whether another input follows at once. If so, the setpoint of this step is not sent yet,
+                because the next step may replace it.
         """
         number = self._number
         self._number += 1

@@ -109,7 +109,7 @@ class SimulatorProcess:
         self.process.send(msgspec.json.encode(HornPosition(pulse_us)))
 
     def send_line(self, line: bytes) -> bool:
-        """Send an encoded line, from any thread, without blocking."""
+        """Send an encoded line to the simulated vehicle, from any thread, without blocking."""
         return self.process.send(line)
 
     def send_fault(self, fault: Fault) -> None:

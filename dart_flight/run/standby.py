@@ -233,7 +233,7 @@ class Standby:
 
     @contextlib.contextmanager
     def _holding_lock(self, config: LockConfig, session: VehicleSession) -> Iterator[LockThread]:
-        """Hold the servo and step the lock within the context; the servo does not move without a command.
+        """Within the context, own the servo and run the lock; the servo does not move without a command.
 
         Raises:
             ServoInUseError: another process moves the servo.

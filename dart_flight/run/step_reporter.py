@@ -145,8 +145,8 @@ class StepReporter:
     def open_request(self, request: PlanRequest | ContactRequest, latency_us: int) -> None:
         """Count a request to a planner as unfinished until the core has processed the answer.
 
-        The answer is due `latency_us` after the request. If the planned trajectory begins earlier, the plan
-        is due shortly before this beginning.
+        The answer is due `latency_us` after the request. If the planned trajectory begins before this time,
+        the plan is due shortly before the trajectory begins.
         """
         with self._guard:
             due_us = request.t_us + latency_us

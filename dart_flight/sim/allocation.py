@@ -20,7 +20,7 @@ class Allocation:
         self._lift = [row[3] for row in self._rows]
 
     def shares(self, roll: float, pitch: float, yaw: float, up: float) -> list[float]:
-        """Return the share of full thrust of each motor.
+        """Return the thrust of each motor as a share of the motor's full thrust.
 
         If a motor saturates, the lift is reduced or raised so that the torques are achieved.
 
@@ -29,7 +29,7 @@ class Allocation:
             up: normalised collective thrust.
 
         Returns:
-            Shares in the motors' order. A share is below 0 or above 1 only if the torques alone need this.
+            Shares in the motors' order. A share is below 0 or above 1 only if no lift avoids this.
         """
         largest = self._largest
         wanted = [up * u + largest * (r * roll + p * pitch) + y * yaw for r, p, y, u in self._rows]

@@ -1,11 +1,12 @@
-"""A small model of PX4's EKF2: it assumes that every motion-capture pose is EKF2_EV_DELAY old on arrival.
+"""A small model of PX4's EKF2: it assumes that every pose arrives EKF2_EV_DELAY after its measurement.
 
 `Estimator` uses the true age of every pose, so it cannot model a wrong delay. This filter works like EKF2. A
 Kalman filter runs about 0.15 s behind the present. The filter fuses each pose at the pose's time of arrival
 minus the configured delay. An output predictor propagates the filter's state to the present by the IMU. If
 the configured delay is wrong, the filter attributes the error to velocity, tilt and accelerometer bias. The
-filter also rejects poses that are too far from the estimate (beyond the gate). The estimate therefore
-oscillates. Gains, gates and time constants are from PX4's defaults and `configs/px4/indoor.params`.
+filter also rejects poses that are too far from the estimate (beyond the gate). With a wrong delay, the
+estimate therefore oscillates. Gains, gates and time constants are from PX4's defaults and
+`configs/px4/indoor.params`.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ class DelayedFilter:
         self._strongest_m_s2 = 0.0
 
     def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
-        """Run the output predictor for the IMU tick that ends at `t_s`, and the filter in alternate ticks."""
+        """Advance the output predictor by an IMU tick to `t_s`; in every second tick, also run the filter."""
         self._now_s = t_s
         if not self._updates:
             return
@@ -209,7 +210,7 @@ class DelayedFilter:
     # -- the output predictor, at the present --
 
     def _follow(self, then: tuple[Vec3, Vec3, Quaternion]) -> None:
-        """Correct the outputs towards the filter's state; `then` is the output stored for that time."""
+        """Correct the outputs towards the filter's state; `then` is the output stored at the state's time."""
         p, v, q = then
         error = quaternion_multiply(quaternion_conjugate(self._at_q), q)
         sign = -2.0 if error[0] >= 0.0 else 2.0

@@ -1,4 +1,4 @@
-"""The simulated world of one flight, which differs at random from the mission (docs/draws.md).
+"""A simulated world that differs at random from the mission, for one flight (docs/draws.md).
 
 `--vary` selects the quantities that differ, and a seed determines their values; this is called drawing. The
 flight core uses the mission, and the simulated vehicle flies in the drawn world. Every quantity has its own
@@ -269,7 +269,7 @@ def _battery(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _imu(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw the IMU's offset from the centre of mass, and a frame vibration like that in a real hover."""
+    """Draw the IMU's offset from the centre of mass, and a frame vibration as strong as in a real hover."""
     x, y, z = world.mission.vehicle.simulation.imu_position_m
     position = (x + sd * rng.gauss(0.0, 1.0), y + sd * rng.gauss(0.0, 1.0), z + sd * rng.gauss(0.0, 1.0))
     shaking = rng.uniform(*_RINGING_M_S2)

@@ -131,7 +131,7 @@ class Autopilot:
     # -- MAVLink commands --
 
     def arm(self, force: bool = False) -> bool:
-        """Arm and return True if the estimator is ready and the mode permits a take-off, like PX4."""
+        """Like PX4, arm and return True if the estimator is ready and the mode permits a take-off."""
         if self.armed:
             return True
         if self._killed_at_s is not None:
@@ -192,7 +192,7 @@ class Autopilot:
         self._offboard_at_s = self.now_s
 
     def use_external_poses(self) -> None:
-        """Switch from the poses of the simulated motion capture to the poses of `fuse_external_pose`."""
+        """Fuse the poses passed to `fuse_external_pose` instead of those of the simulated motion capture."""
         self.fuses_own_pose = False
         self.estimator.assume_delay(self.now_s, 1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
 
@@ -212,7 +212,7 @@ class Autopilot:
     def lock_pulse_us(self) -> float | None:
         """Return the pulse of the lock's output, microseconds.
 
-        The result is None without a lock, and while PX4 holds the output at the disarmed value.
+        The result is None without a lock, or while the autopilot holds the output at the disarmed value.
         """
         lock = self.vehicle.lock
         if lock is None:

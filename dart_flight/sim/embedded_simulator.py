@@ -2,7 +2,7 @@
 
 If the app ends (closed pipe), the vehicle flies on until its failsafe has acted. The world's text log
 contains the vehicle's reports. The process ends when the vehicle has landed, but at the latest 30 s after the
-app has ended. In a mode flown with sticks, this limit is 3 s.
+app has ended. If a pilot flies with the sticks, this limit is 3 s.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 The estimator replaces PX4's EKF2. For motion capture the estimator uses fixed gains. For GPS it uses a small
 Kalman filter with noise values from PX4's parameters. The estimator is no copy of the EKF2, but has the same
 kinds of error. Poses and fixes are noisy and arrive with a delay, and a clipped accelerometer causes a
-velocity error. With GPS the estimated position has the receiver's wandering position error, and also drifts
-if the measured velocity is wrong.
+velocity error. With GPS, the slowly varying error of the receiver's position enters the estimate. The
+estimate also drifts if the measured velocity is wrong.
 """
 
 from __future__ import annotations

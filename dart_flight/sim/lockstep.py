@@ -1,9 +1,13 @@
 """Lockstep with the application: simulated time does not advance until the application has answered.
 
 The world counts the messages that it has sent. The application reports in `Stepped` which of these messages
-the core has processed, and which messages the application has sent. Time waits for telemetry and poses that
-the core has not processed, for setpoints and poses in transit to the autopilot, and for outstanding commands,
-lock orders and plans. A busy computer therefore makes a simulated flight slower but never different.
+the core has processed, and which messages the application has sent. Time waits until
+
+- the core has processed all telemetry and poses,
+- all setpoints and poses from the application have reached the autopilot,
+- all commands, lock orders and plans have their results.
+
+A busy computer therefore makes a simulated flight slower but never different.
 
 If a datagram is lost, time waits for `_LOST_S` and then advances by one tick. The next message replaces the
 lost message: if the core has processed a message, all older messages of the same stream count as processed.
@@ -44,7 +48,7 @@ class LinkEnd(Protocol):
 
     @property
     def arrived(self) -> Mapping[str, Sequence[float]]:
-        """The values of the application's last message of each kind, in the form of `Stepped.sent`."""
+        """Values of the last message of each kind that has reached the autopilot, as in `Stepped.sent`."""
 
     def answer_requests(self) -> None:
         """While time stands still, answer the requests that have arrived."""
@@ -56,11 +60,11 @@ class Lockstep:
     Args:
         autopilot: the autopilot's side of the link.
         answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not
-            answer. With PX4, time therefore advances while a request is outstanding, but waits for the core
+            answer, so time advances while PX4 has an outstanding request. Even then, time waits for the core
             to process telemetry.
         waits_at_first: whether time stands still until the application's first report.
-        sender_lag_us: largest delay of the autopilot's sender behind the autopilot, microseconds of simulated
-            time. The delay is 0 unless the sender runs in its own thread.
+        sender_lag_us: largest delay of the autopilot's telemetry, microseconds of simulated time; 0 unless
+            the autopilot sends in a separate thread.
     """
 
     def __init__(
@@ -92,14 +96,14 @@ class Lockstep:
         self._report, self._unanswered_s = report, 0.0
 
     def publish(self, stream: str, number: int) -> None:
-        """Count a message that the world has sent directly, not by the autopilot; `number` must increase."""
+        """Store the number of the newest message on a stream of the world itself; numbers must increase."""
         self._published[stream] = number
 
     def _sent(self) -> dict[str, int]:
         return {**self._autopilot.sent_us, **self._published}
 
     def outstanding(self, next_us: int) -> str | None:
-        """Return text that names what must arrive before time may advance to `next_us`, or None."""
+        """Return text that names a missing message or result, or None if time may advance to `next_us`."""
         report = self._report
         if report is None:
             return "the application to connect" if self._waits_at_first else None

@@ -165,7 +165,7 @@ class MavlinkEndpoint:
     def answer_requests(self) -> None:
         """While simulated time stands still, answer the requests that have arrived.
 
-        Repeat the heartbeat too, because MAVSDK reports a vehicle as lost after 3 s of the computer's time.
+        Also repeat the heartbeat: after 3 s of the computer's time without it, MAVSDK reports a lost vehicle.
         """
         for link in self.links:
             self._receive(link)

@@ -1,8 +1,8 @@
 """The messages between the application and a simulated vehicle in a separate process, one JSON line each.
 
 The first line of the vehicle's standard input is a `SimulatorSpec`; `WorldInput`s follow. The vehicle's
-standard output contains `WorldOutput`s. Every world in a separate process uses these messages, with any
-autopilot.
+standard output contains `WorldOutput`s. Every world in a separate process uses these messages, whichever
+autopilot it has.
 """
 
 from __future__ import annotations

@@ -90,8 +90,9 @@ class _WallPlane:
         wall: the wall, mission frame.
         point, normal, tangent: plane of first touch, NED. The vehicle's centre lies on this plane when the
             vehicle first touches the wall.
-        ends: both ends of the wall, with the surface that the guards touch.
-        near_end: whether a guard may be near an end of the wall, or `ends` still stores a contact's state.
+        ends: the wall's surface with its two ends.
+        near_end: whether `ends` must compute contacts, because a guard may be near an end of the wall or
+            `ends` still stores a contact's state.
         away: whether the vehicle was too far from the wall for a contact at the last check.
     """
 
@@ -375,7 +376,7 @@ class Plant:
         return any(self._clear_of_post_m(post) < _NEAR_WALL_M + slack for post in self.posts)
 
     def _clear_of_post_m(self, post: _StandingPost) -> float:
-        """Return a lower bound of the distance between the vehicle and a post, at any attitude, metres."""
+        """Return a lower bound (m) of the vehicle's distance from a post; it is valid at any attitude."""
         cylinder, p = post.contact.contact.cylinder, self.position
         distance = math.hypot(p[0] - cylinder.axis[0], p[1] - cylinder.axis[1])
         return distance - cylinder.radius_m - self._reach_m
@@ -479,7 +480,7 @@ class Plant:
         return (angles[0], angles[1], angles[2], angles[3])
 
     def _fold_share(self, incidence: float) -> float:
-        """Return how far an arm yields, as a share of the penetration of its guard.
+        """Return the movement of an arm as a share of the penetration of the arm's guard.
 
         `incidence` is the angle of incidence in radians.
         """
@@ -751,7 +752,7 @@ class Plant:
         return bool(self._open)
 
     def set_mode(self, mode: Mode) -> None:
-        """Lock or unlock the arms; a rod cannot enter its slot while an arm is folded."""
+        """Unlock the arms, or lock them if no contact is open: a rod cannot enter a folded arm's slot."""
         if mode is Mode.RIGID and self._open:
             return
         self.mode = mode

@@ -106,8 +106,8 @@ class EmulatedMotionCapture:
     def publish(self, now_s: float, pose: Pose | None) -> int | None:
         """Publish a frame if a frame is due.
 
-        Return the number of the published frame. The result is None if no frame is due, if no client has
-        connected so far, or if the system does not send a lost body.
+        Return the number of the published frame. The result is None if no frame is due or no client has
+        connected so far. It is also None if the body is lost and the protocol cannot report this (VRPN).
         """
         if now_s <= self._published_s:
             return None  # time has not advanced

@@ -20,9 +20,9 @@ _SHAPE_DIGITS = 9  # further digits are rounding errors of the inverse
 
 
 def scaled_mix(motors: Sequence[Motor]) -> tuple[float, list[tuple[float, float, float, float]]]:
-    """Return the largest scaled entry of roll and pitch, and a row (roll, pitch, yaw, lift) for each motor.
+    """Return the largest scaled entry of roll and pitch, and one row per motor: roll, pitch, yaw, lift.
 
-    In the rows, roll and pitch are divided by this largest entry.
+    In the rows, roll and pitch are divided by the largest entry.
     """
     mix = np.linalg.pinv(np.array(effectiveness(motors)))
     size = np.abs(mix) > 1e-6

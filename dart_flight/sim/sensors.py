@@ -52,7 +52,7 @@ class ImuSensor:
     ) -> tuple[Vec3, Vec3]:
         """Return the reported specific force (m/s2) and body rate (rad/s) of one tick, FRD.
 
-        Stopped motors cause no vibration, so that PX4 can align its estimator before the take-off.
+        Vibration is added only while the motors turn, so PX4 can align its estimator before the take-off.
         """
         noisy = add(add(specific_force_frd, self.bias), self._noise.three(self._sigma))
         if self._ringing is not None and motors_turn:

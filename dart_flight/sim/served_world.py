@@ -37,7 +37,7 @@ class Pacer:
         self._due_s = time.monotonic()
 
     def wait(self, period_s: float) -> None:
-        """Wait until this tick is due; the next tick is due `period_s` later (at once if 0)."""
+        """Wait until this tick is due. The next tick is due `period_s` later, or at once if that is 0."""
         now_s = time.monotonic()
         if self._due_s > now_s:
             time.sleep(self._due_s - now_s)

@@ -33,7 +33,7 @@ class LockServo:
         self._plant.set_mode(self._wanted)
 
     def track_pulse(self, t_us: int, pulse_us: float | None) -> None:
-        """Move the servo until `t_us` towards a commanded pulse, and set the mode of the arms.
+        """Advance the servo to the time `t_us`, towards a commanded pulse, and set the mode of the arms.
 
         If `pulse_us` is None, the last commanded pulse remains the target.
         """

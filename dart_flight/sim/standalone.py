@@ -28,11 +28,12 @@ _LISTEN_S = 0.4  # a vehicle sends dozens of messages per second
 class VehiclePortLease:
     """The right to be the only vehicle that sends to a UDP port.
 
-    Not every other sender can be detected. Another `simulate` or `dry-run --px4` is detected by its lease. A
-    PX4 with another simulator is detected because that PX4 has bound `own_port`. The simulated vehicle also
-    binds `own_port`. If a PX4 and a simulated vehicle start at the same time, only the first to bind the port
-    continues. To detect any other sender, this class listens on the port. If a program already receives on
-    the port, this is impossible.
+    This class detects most other senders to `port`:
+
+    - Another `simulate` or `dry-run --px4` has a lease of `port`.
+    - A PX4 with another simulator has bound `own_port`, the local port from which PX4 sends. The simulated
+      vehicle also binds `own_port`. If both start at the same time, only the first to bind it continues.
+    - Any other sender is detected by listening on `port`, unless a program already receives on `port`.
 
     Args:
         port: port to send to.
@@ -106,8 +107,8 @@ def run_vehicle(
 ) -> None:
     """Simulate in real time until SIGINT or SIGTERM; `print_line` prints a line in the terminal.
 
-    The vehicle sends to each of the UDP ports `ports`. `own_port` is the local UDP port of the link to the
-    first of these ports; 0 selects any port. `viewer` receives the true motion of the vehicle.
+    The vehicle sends to each of the UDP ports `ports`. To the first of them it sends from the local UDP port
+    `own_port`; 0 selects any local port. `viewer` receives the true motion of the vehicle.
     """
     vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)

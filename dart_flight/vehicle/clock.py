@@ -109,7 +109,7 @@ class ClockEstimate(_RealHost):
         return None
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Return a host time converted to autopilot time; unchanged before the first stamp."""
+        """Convert a host time to autopilot time. Before the first stamp, return the host time unchanged."""
         return host_time_us + (self._offset_us or 0)
 
 
@@ -191,7 +191,7 @@ class LockstepClock(_RealHost):
         return None
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Return a host time converted to autopilot time; unchanged before the first stamp."""
+        """Convert a host time to autopilot time. Before the first stamp, return the host time unchanged."""
         if self._newest is None:
             return host_time_us
         t_us, received_us = self._newest

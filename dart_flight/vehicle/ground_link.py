@@ -55,7 +55,7 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleEr
 
 
 class Source(msgspec.Struct, frozen=True):
-    """A sender of a message, with the rate of all messages and the rate of usable messages."""
+    """A sender of one kind of message, with two rates: of all messages and of the usable messages."""
 
     sender: Sender
     arriving_hz: float
@@ -188,7 +188,7 @@ class GroundLink:
     Raises:
         VehicleError: on entering, if the URL cannot be opened or no autopilot answers.
         InputError: on entering, if the motion capture cannot be opened.
-        NoAnswerError: from a method that sends a request: the vehicle answers no requests, or has stopped
+        NoAnswerError: in a method that sends a request, if the vehicle answers no requests or has stopped
             sending.
     """
 
@@ -256,7 +256,7 @@ class GroundLink:
         return self._session.newest(entry, seconds)
 
     def round_trip_s(self) -> float | None:
-        """Return the shortest TIMESYNC round trip, seconds, or None without an answer within 5 s.
+        """Return the shortest TIMESYNC round trip, seconds, or None if no answer arrives within 5 s.
 
         Raises:
             NoAnswerError: the vehicle has answered neither TIMESYNC nor another request.
@@ -282,8 +282,8 @@ class GroundLink:
 
         Raises:
             NoAnswerError: the vehicle answers no requests, or has stopped sending.
-            Exception: MAVSDK's exception, if the vehicle refuses the request, or does not answer it but may
-                answer others.
+            Exception: MAVSDK's exception, if the vehicle refuses this request. The same exception is raised
+                if this request has no answer, but other requests may still be answered.
         """
         try:
             answer = request()

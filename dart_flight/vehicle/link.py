@@ -57,7 +57,7 @@ class Holder(msgspec.Struct, frozen=True):
 
 
 class LinkEndpoint(msgspec.Struct, frozen=True):
-    """The resource that a URL uses; two URLs with the same `key` exclude each other.
+    """The resource that a URL uses; only one program at a time may use URLs with the same `key`.
 
     Attributes:
         key: part of the file name of the link's lease (`LinkLease`).
@@ -91,10 +91,10 @@ def endpoint_of(url: str) -> LinkEndpoint:
 
 
 def feed_name(port: int) -> str:
-    """Return the name that a simulated vehicle leases before it sends to a UDP port.
+    """Return the name of a simulated vehicle's lease, which it acquires before it sends to a UDP port.
 
-    A program that receives on the port leases another name, the port's URL. The receiver and the simulated
-    vehicle can therefore use the same port.
+    A program that receives on the port acquires a different lease, the lease of the port's URL. The receiver
+    and the simulated vehicle can therefore use the same port.
     """
     return f"feed:{port}"
 

@@ -1,4 +1,4 @@
-"""The acceptance table: the MAVLink messages that the program uses, and the conditions of their acceptance.
+"""The acceptance table: which MAVLink messages the program uses, and when it accepts a message.
 
 The program uses a message only if the sender is the autopilot's component, the message's instance is accepted
 and the values are usable. `VehicleSession` subscribes to the messages in this table, and docs/link.md shows
@@ -462,7 +462,7 @@ class MessageEntry(msgspec.Struct, frozen=True):
         frame: coordinate frame.
         units: units and scale.
         invalid: text with the conditions under which a message has no usable values.
-        instance: name of the field that distinguishes several senders in one component, or None.
+        instance: name of the field that distinguishes the instances in one component, or None.
         instances: accepted values of the field named in `instance`, or None if all values are accepted.
         which: description of the accepted instances for the manual's table.
     """

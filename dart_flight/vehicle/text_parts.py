@@ -15,7 +15,7 @@ _INFO = 6  # MAV_SEVERITY
 def split_text(text: str, number: int) -> list[dict[str, Any]]:
     """Return the fields of the messages that carry a text.
 
-    If the text needs several messages, `number` is its id.
+    If the text needs several messages, all of them have the id `number`.
     """
     plain = text.encode("ascii", "replace").decode()[:_LONGEST]
     if len(plain) <= _PART:
@@ -49,7 +49,7 @@ class TextAssembler:
         return found
 
     def overdue(self) -> list[tuple[str, str]]:
-        """Return a list: the incomplete text if no new part has arrived for a second, otherwise nothing.
+        """Return [incomplete text] if no new part has arrived for a second, otherwise an empty list.
 
         Call this method at every heartbeat.
         """

@@ -532,7 +532,7 @@ class VehicleSession:
         """Send a setpoint immediately, from any thread; MAVSDK repeats it at 20 Hz until the next setpoint.
 
         In offboard mode, a setpoint equal to the last setpoint is skipped for 0.1 s, because MAVSDK repeats
-        the last setpoint. In other modes no setpoint is skipped: MAVSDK repeats none in these modes, and
+        the last setpoint. In other modes no setpoint is skipped: there MAVSDK repeats no setpoints, and it
         needs a setpoint to start offboard mode. A recovery setpoint is never skipped.
         """
         if self._silent:
@@ -694,7 +694,7 @@ def connect(
             computer this must be False. Otherwise PX4 could confuse this program's heartbeat with the
             heartbeat of the real ground station, and would not detect the loss of that station's link.
         clock: clock of an autopilot whose time is not real time, such as `LockstepClock`.
-        opened: called once MAVSDK has opened the link and an autopilot answers.
+        opened: called as soon as MAVSDK has opened the link and an autopilot has answered.
 
     Raises:
         VehicleError: on entering, if the URL cannot be opened or no autopilot answers.

@@ -136,7 +136,7 @@ class HilLink:
 
     @property
     def _patience_s(self) -> float:
-        """Longest wait for an answer, seconds; an answer to an earlier tick may lock the link meanwhile."""
+        """Longest wait for an answer, seconds; PX4's first answer ever extends the wait in progress."""
         return _ANSWER_WAIT_S if self.locked else _BOOT_WAIT_S
 
     def _receive_answer(self, time_us: int, deadline: float) -> bool:

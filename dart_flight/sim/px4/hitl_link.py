@@ -14,8 +14,8 @@ stamp. The link and the world follow these rules:
   ends the simulation, and the gap is reported as the cause. The link detects a gap from its times of sending
   and from PX4's own stamps. A delay in the receipt of PX4's outputs is harmless.
 
-PX4 v1.18 no longer locks the real outputs in this mode. To verify that the motors stay off, the link queries
-PX4's outputs through PX4's shell: only the simulated outputs may change.
+Since v1.18, PX4 no longer disables the real outputs in this mode. To verify that the motors stay off, the
+link queries PX4's outputs through PX4's shell: only the simulated outputs may change.
 """
 
 from __future__ import annotations
@@ -162,8 +162,8 @@ class HitlLink:
         sent, dropped: number of accepted messages, and number of messages that the port did not accept.
         outputs_seen: number of output drivers that PX4 reports, including the simulated one; 0 before the
             first report.
-        longest_gap_s: longest gap between two accepted ticks, or between PX4's stamps of two messages with
-            actuator outputs. PX4 sends such messages at least every 50 ms.
+        longest_gap_s: longest gap between two ticks that the port accepted, or between the stamps of two
+            messages with actuator outputs. PX4 sends such messages at least every 50 ms.
     """
 
     def __init__(self, port: HitlPort) -> None:

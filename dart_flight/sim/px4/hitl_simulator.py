@@ -2,9 +2,9 @@
 
 The flight controller uses its own time. This process and the flight controller do not wait for each other.
 Ticks follow the host's clock. If a busy computer misses ticks, they are computed without a pause and reported
-as one tick (`hitl_link`). After a stall of more than a quarter of a second the plant does not catch up, as
-with the embedded autopilot. The plant also pauses while an armed flight controller is silent, because a
-vehicle with constant motor outputs soon turns over.
+as one tick (`hitl_link`). After a stall of more than a quarter of a second, the plant does not catch up. The
+world of the embedded autopilot has the same rule. The plant also pauses while an armed flight controller is
+silent, because a vehicle with constant motor outputs soon turns over.
 """
 
 from __future__ import annotations
@@ -121,10 +121,7 @@ class HitlSimulator:
         return self._vehicle.time_us
 
     def set_horn(self, pulse_us: float) -> None:
-        """Set the position of the simulated horn.
-
-        A model computes this position while the real servo moves.
-        """
+        """Set the position of the simulated horn, which a model computes while the real servo moves."""
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:

@@ -160,7 +160,7 @@ def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, f
     `known` contains the parameters that this PX4 has.
 
     Raises:
-        Px4Error: PX4 lacks a parameter, and configs/px4 does not permit that.
+        Px4Error: PX4 lacks a parameter that the parameter's file does not mark as `absent`.
     """
     chosen: dict[str, Value] = {}
     for name, parameter in parameters.items():

@@ -1,9 +1,9 @@
 """The world of a real PX4: the plant in lockstep with PX4, in a process that starts and stops PX4.
 
-The pipe to the app is the same as for the embedded autopilot (`pipe`). The process ends on SIGTERM, if PX4
-fails or hangs, or after the app has closed the pipe or ended. Before its end, the process always stops PX4.
-If PX4 is armed when the app ends, PX4's failsafe acts first. If the process itself is killed, the kernel
-kills PX4.
+The pipe to the app is the same as for the embedded autopilot (`pipe`). The process ends if it receives
+SIGTERM, if PX4 fails or hangs, or if the app ends or closes the pipe. Before its end, the process always
+stops PX4. If PX4 is armed when the app ends, PX4's failsafe acts first. If the process itself is killed, the
+kernel kills PX4.
 """
 
 from __future__ import annotations

@@ -128,8 +128,8 @@ class StaleFrames:
     def contains(self, stamp_us: int, received_us: int) -> bool:
         """Return whether a frame is stale: its age on arrival exceeds the smallest age so far by over 0.3 s.
 
-        If all frames during one second are stale, the source's clock has jumped. The next frame is then
-        fresh.
+        If all frames during one second are stale, the source's clock has jumped. The next frame then counts
+        as fresh.
         """
         offset_us = received_us - stamp_us
         self._shortest.add(offset_us, received_us)

@@ -37,8 +37,8 @@ class PoseFigures(msgspec.Struct, frozen=True):
         gaps: number of gaps of more than 0.1 s between tracked poses.
         longest_gap_s: longest time between two tracked poses, including a gap that has not ended.
         lost: share of frames in which the body is not tracked, 0 to 1.
-        age_ms: age of the newest poses: the measured shortest age (`mocap.delay_ms`) plus the excess over the
-            shortest age. The stamps give the excess.
+        age_ms: age of the newest poses: the measured shortest age (`mocap.delay_ms`) plus the time by which
+            these poses are older, according to their stamps.
         age_growth_ms: growth of the age since the first poses.
         distance_to_px4_m: distance of PX4's position from the newest pose.
         angle_to_px4_deg: angle between PX4's attitude and the attitude of the newest pose.
@@ -57,9 +57,10 @@ class PoseFigures(msgspec.Struct, frozen=True):
 
 
 class ShortestOffset:
-    """The smallest offset between receipt and stamp of a source's frames, the reference of their ages.
+    """The smallest offset (time of receipt minus stamp) of a source's frames.
 
-    The clocks of source and host drift apart, so only the last `_BEST_S` seconds with frames count.
+    A larger offset means an older frame. The clocks of source and host drift apart, so only the last
+    `_BEST_S` seconds in which frames have arrived count.
     """
 
     def __init__(self) -> None:
@@ -77,7 +78,7 @@ class ShortestOffset:
 
     @property
     def least_us(self) -> int:
-        """The smallest offset, microseconds, after at least one frame."""
+        """The smallest offset, microseconds; at least one frame must have been added."""
         return min(self._best_us)
 
 

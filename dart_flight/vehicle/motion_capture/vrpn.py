@@ -2,8 +2,8 @@
 
 The layout is taken from the public description of VRPN's protocol; all numbers are big-endian. Both ends
 first send a cookie with their version. A message is a header and a payload, which is padded to a multiple of
-8 bytes. The server sends a name for the number of each sender and each type. The server sends no pose of a
-body that is not tracked.
+8 bytes. The header gives sender and type as numbers, and the server also sends the name of each number. The
+server sends no pose of a body that is not tracked.
 """
 
 from __future__ import annotations
