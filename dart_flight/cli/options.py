@@ -109,7 +109,7 @@ def add_emulated_mocap_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mocap",
         metavar="KIND",
-        help="fly on the poses of an emulated motion capture, forwarded by this program: "
+        help="emulate a motion capture of this kind, and forward its poses to the vehicle: "
         f"{', '.join(KINDS)} (docs/motion_capture.md)",
     )
 

@@ -161,7 +161,7 @@ def test_each_defect_is_named(changes: dict[str, Any], says: str) -> None:
 
 def test_a_heading_difference_to_px4_is_named() -> None:
     found = evaluate_motion(GOOD, MotionCapture(url=URL), None, -45.0)
-    assert "PX4's heading is -45 degrees off the poses" in found.message
+    assert "PX4's heading is -45 degrees off the heading of the poses" in found.message
     assert math.isclose(float(found.measured["delay_ms"] or 0.0), 30.0)
 
 
