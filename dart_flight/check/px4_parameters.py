@@ -93,7 +93,7 @@ def _imbalance(value: float, _: Mission) -> tuple[bool, str]:
     return quiet, (
         "PX4 only warns of an imbalanced propeller"
         if quiet
-        else "PX4 ends the mission for an imbalanced propeller, and it may mistake an impact for an imbalance"
+        else "PX4 ends the mission if a propeller is imbalanced, and may mistake an impact for an imbalance"
     )
 
 

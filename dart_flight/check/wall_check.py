@@ -85,7 +85,7 @@ def _check_collision(
         yield CheckFinding(
             f"incidence_{collision.index}",
             False,
-            f"the angle between wall {wall.name} and the leading edge may be {off_deg:.0f} degrees "
+            f"the angle between wall {wall.name} and the vehicle's leading edge may be {off_deg:.0f} degrees "
             f"({_INCIDENCE_SD:g} sd), limit {most_deg:g} degrees with {collision.mode.value} arms: measure "
             "the wall's direction",
         )

@@ -77,7 +77,8 @@ def add_vary_option(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[=SD]",
-        help="draw this quantity, or all quantities, for every seed; repeatable (docs/draws.md)",
+        help="draw a random value of this quantity, or with `all` of every quantity, for every seed; "
+        "repeatable (docs/draws.md)",
     )
 
 

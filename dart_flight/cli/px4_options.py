@@ -44,7 +44,7 @@ def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> 
         type=Path,
         action="append",
         metavar="FILE",
-        help="PX4 parameters that override those in configs/px4/ (QGroundControl's format)",
+        help="file in QGroundControl's format; its PX4 parameters override configs/px4/ (repeatable)",
     )
 
 

@@ -164,7 +164,9 @@ def _tilt(v: FlightConditions) -> str | None:
     return f"{tilt:.0f} deg, limit {v.config.tilt_deg:g} deg" if tilt > v.config.tilt_deg else None
 
 
-@condition("the vehicle is outside bounds_m horizontally, or would stop there", "bounds_m.x, bounds_m.y")
+@condition(
+    "the vehicle is horizontally outside bounds_m, or would stop outside bounds_m", "bounds_m.x, bounds_m.y"
+)
 def _bounds(v: FlightConditions) -> str | None:
     bounds = v.mission.bounds
     excess = bounds.excess2(v.state.position)
@@ -300,7 +302,8 @@ RULES: tuple[Rule, ...] = (
     _found("wall_not_met", _BREAK_OFF,
            "no contact with the wall at the planned place or time",
            "guard.wall_overrun_m, guard.wall_late_s, limits.collision_timeout_s"),
-    _found("wall_met_early", _BREAK_OFF, "a contact far before the planned wall", "guard.wall_early_m"),
+    _found("wall_met_early", _BREAK_OFF,
+           "a contact occurred far before the planned wall", "guard.wall_early_m"),
     _found("hit_in_noise", _BREAK_OFF,
            "the planned impact is below the detection limit at the measured vibration level",
            "detection.noise_sigma"),
@@ -308,7 +311,7 @@ RULES: tuple[Rule, ...] = (
            "an impact is unplanned; a second impact at the same wall within 1 s is noted without an action"),
     _found("no_peak", _BREAK_OFF, "the contact force does not decay", "detection.peak_wait_s"),
     _found("lock_not_settled", _BREAK_OFF,
-           "the lock is not in the planned mode in the approach or at the impact"),
+           "the lock is not in the planned mode during the approach or at the impact"),
     _found("mode_felt", _BREAK_OFF,
            "a contact indicates one mode, but the lock reports the other; with `mode_mismatch: go_on` the "
            "difference is noted without an action",
