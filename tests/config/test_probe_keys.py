@@ -79,7 +79,7 @@ def test_a_probe_for_a_known_wall_leads_along_its_normal_and_reaches_it() -> Non
     )
     assert askew.collisions[0].impact_point == pytest.approx((1.5, 1.5))
     assert askew.collisions[0].approach_m_s == pytest.approx((-0.5 / math.sqrt(2), 0.5 / math.sqrt(2)))
-    assert not loaded.recovers_to_goal, "the vehicle rests after a probe"
+    assert not loaded.recovers_to_goal, "the vehicle is at rest after a probe"
 
 
 @pytest.mark.parametrize("known", ["wood", None])

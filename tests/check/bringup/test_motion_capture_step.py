@@ -143,7 +143,7 @@ def test_missing_poses_are_reported_with_the_sources_reason() -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"rate_correlation": 0.6}, "another vehicle's body"),
+        ({"rate_correlation": 0.6}, "the body belongs to another vehicle"),
         ({"force_correlation": -0.9}, "the room is mirrored"),
         ({"up_room": (0.0, -1.0, 0.0)}, "wrong axis: the room's y axis points up, but mocap.up is z"),
         ({"body_to_frd": ROLLED}, "wrong axis: the body is tilted by 90 degrees"),
