@@ -68,7 +68,10 @@ def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
         interval_s: time between two samples, seconds.
     """
     margin = interval_s / step_s
-    says = f"the core needs {step_s * 1e3:.2f} of {interval_s * 1e3:.1f} ms per sample, margin {margin:.0f}"
+    says = (
+        f"the flight core needs {step_s * 1e3:.2f} ms per sample, the samples are {interval_s * 1e3:.1f} ms "
+        f"apart, margin {margin:.0f}"
+    )
     figures = {"core_step_ms": step_s * 1e3, "margin": margin}
     if margin >= _PEAK_FACTOR:
         return CheckFinding("core_speed", True, says, figures=figures)
@@ -128,7 +131,7 @@ def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
     if now.undervoltage is not None:
         says = "power supply: no undervoltage"
         if now.undervoltage:
-            says = "power supply: undervoltage now, the computer may restart when the servo moves"
+            says = "power supply: undervoltage now; the computer may restart when the servo moves"
         elif now.was_undervoltage:
             says = "power supply: undervoltage since the start of the computer; give the servo its own supply"
         findings.append(CheckFinding("supply", not now.undervoltage, says, remark=bool(now.was_undervoltage)))

@@ -49,7 +49,7 @@ def evaluate_own_parameters(
 def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return whether the flight controller is disarmed, and has restarted since SYS_HITL was set to 1."""
     if mode is None:
-        return [CheckFinding("heartbeat", False, "no heartbeat with a mode within 3 s")]
+        return [CheckFinding("heartbeat", False, "no heartbeat that contains a mode arrived within 3 s")]
     if mode.armed:
         return [CheckFinding("disarmed", False, "the flight controller is armed: disarm it first")]
     set_up = round(values.get(HITL, 0)) == 1

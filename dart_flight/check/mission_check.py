@@ -82,7 +82,7 @@ def check_places(mission: Mission) -> list[CheckFinding]:
         for distance, wall_name in near:
             says = f"{name} is {distance:.2f} m from wall {wall_name}, minimum {_CLEARANCE_M:g} m"
             if distance >= _CLEARANCE_M:
-                says += f", but the wall may be {SURE_SD:g} standard deviations nearer"
+                says += f", but the true wall may be nearer by {SURE_SD:g} standard deviations"
             findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
         for post in mission.posts:
             if is_blocked_by_post(mission, post, point, point):
@@ -123,7 +123,7 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
     pauses = sum(w.position is None for w in mission.waypoints)
     says = f"the legs between stops are {way_m:.1f} m long and take {flown_s:.0f} s, including holds"
     if len(known) < len(legs):
-        says += f", plus {len(legs) - len(known)} legs after a contact, whose length is not predicted"
+        says += f", plus {len(legs) - len(known)} legs of unknown length after a contact"
     says += f", plus {pauses} pause{'s' if pauses > 1 else ''}" if pauses else ""
     findings = [CheckFinding("waypoints", True, says)]
     asked = {leg.name for leg in transit_segments(mission) if leg.begin is not None}
@@ -442,7 +442,7 @@ def check_flown(mission: Mission) -> CheckFinding:
         return CheckFinding("flown", True, says, remark=True)
     if flown.danger is not None:
         return CheckFinding(
-            "flown", False, f"in simulation, {flown.danger}: plan a lower speed, or touch the walls first"
+            "flown", False, f"in simulation, {flown.danger}: plan a lower speed, or measure the walls first"
         )
     says = f"flown in simulation by {flown.software}: {flown.summary}"
     figures: dict[str, float] = {}

@@ -27,7 +27,9 @@ def check_heading(mission: Mission) -> list[CheckFinding]:
     eighths = round(given / (0.25 * math.pi))
     if eighths == 0 or abs(eighths) > 8 or abs(given - eighths * 0.25 * math.pi) > _NEAR_RAD:
         return []
-    says = f"frame.heading_deg is {given:g}, which is {45 * eighths} deg in radians: degrees are expected"
+    says = (
+        f"frame.heading_deg {given:g} looks like radians ({given:g} rad are {45 * eighths} deg): give degrees"
+    )
     return [CheckFinding("heading", True, says, remark=True)]
 
 

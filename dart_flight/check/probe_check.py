@@ -75,9 +75,9 @@ def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
     """Return a finding about a collision with a wall that a probe locates in flight."""
     assert collision.approach_m_s is not None
     says = (
-        f"wall {collision.wall.name} is hit at {math.hypot(*collision.approach_m_s):.2f} m/s after a probe "
+        f"a probe locates wall {collision.wall.name}; the vehicle then checks the space for the run-up, and "
+        f"hits the wall at {math.hypot(*collision.approach_m_s):.2f} m/s"
     )
-    says += "has located the wall; after the probe, the vehicle checks the space for the run-up"
     yield CheckFinding(f"approach_{collision.index}", True, says)
 
 
@@ -94,17 +94,17 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
             age_s = times[collision.index] - times[by[-1].index]
             sd_m = age_s * mission.vehicle.estimation.position_drift_m_s
             says = (
-                f"collision {by[-1].index} corrects the frame along the normal of wall {collision.wall.name}"
+                f"collision {by[-1].index} corrects the frame along the normal of wall {collision.wall.name} "
+                f"about {age_s:.0f} s before the impact on this wall; at the impact, the wall's position is "
+                f"known to {sd_m:.2f} m (1 sd)"
             )
-            says += f" about {age_s:.0f} s before the impact; at the impact, the wall "
-            says += f"is known to {sd_m:.2f} m (1 sd)"
             yield CheckFinding(item, True, says, figures={"age_s": age_s, "sd_m": sd_m})
         elif collision.probe is None:
             says = (
-                f"no probe corrects the frame along the normal of wall {collision.wall.name} before its "
-                "impact: "
+                "no earlier contact corrects the frame along the normal of wall "
+                f"{collision.wall.name}: touch this wall or a parallel wall first"
             )
-            yield CheckFinding(item, False, f"{says}touch this wall or a parallel wall first")
+            yield CheckFinding(item, False, says)
         if not collision.wall.sought:
             touched.append(collision)
 

@@ -80,7 +80,7 @@ def _rc_override(value: float, _: Mission) -> tuple[bool, str]:
 def _stick_speed(value: float, _: Mission) -> tuple[bool, str]:
     if value < 0.0:
         return False, "RC sticks do NOT override offboard; only the mode switch does"
-    return True, f"RC sticks override offboard when moved faster than {value:g} 1/s"
+    return True, f"RC sticks override offboard if their deflection changes faster than {value:g} 1/s"
 
 
 def _rc_loss(value: float, _: Mission) -> tuple[bool, str]:
@@ -93,7 +93,7 @@ def _imbalance(value: float, _: Mission) -> tuple[bool, str]:
     return quiet, (
         "PX4 only warns of an imbalanced propeller"
         if quiet
-        else "PX4 ends the mission for an imbalanced propeller, and it may mistake an impact for an imbalance"
+        else "PX4 ends the mission if a propeller is imbalanced, and may mistake an impact for an imbalance"
     )
 
 
@@ -102,7 +102,7 @@ def _rc_exception(value: float, _: Mission) -> tuple[bool, str]:
     return True, (
         "PX4 ignores a loss of the remote control in offboard mode; after a loss, the pilot cannot take over"
         if ignores
-        else "offboard mode starts only with a remote control, and a loss of the remote control ends it"
+        else "PX4 starts offboard mode only with a remote control, and ends the mode if the control is lost"
     )
 
 
@@ -110,12 +110,12 @@ def _attitude_limit(value: float, mission: Mission) -> tuple[bool, str]:
     limit = mission.vehicle.guard.tilt_deg
     good = value == 0.0 or value >= limit
     return good, f"PX4 detects a failure above {value:g} degrees, the guard's limit is {limit:g} degrees" + (
-        "" if good else ": an impact could trigger PX4's failure detector before the guard"
+        "" if good else ": an impact could trigger PX4's failure detector before the guard acts"
     )
 
 
 def _lockdown(value: float, _: Mission) -> tuple[bool, str]:
-    return True, f"PX4 stops the motors on a failure within {value:g} s of take-off"
+    return True, f"if PX4 detects a failure within {value:g} s after take-off, PX4 stops the motors"
 
 
 def _termination(value: float, _: Mission) -> tuple[bool, str]:
@@ -126,7 +126,7 @@ def _termination(value: float, _: Mission) -> tuple[bool, str]:
 
 def _gyro_rate(value: float, _: Mission) -> tuple[bool, str]:
     return value >= 400.0, f"rate control at up to {value:g} Hz" + (
-        "" if value >= 400.0 else "; the torque of a contact needs at least 400 Hz"
+        "" if value >= 400.0 else "; against the torque of a contact, PX4 needs at least 400 Hz"
     )
 
 
@@ -216,7 +216,7 @@ def evaluate_parameters(
             if name in wanted and _is_absent(wanted[name], wanted, values, version):
                 continue
             findings.append(
-                CheckFinding(name, False, "PX4 does not report this parameter: its behaviour is unknown")
+                CheckFinding(name, False, "PX4 does not report this parameter, so PX4's behaviour is unknown")
             )
             continue
         go, says = judge(values[name], mission)
@@ -287,8 +287,8 @@ def _evaluate_pose_delay(
     says = f"{delay_ms:g} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
     if apart_ms > _POSE_DELAY_TOLERANCE_MS:
         says += (
-            f": the difference is {apart_ms:g} ms, limit {_POSE_DELAY_TOLERANCE_MS:g} ms, and makes the "
-            f"position estimate oscillate: set {POSE_DELAY} to {measured_ms:g}"
+            f"; the difference of {apart_ms:g} ms, limit {_POSE_DELAY_TOLERANCE_MS:g} ms, makes the position "
+            f"estimate oscillate: set {POSE_DELAY} to {measured_ms:g}"
         )
     return CheckFinding(POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, says)
 

@@ -216,9 +216,8 @@ def _problem_of(bank: str, values: Mapping[str, float], motors: int) -> str:
     ]
     if earlier:
         return (
-            f"thrust is unknown: PX4 reports one bank only, the bank that it starts first ({earlier[0]}), "
-            f"but the motors are on {bank}; free the outputs of {earlier[0]} or move the motors to "
-            f"{earlier[0]}"
+            f"thrust is unknown: the motors are on {bank}, but PX4 reports only {earlier[0]}, the bank that "
+            f"it starts first; free all outputs of {earlier[0]}, or move the motors to {earlier[0]}"
         )
     if _configured_scale(bank, values) is PWM:
         for k in range(1, motors + 1):

@@ -70,7 +70,7 @@ def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """
     if mode is None or not mode.hil:
         return []
-    says = "PX4 uses simulated sensors (hardware in the loop): restart it with SYS_HITL 0"
+    says = "PX4 uses simulated sensors (hardware in the loop): set SYS_HITL to 0 and restart PX4"
     return [CheckFinding("hil_mode", False, says)]
 
 

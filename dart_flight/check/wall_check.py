@@ -49,10 +49,10 @@ def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterat
     wall = nearest.wall
     distance_m, slack = float(wall.end_distance_m(place)), float(position_margin_m(wall, place))
     side = "from" if distance_m >= 0.0 else "beyond"
-    says = f"the impact on wall {wall.name} is {abs(distance_m):.2f} m {side} its end"
+    says = f"the impact on wall {wall.name} is {abs(distance_m):.2f} m {side} the wall's end"
     needed = f"half a vehicle ({wall.half_vehicle_m:.2f} m)"
     if slack > 0.0:
-        needed += f" and {SURE_SD:g} standard deviations of the wall's position ({slack:.2f} m)"
+        needed += f" plus {SURE_SD:g} standard deviations of the wall's position ({slack:.2f} m)"
     figures = {"distance_m": distance_m, "margin_m": wall.half_vehicle_m + slack}
     if room_m((nearest, place)) < 0.0:
         says += f", minimum {needed}"
@@ -85,7 +85,7 @@ def _check_collision(
         yield CheckFinding(
             f"incidence_{collision.index}",
             False,
-            f"the angle between wall {wall.name} and the leading edge may be {off_deg:.0f} degrees "
+            f"the angle between wall {wall.name} and the vehicle's leading edge may be {off_deg:.0f} degrees "
             f"({_INCIDENCE_SD:g} sd), limit {most_deg:g} degrees with {collision.mode.value} arms: measure "
             "the wall's direction",
         )

@@ -84,15 +84,15 @@ def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[s
         wanted[POSE_DELAY] = Parameter(POSE_DELAY, float(delay_ms), says, tolerance=_DELAY_TOLERANCE_MS)
     for name in _FAILURE_ANGLES:
         if wanted[name].value < vehicle.guard.tilt_deg:
-            says = "guard.tilt_deg: PX4 must not stop the flight before the guard lands it"
+            says = "at the tilt limit guard.tilt_deg, the guard must act before PX4's failure detector"
             wanted[name] = Parameter(name, math.ceil(vehicle.guard.tilt_deg), says)
     wanted[_HITL] = Parameter(_HITL, 0, "PX4 uses its own sensors")
     for name in (*GAINS, _OFFBOARD_LOSS):
         value = float(getattr(vehicle.px4, name.lower()))
-        says = f"px4.{name} of the configuration, which predictions of flights assume"
+        says = f"the predictions assume px4.{name} of the configuration"
         wanted[name] = Parameter(name, value, says, tolerance=_GAIN_TOLERANCE * abs(value))
     for name, place, axis in zip(IMU_POSITION, vehicle.imu.position_m, "xyz", strict=True):
-        says = f"the IMU's {axis} from the centre of mass, metres (imu.position_m)"
+        says = f"{axis} of the IMU relative to the centre of mass, metres (imu.position_m)"
         wanted[name] = Parameter(name, place, says, tolerance=_POSITION_TOLERANCE_M)
     return wanted
 

@@ -263,7 +263,7 @@ def _show_runs(
         return EXIT_INTERRUPTED
     for seed, found in summary.unexplained_modes.items():
         console.print(
-            f"seed {seed}: {'; '.join(found)}; the lock had no simulated fault",
+            f"seed {seed}: {'; '.join(found)}; no fault of the lock was simulated",
             style="red",
             soft_wrap=True,
         )

@@ -156,7 +156,7 @@ def _flight_summary(mission: Mission, url: str) -> str:
 
 def _stop(w: Waypoint) -> str:
     if w.position is None:
-        return f"  pause until Enter or SIGUSR1; without them, land after {w.hold_s:g} s"
+        return f"  pause until you press Enter or send SIGUSR1; if you do neither, land after {w.hold_s:g} s"
     x, y, z = w.position
     held = f", hold for {w.hold_s:g} s" if w.hold_s else ""
     return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"

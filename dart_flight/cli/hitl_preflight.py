@@ -54,7 +54,9 @@ def prepare_hitl(
     report = decide(mission, context.found)
     show(report, messages())
     if not report.go:
-        raise FlightError("the flight controller is not ready for hardware in the loop; not flown")
+        raise FlightError(
+            "the flight controller is not ready for hardware in the loop; the mission was not flown"
+        )
     motors = context.vehicle.motors
     _confirm()
     return partial(
@@ -72,13 +74,13 @@ def _confirm() -> None:
     sys.stderr.write(f"Motors may turn. Take the propellers off, then type '{_WORD}': ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() != _WORD:
-        raise InputError(f"'{_WORD}' was not typed; not flown", key=("--hitl",))
+        raise InputError(f"'{_WORD}' was not typed; the mission was not flown", key=("--hitl",))
 
 
 def print_hitl_exit() -> None:
     """Print how to switch hardware-in-the-loop off."""
     others = ", ".join(p.name for p in hitl_parameters().values() if p.name != "SYS_HITL")
     print_status(
-        f"to end hardware in the loop: set SYS_HITL to 0, restore GPS_1_CONFIG, {others}, restart the "
-        "flight controller; until then `fly` and `check` refuse the flight controller"
+        f"to end hardware in the loop: set SYS_HITL to 0, restore GPS_1_CONFIG, {others}, and restart the "
+        "flight controller; until then, `fly` and `check` refuse the flight controller"
     )

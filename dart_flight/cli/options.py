@@ -77,7 +77,8 @@ def add_vary_option(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[=SD]",
-        help="draw this quantity, or all quantities, for every seed; repeatable (docs/draws.md)",
+        help="draw a random value of this quantity, or with `all` of every quantity, for every seed; "
+        "repeatable (docs/draws.md)",
     )
 
 
@@ -109,7 +110,7 @@ def add_emulated_mocap_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mocap",
         metavar="KIND",
-        help="fly on the poses of an emulated motion capture, forwarded by this program: "
+        help="emulate a motion capture of this kind, and forward its poses to the vehicle: "
         f"{', '.join(KINDS)} (docs/motion_capture.md)",
     )
 

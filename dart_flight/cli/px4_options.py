@@ -25,8 +25,8 @@ def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> 
         group.add_argument(
             "--hitl",
             metavar="URL",
-            help="fly a real flight controller on the table, propellers off: its port for simulated sensors, "
-            "serial:///dev/ttyACM0:921600 or UDP (docs/hitl.md)",
+            help="fly a real flight controller on the table, with its propellers off; URL is its port for "
+            "simulated sensors, such as serial:///dev/ttyACM0:921600, or UDP (docs/hitl.md)",
         )
         group.add_argument(
             "--connection",
@@ -44,7 +44,7 @@ def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> 
         type=Path,
         action="append",
         metavar="FILE",
-        help="PX4 parameters that override those in configs/px4/ (QGroundControl's format)",
+        help="file in QGroundControl's format; its PX4 parameters override configs/px4/ (repeatable)",
     )
 
 

@@ -92,7 +92,7 @@ def _print(name: str, result: Replay) -> None:
                 name,
                 ("equal", "green"),
                 f": {result.inputs} inputs gave {result.outputs} outputs, "
-                f"of which {len(result.recorded)} are decisions, compared {how}",
+                f"of which {len(result.recorded)} are decisions; the outputs were compared {how}",
             ),
             soft_wrap=True,
         )
@@ -102,8 +102,8 @@ def _print(name: str, result: Replay) -> None:
         styled(
             name,
             ("different", "red"),
-            f": {len(result.differences)} of {result.outputs} outputs differ, compared {how}. The first is "
-            f"at input {first.number}, {(first.t_us - result.zero_us) * 1e-6:.3f} s: {first.text()}",
+            f": {len(result.differences)} of {result.outputs} outputs differ when compared {how}. The "
+            f"first is at input {first.number}, {(first.t_us - result.zero_us) * 1e-6:.3f} s: {first.text()}",
         ),
         soft_wrap=True,
     )

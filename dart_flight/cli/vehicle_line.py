@@ -32,7 +32,7 @@ def print_vehicle(
     if others:
         more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
         console.print(
-            f"note: {others[0]}{more} found but not used; select it with --config {others[0]}",
+            f"note: {others[0]}{more} was found but is not used; to use it, give --config {others[0]}",
             style="yellow",
             soft_wrap=True,
         )

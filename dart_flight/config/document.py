@@ -501,7 +501,7 @@ def _explain(text: str, type_: Any) -> str:
     if missing:
         return f"missing key {missing[1]}"
     if "matching regex" in text:
-        return "expected letters, digits and ' _.-', a letter or digit first, at most 64 characters"
+        return "expected at most 64 letters, digits or characters of ' _.-', and a letter or digit first"
     for word, plain in _WORDS.items():
         text = text.replace(word, plain)
     return text[:1].lower() + text[1:]

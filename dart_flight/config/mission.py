@@ -535,7 +535,7 @@ def _resolve_collision(
             probe=probe,
         )
     if spec.approach is None and i > 0 and mission.collisions[i - 1].probe is not None:
-        raise document.error(key, "needs an approach, because the vehicle rests after a probe")
+        raise document.error(key, "needs an approach, because the vehicle is at rest after a probe")
     alpha_n, alpha_t = resolve_alphas(spec.alpha_m_per_n, spec.alpha_wall_m_per_n, wall, key, document)
     approach = None
     impact = None

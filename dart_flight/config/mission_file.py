@@ -517,7 +517,9 @@ class FlownRecord(Section, frozen=True):
         if nominal.outcome is not Outcome.COMPLETED:
             return f"the nominal flight does not complete ({nominal.reason or nominal.outcome.value})"
         if self.drawn is not None and self.drawn.uncontrolled:
-            return f"{self.drawn.uncontrolled} of {self.drawn.flights} drawn flights are uncontrolled"
+            return (
+                f"{self.drawn.uncontrolled} of {self.drawn.flights} flights in random worlds are uncontrolled"
+            )
         return None
 
     @property
@@ -531,12 +533,12 @@ class FlownRecord(Section, frozen=True):
             return self.danger
         if (self.drawn.max_tilt_deg or 0.0) > _MOST_TILT_DEG:
             return (
-                f"in a drawn world, the vehicle tilts by {self.drawn.max_tilt_deg:.0f} degrees, "
+                f"in a random world, the vehicle tilts by {self.drawn.max_tilt_deg:.0f} degrees, "
                 f"limit {_MOST_TILT_DEG:g}"
             )
         if self.drawn.flights - self.drawn.completed > _MOST_BROKEN_OFF * self.drawn.flights:
             causes = ", ".join(f"{rule} {count}" for rule, count in self.drawn.ended_by.items())
-            text = f"only {self.drawn.completed} of {self.drawn.flights} drawn flights complete"
+            text = f"only {self.drawn.completed} of {self.drawn.flights} flights in random worlds complete"
             return f"{text} ({causes})"
         return None
 
@@ -545,9 +547,10 @@ class FlownRecord(Section, frozen=True):
         """Results of the flights and the saved time in one line, for `plan`, `check` and the picture."""
         drawn = self.drawn
         if drawn is None:
-            return self.danger or "the nominal flight completes; no flights in drawn worlds were simulated"
+            return self.danger or "the nominal flight completes; no flights in random worlds were simulated"
         text = (
-            f"{drawn.completed} of {drawn.flights} drawn flights complete, {drawn.uncontrolled} uncontrolled"
+            f"{drawn.completed} of {drawn.flights} flights in random worlds complete, "
+            f"{drawn.uncontrolled} uncontrolled"
         )
         if drawn.median_time_s is not None:
             text += f", {drawn.median_time_s:.1f} s from take-off to landing"

@@ -159,7 +159,7 @@ def resolve_probe(
     if not wall.sought and probe.material is not None:
         raise document.error(
             (*key, "probe", "material"),
-            f"wall {wall.name} of the mission has its own material",
+            f"wall {wall.name} of the mission already has a material: remove this key",
         )
     end = _probe_end(probe, wall)
     for name, place in (("from_m", probe.from_m), ("length_m", end)):
@@ -174,10 +174,7 @@ def resolve_probe(
     vx, vy = share * (end[0] - probe.from_m[0]), share * (end[1] - probe.from_m[1])
     normal_m_s, tangential_m_s, _ = wall.to_collision((vx, vy, 0.0))
     if not normal_m_s < -0.5 * probe.speed_m_s or wall.signed_distance(probe.from_m) <= 0.0:
-        text = (
-            f"begins behind wall {wall.name} or leads past the wall: the angle between probe and normal "
-            "must be at most 60 degrees"
-        )
+        text = f"begins behind wall {wall.name}, or the angle between probe and normal exceeds 60 degrees"
         raise document.error((*key, "probe"), text)
     reach_m = wall.signed_distance(probe.from_m) / -normal_m_s * probe.speed_m_s
     if reach_m > probe.length_m + _ON_PLANE_M:

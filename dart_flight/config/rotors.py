@@ -36,7 +36,9 @@ def motors_from_parameters(parameters: Mapping[str, float], source: str) -> tupl
         InputError: the parameters lack the number of motors or a position.
     """
     if not parameters.get(COUNT):
-        raise InputError(f"has no {COUNT}: PX4 older than 1.13, or not a multicopter", source=source)
+        raise InputError(
+            f"has no {COUNT}, so PX4 is older than 1.13 or the vehicle is not a multicopter", source=source
+        )
     names = rotor_names(parameters[COUNT])
     missing = [name for name in names if name not in parameters]
     if missing:
@@ -68,7 +70,10 @@ def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple
             (other if opposite else sizes).append(f"motor {number}: {name} {a:g}, PX4 {b:g}")
         a, b = own.yaw_torque_per_thrust_m, px4.yaw_torque_per_thrust_m
         if a * b < 0.0:
-            other.append(f"motor {number} turns in the other direction (yaw torque {a:g} m, PX4 {b:g})")
+            other.append(
+                f"motor {number} turns in the opposite direction in PX4 "
+                f"(yaw_torque_per_thrust_m {a:g}, PX4 {b:g})"
+            )
         elif abs(a - b) > _KM_TOLERANCE * max(abs(a), abs(b)):
             sizes.append(f"motor {number}: yaw_torque_per_thrust_m {a:g}, PX4 {b:g}")
     return other, sizes

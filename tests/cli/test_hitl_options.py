@@ -96,7 +96,7 @@ def test_an_unconfirmed_flight_does_not_start(
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
     err = refusal_of(capsys, "--hitl", HITL, "--connection", LINK)
     assert "Take the propellers off" in err
-    assert err.splitlines()[-1].endswith("'propellers off' was not typed; not flown")
+    assert err.splitlines()[-1].endswith("'propellers off' was not typed; the mission was not flown")
 
 
 def test_a_flight_controller_that_is_not_ready_does_not_fly(
@@ -108,5 +108,5 @@ def test_a_flight_controller_that_is_not_ready_does_not_fly(
     err = capsys.readouterr().err
     assert status != 0
     assert "SYS_HITL is 0, wanted 1" in err
-    assert "not ready for hardware in the loop; not flown" in err
+    assert "not ready for hardware in the loop; the mission was not flown" in err
     assert "Take the propellers off" not in err

@@ -79,7 +79,7 @@ def test_a_probe_for_a_known_wall_leads_along_its_normal_and_reaches_it() -> Non
     )
     assert askew.collisions[0].impact_point == pytest.approx((1.5, 1.5))
     assert askew.collisions[0].approach_m_s == pytest.approx((-0.5 / math.sqrt(2), 0.5 / math.sqrt(2)))
-    assert not loaded.recovers_to_goal, "the vehicle rests after a probe"
+    assert not loaded.recovers_to_goal, "the vehicle is at rest after a probe"
 
 
 @pytest.mark.parametrize("known", ["wood", None])
@@ -180,9 +180,9 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         (
             [with_keys(AT_BOARD, direction=[0.0, 1.0])],
             WALLS,
-            "leads past the wall: the angle between probe and normal must be at most 60 degrees",
+            "the angle between probe and normal exceeds 60 degrees",
         ),
-        ([with_keys(AT_BOARD, direction=[-1.0, 0.0])], WALLS, "leads past the wall"),
+        ([with_keys(AT_BOARD, direction=[-1.0, 0.0])], WALLS, "between probe and normal exceeds"),
         ([with_keys(AT_BOARD, from_m=[1.8, 0.0], length_m=0.1)], WALLS, "begins behind wall board"),
         (
             [with_keys(AT_BOARD, length_m=1.2)],
@@ -203,7 +203,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         (
             [EAST, {k: v for k, v in AGAIN.items() if k != "approach"}],
             {},
-            r"collisions\[1\]: needs an approach, because the vehicle rests after a probe",
+            r"collisions\[1\]: needs an approach, because the vehicle is at rest after a probe",
         ),
         ([EAST], {"waypoints": [STAY | {"after": 0}]}, r"waypoints\[0\].at_wall.wall: .*east"),
         ([EAST], {"waypoints": [STAY | {"position_m": [0, 0]}]}, "exactly one key: position_m or at_wall"),

@@ -93,7 +93,11 @@ def feed() -> Feed:
 @pytest.mark.parametrize(
     ("changes", "within_s", "message"),
     [
-        ({"away": (0.5, 0.0, 0.0)}, 0.1, "body jumped by 0.50 m: another body or swapped markers"),
+        (
+            {"away": (0.5, 0.0, 0.0)},
+            0.1,
+            "body jumped by 0.50 m: it is another body, or the markers are swapped",
+        ),
         ({"turn": math.radians(90.0)}, 0.15, "the pose is rotated by 90 deg from PX4's attitude"),
         ({"turn": math.pi}, 0.15, "the pose is rotated by 180 deg from PX4's attitude"),
         ({"later_us": 50_000}, 0.35, "the poses' delay grew by 50 ms since take-off"),
@@ -131,7 +135,7 @@ def test_the_timeout_of_the_pose_source_depends_on_the_phase(feed: Feed) -> None
 def test_wrong_poses_are_withheld_once_and_in_the_air_only(feed: Feed) -> None:
     feed.hover(0.1, away=(1.0, 0.0, 0.0))
     assert feed.watch.withhold(Phase.ARMING, 7) is None
-    reason = "body jumped by 1.00 m: another body or swapped markers"
+    reason = "body jumped by 1.00 m: it is another body, or the markers are swapped"
     assert feed.watch.withhold(Phase.CONTACT, 7) == PosesWithheld(7, reason)
     assert feed.watch.withhold(Phase.CONTACT, 8) is None
     assert feed.watch.blind(False, Phase.TRANSIT) is None
@@ -167,7 +171,7 @@ def test_an_estimate_that_jumps_with_the_poses_leaves_the_vehicle_blind(feed: Fe
     feed.hover(0.1, away=(0.0, 1.0, 0.0))
     blind = feed.watch.blind(True, Phase.TRANSIT)
     assert blind is not None
-    assert blind.endswith("swapped markers; then PX4's estimate stepped")
+    assert blind.endswith("markers are swapped; then PX4's estimate stepped")
 
 
 def test_two_simultaneous_senders_are_named_but_a_change_of_sender_is_not(feed: Feed) -> None:
@@ -209,7 +213,10 @@ def test_a_pose_that_alternates_after_a_gap_is_a_jump() -> None:
     feed.silence(0.15)
     for i in range(40):
         feed.pose(away=(0.8 if i // 8 % 2 else 0.0, 0.0, 0.0))
-    assert feed.watch.fault(Phase.TRANSIT) == "body jumped by 0.80 m: another body or swapped markers"
+    assert (
+        feed.watch.fault(Phase.TRANSIT)
+        == "body jumped by 0.80 m: it is another body, or the markers are swapped"
+    )
 
 
 @settings(max_examples=40, deadline=None)

@@ -73,7 +73,7 @@ def test_arm_lengths_define_the_motors_of_px4s_quadrotor_in_x() -> None:
         ("airframe: {arm_x_m: 0.1}", "arm_x_m and motors both define the motor positions"),
         (
             "airframe: {motors: null}",
-            "missing key arm_x_m; an airframe other than a quadrotor in X needs `motors`",
+            "missing key arm_x_m; if the airframe is not an X-shaped quadrotor, give `motors`",
         ),
         ("airframe: {motors: null, arm_x_m: 0.1}", "missing key arm_y_m"),
         ("airframe: {motors: [{x_m: 0.1, y_m: 0.1, yaw_torque_per_thrust_m: 0.1}]}", "length >= 4"),
@@ -216,7 +216,7 @@ def test_motors_convert_to_px4_parameters_and_back() -> None:
     [
         ({}, True, "6 motors, as in PX4"),
         ({"CA_ROTOR_COUNT": 4}, False, "PX4 has 4 motors, but the configuration has 6"),
-        ({"CA_ROTOR2_KM": 0.016}, False, "motor 3 turns in the other direction"),
+        ({"CA_ROTOR2_KM": 0.016}, False, "motor 3 turns in the opposite direction"),
         ({"CA_ROTOR4_PX": -0.173}, False, "motor 5: x_m 0.173, PX4 -0.173"),
         ({"CA_ROTOR4_PX": 0.43, "CA_ROTOR2_KM": -0.05}, True, "motor 5: x_m 0.173, PX4 0.43"),
     ],

@@ -288,12 +288,13 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
         return failed(says, **measured)
     if wrong:
         says = (
-            f"the arms are not {wrong[0]} when commanded: calibrate both ends (`dart-flight lock calibrate`)"
+            f"the lock was commanded {wrong[0]}, but the arms are not {wrong[0]}: calibrate both ends "
+            "(`dart-flight lock calibrate`)"
         )
         return failed(says, **measured)
     travel_s = config.servo.full_travel_s
     return passed(
-        f"the lock reaches both ends; a full travel takes {travel_s:.2f} s by the configuration", **measured
+        f"the lock reaches both ends; the configured time of a full travel is {travel_s:.2f} s", **measured
     )
 
 
@@ -339,7 +340,8 @@ def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
         )
         return failed(says, **measured)
     says = (
-        "left and right are exchanged: set the source's frame to north, east, down (probably ENU, or y left)"
+        "left and right are exchanged: the source's frame is probably ENU, or its y axis points left; set "
+        "the frame to north, east, down"
     )
     return failed(says, **measured)
 
@@ -377,7 +379,7 @@ def evaluate_motion(
     if motion.rate_correlation < _SAME_RATES:
         wrong = (
             f"the body {config.url} does not rotate with this vehicle (correlation "
-            f"{motion.rate_correlation:.2f}): another vehicle's body or swapped markers"
+            f"{motion.rate_correlation:.2f}): the body belongs to another vehicle, or its markers are swapped"
         )
     elif motion.force_correlation < -_SAME_FORCES:
         wrong = "the room is mirrored: its axes are left-handed; exchange the sign of one axis at the source"
@@ -387,7 +389,7 @@ def evaluate_motion(
     elif body_tilt_deg > _POSE_AXIS_DEG:
         wrong = (
             f"wrong axis: the body is tilted by {body_tilt_deg:.0f} degrees relative to the vehicle; define "
-            "it again with the vehicle level"
+            "the body again while the vehicle is level"
         )
     elif abs(body_yaw_deg) > _POSE_AXIS_DEG:
         nose_deg = wrap_deg(config.body_yaw_deg + body_yaw_deg)
@@ -410,8 +412,8 @@ def evaluate_motion(
         )
     elif heading_off_deg is not None and abs(heading_off_deg) > _POSE_AXIS_DEG:
         wrong = (
-            f"PX4's heading is {heading_off_deg:.0f} degrees off the poses: add 8 to EKF2_EV_CTRL, so that "
-            "PX4 uses their heading, or correct mocap.heading_deg"
+            f"PX4's heading is {heading_off_deg:.0f} degrees off the heading of the poses: add 8 to "
+            "EKF2_EV_CTRL, so that PX4 uses the heading of the poses, or correct mocap.heading_deg"
         )
     if wrong is not None:
         return failed(wrong, **measured)

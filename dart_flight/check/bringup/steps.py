@@ -201,15 +201,19 @@ class Bringup(CheckContext[StepFinding]):
             return f"{says}; {link.place}: {error.strerror}"
         if found.console:
             return (
-                f"a console answers on {link.place} ({found.console!r}), but no MAVLink: set MAV_1_CONFIG to "
-                "the autopilot's port at this cable, or disable the login console on this port"
+                f"a console answers on {link.place} ({found.console!r}), but no MAVLink arrives: set "
+                "MAV_1_CONFIG to the autopilot's port that has the cable, or disable the login console on "
+                f"{link.place}"
             )
         if not found.received:
             return f"no data arrives on {link.place}: check TX and RX, MAV_1_CONFIG and the power"
         if found.baud is None:
-            return f"bytes arrive on {link.place}, but no MAVLink at any usual baud rate: is it a console?"
+            return f"bytes arrive on {link.place}, but no MAVLink at any usual baud rate: is a console there?"
         if found.baud != link.number:
-            return f"wrong baud rate: MAVLink arrives at {found.baud}, not at {link.number} (SER_TEL2_BAUD)"
+            return (
+                f"wrong baud rate: MAVLink arrives at {found.baud}, but the link's URL has {link.number}: "
+                "correct the URL or SER_TEL2_BAUD"
+            )
         return f"{says}, but MAVLink arrives: its sender is not an autopilot, or the TX wire is open"
 
     # -- steps --

@@ -84,7 +84,7 @@ class Airframe(Section, frozen=True, kw_only=True):
         if self.listed is None and len(arms) < 2:
             missing = "arm_y_m" if arms == ["arm_x_m"] else "arm_x_m"
             raise ValueError(
-                f"missing key {missing}; an airframe other than a quadrotor in X needs `motors` instead"
+                f"missing key {missing}; if the airframe is not an X-shaped quadrotor, give `motors` instead"
             )
 
     @property

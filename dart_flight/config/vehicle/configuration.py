@@ -244,8 +244,8 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
     lift = np.linalg.pinv(turning)[:, 3]
     if lift.min() <= 0.0:
         text = (
-            f"level hover leaves no thrust to motor {lift.argmin() + 1}: the centre of mass is not between "
-            "the motors"
+            f"in level hover, motor {lift.argmin() + 1} would need a thrust of zero or less: the centre of "
+            "mass is not between the motors"
         )
         raise document.error(("airframe", "motors"), text)
 

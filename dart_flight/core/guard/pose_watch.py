@@ -245,7 +245,7 @@ class PoseWatch:
             self._jumped_us = now_us
         if (now_us - self._jumped_us) * 1e-6 >= _JUMP_S:
             self._plausible, self._jumped_us = (now_us, position), None
-            self._jump = f"body jumped by {away_m:.2f} m: another body or swapped markers"
+            self._jump = f"body jumped by {away_m:.2f} m: it is another body, or the markers are swapped"
 
     def _compare_estimate(
         self, now_us: int, position: Vec3, attitude: Quaternion, state: FlightState
@@ -279,15 +279,16 @@ _DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "od
 # fmt: off
 POSE_RULES: tuple[Rule, ...] = (
     Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
-        "the forwarded poses are wrong: the body is lost or jumped, or the poses are slow, late, from two "
-        "senders or far from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
+        "the forwarded poses are wrong: the body was lost or jumped, two senders send poses, or the poses "
+        "are too slow, too late or far from PX4's estimate",
+        f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
     Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
-        "the poses are wrong (see `pose_source_ground`) and PX4's estimate jumped with the poses, or the "
-        "body was lost for longer than the limit",
+        "PX4's estimate jumped while the poses were wrong (see `pose_source_ground`), or the body was lost "
+        "for longer than the limit",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
     Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
-        "the poses are wrong (see `pose_source_ground`); in an approach the rule acts at once, in a contact "
-        "or recovery the rule acts after the recovery",
+        "the poses are wrong (see `pose_source_ground`); in an approach, the rule acts at once; in a contact "
+        "or recovery, it waits for the end of the recovery",
         f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
 )
 # fmt: on

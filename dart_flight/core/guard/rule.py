@@ -23,8 +23,8 @@ class Scope(StrEnum):
     ALWAYS = "always"
     GROUND = "before take-off"
     AIR = "in the air"
-    GUIDED = "while the mission or the guard flies"  # not while landing
-    FLYING = "while the mission flies"  # not while landing or once overruled
+    GUIDED = "while the mission or the guard flies the vehicle"  # not while landing
+    FLYING = "while the mission flies the vehicle"  # not while landing or once overruled
 
 
 class RuleCondition(NamedTuple):

@@ -73,7 +73,7 @@ def _by_px4(v: FlightConditions) -> bool:
     return v.failsafe_reported or v.streams.was_cut_off
 
 
-@condition("disarmed in the air: PX4 reports it, or the motors stand still and the vehicle falls")
+@condition("PX4 reports that it disarmed in the air, or the motors stand still and the vehicle falls")
 def _disarmed(v: FlightConditions) -> str | None:
     # A kill switch stops the motors at once; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
     falling_s = v.duration_s(v.falling_since_us)
@@ -107,7 +107,7 @@ def _imu_clipped(v: FlightConditions) -> str | None:
     return f"the IMU is at full scale for {lasting * 1e3:.0f} ms" if lasting > IMU_CLIPPED_S else None
 
 
-@condition("the standard deviation of PX4's position is too large to fly at walls", "guard.position_sd_m")
+@condition("the standard deviation of PX4's position is too large for a collision", "guard.position_sd_m")
 def _position_uncertain(v: FlightConditions) -> str | None:
     sd, limit = v.state.position_sd_m, v.config.position_sd_m
     if sd is None or sd <= limit or not v.mission.collisions or v.mission.is_anchored:
@@ -164,7 +164,9 @@ def _tilt(v: FlightConditions) -> str | None:
     return f"{tilt:.0f} deg, limit {v.config.tilt_deg:g} deg" if tilt > v.config.tilt_deg else None
 
 
-@condition("the vehicle is outside bounds_m horizontally, or would stop there", "bounds_m.x, bounds_m.y")
+@condition(
+    "the vehicle is horizontally outside bounds_m, or would stop outside bounds_m", "bounds_m.x, bounds_m.y"
+)
 def _bounds(v: FlightConditions) -> str | None:
     bounds = v.mission.bounds
     excess = bounds.excess2(v.state.position)
@@ -196,7 +198,7 @@ def _speed(v: FlightConditions) -> str | None:
 
 
 @condition(
-    "the contact force exceeds the limit by far during the contact",
+    "the force during a contact exceeds the limit and its margin",
     f"limits.peak_force_n, {FORCE_MARGIN:g} times",
 )
 def _force(v: FlightConditions) -> str | None:
@@ -226,10 +228,12 @@ _ANNOUNCED = RuleCondition(
     "PX4 announced a failsafe, but telemetry does not show its mode yet", "", lambda v: v.failsafe_announced
 )
 _OTHER_VEHICLE = RuleCondition(
-    "a second vehicle sends on the link, with any system id", _TWO, lambda v: v.others.any_system
+    "a second vehicle, with the same or another system id, sends on the link",
+    _TWO,
+    lambda v: v.others.any_system,
 )
 _SAME_SYSTEM = RuleCondition(
-    "two vehicles share one system id: two clocks or two positions alternate",
+    "two vehicles share one system id: the samples alternate between two clocks or two positions",
     _TWO,
     lambda v: v.others.same_system,
 )
@@ -298,7 +302,8 @@ RULES: tuple[Rule, ...] = (
     _found("wall_not_met", _BREAK_OFF,
            "no contact with the wall at the planned place or time",
            "guard.wall_overrun_m, guard.wall_late_s, limits.collision_timeout_s"),
-    _found("wall_met_early", _BREAK_OFF, "a contact far before the planned wall", "guard.wall_early_m"),
+    _found("wall_met_early", _BREAK_OFF,
+           "a contact occurred far before the planned wall", "guard.wall_early_m"),
     _found("hit_in_noise", _BREAK_OFF,
            "the planned impact is below the detection limit at the measured vibration level",
            "detection.noise_sigma"),
@@ -306,14 +311,14 @@ RULES: tuple[Rule, ...] = (
            "an impact is unplanned; a second impact at the same wall within 1 s is noted without an action"),
     _found("no_peak", _BREAK_OFF, "the contact force does not decay", "detection.peak_wait_s"),
     _found("lock_not_settled", _BREAK_OFF,
-           "the lock is not in the planned mode in the approach or at the impact"),
+           "the lock is not in the planned mode during the approach or at the impact"),
     _found("mode_felt", _BREAK_OFF,
            "a contact indicates one mode, but the lock reports the other; with `mode_mismatch: go_on` the "
            "difference is noted without an action",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
-           "the impact is allowed in one mode only, and the lock is not in this mode at the last moment at "
-           "which the vehicle can stop before the wall"),
+           "the impact is allowed in one mode only, and the lock is not in this mode when the vehicle must "
+           "brake to stop before the wall"),
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,

@@ -209,6 +209,6 @@ def _table(summary: Any) -> Any:
     for rule in summary.rules:
         table.add_row(styled((rule.rule, "red")), str(rule.flights), "", "")
     for flight in summary.unexplained_modes[:_MAX_SHOWN]:
-        line = f"{flight.mission}, seed {flight.seed}: {flight.reason}; the lock had no simulated fault"
+        line = f"{flight.mission}, seed {flight.seed}: {flight.reason}; no fault of the lock was simulated"
         table.add_row(styled((line, "red")), "", "", "")
     return table

@@ -118,7 +118,10 @@ def test_a_wrong_baud_rate_is_recognised() -> None:
         found = run_step(bringup, "link")
         bringup.close()
     assert found.result is StepOutcome.FAIL
-    assert found.message == "wrong baud rate: MAVLink arrives at 921600, not at 57600 (SER_TEL2_BAUD)"
+    assert found.message == (
+        "wrong baud rate: MAVLink arrives at 921600, but the link's URL has 57600: correct the URL or "
+        "SER_TEL2_BAUD"
+    )
 
 
 @pytest.fixture
@@ -146,7 +149,11 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
             StepOutcome.FAIL,
             "the lock moves in the wrong direction",
         ),
-        (lambda question: "Commanded rigid" not in question, StepOutcome.FAIL, "not rigid when commanded"),
+        (
+            lambda question: "Commanded rigid" not in question,
+            StepOutcome.FAIL,
+            "commanded rigid, but the arms are not rigid",
+        ),
         (lambda question: False, StepOutcome.NEEDS_OPERATOR, "was not moved"),
     ],
 )

@@ -143,7 +143,7 @@ def test_missing_poses_are_reported_with_the_sources_reason() -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"rate_correlation": 0.6}, "another vehicle's body"),
+        ({"rate_correlation": 0.6}, "the body belongs to another vehicle"),
         ({"force_correlation": -0.9}, "the room is mirrored"),
         ({"up_room": (0.0, -1.0, 0.0)}, "wrong axis: the room's y axis points up, but mocap.up is z"),
         ({"body_to_frd": ROLLED}, "wrong axis: the body is tilted by 90 degrees"),
@@ -161,7 +161,7 @@ def test_each_defect_is_named(changes: dict[str, Any], says: str) -> None:
 
 def test_a_heading_difference_to_px4_is_named() -> None:
     found = evaluate_motion(GOOD, MotionCapture(url=URL), None, -45.0)
-    assert "PX4's heading is -45 degrees off the poses" in found.message
+    assert "PX4's heading is -45 degrees off the heading of the poses" in found.message
     assert math.isclose(float(found.measured["delay_ms"] or 0.0), 30.0)
 
 

@@ -95,7 +95,7 @@ def test_a_faster_plan_that_completes_is_offered_with_its_flight_record(planned:
     assert offered.record is not None
     assert offered.record.saving_s == pytest.approx(1.5)
     assert offered.record.free_time_s == 20.0
-    assert "20 of 20 drawn flights complete" in offered.says[-1]
+    assert "20 of 20 flights in random worlds complete" in offered.says[-1]
     assert "saves 1.50 s" in offered.says[-1]
     seeds = [
         (kind, FIRST_SEED + k, drawn) for kind in ("free", "colliding") for drawn, k in _nominal_and_drawn()
@@ -216,7 +216,7 @@ def test_check_shows_the_flight_record_and_detects_a_changed_mission(
     assert (finding.go, finding.remark) == (True, False)
     assert mission.flown is not None
     assert mission.flown.summary == (
-        "20 of 20 drawn flights complete, 0 uncontrolled, 18.5 s from take-off to landing "
+        "20 of 20 flights in random worlds complete, 0 uncontrolled, 18.5 s from take-off to landing "
         "against 20.0 s without collisions: saves 1.50 s"
     )
     assert finding.says.endswith(f": {mission.flown.summary}")
@@ -246,7 +246,7 @@ def test_check_rejects_a_mission_that_lost_control_in_simulation(
     record = msgspec.structs.replace(mission.flown, drawn=bad)
     finding = flown_finding(msgspec.structs.replace(mission, flown=record))
     assert not finding.go
-    assert "1 of 20 drawn flights are uncontrolled" in finding.says
+    assert "1 of 20 flights in random worlds are uncontrolled" in finding.says
     assert msgspec.structs.replace(mission, flown=record).digest == mission.digest
 
 
