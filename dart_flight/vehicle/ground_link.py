@@ -73,7 +73,10 @@ def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
             continue
         if stream not in found or source.arriving_hz > found[stream].arriving_hz:
             found[stream] = source
-    return {name: f"{s.arriving_hz:.0f} Hz arrive, none {s.reason}" for name, s in found.items()}
+    return {
+        name: f"{s.arriving_hz:.0f} Hz arrive, but no message is usable: {s.reason}"
+        for name, s in found.items()
+    }
 
 
 class Observation(msgspec.Struct):

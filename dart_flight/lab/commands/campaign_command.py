@@ -26,7 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "missions",
         nargs="*",
         metavar="MISSION",
-        help="mission files; with --resume, the original mission files or none",
+        help="mission files; with --resume, give the same files again, or no file",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the campaign")
     parser.add_argument(
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     opened = campaigns.open_campaign(_requested_campaign(arguments), arguments.out, arguments.resume)
     if opened.campaign.asked.makes_row:
         raise InputError(
-            "another program's function judges these flights; resume the campaign with that program",
+            "a function of another program evaluates these flights: resume the campaign with that program",
             source=str(opened.folder),
         )
     if arguments.scheduler is not None:
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
         engine = campaigns.fly_locally(arguments.jobs or usable_cores())
     print_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
     if len(opened.points) > 1:
-        console.print(f"the campaign also flies {len(opened.points) - 1} more missions or settings")
+        console.print(f"the campaign also flies {len(opened.points) - 1} other missions or settings")
     for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):
         console.print(line, style="yellow", soft_wrap=True)
     with Interrupt() as interrupt, _ProgressDisplay(console, opened.flights) as progress:

@@ -170,7 +170,7 @@ def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, f
             chosen.setdefault(str(parameter.renamed), parameter.value)
         elif not parameter.absent or parameter.renamed is not None:
             raise Px4Error(
-                f"this PX4 has no parameter {name} (wanted {parameter.value:g}): "
+                f"this PX4 has no parameter {name}, which must be {parameter.value:g}: "
                 "docs/px4.md does not list this version of PX4, or the name is wrong"
             )
     return chosen
