@@ -575,7 +575,7 @@ ESC_STATUS = MessageEntry(
     _esc,
     "-",
     "1/min",
-    "a group with the same time stamp is missing, or a speed is over 200 000 1/min",
+    "a group of motors with the same time stamp is missing, or a speed is over 200 000 1/min",
     "index",
     None,
     "each message has a group of four motors; `index` is the number of the first motor, from 0",

@@ -30,7 +30,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the campaign")
     parser.add_argument(
-        "--runs", type=whole_number(1, 10_000_000), metavar="N", help="seeds for each mission and setting"
+        "--runs",
+        type=whole_number(1, 10_000_000),
+        metavar="N",
+        help="number of seeds for each mission and setting",
     )
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), metavar="S", help="first seed (default 1)")
     add_vary_option(parser)
@@ -39,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=V1,V2,...",
-        help="configuration key and its values; every combination is flown; repeatable",
+        help="configuration key and its values (repeatable); the campaign flies every combination",
     )
     parser.add_argument("--resume", action="store_true", help="resume the campaign in --out")
     parser.add_argument(

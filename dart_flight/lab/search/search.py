@@ -57,7 +57,7 @@ ADVICE = {
     Refusal.WALL_NOT_REACHED: (
         "raise the first wall's gain alpha, move the second wall nearer, or lengthen the second wall"
     ),
-    Refusal.INCIDENCE: "turn the wall: the vehicle hits it with the heading of the first approach",
+    Refusal.INCIDENCE: "turn the wall: the vehicle hits every wall with the heading of the first approach",
     Refusal.TOO_SOON: "move the walls apart or lower detection.refractory_s",
     Refusal.SERVO_TRAVEL: "allow the same mode at both walls, use a faster servo, or move the walls apart",
 }
@@ -380,7 +380,9 @@ class ScenarioSearch:
         freed = sorted(((self._freed(r), r) for _, r in counts), reverse=True)
         if freed and freed[0][0]:
             count, reason = freed[0]
-            return f"{text}; without {reason.value} {count} would be feasible: {ADVICE[reason]}"
+            return (
+                f"{text}; without the constraint {reason.value}, {count} would be feasible: {ADVICE[reason]}"
+            )
         return f"{text}; several constraints must be relaxed; first {ADVICE[counts[0][1]]}"
 
     def _freed(self, reason: Refusal) -> int:

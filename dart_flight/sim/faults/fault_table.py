@@ -85,7 +85,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "jitter", _P.LINK, "each message has a random delay of up to this time", "ms", 100.0, 0.0, 2000.0
     ),
-    FaultKind("reorder", _P.LINK, "messages overtake each other by 20 ms", "%", 10.0, 0.0, 100.0),
+    FaultKind("reorder", _P.LINK, "messages arrive 20 ms late, after newer messages", "%", 10.0, 0.0, 100.0),
     FaultKind("duplicate", _P.LINK, "messages are duplicated", "%", 10.0, 0.0, 100.0),
     FaultKind(
         "second-vehicle",

@@ -285,7 +285,9 @@ def claim_instance() -> Instance:
         if listener is not None:
             return Instance(number, listener, lease)
         lease.release()
-    raise Px4Error(f"all {len(_INSTANCES)} PX4 instances are in use: stop one (ports from 4560 and 14540 on)")
+    raise Px4Error(
+        f"all {len(_INSTANCES)} PX4 instances are in use: stop one (they use ports from 4560 and 14540 on)"
+    )
 
 
 def _free_simulator_port(number: int) -> socket.socket | None:
