@@ -1679,7 +1679,7 @@ def test_a_stream_without_usable_messages_is_silent_and_its_cause_is_named() -> 
     c.feed(
         StatusText(c.t_us, c.t_us, "error", "ODOMETRY arrives, but no message is usable: the velocity is NaN")
     )
-    unusable = "ACTUATOR_OUTPUT_STATUS arrives, but no message is usable: only 3 outputs have a value"
+    unusable = "ACTUATOR_OUTPUT_STATUS arrives, but no message is usable: the motors' outputs are invalid"
     c.feed(StatusText(c.t_us, c.t_us, "error", unusable))
     c.silent.add("actuator")
     c.run(0.6)
