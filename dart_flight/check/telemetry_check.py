@@ -66,7 +66,7 @@ def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[C
     for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):
         go, says = stream.enough, stream.describe
         if stream.name == "odometry" and values.get(LOOPBACK):
-            go, says = False, f"{says}: {LOOPBACK} is {values[LOOPBACK]:g}, set it to 0"
+            go, says = False, f"{says}; {LOOPBACK} is {values[LOOPBACK]:g}, set it to 0"
         findings.append(CheckFinding(f"rate_{stream.name}", go, says))
     return findings
 

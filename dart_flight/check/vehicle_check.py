@@ -59,7 +59,7 @@ def evaluate_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """If the autopilot is not PX4, return a no-go with the autopilot's name."""
     if mode is None or not mode.not_px4:
         return []
-    says = f"heartbeats arrive, but none {mode.not_px4}: this program supports only PX4"
+    says = f"heartbeats arrive, but {mode.not_px4}: this program supports only PX4"
     return [CheckFinding("autopilot", False, says)]
 
 

@@ -355,7 +355,7 @@ def plan(
         scenario = load_scenario(scenario, vehicle)
     elif vehicle is not None:
         raise InputError(
-            "a loaded scenario already has a vehicle: give the vehicle to load_scenario", key=("vehicle",)
+            "a loaded scenario already has a vehicle: pass another vehicle to load_scenario", key=("vehicle",)
         )
     if objective is not None:
         if objective not in list(Objective):

@@ -6,8 +6,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
 
 PLAIN_GPS = (
-    "plain GPS drifts by a metre within a flight, so wall positions are off by as much; a wall mission "
-    "needs RTK, motion capture or frame: {anchored_by: touch}"
+    "plain GPS drifts by a metre within a flight, so wall positions are wrong by a metre; a mission with "
+    "walls needs RTK, motion capture or `frame: {anchored_by: touch}`"
 )
 
 

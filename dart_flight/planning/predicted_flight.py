@@ -116,8 +116,11 @@ def describe_goal_miss(
 ) -> str:
     """Describe the miss distance at the goal, and the capture radius."""
     if along_trajectory:
-        return f"reached at rest, along a trajectory (capture radius {goal.capture_radius_m:g} m)"
-    text = f"passes the goal at {miss_m:.2f} m (capture radius {goal.capture_radius_m:g} m)"
+        return (
+            "the vehicle reaches the goal at rest, along a trajectory "
+            f"(capture radius {goal.capture_radius_m:g} m)"
+        )
+    text = f"passes the goal at a distance of {miss_m:.2f} m (capture radius {goal.capture_radius_m:g} m)"
     if after_impact is AfterImpact.REPLAN:
         return (
             "the vehicle replans after every collision to pass through the goal; without replanning, "

@@ -101,7 +101,11 @@ class EventFormatter:
             what = "attitudes of the poses" if record.attitude_only else "poses"
             return Event(Level.ERROR, "guard", f"{what} withheld from PX4: {record.reason}")
         if isinstance(record, GoalPassed):
-            words = "goal timed out, closest approach" if record.timed_out else "goal passed, miss distance"
+            words = (
+                "goal not passed in time, smallest distance"
+                if record.timed_out
+                else "goal passed, miss distance"
+            )
             return Event(Level.INFO, "mission", f"{words} {record.miss_m:.2f} m")
         if isinstance(record, PlanTaken):
             head = "new trajectory accepted" if record.taken else f"new trajectory rejected: {record.reason}"

@@ -140,7 +140,7 @@ def _read_part(path: Path, log: Log) -> None:
             start = stream.read(len(MAGIC))
             if not MAGIC.startswith(start):
                 refuse_other_kind(path, FileKind.FLIGHT_LOG)
-                raise InputError("not a flight log (no MCAP file)", source=source)
+                raise InputError("not a flight log: the file has no MCAP header", source=source)
             stream.seek(0)
             for entry in read_entries(stream, found, log.end, {}, source):
                 log.entries.append(entry)
@@ -150,7 +150,7 @@ def _read_part(path: Path, log: Log) -> None:
         log.complete = False
     log.about.update(found)
     if not found and log.complete:
-        raise InputError("an MCAP file, but not a flight log of dart-flight", source=source)
+        raise InputError("this MCAP file is not a flight log of dart-flight", source=source)
 
 
 def read_entries(

@@ -101,5 +101,5 @@ def _leave_disarmed(mission: Mission, url: str) -> None:
                 link.kill()
     except Exception as error:
         raise FlightError(
-            f"cannot confirm that the flight controller is disarmed ({error}): unplug it"
+            f"cannot confirm that the flight controller is disarmed ({error}): unplug the controller"
         ) from None

@@ -182,11 +182,12 @@ def unexplained_modes(verdict: Verdict) -> list[str]:
     found = [] if verdict.arms_moved is not False else ["the arms did not follow the lock"]
     for c in verdict.collisions:
         if c.mode_true not in (None, c.mode):
-            found.append(f"collision {c.index}: the arms were {c.mode_true}, the lock reported {c.mode}")
+            found.append(f"collision {c.index}: the arms were {c.mode_true}, but the lock reported {c.mode}")
         if c.mode_felt not in (None, c.mode):
             truly = "" if c.mode_true is None else f", true mode {c.mode_true}"
             found.append(
-                f"collision {c.index}: the contact indicates {c.mode_felt}, the lock reports {c.mode}{truly}"
+                f"collision {c.index}: the contact indicates {c.mode_felt}, but the lock reports "
+                f"{c.mode}{truly}"
             )
     return found
 

@@ -182,7 +182,7 @@ def _note(log: Log, result: Replay) -> str:
         lost = f"the log lost {result.missing} inputs; after the first lost input the replay may differ"
         notes.append(lost)
     elif not log.complete:
-        notes.append("the log is cut short; the replay ends with the log")
+        notes.append("the log is cut short; the replay ends where the log ends")
     return "; ".join(notes)
 
 

@@ -72,7 +72,7 @@ class CommandServer:
         if message.system_id != self._system_id:
             self.refused += 1
             result = Result.DENIED
-            text = f"system {message.system_id} may not command (ground_station.system_id)"
+            text = f"system {message.system_id} is not allowed to command (ground_station.system_id)"
         else:
             result, text = self._answer(_press_of(message.fields_json))
         fields = {

@@ -73,7 +73,10 @@ def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
             continue
         if stream not in found or source.arriving_hz > found[stream].arriving_hz:
             found[stream] = source
-    return {name: f"{s.arriving_hz:.0f} Hz arrive, none {s.reason}" for name, s in found.items()}
+    return {
+        name: f"{s.arriving_hz:.0f} Hz arrive, but no message is usable: {s.reason}"
+        for name, s in found.items()
+    }
 
 
 class Observation(msgspec.Struct):
@@ -151,13 +154,17 @@ class _Listener:
             self._clocks.update(record.t_us, record.received_us)
             apart_s = self._clocks.clock_difference_s(record.received_us)
             if apart_s is not None:
-                seen.other_vehicle = f"two clocks alternate under one system id, {apart_s:.1f} s apart"
+                seen.other_vehicle = (
+                    f"two clocks alternate in the samples of one system id, {apart_s:.1f} s apart"
+                )
         elif isinstance(record, OdometrySample):
             seen.position_ned = record.position_ned
             self._places.update(record)
             apart_m = self._places.position_difference_m(record.received_us)
             if apart_m is not None:
-                seen.other_vehicle = f"two positions alternate under one system id, {apart_m:.1f} m apart"
+                seen.other_vehicle = (
+                    f"two positions alternate in the samples of one system id, {apart_m:.1f} m apart"
+                )
         elif isinstance(record, AttitudeSample):
             seen.q_frd_to_ned = record.q_frd_to_ned
         elif isinstance(record, StatusSample):

@@ -32,10 +32,7 @@ SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "noti
 
 
 class Unusable(NamedTuple):
-    """The reason why a message is not usable, such as "has a velocity".
-
-    The reason is a predicate, so that texts can put "none" before it: "none has a velocity".
-    """
+    """The reason why a message is not usable, as a clause such as "the velocity is NaN"."""
 
     reason: str
 
@@ -256,23 +253,23 @@ _ACCELEROMETER_AND_GYRO: Final = 0x3F  # bits of fields_updated
 
 def _imu(m: _HighresImuFields) -> InertialReading | Unusable:
     if m.fields_updated & _ACCELEROMETER_AND_GYRO != _ACCELEROMETER_AND_GYRO:
-        return Unusable("has accelerometer and gyro updated")
+        return Unusable("fields_updated lacks accelerometer or gyro")
     ax, ay, az, wx, wy, wz = m.xacc, m.yacc, m.zacc, m.xgyro, m.ygyro, m.zgyro
     if ax is None or ay is None or az is None or wx is None or wy is None or wz is None:
-        return Unusable("has a specific force and a rate")
+        return Unusable("the specific force or the rate is NaN")
     if ax * ax + ay * ay + az * az > _MAX_SPECIFIC_FORCE_M_S2 * _MAX_SPECIFIC_FORCE_M_S2:
-        return Unusable(f"has a specific force below {_MAX_SPECIFIC_FORCE_M_S2:g} m/s2: the unit is wrong")
+        return Unusable(f"a specific force is over {_MAX_SPECIFIC_FORCE_M_S2:g} m/s2: the unit is wrong")
     if max(wx, wy, wz, -wx, -wy, -wz) > _MAX_RATE_RAD_S:
-        return Unusable(f"has a rate below {_MAX_RATE_RAD_S:g} rad/s: the unit is wrong")
+        return Unusable(f"a rate is over {_MAX_RATE_RAD_S:g} rad/s: the unit is wrong")
     return InertialReading(m.time_usec, (ax, ay, az), (wx, wy, wz))
 
 
 def _attitude(m: _AttitudeQuaternionFields) -> Attitude | Unusable:
     w, x, y, z = m.q1, m.q2, m.q3, m.q4
     if w is None or x is None or y is None or z is None:
-        return Unusable("has an attitude")
+        return Unusable("the quaternion is NaN")
     if abs(w * w + x * x + y * y + z * z - 1.0) > 2.0 * _UNIT_TOLERANCE:
-        return Unusable("has a quaternion of length 1")
+        return Unusable("the length of the quaternion is not 1")
     return Attitude(m.time_boot_ms * 1000, (w, x, y, z))
 
 
@@ -297,21 +294,26 @@ def _odometry(m: _OdometryFields) -> Odometry | Unusable:
         name = _ESTIMATORS[kind] if kind < len(_ESTIMATORS) else f"type {kind}"
         poses = " without a velocity" if vx is None else ""
         return Unusable(
-            f"is from PX4's own estimator; the messages carry external poses{poses} ({name}; see MAV_ODOM_LP)"
+            f"the messages carry external poses{poses} ({name}; see MAV_ODOM_LP), not PX4's own estimate"
         )
     if m.frame_id != _LOCAL_NED:
-        return Unusable(f"is in local NED: the frame is {m.frame_id}, which is the frame of an external pose")
+        return Unusable(
+            f"the frame of the position is not local NED, but {m.frame_id}, as in an external pose"
+        )
     if m.child_frame_id != _LOCAL_NED:
         old = ", as before PX4 1.14" if m.child_frame_id == _BODY_FRD else ""
-        return Unusable(f"has a velocity in local NED: its frame is {m.child_frame_id}{old}")
+        return Unusable(f"the frame of the velocity is not local NED, but {m.child_frame_id}{old}")
     if x is None or y is None or z is None:
-        return Unusable("has a position")
+        return Unusable("the position is NaN")
     if vx is None or vy is None or vz is None:
-        return Unusable("has a velocity")
+        return Unusable("the velocity is NaN")
     if m.quality < 0:
-        return Unusable("has a valid estimate (the quality is -1)")
+        return Unusable("the estimate is invalid (the quality is -1)")
     if max(abs(x), abs(y), abs(z)) > _MAX_POSITION_M or max(abs(vx), abs(vy), abs(vz)) > _MAX_SPEED_M_S:
-        return Unusable(f"is within {_MAX_POSITION_M:g} m and {_MAX_SPEED_M_S:g} m/s: the unit is wrong")
+        return Unusable(
+            f"the position is over {_MAX_POSITION_M:g} m, or the velocity is over {_MAX_SPEED_M_S:g} m/s: "
+            "the unit is wrong"
+        )
     return Odometry(m.time_usec, (x, y, z), (vx, vy, vz), m.reset_counter)
 
 
@@ -344,9 +346,9 @@ _STATES: Final = tuple(SystemStatus)[1:]  # MAV_STATE's order
 def _heartbeat(m: _HeartbeatFields) -> Heartbeat | Unusable:
     if m.autopilot != _PX4:
         other = _OTHER_AUTOPILOTS.get(m.autopilot, f"autopilot {m.autopilot}")
-        return Unusable(f"is from PX4; the sender is {other}")
+        return Unusable(f"the sender is {other}, not PX4")
     if not m.base_mode & _CUSTOM_MODE:
-        return Unusable("has a flight mode of PX4")
+        return Unusable("the message has no flight mode of PX4")
     main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
     modes, number = (_AUTO_MODES, sub) if main == _AUTO else (_MAIN_MODES, main)
     state = m.system_status
@@ -367,7 +369,7 @@ _LANDED: Final = {
 
 
 def _landed(m: _ExtendedSysStateFields) -> LandedState | Unusable:
-    return _LANDED.get(m.landed_state) or Unusable("reports whether the vehicle has landed")
+    return _LANDED.get(m.landed_state) or Unusable("the landed state is undefined")
 
 
 def _outputs(m: _ActuatorOutputStatusFields) -> Outputs | Unusable:
@@ -378,9 +380,9 @@ def _outputs(m: _ActuatorOutputStatusFields) -> Outputs | Unusable:
 
 def _esc(m: _EscStatusFields) -> EscGroup | Unusable:
     if m.index % _ESCS or len(m.rpm) != _ESCS:
-        return Unusable("is a group of four motors")
+        return Unusable("the message is not a group of four motors")
     if max(abs(rpm) for rpm in m.rpm) > _MAX_RPM:
-        return Unusable(f"is below {_MAX_RPM} 1/min: the unit is wrong")
+        return Unusable(f"a motor speed is over {_MAX_RPM} 1/min: the unit is wrong")
     return EscGroup(m.time_usec, m.index, tuple([float(rpm) for rpm in m.rpm]))
 
 
@@ -394,9 +396,9 @@ def _battery(m: _BatteryStatusFields) -> BatteryReading | Unusable:
     volts = sum(cells) * 1e-3 if cells else None
     remaining = m.battery_remaining / 100.0 if 0 <= m.battery_remaining <= 100 else None
     if volts is None and remaining is None:
-        return Unusable("is from a connected battery")
+        return Unusable("voltage and charge are missing")
     if volts is not None and not _MIN_BATTERY_V <= volts <= _MAX_BATTERY_V:
-        return Unusable(f"has a plausible battery voltage: it is {volts:.2f} V")
+        return Unusable(f"the battery voltage of {volts:.2f} V is implausible")
     return BatteryReading(m.id, volts, remaining, m.battery_function in _FLIGHT_FUNCTIONS)
 
 
@@ -407,14 +409,14 @@ _NEEDED, _PLACED = 1 | 2, 8 | 16
 def _estimator(m: _EstimatorStatusFields) -> EstimatorState | Unusable:
     sd = m.pos_horiz_accuracy
     if sd is not None and not 0.0 <= sd <= _MAX_SD_M:
-        return Unusable("has a standard deviation in metres")
+        return Unusable(f"the standard deviation is negative or over {_MAX_SD_M:g} m")
     healthy = m.flags & _NEEDED == _NEEDED and bool(m.flags & _PLACED)
     return EstimatorState(healthy, sd)
 
 
 def _sys_status(m: _SysStatusFields) -> Sensors | Unusable:
     if not m.onboard_control_sensors_present:
-        return Unusable("lists sensors")
+        return Unusable("no sensor is present")
     enabled, healthy = m.onboard_control_sensors_enabled, m.onboard_control_sensors_health
     present = m.onboard_control_sensors_present
     return Sensors(enabled, healthy, m.drop_rate_comm, m.errors_comm, present)
@@ -422,16 +424,16 @@ def _sys_status(m: _SysStatusFields) -> Sensors | Unusable:
 
 def _status_text(m: _StatusTextFields) -> TextChunk | Unusable:
     if not 0 <= m.severity < len(SEVERITIES):
-        return Unusable("has a severity")
+        return Unusable("the severity is unknown")
     is_last = m.id == 0 or len(m.text.encode()) < _CHUNK
     if not m.text and m.id == 0:
-        return Unusable("has a text")
+        return Unusable("the text is empty")
     return TextChunk(SEVERITIES[m.severity], m.id, m.chunk_seq, m.text, is_last)
 
 
 def _timesync(m: _TimesyncFields) -> Timesync | Unusable:
     if m.tc1 <= 0:
-        return Unusable("is an answer")  # PX4 sends requests too
+        return Unusable("the message is a request")  # PX4 sends requests too
     return Timesync(m.ts1 // 1000, m.tc1 // 1000)
 
 
@@ -439,12 +441,12 @@ _FIXES: Final = ("no_gps", "no_fix", "fix_2d", "fix_3d", "fix_dgps", "rtk_float"
 
 
 def _gps(m: _GpsRawIntFields) -> str | Unusable:
-    return _FIXES[m.fix_type] if m.fix_type < len(_FIXES) else Unusable("has a known type of fix")
+    return _FIXES[m.fix_type] if m.fix_type < len(_FIXES) else Unusable("the type of fix is unknown")
 
 
 def _radio(m: Any) -> tuple[int, ...] | Unusable:
     if m.chancount <= 0 or m.rssi == 0:
-        return Unusable("is from a receiver with a signal")
+        return Unusable("the receiver has no channels or no signal")
     return tuple(getattr(m, f"chan{n}_raw") for n in range(1, min(m.chancount, _RC_CHANNELS) + 1))
 
 
@@ -487,12 +489,12 @@ class MessageEntry(msgspec.Struct, frozen=True):
             try:
                 fields = read(fields_json)
             except msgspec.MsgspecError:
-                return 0, Unusable("has the fields of the message")
+                return 0, Unusable("a field is missing or has a wrong type")
             if instance is None:
                 return 0, convert(fields)
             number = getattr(fields, instance)
             if instances is not None and number not in instances:
-                return number, Unusable(f"has {instance} {instances[0]}, only {instance} {number}")
+                return number, Unusable(f"{instance} is {number}, not {instances[0]}")
             return number, convert(fields)
 
         return decode
@@ -552,7 +554,7 @@ EXTENDED_SYS_STATE = MessageEntry(
     _landed,
     "-",
     "MAV_LANDED_STATE",
-    "state 0 (undefined)",
+    "the state is 0 (undefined)",
 )
 ACTUATOR_OUTPUT_STATUS = MessageEntry(
     "ACTUATOR_OUTPUT_STATUS",
@@ -564,7 +566,7 @@ ACTUATOR_OUTPUT_STATUS = MessageEntry(
     "there are fewer outputs than motors, a value is NaN or of unknown type, or all are idle in flight",
     None,
     None,
-    "PX4 sends one bank only: the bank that it started first",
+    "PX4 sends only the bank of outputs that it started first",
 )
 ESC_STATUS = MessageEntry(
     "ESC_STATUS",
@@ -573,7 +575,7 @@ ESC_STATUS = MessageEntry(
     _esc,
     "-",
     "1/min",
-    "a group with the same time stamp is missing, or a speed is over 200 000 1/min",
+    "a group of motors with the same time stamp is missing, or a speed is over 200 000 1/min",
     "index",
     None,
     "each message has a group of four motors; `index` is the number of the first motor, from 0",
@@ -609,7 +611,7 @@ SYS_STATUS = MessageEntry(
     _sys_status,
     "-",
     "bits of MAV_SYS_STATUS_SENSOR",
-    "no sensor present",
+    "no sensor is present",
 )
 STATUSTEXT = MessageEntry(
     "STATUSTEXT",
@@ -628,7 +630,7 @@ TIMESYNC = MessageEntry(
     _timesync,
     "-",
     "ns",
-    "the message is a request (tc1 0), or the answer to a request of another program",
+    "the message is a request (tc1 is 0), or it answers another program's request",
 )
 GPS_RAW_INT = MessageEntry(
     "GPS_RAW_INT",
@@ -637,7 +639,7 @@ GPS_RAW_INT = MessageEntry(
     _gps,
     "-",
     "GPS_FIX_TYPE",
-    "an unknown type of fix",
+    "the type of fix is unknown",
 )
 RC_CHANNELS = MessageEntry(
     "RC_CHANNELS",

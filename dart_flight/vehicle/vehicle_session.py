@@ -272,7 +272,7 @@ class VehicleSession:
         """Deliver, at most every 3 s, a text with the reason why a stream has no usable message."""
         if self._reports_unusable and received - self._reported_us.get(name, -_REPORTED_US) >= _REPORTED_US:
             self._reported_us[name] = received
-            text = f"{name} arrives, none {reason}"
+            text = f"{name} arrives, but no message is usable: {reason}"
             t_us = self.clock.to_autopilot(received)
             self._deliver(StatusText(t_us, received, "error", text, found_here=True))
 
@@ -356,7 +356,7 @@ class VehicleSession:
 
     def _handle_answer(self, answer: messages.Timesync, _: int) -> Unusable | None:
         if answer.sent_us not in self._requests_us:
-            return Unusable("answers a request of this program")
+            return Unusable("the message answers another program's request")
         self._deliver(self.clock.round_trip(answer.sent_us, host_us(), answer.autopilot_us))
         return None
 
@@ -421,7 +421,7 @@ class VehicleSession:
         assert self.motor_outputs is not None
         throttles = self.motor_outputs.decode(outputs.values, self._status.landed in _AIRBORNE)
         if isinstance(throttles, str):
-            return Unusable(f"has the motors' outputs: {throttles}")
+            return Unusable(f"the motors' outputs are invalid: {throttles}")
         self._deliver(ActuatorSample(outputs.t_us, received, throttles))
         return None
 
@@ -429,7 +429,7 @@ class VehicleSession:
         if group.first == 0:
             self._rpm, self._rpm_us = [], group.t_us
         if group.t_us != self._rpm_us or group.first != len(self._rpm):
-            return Unusable("belongs to a complete set of motor groups with one time stamp")
+            return Unusable("a group of motors with the same time stamp is missing")
         self._rpm += group.rpm
         if len(self._rpm) >= self._motors:
             self._deliver(EscSample(group.t_us, received, tuple(self._rpm[: self._motors])))

@@ -352,7 +352,7 @@ def test_the_position_source_follows_from_parameters_and_fix(
         (PositionSource.MOCAP, None, PositionSource.RTK, False, "--position-from is rtk, but"),
         (PositionSource.RTK, "rtk_fixed", None, True, "GPS, rtk fixed"),
         (PositionSource.RTK, "rtk_fixed", PositionSource.MOCAP, False, "comes from GPS (rtk fixed)"),
-        (PositionSource.PLAIN, "fix_3d", None, False, "a wall mission needs RTK, motion capture or"),
+        (PositionSource.PLAIN, "fix_3d", None, False, "a mission with walls needs RTK, motion capture or"),
         (PositionSource.PLAIN, "rtk_float", PositionSource.RTK, False, "comes from GPS (rtk float)"),
         (None, None, None, False, "neither motion capture"),
     ],
@@ -396,7 +396,7 @@ def telemetry_findings(observed: Observation, **values: float) -> dict[str, Chec
 
 
 def test_the_programs_own_findings_are_not_attributed_to_px4() -> None:
-    own_finding = "ODOMETRY arrives, none has a velocity"
+    own_finding = "ODOMETRY arrives, but no message is usable: the velocity is NaN"
     observed = msgspec.structs.replace(OBSERVED, local_position_ok=False, own_findings=[own_finding])
     assert telemetry_findings(observed)["estimator"].says == f"no valid local position; {own_finding}"
     assert "px4_checks" not in telemetry_findings(observed)
@@ -427,11 +427,12 @@ def source(
 
 
 def test_a_stream_without_usable_values_is_a_no_go_with_its_cause() -> None:
-    echo = source("ODOMETRY", 1, 2, 125.0, False, "has a velocity")
+    echo = source("ODOMETRY", 1, 2, 125.0, False, "the velocity is NaN")
     observed = msgspec.structs.replace(OBSERVED, rates_hz={**RATES, "odometry": 0.0}, sources=(echo,))
-    assert telemetry_findings(observed)["rate_odometry"].says == "125 Hz arrive, none has a velocity"
+    cause = "125 Hz arrive, but no message is usable: the velocity is NaN"
+    assert telemetry_findings(observed)["rate_odometry"].says == cause
     says = telemetry_findings(observed, MAV_ODOM_LP=1.0)["rate_odometry"].says
-    assert says == "125 Hz arrive, none has a velocity: MAV_ODOM_LP is 1, set it to 0"
+    assert says == f"{cause}; MAV_ODOM_LP is 1, set it to 0"
 
 
 def test_another_sender_of_a_stream_is_a_remark() -> None:

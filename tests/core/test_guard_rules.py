@@ -625,7 +625,7 @@ def test_a_mode_mismatch_is_only_reported_if_the_mission_continues() -> None:
     rigid_pulse(c)
     (event,) = fired(c)
     assert (event.rule, event.action) == ("mode_felt", Override.NONE)
-    assert "contact with wall wood indicates rigid arms, the lock reports flexible" in event.detail
+    assert "contact with wall wood indicates rigid arms, but the lock reports flexible" in event.detail
     assert c.core.override is Override.NONE
     assert c.core.phase is Phase.RECOVERY
 
@@ -1676,11 +1676,12 @@ def test_another_system_on_the_link_is_refused_only_before_take_off() -> None:
 def test_a_stream_without_usable_messages_is_silent_and_its_cause_is_named() -> None:
     c = HandFedCore(rules=tuple(r for r in RULES if r.name == "actuator_silent"))
     c.enter_approach()
-    c.feed(StatusText(c.t_us, c.t_us, "error", "ODOMETRY arrives, none has a velocity"))
     c.feed(
-        StatusText(c.t_us, c.t_us, "error", "ACTUATOR_OUTPUT_STATUS arrives, none has the motors' outputs")
+        StatusText(c.t_us, c.t_us, "error", "ODOMETRY arrives, but no message is usable: the velocity is NaN")
     )
+    unusable = "ACTUATOR_OUTPUT_STATUS arrives, but no message is usable: the motors' outputs are invalid"
+    c.feed(StatusText(c.t_us, c.t_us, "error", unusable))
     c.silent.add("actuator")
     c.run(0.6)
     event = next(item for item in c.outputs if isinstance(item, GuardEvent))
-    assert event.detail.endswith("ms; ACTUATOR_OUTPUT_STATUS arrives, none has the motors' outputs")
+    assert event.detail.endswith(f"ms; {unusable}")

@@ -259,7 +259,7 @@ def test_a_trajectory_that_starts_elsewhere_is_refused() -> None:
     planning, request = planning_with_request()
     planning.accept(answer_to(request), NOW_US + 40_000)
     refused = planning.trajectory(state_at(request.begin_us, (1.3, -0.9, 1.0)))
-    assert "m/s off the start of the trajectory" in (refusal_in(refused) or "")
+    assert "m away from the start of the trajectory" in (refusal_in(refused) or "")
     assert refused.course is None
 
 

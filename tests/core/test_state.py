@@ -202,7 +202,7 @@ def test_health_findings_come_first_and_no_text_is_repeated() -> None:
 
 
 def test_findings_of_this_program_are_not_attributed_to_px4() -> None:
-    state, here = FlightState(), "ODOMETRY arrives, none has a velocity"
+    state, here = FlightState(), "ODOMETRY arrives, but no message is usable: the velocity is NaN"
     state.add_text(StatusText(0, 0, "error", here, found_here=True))
     assert state.reasons() == f"; {here}"
     assert state.text_about("ODOMETRY") == f"; {here}"

@@ -288,7 +288,7 @@ def test_gpio_18_is_the_first_channel_of_an_older_pi(pi5: Path, vary: Vary, devi
 
 def test_the_chip_and_channel_of_another_board_must_be_configured(pi5: Path, vary: Vary) -> None:
     convert_to_board(pi5, "2000000.pwm", 0, 2)
-    with pytest.raises(DriverError, match=r"no PWM chip of a Raspberry Pi in .*, found pwmchip0"):
+    with pytest.raises(DriverError, match=r"no PWM chip of a Raspberry Pi in .* \(found pwmchip0"):
         start_pulses(pi5, vary)
     with pytest.raises(DriverError, match="set the servo's channel"):
         start_pulses(pi5, vary, chip=0)

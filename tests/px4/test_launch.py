@@ -301,7 +301,7 @@ def test_an_unusable_px4_is_reported_with_its_reason(
     ("faults", "message"),
     [
         ({"stuck": "MPC_XY_P"}, r"parameter not accepted: MPC_XY_P: set to 0\.95, PX4 has 0"),
-        ({"missing": "FD_FAIL_R"}, r"no parameter FD_FAIL_R \(wanted 60\)"),
+        ({"missing": "FD_FAIL_R"}, "no parameter FD_FAIL_R, which must be 60:"),
         # A start-up script may overwrite a parameter that was set before.
         ({"overwritten": "EKF2_HGT_REF"}, r"parameter not accepted: EKF2_HGT_REF: set to 3, PX4 has 77"),
     ],

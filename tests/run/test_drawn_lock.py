@@ -35,8 +35,8 @@ def test_arms_that_do_not_follow_the_lock_are_reported_unless_a_fault_was_drawn(
     verdict = fly_fast(mission, 4, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
     assert unexplained_modes(verdict) == [
         "the arms did not follow the lock",
-        "collision 2: the arms were flexible, the lock reported rigid",
-        "collision 2: the contact indicates flexible, the lock reports rigid, true mode flexible",
+        "collision 2: the arms were flexible, but the lock reported rigid",
+        "collision 2: the contact indicates flexible, but the lock reports rigid, true mode flexible",
     ]
     assert summarise([verdict]).unexplained_modes == {"4": unexplained_modes(verdict)}
     verdict.drawn = {LOCK_TRUE_MODE: "stuck"}

@@ -29,7 +29,7 @@ def feed_listener(ahead_us: int, north_m: float, alternating: bool = True) -> _L
     ("ahead_us", "north_m", "problem"),
     [
         (238_000_000, 0.0, "two clocks alternate"),
-        (0, 2.0, "two positions alternate under one system id, 2.0 m"),
+        (0, 2.0, "two positions alternate in the samples of one system id, 2.0 m"),
     ],
 )
 def test_two_alternating_vehicles_are_detected(ahead_us: int, north_m: float, problem: str) -> None:

@@ -233,7 +233,7 @@ def test_a_stream_without_a_usable_message_is_reported_with_its_reason(
     for _ in range(100):
         rig.receive("ODOMETRY", **{**_ODOMETRY, "vx": None})
     (text,) = rig.records_of(StatusText)
-    assert text.text == "ODOMETRY arrives, none has a velocity"
+    assert text.text == "ODOMETRY arrives, but no message is usable: the velocity is NaN"
     assert text.found_here
     assert EventFormatter().format_event(text) == (Level.ERROR, "link", text.text, "")
 

@@ -328,12 +328,12 @@ RULES: tuple[Rule, ...] = (
            "the run-up point or a waypoint was not reached in time", "flying.ready_timeout_s"),
     _found("pause_timeout", _LAND, "the operator did not end the pause in time"),
     _found("goal_not_reached", _LAND,
-           "the goal could not be held in time", "goal.hold_s, limits.collision_timeout_s"),
+           "the vehicle did not reach and hold the goal in time", "goal.hold_s, limits.collision_timeout_s"),
     _found("not_ready", _GIVE_UP,
            "telemetry or lock was not ready before take-off", "flying.ready_timeout_s", of_streams=True),
     _found("offboard_refused", _GIVE_UP, "PX4 refused offboard mode", "flying.ready_timeout_s"),
     _found("arming_refused", _GIVE_UP, "PX4 refused to arm", "flying.ready_timeout_s"),
-    _found("mission_fault", _LAND, "an exception in the mission's own code"),
+    _found("mission_fault", _LAND, "the code of the mission raised an exception"),
 )
 # fmt: on
 

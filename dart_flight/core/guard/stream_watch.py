@@ -227,7 +227,7 @@ STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule i
     Rule("status_silent", _LAND, _AIR, _silence(
         "heartbeat timed out", ("status",), STATUS_TIMEOUT_S, "no heartbeat for {s:.1f} s")),
     Rule("stream_rate", Override.HOLD, Scope.FLYING, RuleCondition(
-        "a stream arrives at less than the minimum rate (`base/streams.py`)",
+        "the rate of a stream is below the minimum rate in `base/streams.py`",
         "streams: expected_hz", _slow)),
     Rule("telemetry_late_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
         "telemetry arrives too late to react in time", "guard.telemetry_late_s", _late)),

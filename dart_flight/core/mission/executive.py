@@ -551,8 +551,8 @@ class Executive:
         ready_s = math.inf if ready_us is None else (ready_us - state.now_us) * 1e-6
         if met is None or not may_commit(self.mission, following, met, ready_s, state):
             detail = (
-                f"the lock is {state.lock.phase.value}, not {following.mode.value}, {distance:.2f} m before "
-                f"wall {following.wall.name} at {closing:.2f} m/s"
+                f"the lock is {state.lock.phase.value}, not {following.mode.value}; wall "
+                f"{following.wall.name} is {distance:.2f} m away, closing speed {closing:.2f} m/s"
             )
             p.add_finding("lock_late", detail)
 

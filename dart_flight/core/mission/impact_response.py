@@ -162,8 +162,8 @@ class ImpactResponse:
         if estimate.mode_felt is None or estimate.mode_reported in (None, estimate.mode_felt):
             return NO_CHANGE
         detail = (
-            f"contact with wall {estimate.wall} indicates {estimate.mode_felt.value} arms, the lock reports "
-            f"{estimate.mode_reported.value} (log odds {abs(estimate.log_odds):.1f})"
+            f"contact with wall {estimate.wall} indicates {estimate.mode_felt.value} arms, but the lock "
+            f"reports {estimate.mode_reported.value} (log odds {abs(estimate.log_odds):.1f})"
         )
         noted = self._mission.mode_mismatch is ModeMismatch.NOTE_ONLY
         return Change(finding=MissionFinding("mode_felt", detail, noted))

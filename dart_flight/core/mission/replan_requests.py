@@ -229,7 +229,10 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
     beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])
     if beside_m <= _BESIDE_M and beside_m_s <= _BESIDE_M_S:
         return ""
-    return f"the vehicle is {beside_m:.2f} m and {beside_m_s:.2f} m/s off the start of the trajectory"
+    return (
+        f"the vehicle is {beside_m:.2f} m away from the start of the trajectory, and its velocity differs by "
+        f"{beside_m_s:.2f} m/s"
+    )
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:

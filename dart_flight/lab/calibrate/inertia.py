@@ -172,7 +172,7 @@ def _refuse_unsuited(track: Track, motors: int) -> None:
     for what, stamps in (("gyro", track.imu_s), ("motor commands", track.motor_s)):
         rate = (len(stamps) - 1) / max(stamps[-1] - stamps[0], 1e-6)
         if rate < _MIN_HZ:
-            more = "; log them faster (SDLOG_PROFILE, high rate)" if track.source.endswith(".ulg") else ""
+            more = "; set bit 4 (high rate) of SDLOG_PROFILE" if track.source.endswith(".ulg") else ""
             raise InputError(
                 f"{what} at {rate:.0f} Hz, at least {_MIN_HZ:.0f} Hz is needed{more}", source=track.source
             )

@@ -318,7 +318,9 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     mass, lag = vehicle.airframe.mass_kg, vehicle.thrust.motor_lag_s
     parts = [quiet_points(track, mass, lag) for track in tracks]
     if len({part.motors for part in parts}) > 1:
-        raise InputError("the logs are of vehicles with different numbers of motors", source=_sources(tracks))
+        raise InputError(
+            "the vehicles of these logs have different numbers of motors", source=_sources(tracks)
+        )
     p = _joined(parts)
     if len(p.force) < MIN_POINTS:
         raise InputError(
@@ -329,8 +331,8 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     problem = fit_problem(best_fit(p, vehicle.thrust.square_share)[0])
     if problem:
         raise InputError(
-            f"the thrust fit to {len(p.force)} segments of 0.5 s is rejected: {problem}; verify the type of "
-            "the motor outputs (check: motor_outputs) and the mass",
+            f"the thrust fit to {len(p.force)} segments of 0.5 s is rejected: {problem}; verify the mass, "
+            "and the type of the motor outputs (finding motor_outputs of `check`)",
             source=_sources(tracks),
         )
     share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent

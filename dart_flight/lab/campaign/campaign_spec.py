@@ -276,14 +276,14 @@ def difference(kept: Campaign, wanted: Campaign) -> str | None:
         ("--seed", a.seed, b.seed),
         ("--keep", a.keep, b.keep),
         ("the cases", a.cases, b.cases),
-        ("how it flies", a.fly, b.fly),
+        ("the function that flies", a.fly, b.fly),
         ("the judge", a.judge, b.judge),
         ("the version of dart-flight", kept.software, wanted.software),
     ):
         if before != now:
             return f"{name}: {_format_setting(before)} in the existing campaign, not {_format_setting(now)}"
     if b.runs < a.runs:
-        return f"--runs: {a.runs} in the existing campaign, not {b.runs}; runs can be added, not removed"
+        return f"--runs: {a.runs} in the existing campaign, not {b.runs}; runs can be added, but not removed"
     if kept.digests != wanted.digests:
         return "a mission or configuration file has changed since the campaign began"
     return None

@@ -110,7 +110,7 @@ def _refuse_unfit(client: Any, url: str) -> None:
         versions = client.run(software_version, workers=fit) if fit else {}
     except ModuleNotFoundError as error:
         raise InputError(
-            f"--scheduler {url}: the scheduler: {error}; install dart-flight {own} there too"
+            f"--scheduler {url}: {error}; install dart-flight {own} on the scheduler, too"
         ) from None
     except OSError:
         raise  # connection lost
@@ -119,12 +119,13 @@ def _refuse_unfit(client: Any, url: str) -> None:
     for worker in lacking:
         raise InputError(
             f"--scheduler {url}: worker {worker}: {_one_line(imported[worker])}; install dart-flight {own} "
-            "there, or stop that worker"
+            "on this worker, or stop the worker"
         )
     for worker, version in versions.items():
         if version != own:
             raise InputError(
-                f"--scheduler {url}: worker {worker} has dart-flight {version}: install {own} there"
+                f"--scheduler {url}: worker {worker} has dart-flight {version}: install version {own} on "
+                "this worker"
             )
 
 

@@ -119,8 +119,8 @@ def _log_problems(path: Path) -> Iterable[str]:
     try:
         named = bool(read_log(path).about.get("mission"))
     except Exception as error:
-        return [f"cannot open its log: {error}"]
-    return [] if named else ["its log does not name its mission"]
+        return [f"cannot open the flight log: {error}"]
+    return [] if named else ["the flight log does not name the mission"]
 
 
 def matrix_cases() -> list[dict[str, str]]:

@@ -50,7 +50,9 @@ class Table:
             if not self._length:
                 self.append(header)
             elif path.read_bytes()[: len(header)] != header:
-                raise InputError("this table has other columns than the campaign", source=str(path), line=1)
+                raise InputError(
+                    "the columns of this table differ from those of the campaign", source=str(path), line=1
+                )
         except BaseException:
             os.close(self._file)
             raise

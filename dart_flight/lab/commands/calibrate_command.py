@@ -46,10 +46,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="*",
         metavar="LOG",
-        help=".mcap, PX4 ULog (.ulg), or a folder of flights; airframe: a ULog, QGroundControl's .params or "
-        "the output of `param show -a`",
+        help="flight.mcap, PX4 ULog (.ulg), or a folder of flights; for `airframe`: a ULog, a .params file "
+        "of QGroundControl, or the output of `param show -a`",
     )
-    parser.add_argument("--connection", metavar="URL", help="airframe: read the connected vehicle")
+    parser.add_argument(
+        "--connection", metavar="URL", help="for `airframe`: read the parameters of the connected vehicle"
+    )
     parser.add_argument("--write", action="store_true", help="write the result into the configuration")
 
 
@@ -65,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         refuse_unwritable(arguments, path)
         if arguments.what == "thrust" and vehicle.thrust.table is not None:
             raise InputError(
-                "thrust.table excludes full_n and model_factor, which --write sets: remove thrust.table",
+                "--write sets full_n and model_factor, which are invalid with a table: remove thrust.table",
                 source=str(path),
             )
     left_out: list[str] = []

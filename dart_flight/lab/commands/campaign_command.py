@@ -26,11 +26,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "missions",
         nargs="*",
         metavar="MISSION",
-        help="mission files; with --resume, the original mission files or none",
+        help="mission files; with --resume, give the same files again, or no file",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the campaign")
     parser.add_argument(
-        "--runs", type=whole_number(1, 10_000_000), metavar="N", help="seeds for each mission and setting"
+        "--runs",
+        type=whole_number(1, 10_000_000),
+        metavar="N",
+        help="number of seeds for each mission and setting",
     )
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), metavar="S", help="first seed (default 1)")
     add_vary_option(parser)
@@ -39,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=V1,V2,...",
-        help="configuration key and its values; every combination is flown; repeatable",
+        help="configuration key and its values (repeatable); the campaign flies every combination",
     )
     parser.add_argument("--resume", action="store_true", help="resume the campaign in --out")
     parser.add_argument(
@@ -69,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     opened = campaigns.open_campaign(_requested_campaign(arguments), arguments.out, arguments.resume)
     if opened.campaign.asked.makes_row:
         raise InputError(
-            "another program's function judges these flights; resume the campaign with that program",
+            "a function of another program evaluates these flights: resume the campaign with that program",
             source=str(opened.folder),
         )
     if arguments.scheduler is not None:
@@ -80,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
         engine = campaigns.fly_locally(arguments.jobs or usable_cores())
     print_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
     if len(opened.points) > 1:
-        console.print(f"the campaign also flies {len(opened.points) - 1} more missions or settings")
+        console.print(f"the campaign also flies {len(opened.points) - 1} other missions or settings")
     for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):
         console.print(line, style="yellow", soft_wrap=True)
     with Interrupt() as interrupt, _ProgressDisplay(console, opened.flights) as progress:

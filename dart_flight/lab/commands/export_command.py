@@ -24,9 +24,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         metavar="PATH",
-        help="folder of the CSV files (default: csv beside the log), with one subfolder for each of several "
-        f"logs; with --foxglove: output file (default: {FOXGLOVE_NAME} beside the log), or the folder of the "
-        "output files of several logs",
+        help="folder of the CSV files (default: csv beside the log); each of several logs gets a subfolder. "
+        f"With --foxglove: output file (default: {FOXGLOVE_NAME} beside the log), or a folder for the files "
+        "of several logs",
     )
 
 

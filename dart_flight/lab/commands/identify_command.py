@@ -53,7 +53,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="the trials are drops, with gravity along the normal; their impact speed is compared with a "
         "fall from HEIGHT (m)",
     )
-    parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
+    parser.add_argument(
+        "--onset", choices=("lcp", "touch"), help="onset rule (default: from the configuration)"
+    )
     parser.add_argument(
         "--contact-distance",
         type=float,
@@ -74,7 +76,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "the plane's outward normal (degrees)",
     )
     parser.add_argument(
-        "--mass", type=float, metavar="KG", help="vehicle mass (default: the configuration's)"
+        "--mass", type=float, metavar="KG", help="vehicle mass (default: from the configuration)"
     )
     parser.add_argument("-o", "--output", metavar="FILE", help="write a materials entry (YAML)")
     parser.add_argument("--plot", metavar="FILE", help="plot recordings and fit (PNG, PDF, SVG)")

@@ -22,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "logs", nargs="+", metavar="LOG", help="PX4 ULog (.ulg) of any multirotor, PX4 1.9 or later"
     )
     parser.add_argument(
-        "--mass", type=float, metavar="KG", help="mass of the vehicle; without it no forces are given"
+        "--mass", type=float, metavar="KG", help="mass of the vehicle; the output has forces only with a mass"
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write a page (HTML)")
     parser.add_argument(
@@ -90,8 +90,9 @@ def _print(flight: InspectedFlight) -> None:
         )
     if flight.flight_s > 0.0:
         out.print(
-            f"noise: {flight.noise_m_s2:.2f} m/s2 in one sample, {flight.noise_short_m_s2:.2f} in the short "
-            f"mean, {flight.noise_long_m_s2:.2f} in the long mean; contacts are detected reliably above "
+            f"noise: {flight.noise_m_s2:.2f} m/s2 in one sample, {flight.noise_short_m_s2:.2f} in the mean "
+            f"over the detector's short window, {flight.noise_long_m_s2:.2f} in the mean over the long "
+            "window; contacts are detected reliably above "
             f"{flight.floor_rigid_m_s2:.1f} m/s2 (rigid) or {flight.floor_flexible_m_s2:.1f} m/s2 (flexible)",
             soft_wrap=True,
         )

@@ -50,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=Objective,
         choices=list(Objective),
         metavar="OBJECTIVE",
-        help="objective, instead of the scenario's: " + ", ".join(Objective),
+        help="objective that replaces the objective of the scenario: " + ", ".join(Objective),
     )
     parser.add_argument(
         "--top", type=whole_number(1, 1000), default=10, metavar="N", help="plans to list (10)"
@@ -153,7 +153,8 @@ def _plan(arguments: argparse.Namespace) -> int:
 def _warn_about_settings(arguments: argparse.Namespace) -> None:
     if arguments.set:
         messages().print(
-            "[yellow]the mission file does not contain the --set values: fly it with the same --set[/]",
+            "[yellow]the mission file does not contain the --set values: give the same --set when you fly "
+            "the mission[/]",
             soft_wrap=True,
         )
 
@@ -184,7 +185,7 @@ def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
             result = plan_quickest(scenario, arguments.within, progress)
     print_vehicle(scenario.vehicle_source, arguments)
     if arguments.free and result.free is None:
-        raise InputError("no flight reaches the goal without a collision", source=scenario.source)
+        raise InputError("the goal cannot be reached without a collision", source=scenario.source)
     offered = OfferedPlan(result.free if arguments.free else result.best, scenario, None, [NOT_VERIFIED], {})
     if arguments.verify:
         with Progress(console=console, transient=True) as bar:

@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         type=float,
         metavar=("NORMAL", "TANGENTIAL"),
-        help="wall hit: velocity at the onset in the collision frame, m/s; normal is negative",
+        help="velocity at the onset of a wall hit, in the collision frame, m/s; NORMAL is negative",
     )
     events.add_argument("--drop", type=float, metavar="HEIGHT", help="drop from this height, m")
     events.add_argument("--batch", metavar="FILE", help="CSV of wall hits: mode, normal_m_s, tangential_m_s")
@@ -43,7 +43,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="R",
         help="ratio of outgoing to incoming speed along the wall; needs --restitution",
     )
-    parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
+    parser.add_argument(
+        "--onset", choices=("lcp", "touch"), help="onset rule (default: from the configuration)"
+    )
     parser.add_argument(
         "--incidence-deg",
         type=float,

@@ -20,7 +20,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG",
-        help="flight.mcap or folder of flights; several logs give a comparison",
+        help="flight.mcap, or a folder of flights; for several logs, the page compares the flights",
     )
     parser.add_argument(
         "-o",

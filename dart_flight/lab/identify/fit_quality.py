@@ -71,8 +71,8 @@ def compare_residuals(off: Mapping[str, float], expected: Mapping[str, float]) -
     """Compare residuals with the largest residuals of a good fit; skip quantities without an expectation."""
     compared = {name: value for name, value in off.items() if name in expected}
     sentences = [
-        f"poor fit: the residual of {name} is {value:.3g}, {value / expected[name]:.1f} times the "
-        f"residual of a good fit, {expected[name]:.3g}; check --drop, --mode and the units, and use "
+        f"poor fit: the residual of {name} is {value:.3g}; a good fit has at most {expected[name]:.3g}, "
+        f"which is {value / expected[name]:.1f} times less; check --drop, --mode and the units, and use "
         "trials of one wall"
         for name, value in compared.items()
         if not value <= expected[name]

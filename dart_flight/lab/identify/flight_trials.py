@@ -111,7 +111,7 @@ def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> lis
     if len(by_material) > 1:
         names = ", ".join(by_material)
         raise InputError(
-            f"collisions with {names} in this flight: choose one with --surface", source=log.source
+            f"this flight has collisions with {names}: choose one material with --surface", source=log.source
         )
     (trials,) = by_material.values()
     return trials

@@ -174,7 +174,7 @@ def _refuse_idle_options(reading: TrialReading, paths: Sequence[Path]) -> None:
     for option, (value, suffixes) in idle.items():
         if value and given.isdisjoint(suffixes):
             raise InputError(
-                f"applies to {' and '.join(suffixes)} files, but no such file is given", key=(option,)
+                f"applies only to {' and '.join(suffixes)} files; no such file is given", key=(option,)
             )
 
 

@@ -66,7 +66,7 @@ def _refuse_millimetres(trial: Trial) -> None:
     """Reject implausibly large positions in a CSV file; logs are always in metres."""
     far = float(np.abs(trial.normal.value).max()) if "normal_m" in trial.series else 0.0
     if far > _FARTHEST_M:
-        problem = f"positions up to {far:.0f} m: millimetres? convert the column to metres"
+        problem = f"positions reach {far:.0f} m and seem to be in millimetres: convert the column to metres"
         raise InputError(problem, source=trial.name, key=("normal_m",))
 
 

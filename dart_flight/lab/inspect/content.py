@@ -50,12 +50,12 @@ def missing(log: ULogFile) -> list[str]:
     """
     for name in ("sensor_combined", "vehicle_attitude"):
         if log.first(name) is None:
-            raise InputError(f"has no {name}: impacts cannot be detected", source=log.source)
+            raise InputError(f"the log has no {name}: impacts cannot be detected", source=log.source)
     rate = log.rate_hz("sensor_combined") or 0.0
     if rate < _MIN_IMU_HZ:
         raise InputError(
-            f"sensor_combined at {rate:.0f} Hz: a rigid contact of 50 ms needs {_MIN_IMU_HZ:.0f}; log with "
-            f"{_PROFILE}",
+            f"sensor_combined is logged at {rate:.0f} Hz, but a rigid contact of 50 ms needs at least "
+            f"{_MIN_IMU_HZ:.0f} Hz; log with {_PROFILE}",
             source=log.source,
         )
     out, slow = [], False

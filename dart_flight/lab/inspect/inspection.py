@@ -64,7 +64,7 @@ def inspect_log(
     drag = fit_drag(track, flying)
     if not drag:
         unknown.append("drag: the flight is too slow for an estimate")
-    unknown.append("the wind; outside hover, also the accelerometer's bias")
+    unknown.append("wind; bias of the accelerometer outside hover")
     if mass_kg is None:
         unknown.append("mass: forces are in m/s2 only; give --mass for newton")
     flown = vehicle_for(vehicle, log, curve, drag)

@@ -50,7 +50,7 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
     source = "slow flight"
     if len(points.force) < MIN_POINTS:
         slow, points = points, quiet_points(track, 1.0, lag, _FAST_M_S)
-        source = "slow and fast flight; the residual includes the effect of speed on the propellers"
+        source = "slow and fast flight, so the residual includes the effect of speed on the propellers"
         if len(points.force) < MIN_POINTS:
             return (
                 f"{len(points.force)} quiet segments of 0.5 s, at least {MIN_POINTS} are needed; rejected: "

@@ -139,9 +139,9 @@ def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
         )
         if alike != first.mission:
             raise InputError(
-                f"this flight is of mission {other.verdict.mission}, but {first.log.source} is of another "
-                f"mission, {first.verdict.mission}{_first_difference(first, other)}: "
-                "compare flights of one mission",
+                f"this flight is of mission {other.verdict.mission}, but the flight {first.log.source} is of "
+                f"another mission, {first.verdict.mission}{_first_difference(first, other)}: "
+                "compare flights of the same mission",
                 source=other.log.source,
             )
 
@@ -231,7 +231,7 @@ def outcome_sentence(flight: RecordedFlight) -> str:
     }[v.outcome]
     words = f"{begin}; {hits}"
     if v.goal_miss_m is not None:
-        words += f", and the goal was passed at {v.goal_miss_m:.2f} m"
+        words += f", and the vehicle passed the goal at a distance of {v.goal_miss_m:.2f} m"
     if v.plan_followed is None:
         return f"{words}."
     plan = "The plan was followed" if v.plan_followed else "The plan was not followed"

@@ -166,7 +166,7 @@ def describe_quickest(result: QuickestResult) -> str:
     jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
     text = f"planned, at {limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}: "
     if result.free is None:
-        text += "no flight without a collision reaches the goal"
+        text += "the goal cannot be reached without a collision"
     elif result.saving_s is None:
         text += f"{result.free.time_s:.2f} s without a collision; no flight with collisions can be faster"
     else:

@@ -42,7 +42,7 @@ ADVICE = {
     Refusal.APPROACH_SPEED: "raise limits.speed_m_s, or add slower approaches to `search`",
     Refusal.BEYOND_WALL: "lengthen the wall, move start, or add lower tangential speeds to `search`",
     Refusal.RUN_UP_ROOM: "widen bounds_m, move start back, or add slower approaches to `search`",
-    Refusal.RUN_UP_BLOCKED: "move start, or the wall that blocks the run-up",
+    Refusal.RUN_UP_BLOCKED: "move start, or move the wall that blocks the run-up",
     Refusal.NOT_DETECTED: "lower detection.force_threshold_n, or add faster approaches to `search`",
     Refusal.PEAK_FORCE: "raise limits.peak_force_n, or add slower approaches or flexible mode to `search`",
     Refusal.CLOSING: "raise limits.closing_m_s, or add slower approaches to `search`",
@@ -55,11 +55,11 @@ ADVICE = {
     Refusal.BOUNDS: "widen bounds_m or lower the wall's gain alpha",
     Refusal.OBSTACLE: "move or shorten the wall that blocks the path, or add this wall to `sequence`",
     Refusal.WALL_NOT_REACHED: (
-        "raise the previous wall's gain alpha, move this wall nearer, or lengthen this wall"
+        "raise the first wall's gain alpha, move the second wall nearer, or lengthen the second wall"
     ),
-    Refusal.INCIDENCE: "turn the wall: the vehicle hits it with the heading of the first approach",
+    Refusal.INCIDENCE: "turn the wall: the vehicle hits every wall with the heading of the first approach",
     Refusal.TOO_SOON: "move the walls apart or lower detection.refractory_s",
-    Refusal.SERVO_TRAVEL: "allow the same mode at both walls, a faster servo, or more distance between them",
+    Refusal.SERVO_TRAVEL: "allow the same mode at both walls, use a faster servo, or move the walls apart",
 }
 
 
@@ -381,7 +381,9 @@ class ScenarioSearch:
         freed = sorted(((self._freed(r), r) for _, r in counts), reverse=True)
         if freed and freed[0][0]:
             count, reason = freed[0]
-            return f"{text}; without {reason.value} {count} would be feasible: {ADVICE[reason]}"
+            return (
+                f"{text}; without the constraint {reason.value}, {count} would be feasible: {ADVICE[reason]}"
+            )
         return f"{text}; several constraints must be relaxed; first {ADVICE[counts[0][1]]}"
 
     def _freed(self, reason: Refusal) -> int:

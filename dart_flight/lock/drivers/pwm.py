@@ -136,7 +136,7 @@ class PwmDriver:
                 if _device(chip) in _BOARDS:
                     return chip
             seen = ", ".join(chip.name for chip in chips) or "no chip"
-            says = f"there is no PWM chip of a Raspberry Pi in {self._sysfs}, found {seen}; {hint}."
+            says = f"there is no PWM chip of a Raspberry Pi in {self._sysfs} (found {seen}); {hint}."
             raise DriverError(f"{says} On other computers, set chip and channel", ("pwm", "chip"))
         chip = self._sysfs / f"pwmchip{self._config.chip}"
         if not chip.is_dir():

@@ -85,12 +85,12 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "jitter", _P.LINK, "each message has a random delay of up to this time", "ms", 100.0, 0.0, 2000.0
     ),
-    FaultKind("reorder", _P.LINK, "messages overtake each other by 20 ms", "%", 10.0, 0.0, 100.0),
+    FaultKind("reorder", _P.LINK, "messages arrive 20 ms late, after newer messages", "%", 10.0, 0.0, 100.0),
     FaultKind("duplicate", _P.LINK, "messages are duplicated", "%", 10.0, 0.0, 100.0),
     FaultKind(
         "second-vehicle",
         _P.LINK,
-        "another vehicle with the same system id sends on the link, with its clock ahead by this time",
+        "another vehicle with the same system id sends on the link; its clock is ahead by this time",
         "s",
         238.0,
         -1000.0,
@@ -114,7 +114,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "ev-delay",
         _P.AUTOPILOT,
-        "PX4 assumes this age of a motion-capture pose on arrival (EKF2_EV_DELAY)",
+        "PX4 assumes that motion-capture poses have this age on arrival (EKF2_EV_DELAY)",
         "ms",
         150.0,
         0.0,
@@ -150,7 +150,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "wall-nearer", _P.PLANT, "the walls are nearer than planned by this distance", "m", 0.3, -1.0, 1.0
     ),
-    FaultKind("other-material", _P.PLANT, "each wall is of the stiffest material other than its own"),
+    FaultKind("other-material", _P.PLANT, "each wall is of the stiffest material that differs from its own"),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
     FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
     FaultKind(

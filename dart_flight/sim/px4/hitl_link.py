@@ -146,7 +146,7 @@ def open_port(url: str) -> HitlPort:
         # pyserial wraps the system's message in its own; the last part is the reason.
         code = getattr(error, "errno", None)
         reason = os.strerror(code) if code else str(error)
-        busy = " (is QGroundControl connected to it?)" if code in (errno.EBUSY, errno.EAGAIN) else ""
+        busy = " (is QGroundControl connected to this port?)" if code in (errno.EBUSY, errno.EAGAIN) else ""
         raise InputError(f"cannot open {url}: {reason}{busy}", key=("--hitl",)) from None
 
 

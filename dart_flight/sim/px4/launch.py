@@ -170,7 +170,7 @@ def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, f
             chosen.setdefault(str(parameter.renamed), parameter.value)
         elif not parameter.absent or parameter.renamed is not None:
             raise Px4Error(
-                f"this PX4 has no parameter {name} (wanted {parameter.value:g}): "
+                f"this PX4 has no parameter {name}, which must be {parameter.value:g}: "
                 "docs/px4.md does not list this version of PX4, or the name is wrong"
             )
     return chosen
@@ -285,7 +285,9 @@ def claim_instance() -> Instance:
         if listener is not None:
             return Instance(number, listener, lease)
         lease.release()
-    raise Px4Error(f"all {len(_INSTANCES)} PX4 instances are in use: stop one (ports from 4560 and 14540 on)")
+    raise Px4Error(
+        f"all {len(_INSTANCES)} PX4 instances are in use: stop one (they use ports from 4560 and 14540 on)"
+    )
 
 
 def _free_simulator_port(number: int) -> socket.socket | None:

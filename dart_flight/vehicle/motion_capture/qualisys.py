@@ -29,7 +29,7 @@ def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
     try:
         bodies = list(ET.fromstring(parameters_xml).iter("Body"))
     except ET.ParseError as error:
-        raise ValueError(f"parameters that are not XML: {error}") from None
+        raise ValueError(f"QTM's parameters are not XML: {error}") from None
     names = [(body.findtext("Name", ""), body.findtext("Enabled", "true")) for body in bodies]
     return [name for name, _ in names], [name for name, enabled in names if enabled.lower() != "false"]
 

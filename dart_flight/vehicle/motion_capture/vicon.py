@@ -28,7 +28,7 @@ _MAX_NAMES: Final = 5  # names listed in a reason
 def decode(data: bytes, body: str, sender: str) -> RawPose | str:
     """Return the pose of a body in a block, or the reason why the block contains no such pose."""
     if len(data) < _BLOCK.size:
-        return "shorter than a block of Vicon's object stream"
+        return "the datagram is shorter than a block of Vicon's object stream"
     frame_number, items = _BLOCK.unpack_from(data)
     place, names = _BLOCK.size, []
     for _ in range(items):
@@ -37,7 +37,7 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
         item, size = _ITEM.unpack_from(data, place)
         place += _ITEM.size
         if place + size > len(data) or (item == _OBJECT_ID and size != _OBJECT.size):
-            return "wrong size of an item in Vicon's object stream"
+            return "an item of Vicon's object stream has a wrong size"
         if item == _OBJECT_ID:
             raw_name, *values = _OBJECT.unpack_from(data, place)
             name = raw_name.partition(b"\0")[0].decode("utf-8", "replace")
@@ -50,7 +50,7 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
 
 def _pose(body: str, values: list[float], frame_number: int, sender: str) -> RawPose | str:
     if not all(map(math.isfinite, values)):
-        return "object with a coordinate that is not a number"
+        return "a coordinate of the object is not a number"
     if not any(values):
         return lost_pose(body, frame_number, None, sender)
     x, y, z = (1e-3 * value for value in values[:3])

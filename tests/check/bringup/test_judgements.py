@@ -120,9 +120,10 @@ def test_a_slow_stream_is_named_with_its_minimum_rate() -> None:
     assert evaluate_link(stream_rates(rates, {}), 0.005, 0.2, {}).result is StepOutcome.PASS
     assert "radio" in evaluate_link(stream_rates(rates, {}), 0.5, 0.2, {}).message
     assert "5.0 %" in evaluate_link(stream_rates(rates, {}), 0.005, 0.2, {"drop_rate_comm": 500.0}).message
-    why = {"odometry": "125 Hz arrive, none has a velocity"}
+    why = {"odometry": "125 Hz arrive, but no message is usable: the velocity is NaN"}
     empty = evaluate_link(stream_rates({**rates, "odometry": 0.0}, why), 0.005, 0.2, {})
-    assert empty.message == "odometry: 125 Hz arrive, none has a velocity"  # no hint about the baud rate
+    # There is no hint about the baud rate.
+    assert empty.message == "odometry: 125 Hz arrive, but no message is usable: the velocity is NaN"
 
 
 @given(st.binary(max_size=400))

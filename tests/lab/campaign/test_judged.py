@@ -110,7 +110,7 @@ def test_resuming_flies_only_items_without_a_row(tmp_path: Path, capsys: pytest.
     assert len(fly_rows(spec, tmp_path / "out", resume=True)) == 3
     assert table.read_bytes() == whole
     assert main(["campaign", "--resume", "--out", str(tmp_path / "out")]) == 2
-    assert "another program's function" in capsys.readouterr().err
+    assert "a function of another program" in capsys.readouterr().err
     with pytest.raises(InputError, match="the judge"):
         fly_rows(msgspec.structs.replace(spec, judge=f"{HERE}:judge_contacts"), tmp_path / "out", resume=True)
 

@@ -107,7 +107,7 @@ def campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[[],
     [
         (MISSING, None, f"worker {OTHER}: ModuleNotFoundError: No module named 'dart_flight'; install"),
         (ImportError("needs\nmsgspec"), None, f"worker {OTHER}: ImportError: needs msgspec; install"),
-        (object(), "0.0.9", f"worker {OTHER} has dart-flight 0.0.9: install {software_version()} there"),
+        (object(), "0.0.9", f"worker {OTHER} has dart-flight 0.0.9: install version {software_version()} on"),
     ],
 )
 def test_an_unfit_worker_is_reported_with_its_address(
@@ -131,7 +131,8 @@ def test_a_scheduler_without_dart_flight_is_reported(
     client.scheduler = MISSING
     status, line = campaign()
     assert (status, client.submitted) == (2, 0)
-    assert "the scheduler: No module named 'dart_flight'; install dart-flight" in line
+    assert "No module named 'dart_flight'; install dart-flight" in line
+    assert line.endswith("on the scheduler, too")
 
 
 @pytest.mark.parametrize("where", ["connect", "scheduler"])

@@ -164,7 +164,7 @@ def test_an_option_for_another_file_type_is_refused(
     flown: SharedFlights, option: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     message = refusal(capsys, str(flown("paper_single_wall", 1).log), *option)
-    assert message.startswith(f"{option[0].removeprefix('--')}: applies to .")
+    assert message.startswith(f"{option[0].removeprefix('--')}: applies only to .")
 
 
 def test_mode_selects_among_the_collisions_of_a_flight(

@@ -39,7 +39,7 @@ def test_large_distances_are_accepted_in_a_flight_log_but_not_in_a_table(tmp_pat
     rows = "".join(f"{t:.3f},{x:.4f}\n" for t, x in zip(time, normal, strict=True))
     table = tmp_path / "trial.csv"
     table.write_text("time_s,normal_m\n" + rows)
-    with pytest.raises(InputError, match="up to 87 m: millimetres"):
+    with pytest.raises(InputError, match="reach 87 m and seem to be in millimetres"):
         read_trials(table, TrialReading())
     samples = [(1e6 * (1.0 + t), [x, 0.0, -1.0, 0.0, 0.0, 0.0]) for t, x in zip(time, normal, strict=True)]
     fields = "float x;float y;float z;float vx;float vy;float vz;"

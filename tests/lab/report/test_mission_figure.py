@@ -34,7 +34,7 @@ def test_every_collision_is_labelled_with_its_speed_and_force(dual: Mission) -> 
     assert {"wood", "acrylic", "run-up begins", "recovery setpoint"} <= set(
         texts_of(as_svg(mission_figure(dual, planned)))
     )
-    assert f"Passes the goal at {planned.goal_miss_m:.2f} m" in words
+    assert f"Passes the goal at a distance of {planned.goal_miss_m:.2f} m" in words
 
 
 def test_draws_without_spread_equal_the_plan(dual: Mission) -> None:

@@ -135,7 +135,7 @@ def prediction_lines(
             f"If k, f and mu of the walls vary by ± {100 * spread:.0f} %, the vehicle misses the goal by "
             f"{low:.2f} to {high:.2f} m in nine of ten draws"
             + (
-                f"; {len(drawn) - len(misses)} of {len(drawn)} draws do not reach the goal."
+                f"; in {len(drawn) - len(misses)} of {len(drawn)} draws, it does not reach the goal."
                 if len(misses) < len(drawn)
                 else "."
             )
