@@ -77,8 +77,8 @@ def add_vary_option(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[=SD]",
-        help="draw a random value of this quantity, or with `all` of every quantity, for every seed; "
-        "repeatable (docs/draws.md)",
+        help="draw a random value of this quantity for every seed; `all` draws every quantity; give the "
+        "option again for another quantity (docs/draws.md)",
     )
 
 

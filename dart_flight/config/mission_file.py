@@ -467,7 +467,8 @@ class DrawnFlights(Section, frozen=True):
         flights: number of flights.
         first_seed: first of the consecutive seeds.
         completed: number of completed flights.
-        uncontrolled: number of uncontrolled flights, completed or not.
+        uncontrolled: number of flights that the verdict calls uncontrolled (docs/interfaces.md); a completed
+            flight may be uncontrolled, too.
         ended_by: number of incomplete flights for each cause; a cause is a guard rule or another reason.
         median_time_s: median duration of completed flights from take-off to landing, including probes.
         max_tilt_deg: largest tilt in any flight.

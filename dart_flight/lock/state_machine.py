@@ -347,7 +347,7 @@ class LockStateMachine:
         if by_pulse is not None:
             return by_pulse, ""
         if reading.pulse_us is None:
-            return None, "no position found: pulses are off"
+            return None, "the servo's position is unknown: its pulses are off"
         return None, f"no position found: the pulse of {reading.pulse_us:.0f} us belongs to neither end"
 
     # -- changes --

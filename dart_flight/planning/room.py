@@ -8,8 +8,8 @@ with the normal n if
 
 This holds for any incidence. The fit uses as few walls as possible. Every contact belongs to one wall. The
 contacts of a wall have consecutive directions from the start. Consecutive walls intersect in corners. If a
-wall has only one contact, more probes are needed beside this contact. If a corner does not lie between the
-contacts of its two walls, another probe is needed in the direction between these contacts.
+wall has only one contact, more probes are needed beside this contact. Seen from the start, a corner must lie
+between the contacts of its two walls. Otherwise another probe is needed between these contacts.
 """
 
 from __future__ import annotations

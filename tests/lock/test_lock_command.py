@@ -116,7 +116,7 @@ def test_status_moves_nothing_and_reports_an_unknown_position(
     capsys.readouterr()
     assert main(world.command("status")) == 0
     unknown, last = capsys.readouterr().out.splitlines()
-    assert unknown == "maestro: unknown; no position found: pulses are off"
+    assert unknown == "maestro: unknown; the servo's position is unknown: its pulses are off"
     assert last.startswith("last command: rigid by maestro at ")
     assert last.endswith(", settled (no feedback)")
     assert main(world.command("rigid")) == 0

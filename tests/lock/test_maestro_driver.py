@@ -260,7 +260,7 @@ def test_a_clamped_channel_range_is_a_fault(make_rig: MakeRig) -> None:
 def test_a_restart_adopts_the_controllers_current_pulse(make_rig: MakeRig) -> None:
     rig = make_rig(startup=LockStartup.ADOPT)
     rig.session.start()
-    assert rig.session.state.reason == "no position found: pulses are off"
+    assert rig.session.state.reason == "the servo's position is unknown: its pulses are off"
     rig.session.permit(True)
     rig.session.command(Mode.RIGID)
     rig.run(0.4)

@@ -466,7 +466,7 @@ def test_homing_to_rigid_needs_permission(vary: Vary) -> None:
     ("reading", "mode", "feedback", "reason"),
     [
         (None, None, False, "no position found: the driver gave no reading"),
-        (DriverReading(None), None, False, "no position found: pulses are off"),
+        (DriverReading(None), None, False, "the servo's position is unknown: its pulses are off"),
         (
             DriverReading(1500.0),
             None,

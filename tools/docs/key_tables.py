@@ -1,8 +1,8 @@
 """The tables of keys for `docs/missions.md`, `docs/planning.md` and `docs/configuration.md`, from the
 schemas.
 
-Missions and scenarios have one table per section. The configuration has one row per key of
-`configs/dart.yaml`, with its value and the source from its comment.
+Missions and scenarios have one table per section. The configuration has one row per key, with the value in
+`configs/dart.yaml` and the source from the comment there.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from dart_flight.config.document import Document, dotted
+from dart_flight.config.document import Document, Key, dotted
 from tools.docs.configuration_comments import CONFIGURATION, sources
 from tools.docs.schemas import Schema, lookup, meaning, schemas, target
 
@@ -115,21 +115,42 @@ def _cell(text: str) -> str:
 
 
 def configuration_table() -> str:
-    """Return a row per key of the shipped configuration."""
+    """Return a row per key of the configuration, shipped keys first in each section."""
     text = CONFIGURATION.read_text(encoding="utf-8")
-    document, named = Document(text, CONFIGURATION.name), sources(text)
-    schema = schemas()["configuration.json"]
+    tree, named = Document(text, CONFIGURATION.name).tree, sources(text)
     rows = ["| key | shipped | allowed | meaning | source of the shipped value |", "|---|---|---|---|---|"]
-    for key in document.lines:
-        value: Any = document.tree
-        for part in key:
-            value = value[part]
-        if not key or isinstance(key[-1], int):
-            continue
+    return "\n".join([*rows, *_configuration_rows((), tree, named)]) + "\n"
+
+
+def _configuration_rows(section: Key, tree: dict[str, Any], named: dict[Key, str]) -> Iterator[str]:
+    """Yield the rows of a section; a key that the shipped file lacks has its default in parentheses."""
+    schema = schemas()["configuration.json"]
+    for key, value in (((*section, name), value) for name, value in tree.items()):
         words = f"{_cell(meaning(schema, key))} | {_cell(named.get(key, ''))}"
         if isinstance(value, dict):
-            rows.append(f"| **`{dotted(key)}`** | | | {words} |")
-            continue
-        shown = "null" if value is None else msgspec.json.encode(value).decode().strip('"')
-        rows.append(f"| `{dotted(key)}` | {shown} | {_kind(lookup(schema, key))} | {words} |")
-    return "\n".join(rows) + "\n"
+            yield f"| **`{dotted(key)}`** | | | {words} |"
+            yield from _configuration_rows(key, value, named)
+        else:
+            yield f"| `{dotted(key)}` | {_shown(value)} | {_kind(lookup(schema, key))} | {words} |"
+    for key, value in (((*section, name), value) for name, value in _keys_of(section) if name not in tree):
+        words = f"{_cell(meaning(schema, key))} |"
+        if any("$ref" in option for option in (value, *value.get("anyOf", []))) and _keys_of(key):
+            yield f"| **`{dotted(key)}`** | (none) | | {words} |"
+            yield from _configuration_rows(key, {}, named)
+        else:
+            default = f"({_shown(value['default'])})" if "default" in value else "(required)"
+            yield f"| `{dotted(key)}` | {default} | {_kind(value)} | {words} |"
+
+
+def _keys_of(section: Key) -> list[tuple[str, Schema]]:
+    """Return the names and schemas of a section's keys; none if the user chooses the names."""
+    schema = schemas()["configuration.json"]
+    found = lookup(schema, section)
+    for option in (found, *found.get("anyOf", [])):
+        if "$ref" in option:
+            return list(schema["$defs"][target(option)].get("properties", {}).items())
+    return []
+
+
+def _shown(value: Any) -> str:
+    return "null" if value is None else msgspec.json.encode(value).decode().strip('"')

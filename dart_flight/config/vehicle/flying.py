@@ -14,14 +14,15 @@ class GuardThresholds(Section, frozen=True):
 
     Attributes:
         stream_timeout_s: if the IMU, attitude or odometry is silent for longer than this, the vehicle lands.
-        tilt_deg: if the tilt exceeds this angle, the vehicle lands.
+        tilt_deg: if the tilt exceeds this angle, the vehicle breaks off.
         wall_overrun_m: if the vehicle is this far behind the wall's plane without a contact, it breaks off.
         retreat_m: distance that the vehicle keeps from the wall after breaking off.
-        imu_timeout_s: if only the IMU is silent for longer than this, the vehicle lands.
+        imu_timeout_s: if the IMU is silent for longer than this while the other streams continue, the vehicle
+            lands.
         battery_remaining: if the remaining charge is below this share, the vehicle lands.
         battery_v: if the battery voltage is below this, the vehicle lands.
-        kill_after_s: if the vehicle is still armed in PX4's land mode after this time, the motors are
-            stopped; null: never.
+        kill_after_s: the motors are stopped if the vehicle is still armed in PX4's land mode after this time
+            and after three times the expected duration of the descent; null: never.
         wall_late_s: if no contact occurs within this time after the planned impact, the vehicle breaks off.
         wall_early_m: a contact farther than this in front of the wall's plane is not a contact with the
             planned wall, and the vehicle breaks off.

@@ -1,9 +1,9 @@
 """The table of the guard's rules: name, action, scope and condition.
 
 `guard` iterates over it; `docs/guard.md` is generated from it (`make docs`). A rule with a cause function is
-evaluated every 20 ms in its scope, and immediately after the inputs that it names. If a rule has no cause
-function, a finding in the mission's proposal fires the rule. Only rules of this table can overrule the
-mission.
+evaluated every 20 ms in its scope, and immediately after the inputs that it names. A rule without a cause
+function fires when the mission reports the finding of the same name. Only rules of this table can overrule
+the mission.
 """
 
 from __future__ import annotations
@@ -317,8 +317,8 @@ RULES: tuple[Rule, ...] = (
            "difference is noted without an action",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
-           "the impact is allowed in one mode only, and the lock is not in this mode when the vehicle must "
-           "brake to stop before the wall"),
+           "the lock is not in the planned mode at the last moment to stop before the wall; a lock that will "
+           "settle 0.05 s before an impact is late only if the impact is acceptable in one mode only"),
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,

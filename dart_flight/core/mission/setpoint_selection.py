@@ -244,7 +244,7 @@ class SetpointSelection:
         return Reference(flown.position, v, push)
 
     def _free_axes(self, frame: MissionFrame, sample: OdometrySample, along: tuple[Vec2, ...]) -> FreeAxes:
-        """Return axes to leave free, with the motion at the time at which PX4 executes the setpoint."""
+        """Return the axes to leave free, and the vehicle's motion when PX4 will execute the setpoint."""
         velocity = frame.vector_from_ned(sample.velocity_ned)
         position = frame.point_from_ned(sample.position_ned)
         return FreeAxes(along, add(position, scale(velocity, self._delay_s)), velocity)

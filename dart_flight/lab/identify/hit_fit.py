@@ -158,7 +158,7 @@ class HitFit:
         self._moved = (errors - pseudo).ravel()
 
     def variance(self, theta: Array) -> float:
-        """Return 1: the assumed deviations are errors of the law, and more hits do not reduce them."""
+        """Return 1: the assumed deviations are not scaled. More hits do not reduce the law's errors."""
         return 1.0
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:

@@ -50,7 +50,7 @@ def materials_entry(
     modes = [mode for mode in vehicle.modes if mode.value in found.coefficients]
     if not modes:
         wanted = " or ".join(f"--mode {mode.value}" for mode in vehicle.modes)
-        raise InputError(f"to write an entry, identify the trials with {wanted}", key=("output",))
+        raise InputError(f"an entry needs the mode of the trials: give the option {wanted}", key=("output",))
     lines, assumed, missing = [], [], []
     for mode in vehicle.modes:
         fallback = known.coefficients(mode) if known else None

@@ -153,9 +153,9 @@ class ThresholdCrossing(msgspec.Struct):
 
     @property
     def is_impact(self) -> bool:
-        """Whether the fitted peak confirms the crossing, and no thrust explains the crossing.
+        """Whether the force over the threshold came from an impact, not from noise or a manoeuvre.
 
-        A crossing that is no impact is noise or a manoeuvre.
+        In an impact the fitted peak is large enough, and the thrust does not explain the force.
         """
         if self.peak is None:
             return True
