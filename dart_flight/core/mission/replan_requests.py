@@ -159,7 +159,7 @@ class ReplanRequests:
         return Change(outputs=(taken,), replan=replan, approach=approach)
 
     def trajectory(self, progress: MissionState, state: FlightState) -> Change:
-        """When an answer's trajectory begins, return this trajectory if the vehicle is close to it."""
+        """Return the trajectory of an answer if it begins now and the vehicle is close to it."""
         replan, answer = progress.replan, progress.replan.answer
         if answer is None or replan.from_rest or state.now_us < answer.begin_us:
             return NO_CHANGE
