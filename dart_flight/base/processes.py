@@ -32,7 +32,7 @@ def use_idle_priority() -> None:
 
 
 def measure_lateness_s() -> float:
-    """Sleep repeatedly for 0.5 s in total; return the latest wake-up, seconds after the requested time."""
+    """Sleep repeatedly for 0.5 s in total; return the largest delay of a wake-up, seconds."""
     worst_s, end_s = 0.0, time.monotonic() + _MEASURE_S
     while (now_s := time.monotonic()) < end_s:
         time.sleep(_NAP_S)

@@ -327,7 +327,7 @@ class LockState(Record, frozen=True, gc=False):
 
 
 class CommandResult(Record, frozen=True, gc=False):
-    """Result of a vehicle command; telemetry decides the result, not the command's acknowledgement."""
+    """Answer to a vehicle command; telemetry, not this answer, shows whether the command took effect."""
 
     topic: ClassVar[str] = "/in/result"
     t_us: int

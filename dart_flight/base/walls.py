@@ -91,7 +91,7 @@ class Wall(msgspec.Struct, frozen=True):
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether a standard deviation is configured for the wall's position or direction."""
+        """Whether a standard deviation above 0 is configured for the wall's position or direction."""
         return bool(self.position_sd_m or self.yaw_sd_rad)
 
     def displaced(self, away_m: float) -> Wall:

@@ -442,7 +442,9 @@ def check_flown(mission: Mission) -> CheckFinding:
         return CheckFinding("flown", True, says, remark=True)
     if flown.danger is not None:
         return CheckFinding(
-            "flown", False, f"in simulation, {flown.danger}: plan a lower speed, or measure the walls first"
+            "flown",
+            False,
+            f"in simulation, {flown.danger}: plan a lower speed, or measure the walls by touch first",
         )
     says = f"flown in simulation by {flown.software}: {flown.summary}"
     figures: dict[str, float] = {}

@@ -124,7 +124,7 @@ def live_view(
 
 
 def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | None:
-    """Return the view. Raise an `InputError`; report any other error and return None."""
+    """Return the view. An `InputError` is passed on; after any other error, report it and return None."""
     try:
         return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, print_status))
     except InputError:

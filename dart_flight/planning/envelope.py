@@ -14,7 +14,8 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import BodyModel, VehicleConfig
 from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
 
-# Largest normal speed flown; at 3.5 m/s a body with guards tilts by more than 60 degrees (docs/px4.md).
+# Largest normal speed without a warning; at 3.5 m/s a body with guards tilts by more than 60 degrees
+# (docs/px4.md).
 FLOWN_UP_TO_M_S = 3.0
 # Flights recovered from every impact up to this incidence: in both modes up to 2 m/s, rigid also at 3 m/s.
 INCIDENCE_FLOWN_DEG = 30.0

@@ -283,8 +283,8 @@ POSE_RULES: tuple[Rule, ...] = (
         "are too slow, too late or far from PX4's estimate",
         f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
     Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
-        "PX4's estimate jumped while the poses were wrong (see `pose_source_ground`), or the body was lost "
-        "for longer than the limit",
+        "PX4's estimate jumped during or shortly after wrong poses (see `pose_source_ground`), or the body "
+        "was lost or its poses were withheld for longer than the limit",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
     Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
         "the poses are wrong (see `pose_source_ground`); in an approach, the rule acts at once; in a contact "

@@ -317,8 +317,8 @@ RULES: tuple[Rule, ...] = (
            "difference is noted without an action",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
-           "the lock is not in the planned mode at the last moment to stop before the wall; a lock that will "
-           "settle 0.05 s before an impact is late only if the impact is acceptable in one mode only"),
+           "the lock is not in the planned mode at the last moment to stop before the wall; exception: the "
+           "lock will settle at least 0.05 s before an impact that is acceptable in either mode"),
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,

@@ -42,9 +42,9 @@ class ArmFilter:
         self._x = self._vx = self._y = self._vy = 0.0
 
     def add(self, ax: float, ay: float) -> tuple[float, float]:
-        """Return the reading, m/s2, of a tick in which a contact causes the acceleration (`ax`, `ay`).
+        """Return the IMU reading of a tick, m/s2, in which a contact accelerates the centre of mass.
 
-        This function is the inverse of `remove`.
+        The acceleration is (`ax`, `ay`). This function is the inverse of `remove`.
         """
         swing = self._share / self._tick_s
         out = (
