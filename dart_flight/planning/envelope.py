@@ -69,13 +69,13 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def speed_warning(collision: Collision) -> str | None:
-    """Return a warning if an impact exceeds the largest speed that was flown with a real PX4, or None."""
+    """Return a warning if an impact is faster than those from which PX4 reliably recovered, or None."""
     velocity = impact_velocity(collision)
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None
     return (
-        f"{_name(collision)} at {-velocity[0]:g} m/s is faster than anything flown with PX4 "
-        f"({FLOWN_UP_TO_M_S:g} m/s, docs/px4.md)"
+        f"{_name(collision)} at {-velocity[0]:g} m/s exceeds {FLOWN_UP_TO_M_S:g} m/s, the fastest impact from "
+        "which a vehicle with guards reliably recovered on PX4 (docs/px4.md)"
     )
 
 
