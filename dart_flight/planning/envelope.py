@@ -74,8 +74,8 @@ def speed_warning(collision: Collision) -> str | None:
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None
     return (
-        f"{_name(collision)} at {-velocity[0]:g} m/s exceeds {FLOWN_UP_TO_M_S:g} m/s, the fastest impact from "
-        "which a vehicle with guards reliably recovered on PX4 (docs/px4.md)"
+        f"{_name(collision)} at {-velocity[0]:g} m/s exceeds {FLOWN_UP_TO_M_S:g} m/s, the fastest impact "
+        "from which a vehicle with guards reliably recovered on PX4 (docs/px4.md)"
     )
 
 

@@ -261,7 +261,7 @@ class ImpactDetector:
         return (self._windows[2].noise_n, self._windows[3].noise_n)
 
     def _report_floor(self, t_us: int, expected: ExpectedContact) -> Events:
-        """Return the detection floors (`detection_floor_n`) if the mission has just begun to expect a wall."""
+        """Return the detection floors (`detection_floor_n`) if the mission begins to expect a wall."""
         if expected.normal is None or self._expected.normal is not None:
             return []
         thresholds = self.thresholds_n()
