@@ -131,7 +131,7 @@ class FlightArrays:
         return (t_us - self.start_us) * 1e-6
 
     def topic_in_ned(self, kind: type[Record]) -> Topic:
-        """Return the records of a kind with vectors in NED; empty if the flight has no mission frame."""
+        """Return the records of a kind; empty if the flight has no mission frame to convert them."""
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
     def frame_at(self, t_us: int) -> MissionFrame | None:

@@ -132,6 +132,7 @@ class SteppedSimulation:
         """Begin again with the vehicle hovering at the mission's start, and return the first observation.
 
         The same seed gives the same simulation.
+
         Args:
             seed: new seed; by default the present seed.
         """

@@ -331,7 +331,7 @@ class LockStateMachine:
             shown = "no pulses" if last.pulse_us is None else f"{last.pulse_us:.0f} us"
             wanted = f"{self.config.servo.pulse_us(target):.0f} us"
             return self._fault_reason(f"the controller outputs {shown} instead of {wanted}", last)
-        return f"no reading arrived after the travel time, but {within} of the command"
+        return f"after the travel time, no reading arrived {within} of the command"
 
     def _find_position(self, reading: DriverReading | None) -> tuple[Mode | None, str]:
         if reading is None:

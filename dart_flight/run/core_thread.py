@@ -25,7 +25,7 @@ from dart_flight.vehicle.clock import host_us
 
 _TICK_S: Final = 0.02
 _STOP_S: Final = 2.0
-_BACKLOG: Final = 64  # inputs; if more are queued, only each state stream's newest sample is kept
+_BACKLOG: Final = 64  # inputs; if more are queued, older samples of the state streams are dropped
 _STATE_STREAMS: Final = (AttitudeSample, OdometrySample, ActuatorSample)
 
 

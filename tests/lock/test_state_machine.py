@@ -289,7 +289,7 @@ def test_a_clamped_pulse_is_a_fault(vary: Vary) -> None:
     [
         (None, 400_000, "the driver did not accept the command within 1.5 s"),
         (10_000, None, "the driver reported nothing within 1.5 s"),
-        (10_000, 200_000, "no reading arrived after the travel time, but within 1.5 s of the command"),
+        (10_000, 200_000, "after the travel time, no reading arrived within 1.5 s of the command"),
     ],
 )
 def test_a_command_without_a_timely_reading_is_a_fault(

@@ -154,7 +154,10 @@ class DifferingQuantity(msgspec.Struct, frozen=True):
 
 
 class EndCause(msgspec.Struct, frozen=True):
-    """A cause of failure: the reason up to its first colon, such as the name of a guard rule."""
+    """A cause of failure: the reason up to its first colon, such as a guard rule.
+
+    A flight without a reason has its outcome as the cause.
+    """
 
     rule: str
     flights: int

@@ -132,8 +132,8 @@ def flown_in(path: Path, keys: Sequence[str], points: Sequence[Point]) -> set[It
     """Return the flights that have a row.
 
     Raises:
-        InputError: the table cannot be read (`rows_in`), or a row is a duplicate or belongs to another
-            campaign.
+        InputError: the table cannot be read (`rows_in`), or a row is a duplicate or belongs to no flight of
+            this campaign.
     """
     numbers = {(point.path, *point.values): point.number for point in points}
     found: set[Item] = set()

@@ -102,7 +102,7 @@ def _errors(
 def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
     """Predict peak and outgoing speed in proportion to the incoming speed.
 
-    The factors are the median ratios of the known hits. If no hit has a ratio, the prediction is NaN.
+    The factors are the median ratios of the known hits. If no known hit has a ratio, the prediction is NaN.
     """
     ratios = (median(values / known.speed_in) for values in (known.peak, known.speed_out))
     peak, out = ((math.nan if ratio is None else ratio) * held.speed_in for ratio in ratios)
@@ -112,7 +112,7 @@ def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
 def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
     """Return the errors of a prediction of each hit from the median of all hits at its speed.
 
-    A law that depends only on the speed cannot have smaller errors.
+    A law that depends only on the speed can hardly have smaller errors.
     """
     peak, out = np.full(groups.size, math.nan), np.full(groups.size, math.nan)
     for group in np.unique(groups):

@@ -2,9 +2,9 @@
 
 A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns.
 The intervals hold even if the law is wrong. Every unknown has two intervals. The statistical interval follows
-from the assumed deviations of data and priors, and holds if the law is right. The resampled interval follows
-from the change of the estimate, to first order, if the data are resampled. If the resampled interval is wider
-than chance explains, it is used. Otherwise the statistical interval is used.
+from the information in data and priors, and holds if the law is right. The resampled interval follows from
+the change of the estimate, to first order, if the data are resampled. If the resampled interval is wider than
+chance explains, it is used. Otherwise the statistical interval is used.
 """
 
 from __future__ import annotations

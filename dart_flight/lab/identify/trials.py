@@ -78,9 +78,9 @@ class Trial:
         return self.series["normal_m"]
 
     def samples_between(self, begin_s: float, end_s: float) -> int:
-        """Return the number of samples between two times.
+        """Return the number of samples of position or of normal force between two times.
 
-        If the trial has positions and normal forces, return the larger of their numbers.
+        If the trial has both, return the larger of the two numbers.
         """
         shown = [self.series[name].time_s for name in ("normal_m", "normal_force_n") if name in self.series]
         return max(int(np.sum((time >= begin_s) & (time <= end_s))) for time in shown)

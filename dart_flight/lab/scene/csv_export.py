@@ -23,8 +23,8 @@ def export_csv(log: Log, folder: Path) -> list[Path]:
     """Write `<record>.csv` for every kind of record in the log, `about.json`, and `columns.csv`.
 
     The columns are `time_s`, `number` and the record's fields. `time_s` is the autopilot's time since the
-    flight's zero (`recording.flight_time`). `number` is the number of an input of the flight core. Any other
-    record has the number of the input that caused it. Each component of a vector has its own column
+    flight's zero (`recording.flight_time`). `number` is the sequence number of the input. A record that is
+    not an input has the number of the input that caused it. Each component of a vector has its own column
     (`position_ned_x`). `columns.csv` lists unit and frame of every column. Floats keep their full precision;
     a missing value is an empty cell.
 

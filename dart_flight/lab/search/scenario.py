@@ -142,8 +142,8 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
             The touches measure the walls' direction and vertical force. Without this key there are no
             touches.
         sequence: walls in the order of the hits: up to four, or up to 16 with the objective quickest. With
-            `any` the planner chooses walls and order; with the objective quickest a
-            plan without a wall is possible, too.
+            `any` the planner chooses walls and order. With `any` and the objective quickest, a plan without a
+            wall is possible, too.
         search: the approaches to try; the objective quickest does not use this key.
         name: name of the written mission; by default the name of this file.
         vehicle: vehicle configuration, relative to this file; by default the default configuration.

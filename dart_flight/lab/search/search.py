@@ -55,7 +55,7 @@ ADVICE = {
     Refusal.BOUNDS: "widen bounds_m or lower the wall's gain alpha",
     Refusal.OBSTACLE: "move or shorten the wall that blocks the path, or add this wall to `sequence`",
     Refusal.WALL_NOT_REACHED: (
-        "raise the first wall's gain alpha, move the second wall nearer, or lengthen the second wall"
+        "raise the previous wall's gain alpha, move the wall that is missed nearer, or lengthen that wall"
     ),
     Refusal.INCIDENCE: "turn the wall: the vehicle hits every wall with the heading of the first approach",
     Refusal.TOO_SOON: "move the walls apart or lower detection.refractory_s",

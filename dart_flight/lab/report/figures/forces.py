@@ -65,7 +65,7 @@ def impact_forces(flight: RecordedFlight, impact: Impact, *, look: Look = PAGE) 
 
 @in_style
 def impact_forces_over_trials(flights: Sequence[RecordedFlight], index: int, *, look: Look = PAGE) -> Any:
-    """Draw the normal force of one collision: the estimate of each flight, and the means of both sources."""
+    """Draw one collision's normal force: the estimate of each flight, its mean, and the mean prediction."""
     figure, axis = new_figure(look, 3.0)
     grid = np.arange(-0.05, 0.17, 0.002)
     curves, predictions = [], []
