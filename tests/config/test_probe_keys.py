@@ -155,7 +155,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         (
             [with_keys(AT_BOARD, material="wood")],
             WALLS,
-            "probe.material: wall board of the mission has its own",
+            "probe.material: wall board of the mission already has a material",
         ),
         ([with_keys(EAST, material="cheese")], {}, r"probe.material: .*cheese"),
         (
