@@ -8,7 +8,16 @@ import pytest
 import yaml
 
 from dart_flight import simulate
-from dart_flight.base.records import AfterImpact, Outcome, PlanTaken, Record, Setpoint
+from dart_flight.base.records import (
+    AfterImpact,
+    GoalPassed,
+    Outcome,
+    Phase,
+    PhaseChange,
+    PlanTaken,
+    Record,
+    Setpoint,
+)
 from dart_flight.config.document import Document
 from dart_flight.config.mission import load_mission, parse_mission
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -20,8 +29,8 @@ from dart_flight.run.replay import replay
 SOURCE = packaged("missions", "dual_collision_replan.yaml")
 
 
-def fly(settings: list[str], after: AfterImpact = AfterImpact.REPLAN) -> list[Record]:
-    mission = msgspec.structs.replace(load_mission(SOURCE, settings=settings), after_impact=after)
+def fly(settings: list[str], after: AfterImpact = AfterImpact.REPLAN, source: Path = SOURCE) -> list[Record]:
+    mission = msgspec.structs.replace(load_mission(source, settings=settings), after_impact=after)
     records: list[Record] = []
     flight = FastFlight(mission, 5, LockDriver.MOCK, observe=lambda record, number: records.append(record))
     flight.run()
@@ -62,6 +71,17 @@ def test_a_late_planner_leaves_the_papers_setpoints_in_force(
         return [record for record in records if isinstance(record, Setpoint)]
 
     assert setpoints(late) == setpoints(paper_records)
+
+
+def test_a_vehicle_without_its_trajectory_to_the_goal_waits_before_it_holds_a_passed_goal() -> None:
+    """The trajectory may still arrive: in a mission with one, the wait is 1.5 s from the peak, not 0.25 s."""
+    source = packaged("missions", "limited_sight.yaml")
+    records = fly(["simulation.replan_latency_s=3.0"], source=source)
+    (passed,) = (record for record in records if isinstance(record, GoalPassed))
+    changes = [record for record in records if isinstance(record, PhaseChange)]
+    began = [change.t_us for change in changes if change.after is Phase.RECOVERY][-1]
+    assert not passed.timed_out
+    assert 1.5 <= (passed.t_us - began) * 1e-6 < 1.6
 
 
 @pytest.mark.parametrize("seed", [101])  # more seeds: docs/results
