@@ -142,7 +142,9 @@ def test_an_interrupted_landed_report_does_not_count_towards_the_next() -> None:
     c.set_status(landed=LandedState.IN_AIR, armed=True)
     c.run(1.0)
     c.set_status(landed=LandedState.ON_GROUND, armed=False)
+    reported_us = c.t_us
     c.run(0.1)
     assert c.core.end is None
     c.run(0.2)
     assert c.core.end is not None
+    assert c.core.end.t_us - reported_us == 200_000
