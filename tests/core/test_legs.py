@@ -171,3 +171,20 @@ def test_a_probe_without_a_contact_ends_at_the_vehicle() -> None:
     assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
         "the probe for wall east ended without a contact"
     ]
+
+
+@pytest.mark.parametrize(("left_share", "continues"), [(0.45, True), (0.55, False)])
+def test_a_leg_after_a_probe_begins_only_after_half_of_the_retreat(
+    left_share: float, continues: bool
+) -> None:
+    """A vehicle that rests at the wall still leans on PX4's integrators after a slow contact."""
+    mission = load_mission(packaged("missions", "find_a_wall.yaml"))
+    flown, p, state = Executive(mission), Proposal(), FlightState()
+    progress, probe = flown.progress, mission.collisions[0].probe
+    assert probe is not None
+    state.now_us, state.position = 9_000_000, (2.0, 0.0, 1.0)
+    state.lock = LockState(state.now_us, LockPhase.SETTLED, mission.collisions[0].mode)
+    progress.phase, progress.entered_us, progress.index = Phase.RECOVERY, state.now_us - 1_000_000, 1
+    progress.course = progress.course.hold((2.0 - left_share * probe.back_m, 0.0))
+    flown._recovery(state, Sensed(None, (), False), p)
+    assert (progress.phase is not Phase.RECOVERY) == continues
