@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from dart_flight.base.records import GuardEvent, Phase
+from dart_flight.base.records import GuardEvent, Phase, PhaseChange
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from tests.core.conftest import HandFedCore
@@ -49,3 +49,18 @@ def test_a_goal_passed_on_the_trajectory_is_held_only_at_its_end() -> None:
         c.run(seconds)
         phases.append(c.core.phase)
     assert phases == [Phase.GOAL, Phase.GOAL, Phase.LANDING]
+
+
+def test_the_goal_is_given_up_after_flight_hold_and_timeout() -> None:
+    away: dict[str, Any] = {"position_m": [0.0, 0.0], "pieces": [[s, j, 0.0] for s, j in AWAY_AND_BACK]}
+    goal = {"position_m": [0.0, 0.0], "capture_radius_m": 0.15, "hold_s": 0.8}
+    changes = {"goal": goal, "goal_trajectory": away, "limits.collision_timeout_s": 1.0}
+    c = HandFedCore(WITHOUT_WALLS, settings=changes)
+    c.finish_climb()
+    c.position_ned = (0.3, 0.0, -1.0)
+    c.run(5.0)
+    (began_us,) = (o.t_us for o in c.outputs if isinstance(o, PhaseChange) and o.after is Phase.GOAL)
+    (given_up,) = (o for o in c.outputs if isinstance(o, GuardEvent))
+    assert given_up.rule == "goal_not_reached"
+    flight_s = sum(seconds for seconds, _ in AWAY_AND_BACK)
+    assert (given_up.t_us - began_us) * 1e-6 == pytest.approx(flight_s + 0.8 + 1.0, abs=0.03)
