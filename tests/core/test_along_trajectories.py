@@ -9,7 +9,8 @@ import pytest
 from dart_flight.base.records import GuardEvent, Phase, PhaseChange
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from tests.core.conftest import HandFedCore
+from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
+from tests.core.conftest import ROOT, HandFedCore
 
 RETURNING = "missions/touch_and_return.yaml"
 WITHOUT_WALLS = "missions/hover.yaml"
@@ -64,3 +65,30 @@ def test_the_goal_is_given_up_after_flight_hold_and_timeout() -> None:
     assert given_up.rule == "goal_not_reached"
     flight_s = sum(seconds for seconds, _ in AWAY_AND_BACK)
     assert (given_up.t_us - began_us) * 1e-6 == pytest.approx(flight_s + 0.8 + 1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("wall_m", "least_x_m", "refused"),
+    [
+        ([-0.25, 0.0], -2.0, "wall board blocks the trajectory to the goal"),
+        ([-0.25, 1.0], -2.0, None),  # beside the path
+        ([-0.6, 0.0], -2.0, None),  # behind the turning point
+        ([1.5, 0.0], -0.3, "the trajectory to the goal leads .* m outside bounds_m"),
+    ],
+)
+def test_a_goal_trajectory_must_be_clear(wall_m: list[float], least_x_m: float, refused: str | None) -> None:
+    """The trajectory leads half a metre along -x and back."""
+    board = {"point_m": wall_m, "normal": [1.0, 0.0], "length_m": 1.0, "material": "wood"}
+    pieces = [[seconds, -jerk, 0.0] for seconds, jerk in AWAY_AND_BACK]
+    mission = load_mission(ROOT / WITHOUT_WALLS).replace(
+        {
+            "walls": {"board": board},
+            "bounds_m.x": [least_x_m, 2.2],
+            "goal_trajectory": {"position_m": [0.0, 0.0], "pieces": pieces},
+        }
+    )
+    if refused is None:
+        check_segments_clear(mission)
+        return
+    with pytest.raises(NoApproachError, match=refused):
+        check_segments_clear(mission)

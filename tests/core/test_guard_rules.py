@@ -1320,13 +1320,21 @@ def test_a_position_after_a_gap_is_not_compared_with_earlier_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("north_m", "after_us", "odd"),
-    [(0.2, 1_000_000, False), (3.0, 1_000_000, True), (3.0, 1_000_001, False)],
+    ("north_m", "speed_m_s", "after_us", "odd"),
+    [
+        (0.2, 0.0, 1_000_000, False),
+        (3.0, 0.0, 1_000_000, True),
+        (3.0, 0.0, 1_000_001, False),
+        (0.6, 2.0, 200_000, False),  # the vehicle flies 0.4 m in this time
+        (0.8, 2.0, 200_000, True),
+    ],
 )
-def test_positions_are_compared_if_at_most_a_second_apart(north_m: float, after_us: int, odd: bool) -> None:
+def test_positions_at_most_a_second_apart_differ_by_flight_and_tolerance(
+    north_m: float, speed_m_s: float, after_us: int, odd: bool
+) -> None:
     places = SecondPositionDetector(0.3)
     for t_us, x in ((5, 0.0), (5 + after_us, north_m)):
-        places.update(OdometrySample(t_us, t_us, (x, 0.0, -1.0), (0.0, 0.0, 0.0)))
+        places.update(OdometrySample(t_us, t_us, (x, 0.0, -1.0), (speed_m_s, 0.0, 0.0)))
     assert (places.odd_us is not None) is odd
 
 
