@@ -47,6 +47,12 @@ def test_the_bias_converges_with_its_time_constant() -> None:
     assert (settled.bias_x, settled.bias_y, settled.scale) == pytest.approx((0.1, -0.05, 0.95), rel=1e-3)
 
 
+def test_the_thrust_ratio_is_known_after_half_a_time_constant() -> None:
+    level = (0.0, 0.0, -0.9 * GRAVITY_M_S2)
+    assert learned_bias(level, 0.48 * LEARNING_S).thrust_ratio is None
+    assert learned_bias(level, 0.54 * LEARNING_S).thrust_ratio == pytest.approx(0.9)
+
+
 RATE, SPEED = HOVER_RATE_RAD_S, HOVER_SPEED_M_S
 
 
