@@ -90,5 +90,5 @@ def test_an_infeasible_search_reports_the_decisive_constraint(
     assert main(["plan", str(path)]) == 2
     line = capsys.readouterr().err.strip()
     assert "none of 14884 candidates is feasible" in line
-    assert "without peak_force" in line
+    assert "without the constraint peak_force" in line
     assert "raise limits.peak_force_n" in line
