@@ -117,39 +117,36 @@ def _cell(text: str) -> str:
 def configuration_table() -> str:
     """Return a row per key of the configuration, shipped keys first in each section."""
     text = CONFIGURATION.read_text(encoding="utf-8")
-    tree, named = Document(text, CONFIGURATION.name).tree, sources(text)
+    tree, schema = Document(text, CONFIGURATION.name).tree, schemas()["configuration.json"]
     rows = ["| key | shipped | allowed | meaning | source of the shipped value |", "|---|---|---|---|---|"]
-    return "\n".join([*rows, *_configuration_rows((), tree, named)]) + "\n"
+    return "\n".join([*rows, *_configuration_rows((), tree, schema, sources(text))]) + "\n"
 
 
-def _configuration_rows(section: Key, tree: dict[str, Any], named: dict[Key, str]) -> Iterator[str]:
+def _configuration_rows(
+    section: Key, tree: dict[str, Any], schema: Schema, named: dict[Key, str]
+) -> Iterator[str]:
     """Yield the rows of a section; a key that the shipped file lacks has its default in parentheses."""
-    schema = schemas()["configuration.json"]
-    for key, value in (((*section, name), value) for name, value in tree.items()):
+    absent = {name: value for name, value in _keys_of(section, schema).items() if name not in tree}
+    for name in (*tree, *absent):
+        key, inner = (*section, name), tree[name] if isinstance(tree.get(name), dict) else {}
         words = f"{_cell(meaning(schema, key))} | {_cell(named.get(key, ''))}"
-        if isinstance(value, dict):
+        if inner:
             yield f"| **`{dotted(key)}`** | | | {words} |"
-            yield from _configuration_rows(key, value, named)
         else:
-            yield f"| `{dotted(key)}` | {_shown(value)} | {_kind(lookup(schema, key))} | {words} |"
-    for key, value in (((*section, name), value) for name, value in _keys_of(section) if name not in tree):
-        words = f"{_cell(meaning(schema, key))} |"
-        if any("$ref" in option for option in (value, *value.get("anyOf", []))) and _keys_of(key):
-            yield f"| **`{dotted(key)}`** | (none) | | {words} |"
-            yield from _configuration_rows(key, {}, named)
-        else:
-            default = f"({_shown(value['default'])})" if "default" in value else "(required)"
-            yield f"| `{dotted(key)}` | {default} | {_kind(value)} | {words} |"
+            default = absent.get(name, {}).get("default", "required")
+            shown = _shown(tree[name]) if name in tree else f"({_shown(default)})"
+            yield f"| `{dotted(key)}` | {shown} | {_kind(lookup(schema, key))} | {words} |"
+        yield from _configuration_rows(key, inner, schema, named)
 
 
-def _keys_of(section: Key) -> list[tuple[str, Schema]]:
-    """Return the names and schemas of a section's keys; none if the user chooses the names."""
-    schema = schemas()["configuration.json"]
+def _keys_of(section: Key, schema: Schema) -> dict[str, Schema]:
+    """Return the schemas of a section's keys by name; none if the user chooses the names."""
     found = lookup(schema, section)
     for option in (found, *found.get("anyOf", [])):
         if "$ref" in option:
-            return list(schema["$defs"][target(option)].get("properties", {}).items())
-    return []
+            properties: dict[str, Schema] = schema["$defs"][target(option)].get("properties", {})
+            return properties
+    return {}
 
 
 def _shown(value: Any) -> str:
