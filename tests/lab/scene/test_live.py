@@ -159,7 +159,8 @@ def test_a_viewer_that_joins_after_the_last_record_receives_room_and_position(
     viewer, thread = start_viewer(view.port, lambda m: "/scene/room" in m and bool(positions(m)))
     thread.join(PATIENCE_S)
     assert "/scene/room" in viewer.messages
-    assert len(positions(viewer.messages)) == 1
+    # Each new subscription publishes the newest pose again, so one viewer may receive it several times.
+    assert len(set(positions(viewer.messages))) == 1
 
 
 def test_a_hanging_view_process_drops_records_without_delaying_the_flight(
