@@ -28,7 +28,15 @@ from typing import Final, NamedTuple
 from dart_flight.base.geometry import Quaternion, Vec3, rotate, rotate_back
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.law import Onset, normal_force
-from dart_flight.contact.propeller_guards import NEAR_M, UNTOUCHED, Plane, PropellerGuard, Touch
+from dart_flight.contact.propeller_guards import (
+    NEAR_M,
+    UNTOUCHED,
+    BodyMotion,
+    GuardLaw,
+    Plane,
+    PropellerGuard,
+    Touch,
+)
 
 EDGE_RADIUS_M: Final = 0.01  # a sharp edge has no normal; a board is about this thick
 _DOWN: Final = (0.0, 0.0, 1.0)  # NED
@@ -199,24 +207,14 @@ class PostContact:
         """Return the outline's point that is nearest to the post."""
         return nearest_point(self._corners, q, position, self.contact.cylinder)
 
-    def touch(
-        self,
-        q: Quaternion,
-        c: Coefficients,
-        onset: Onset,
-        position: Vec3,
-        velocity: Vec3,
-        rate_frd: Vec3,
-        vertical_sign: int,
-        vertical_lever_m: float,
-    ) -> Touch:
+    def touch(self, c: Coefficients, motion: BodyMotion, law: GuardLaw) -> Touch:
         """Return force and torque on the vehicle, as `propeller_guards.touch`; `c` is for the whole side."""
-        near = self.nearest(q, position)
+        near = self.nearest(motion.q, motion.position)
         point = self.contact.point(near, c, False)
         self.depths = [0.0] * len(self.depths)
         if point is None:
             return UNTOUCHED
-        total, forces = _press([point], q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)
+        total, forces = _press([point], motion, law)
         self.contact.settle(near, forces[0])
         _update_deflections(self.depths, near, forces[0])
         return total
@@ -292,17 +290,7 @@ class WallWithEnds:
         for edge in self.edges:
             yield edge, nearest_point(self._corners, q, position, edge.cylinder)
 
-    def touch(
-        self,
-        q: Quaternion,
-        c: Coefficients,
-        onset: Onset,
-        position: Vec3,
-        velocity: Vec3,
-        rate_frd: Vec3,
-        vertical_sign: int,
-        vertical_lever_m: float,
-    ) -> Touch:
+    def touch(self, c: Coefficients, motion: BodyMotion, law: GuardLaw) -> Touch:
         """Return force and torque on the vehicle.
 
         If every guard is in front of the finite surface, the result equals `propeller_guards.touch`, except
@@ -313,7 +301,7 @@ class WallWithEnds:
         points: list[ContactPoint] = []
         pressed: set[int] = set()
         self.depths = [0.0] * len(self._guards)
-        for i, height, along in self._foot_points(q, position):
+        for i, height, along in self._foot_points(motion.q, motion.position):
             beyond = abs(along) > plane.half_length_m
             if height > 0.0:
                 self.beside.discard(i)
@@ -322,17 +310,19 @@ class WallWithEnds:
             if beyond or height > NEAR_M or i in self.beside:
                 continue
             point = ContactPoint(self._guards[i], n, plane.tangent, height, half)
-            if _force(point, q, onset, velocity, rate_frd) > 0.0:
+            if _force(point, motion, law.onset) > 0.0:
                 points.append(point)
                 pressed.add(i)
                 self.depths[i] = max(0.0, -height)
         loaded = []
-        for edge, near in sorted(self.nearest(q, position), key=lambda one: one[0].share is None):
+        for edge, near in sorted(
+            self.nearest(motion.q, motion.position), key=lambda one: one[0].share is None
+        ):
             numbers = {number for number, _ in near.deflections}
             edge_point = edge.point(near, edge.coefficients or c, not pressed.isdisjoint(numbers))
             if edge_point is None:
                 continue
-            force = _force(edge_point, q, onset, velocity, rate_frd)
+            force = _force(edge_point, motion, law.onset)
             edge.settle(near, force)
             if force > 0.0:
                 points.append(edge_point)
@@ -342,7 +332,7 @@ class WallWithEnds:
             _update_deflections(self.depths, near, force)
         if not points:
             return UNTOUCHED
-        return _press(points, q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)[0]
+        return _press(points, motion, law)[0]
 
     def _foot_points(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
         """Yield each guard's index, distance in front of the surface, and offset from the wall's middle."""
@@ -354,36 +344,29 @@ class WallWithEnds:
             yield i, height + _dot(n, guard.at), along + _dot(t, guard.at)
 
 
-def _force(point: ContactPoint, q: Quaternion, onset: Onset, velocity: Vec3, rate_frd: Vec3) -> float:
+def _force(point: ContactPoint, motion: BodyMotion, onset: Onset) -> float:
     """Return the normal force on one point, newton."""
-    n = rotate_back(q, point.normal)
-    closing = _dot(point.normal, velocity) + _dot(n, _cross(rate_frd, point.guard.at))
+    n = rotate_back(motion.q, point.normal)
+    closing = _dot(point.normal, motion.velocity) + _dot(n, _cross(motion.rate_frd, point.guard.at))
     return normal_force(point.c, onset, point.x_m, closing)
 
 
-def _press(
-    points: Sequence[ContactPoint],
-    q: Quaternion,
-    onset: Onset,
-    velocity: Vec3,
-    rate_frd: Vec3,
-    vertical_sign: int,
-    vertical_lever_m: float,
-) -> tuple[Touch, list[float]]:
+def _press(points: Sequence[ContactPoint], motion: BodyMotion, law: GuardLaw) -> tuple[Touch, list[float]]:
     """Return force and torque of all points together, and the normal force on each point."""
-    forces = [_force(point, q, onset, velocity, rate_frd) for point in points]
+    forces = [_force(point, motion, law.onset) for point in points]
     total = sum(forces)
     if not total > 0.0:
         return UNTOUCHED, forces
     force = torque = (0.0, 0.0, 0.0)
     friction = 0.0
+    _, velocity, q, rate_frd = motion
     down = rotate_back(q, _DOWN)
     for point, push in zip(points, forces, strict=True):
         (nx, ny, nz), (tx, ty, tz) = point.normal, point.tangent
         n, t = rotate_back(q, point.normal), rotate_back(q, point.tangent)
         slip = _dot(point.tangent, velocity) + _dot(t, _cross(rate_frd, point.guard.friction_at))
         rub = -point.c.mu * push * slip
-        lift = vertical_sign * point.c.nu * push / (1.0 + total)
+        lift = law.vertical_sign * point.c.nu * push / (1.0 + total)
         friction += rub
         force = (
             force[0] + push * nx + rub * tx,
@@ -395,7 +378,7 @@ def _press(
             _cross(point.guard.friction_at, t),
             _cross(n, down),
         )
-        lever = -vertical_lever_m * lift
+        lever = -law.vertical_lever_m * lift
         torque = (
             torque[0] + push * pushed[0] + rub * rubbed[0] + lever * lifted[0],
             torque[1] + push * pushed[1] + rub * rubbed[1] + lever * lifted[1],

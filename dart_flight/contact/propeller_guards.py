@@ -56,6 +56,36 @@ class Plane(NamedTuple):
     half_length_m: float = math.inf
 
 
+class BodyMotion(NamedTuple):
+    """Position and motion of the vehicle.
+
+    Attributes:
+        position, velocity: of the centre of mass, world frame (NED or other), m and m/s.
+        q: attitude, body FRD to world.
+        rate_frd: angular velocity, rad/s.
+    """
+
+    position: Vec3
+    velocity: Vec3
+    q: Quaternion
+    rate_frd: Vec3
+
+
+class GuardLaw(NamedTuple):
+    """The parts of the contact law that do not depend on material and mode.
+
+    Attributes:
+        onset: onset rule.
+        vertical_sign: -1: the vertical force is up, as the paper writes lz; 1: it is down. Z of the
+            collision frame points down.
+        vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
+    """
+
+    onset: Onset
+    vertical_sign: int
+    vertical_lever_m: float
+
+
 class Touch(NamedTuple):
     """Force and torque of one wall on the guards.
 
@@ -95,16 +125,7 @@ def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
 
 
 def touch(
-    guards: Sequence[PropellerGuard],
-    q: Quaternion,
-    c: Coefficients,
-    onset: Onset,
-    plane: Plane,
-    position: Vec3,
-    velocity: Vec3,
-    rate_frd: Vec3,
-    vertical_sign: int,
-    vertical_lever_m: float,
+    guards: Sequence[PropellerGuard], c: Coefficients, plane: Plane, motion: BodyMotion, law: GuardLaw
 ) -> Touch:
     """Return force and torque of one wall on the guards; every guard must lie between the wall's ends.
 
@@ -113,21 +134,17 @@ def touch(
 
     Args:
         guards: guards of the vehicle.
-        q: attitude, body FRD to world.
         c: coefficients of the whole side, as in the point law.
-        onset: onset rule.
         plane: the surface.
-        position, velocity: of the centre of mass, world frame, m and m/s.
-        rate_frd: angular velocity, rad/s.
-        vertical_sign: -1: the vertical force is up, as the paper writes lz; 1: it is down. Z of the
-            collision frame points down.
-        vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
+        motion: motion of the vehicle, in the frame of `plane`.
+        law: the rest of the law.
     """
+    position, velocity, q, (wx, wy, wz) = motion
+    onset = law.onset
     world = plane.normal
     nx, ny, nz = rotate_back(q, world)
     depth = _height(plane, position)
     speed = world[0] * velocity[0] + world[1] * velocity[1] + world[2] * velocity[2]
-    wx, wy, wz = rate_frd
     half = Coefficients(0.5 * c.k, 0.5 * c.f, c.mu, c.nu)
     pressed = []
     for (rx, ry, rz), friction_at in guards:
@@ -153,8 +170,8 @@ def touch(
         tx += force * (ry * nz - rz * ny) + rub * (fy * t[2] - fz * t[1])
         ty += force * (rz * nx - rx * nz) + rub * (fz * t[0] - fx * t[2])
         tz += force * (rx * ny - ry * nx) + rub * (fx * t[1] - fy * t[0])
-    lift = vertical_sign * c.nu * total / (1.0 + total)
-    lever = -vertical_lever_m * lift
+    lift = law.vertical_sign * c.nu * total / (1.0 + total)
+    lever = -law.vertical_lever_m * lift
     n, t_world, d_world = plane.normal, plane.tangent, plane.down
     return Touch(
         (

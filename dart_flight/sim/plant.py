@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 
@@ -43,7 +43,7 @@ from dart_flight.base.geometry import (
 from dart_flight.base.records import Mode, TruthContact, TruthSample
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import BodyModel, Coefficients, Motor, VehicleConfig
+from dart_flight.config.vehicle import BodyModel, Coefficients, VehicleConfig
 from dart_flight.contact.cylinders import (
     Cylinder,
     CylinderContact,
@@ -54,6 +54,8 @@ from dart_flight.contact.cylinders import (
 from dart_flight.contact.law import Onset, coefficients_in_force
 from dart_flight.contact.propeller_guards import (
     UNTOUCHED,
+    BodyMotion,
+    GuardLaw,
     Plane,
     PropellerGuard,
     Touch,
@@ -148,29 +150,30 @@ class _StandingPost:
 _Obstacle = _WallPlane | _StandingPost
 
 
-class _OpenContact:
-    """Record of a contact in progress."""
+class _ContactStart(NamedTuple):
+    """The values of a contact at its beginning."""
 
-    def __init__(
-        self,
-        obstacle: _Obstacle,
-        axes: tuple[Vec3, Vec3],
-        mode: Mode,
-        coefficients: Coefficients,
-        t_s: float,
-        vx: float,
-        vy: float,
-        position: Vec3,
-        incidence: float,
-        tilt: float,
-        fold_share: float,
-    ) -> None:
-        self.obstacle, self.mode, self.coefficients, self.start_s = obstacle, mode, coefficients, t_s
-        self.normal, self.tangent = axes
-        self.normal_in, self.tangential_in, self.position = vx, vy, position
-        self.incidence, self.tilt, self.fold_share = incidence, tilt, fold_share
+    obstacle: _Obstacle
+    mode: Mode
+    coefficients: Coefficients
+    start_s: float
+    normal: Vec3
+    tangent: Vec3
+    normal_in: float
+    tangential_in: float
+    position: Vec3
+    incidence: float
+    tilt: float
+    fold_share: float
+
+
+class _OpenContact:
+    """A contact in progress, with the values that each force updates."""
+
+    def __init__(self, start: _ContactStart) -> None:
+        self.start = start
         self.peak_normal = self.peak_friction = self.peak_torque = 0.0
-        self.last_s = t_s  # time of the newest force
+        self.last_s = start.start_s  # time of the newest force
         self.velocity_out: Vec3 = (0.0, 0.0, 0.0)
         self.rate_out: Vec3 = (0.0, 0.0, 0.0)
 
@@ -180,34 +183,27 @@ class Plant:
 
     Args:
         vehicle: configuration with mass, motors, materials and so on.
-        walls: walls in the mission frame. The vehicle's centre lies on a wall's plane at the first touch.
+        obstacles: walls and posts in the mission frame. The vehicle's centre lies on a wall's plane at the
+            first touch.
         frame: the mission frame in local NED.
         start_ned: initial position, metres.
-        yaw_ned_rad: initial heading.
-        motors: the airframe's motors in the autopilot's order; default: motors of the configuration.
         scatter_seed: seed of the random differences between the coefficients of different contacts.
-        posts: posts in the mission frame.
     """
 
     def __init__(
         self,
         vehicle: VehicleConfig,
-        walls: tuple[Wall, ...],
+        obstacles: Sequence[Wall | Post],
         frame: MissionFrame,
         start_ned: Vec3 = (0.0, 0.0, 0.0),
-        yaw_ned_rad: float = 0.0,
-        motors: tuple[Motor, ...] | None = None,
         scatter_seed: int = 0,
-        posts: tuple[Post, ...] = (),
     ) -> None:
-        self.vehicle, self.frame = vehicle, frame
-        self.motors = motors if motors is not None else vehicle.airframe.motors
-        self.onset = Onset(vehicle.onset)
+        self.vehicle, self.frame, self.motors = vehicle, frame, vehicle.airframe.motors
         self.mass = vehicle.airframe.mass_kg
         self.time_s = 0.0
         self.position: Vec3 = start_ned
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
-        self.q: Quaternion = quaternion_from_euler(0.0, 0.0, yaw_ned_rad)
+        self.q: Quaternion = quaternion_from_euler(0.0, 0.0, 0.0)
         self.rate: Vec3 = (0.0, 0.0, 0.0)
         self.motor: list[float] = [0.0] * len(self.motors)
         self.ground_down = start_ned[2]
@@ -220,14 +216,17 @@ class Plant:
             self.body = msgspec.structs.replace(
                 self.body, guard_out_m=0.0, vertical_lever_m=0.0, fold_share=0.0
             )
+        self._law = GuardLaw(Onset(vehicle.onset), vehicle.vertical_force_sign, self.body.vertical_lever_m)
         self._half_engaged = self.body.half_engaged and vehicle.has_lock
         self._rng = random.Random(scatter_seed)
         self._scattered: dict[str, tuple[float, float, float]] = {}
         self._guards = propeller_guards(self.body)
         self._reach_m = max(norm(guard.at) for guard in self._guards)
+        walls = (one for one in obstacles if isinstance(one, Wall))
         self.planes = [_plane(wall, frame, self.body.guard_out_m, self._guards) for wall in walls]
         # The point represents the vehicle's side, at a wall and at a post.
         out_m = vehicle.airframe.contact_distance_m - self.body.guard_out_m
+        posts = (one for one in obstacles if isinstance(one, Post))
         self.posts = [_standing_post(post, frame, out_m, self._guards) for post in posts]
         self.on_ground = True
         self.finished: list[TruthContact] = []
@@ -438,21 +437,22 @@ class Plant:
             torque = self._landing_gear_torque(torque)
         self.on_ground = False
         p, v, q, w = self.position, self.velocity, self.q, self.rate
-        a, b, touches = self._contact_accelerations(p, v, q, w, free, torque, obstacles, near_ground)
+        motion = BodyMotion(p, v, q, w)
+        a, b, touches = self._contact_accelerations(motion, free, torque, obstacles, near_ground)
         for i in range(steps):
             mid_p = (p[0] + g * v[0], p[1] + g * v[1], p[2] + g * v[2])
             mid_v = (v[0] + g * a[0], v[1] + g * a[1], v[2] + g * a[2])
             mid_w = (w[0] + g * b[0], w[1] + g * b[1], w[2] + g * b[2])
-            a, b, _ = self._contact_accelerations(
-                mid_p, mid_v, advance_attitude(q, w, g), mid_w, free, torque, obstacles, near_ground
-            )
+            motion = BodyMotion(mid_p, mid_v, advance_attitude(q, w, g), mid_w)
+            a, b, _ = self._contact_accelerations(motion, free, torque, obstacles, near_ground)
             v_before = v
             self.position = p = (p[0] + h * mid_v[0], p[1] + h * mid_v[1], p[2] + h * mid_v[2])
             self.velocity = v = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
             self.rate = w = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
             self.q = q = quaternion_normalise(advance_attitude(q, mid_w, h))
             # Forces at the end of this step and the beginning of the next.
-            a, b, touches = self._contact_accelerations(p, v, q, w, free, torque, obstacles, near_ground)
+            motion = BodyMotion(p, v, q, w)
+            a, b, touches = self._contact_accelerations(motion, free, torque, obstacles, near_ground)
             for (obstacle, c), one in zip(obstacles, touches, strict=True):
                 self._note_contact(obstacle, c, one, self.time_s + i * h, v_before)
         return (
@@ -463,19 +463,19 @@ class Plant:
 
     def _fold(self) -> tuple[float, float, float, float] | None:
         """Return the fold angle of each arm (`propeller_guards.fold_angles`), or None if no arm is folded."""
-        touched = [current for current in self._open.values() if current.fold_share > 0.0]
+        touched = [current for current in self._open.values() if current.start.fold_share > 0.0]
         if not touched:
             return None
         angles = [0.0, 0.0, 0.0, 0.0]
         levers = [rotate(self.q, guard.at) for guard in self._guards]
         for current in touched:
-            obstacle = current.obstacle
+            obstacle = current.start.obstacle
             depths = obstacle.depths
             if depths is None and isinstance(obstacle, _WallPlane):
                 n, o = obstacle.normal, obstacle.ends.plane.point
                 depth = sum(n[i] * (o[i] - self.position[i]) for i in range(3))
                 depths = [max(0.0, depth - n[0] * r[0] - n[1] * r[1] - n[2] * r[2]) for r in levers]
-            swung = fold_angles(self.body, current.fold_share, depths or ())
+            swung = fold_angles(self.body, current.start.fold_share, depths or ())
             angles = [a + b for a, b in zip(angles, swung, strict=True)]
         return (angles[0], angles[1], angles[2], angles[3])
 
@@ -496,35 +496,31 @@ class Plant:
 
     def _contact_accelerations(
         self,
-        p: Vec3,
-        v: Vec3,
-        q: Quaternion,
-        w: Vec3,
+        motion: BodyMotion,
         free: Vec3,
         torque: Vec3,
         obstacles: list[tuple[_Obstacle, Coefficients]],
         near_ground: bool,
     ) -> tuple[Vec3, Vec3, list[Touch]]:
         """Return acceleration (NED), angular acceleration (FRD), and the `Touch` of each obstacle."""
-        sign, lever = self.vehicle.vertical_force_sign, self.body.vertical_lever_m
         force = turned = _NO_FORCE
         touches = []
         for obstacle, c in obstacles:
             if not isinstance(obstacle, _WallPlane):
-                one = obstacle.contact.touch(q, c, self.onset, p, v, w, sign, lever)
+                one = obstacle.contact.touch(c, motion, self._law)
             elif obstacle.near_end:
-                one = obstacle.ends.touch(q, c, self.onset, p, v, w, sign, lever)
+                one = obstacle.ends.touch(c, motion, self._law)
             else:
-                one = touch(self._guards, q, c, self.onset, obstacle.ends.plane, p, v, w, sign, lever)
+                one = touch(self._guards, c, obstacle.ends.plane, motion, self._law)
             touches.append(one)
             if one is not _UNTOUCHED:
                 force, turned = add(force, one.force), add(turned, one.torque)
         self.contact_force_ned, self.contact_torque_frd = force, turned
         if near_ground:
-            force = add(force, self._ground_force(p, v))
+            force = add(force, self._ground_force(motion.position, motion.velocity))
         m, (ix, iy, iz) = self.mass, self._inertia
         acceleration = (free[0] + force[0] / m, free[1] + force[1] / m, free[2] + force[2] / m)
-        roll, pitch, yaw = subtract(add(torque, turned), gyroscopic_torque(self._inertia, w))
+        roll, pitch, yaw = subtract(add(torque, turned), gyroscopic_torque(self._inertia, motion.rate_frd))
         return acceleration, (roll / ix, pitch / iy, yaw / iz), touches
 
     def _move_on_ground(self, pushed: Vec3) -> Vec3:
@@ -616,7 +612,7 @@ class Plant:
         open_contact = self._open.get(obstacle.name)
         if open_contact is not None:
             # Rods and arms do not change while they are loaded: keep the initial values.
-            return open_contact.coefficients
+            return open_contact.start.coefficients
         c = coefficients_in_force(self.vehicle, obstacle.material, self.mode, incidence)
         if self._half_engaged and self.mode is Mode.RIGID:
             flexible = coefficients_in_force(self.vehicle, obstacle.material, Mode.FLEXIBLE, incidence)
@@ -668,22 +664,21 @@ class Plant:
                 t, incidence = obstacle.tangent, wrap_angle(yaw - obstacle.wall.parallel_yaw(yaw))
             else:
                 c = obstacle.ends.coefficients or c
-        vx = n[0] * velocity_before[0] + n[1] * velocity_before[1]
-        vy = t[0] * velocity_before[0] + t[1] * velocity_before[1]
-        position = self.frame.point_from_ned(self.position)
-        current = _OpenContact(
-            obstacle,
-            (n, t),
-            self.mode,
-            c,
-            t_s,
-            vx,
-            vy,
-            position,
-            incidence,
-            tilt_of(self.q),
-            self._fold_share(incidence),
+        start = _ContactStart(
+            obstacle=obstacle,
+            mode=self.mode,
+            coefficients=c,
+            start_s=t_s,
+            normal=n,
+            tangent=t,
+            normal_in=n[0] * velocity_before[0] + n[1] * velocity_before[1],
+            tangential_in=t[0] * velocity_before[0] + t[1] * velocity_before[1],
+            position=self.frame.point_from_ned(self.position),
+            incidence=incidence,
+            tilt=tilt_of(self.q),
+            fold_share=self._fold_share(incidence),
         )
+        current = _OpenContact(start)
         self._open[obstacle.name] = current
         return current
 
@@ -693,28 +688,28 @@ class Plant:
             self._end_contact(current)
 
     def _end_contact(self, current: _OpenContact) -> None:
-        name = current.obstacle.name
+        name = current.start.obstacle.name
         del self._open[name]
         self._scattered.pop(name, None)
-        n, t = current.normal, current.tangent
+        n, t = current.start.normal, current.start.tangent
         v = current.velocity_out
         self.finished.append(
             TruthContact(
-                t_us=self._stamp(current.start_s),
+                t_us=self._stamp(current.start.start_s),
                 end_us=self._stamp(current.last_s),
                 wall=name,
-                mode=current.mode,
-                normal_in_m_s=current.normal_in,
-                tangential_in_m_s=current.tangential_in,
+                mode=current.start.mode,
+                normal_in_m_s=current.start.normal_in,
+                tangential_in_m_s=current.start.tangential_in,
                 normal_out_m_s=n[0] * v[0] + n[1] * v[1],
                 tangential_out_m_s=t[0] * v[0] + t[1] * v[1],
                 peak_normal_force_n=current.peak_normal,
                 peak_friction_force_n=current.peak_friction,
-                position_mission=current.position,
-                incidence_rad=current.incidence,
-                tilt_rad=current.tilt,
+                position_mission=current.start.position,
+                incidence_rad=current.start.incidence,
+                tilt_rad=current.start.tilt,
                 rate_out_frd=current.rate_out,
-                lead_m=2.0 * self.body.guard_along_m * math.sin(current.incidence),
+                lead_m=2.0 * self.body.guard_along_m * math.sin(current.start.incidence),
                 peak_torque_nm=current.peak_torque,
             )
         )
@@ -770,19 +765,17 @@ class Plant:
         )
 
 
-def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: int = 0) -> Plant:
+def make_plant(mission: Mission, seed: int = 0) -> Plant:
     """Return the vehicle on the ground below a mission's start; arms with a lock are unlocked."""
     flat = mission.frame_at((0.0, 0.0, 0.0))
     x, y = mission.start
     start_ned = flat.point_to_ned((x, y, 0.0))
     return Plant(
         mission.vehicle,
-        (*mission.flat_walls, *mission.simulated_walls),
+        (*mission.flat_walls, *mission.simulated_walls, *mission.posts),
         mission.frame_at(start_ned),
         start_ned,
-        motors=motors,
-        scatter_seed=seed,
-        posts=mission.posts,
+        seed,
     )
 
 

@@ -30,6 +30,7 @@ from dart_flight.sim.px4.bridge import (
     accelerometer_output,
     geodetic,
     servo_channel,
+    with_motors,
 )
 from tests.doubles.fake_px4 import FakePx4
 
@@ -66,6 +67,15 @@ def received_messages(fake: FakePx4, name: str) -> list[Any]:
 
 def mode_of(vehicle: Px4Vehicle) -> str:
     return vehicle.plant.mode.value
+
+
+def test_the_plant_has_the_motors_of_px4s_parameters(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+    own = mission.vehicle.airframe
+    assert own.arm_x_m is not None
+    wider = tuple(msgspec.structs.replace(motor, x_m=1.5 * motor.x_m) for motor in own.motors)
+    vehicle = Px4Vehicle(with_motors(mission, wider), 1, pair[0])
+    assert vehicle.plant.motors == wider
+    assert vehicle.plant.mass == own.mass_kg
 
 
 def test_px4_answers_every_tick_on_the_simulators_clock(

@@ -14,7 +14,7 @@ from dart_flight.base.records import Mode, TruthContact
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody, VehicleConfig
 from dart_flight.contact.law import Onset
-from dart_flight.contact.propeller_guards import Plane, propeller_guards, touch
+from dart_flight.contact.propeller_guards import BodyMotion, GuardLaw, Plane, propeller_guards, touch
 from dart_flight.sim.plant import Plant
 from tests.oracles.rigid_body import Body, Law, fly
 from tests.sim.test_plant import HOVER, VEHICLE
@@ -208,9 +208,8 @@ def test_friction_never_adds_energy(
 
     def power(friction: float) -> float:
         c = Coefficients(4200.0, 15.0, friction, 0.0)
-        contact_load = touch(
-            propeller_guards(contact), q, c, Onset.LCP, plane, where, velocity, rate, -1, 0.0
-        )
+        motion = BodyMotion(where, velocity, q, rate)
+        contact_load = touch(propeller_guards(contact), c, plane, motion, GuardLaw(Onset.LCP, -1, 0.0))
         linear = sum(f * v for f, v in zip(contact_load.force, velocity, strict=True))
         return linear + sum(t * w for t, w in zip(contact_load.torque, rate, strict=True))
 

@@ -43,7 +43,7 @@ def drifting_plant(
     rate: float = 0.0,
 ) -> Plant:
     """Return a plant in the air without motors or gravity; the mission frame is north and west."""
-    plant = Plant(vehicle, walls, MissionFrame(), posts=posts)
+    plant = Plant(vehicle, (*walls, *posts), MissionFrame())
     plant.position = plant.frame.point_to_ned((*place, 5.0))
     plant.velocity = plant.frame.vector_to_ned((*velocity, 0.0))
     plant.q = quaternion_from_euler(tilt, 0.5 * tilt, -yaw)

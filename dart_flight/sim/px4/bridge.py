@@ -165,15 +165,22 @@ class HilLink:
             self._socket.close()
 
 
+def with_motors(mission: Mission, motors: tuple[Motor, ...]) -> Mission:
+    """Return a mission whose vehicle has other motors, such as the motors of PX4's parameters."""
+    airframe = msgspec.structs.replace(mission.vehicle.airframe, listed=motors, arm_x_m=None, arm_y_m=None)
+    return msgspec.structs.replace(
+        mission, vehicle=msgspec.structs.replace(mission.vehicle, airframe=airframe)
+    )
+
+
 class Px4Vehicle:
     """Plant, sensors and lock servo behind a HIL link.
 
     Args:
-        mission: mission with walls, start and vehicle.
+        mission: mission with walls, start and vehicle; its motors are those of PX4's parameters.
         seed: seed of every sensor's noise.
         link: link to PX4.
         position_from: source of the position, motion capture (no GPS) or a GPS receiver.
-        motors: the airframe's motors according to PX4's parameters; default: motors of the configuration.
         sends_poses: whether the poses of the simulated motion capture go to PX4 over this link.
 
     Attributes:
@@ -186,12 +193,11 @@ class Px4Vehicle:
         seed: int,
         link: SensorLink,
         position_from: PositionSource = PositionSource.MOCAP,
-        motors: tuple[Motor, ...] | None = None,
         sends_poses: bool = True,
     ) -> None:
         self.vehicle, self._link, self._sends_poses = mission.vehicle, link, sends_poses
         self.pose: tuple[float, Vec3, Quaternion] | None = None
-        self.plant = make_plant(mission, motors, seed)
+        self.plant = make_plant(mission, seed)
         noise = GaussianNoise(random.Random(seed))
         self._imu = ImuSensor(self.vehicle, noise)
         self._pose = PoseSensor(self.vehicle, noise) if position_from is PositionSource.MOCAP else None

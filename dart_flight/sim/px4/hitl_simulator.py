@@ -22,7 +22,7 @@ from dart_flight.sim.embedded_autopilot import TICK_S
 from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.pipe import HitlSpec, LineWriter, Ready, SimulatorDied, SimulatorSpec
 from dart_flight.sim.plant import Plant
-from dart_flight.sim.px4.bridge import Px4LostError, Px4Vehicle
+from dart_flight.sim.px4.bridge import Px4LostError, Px4Vehicle, with_motors
 from dart_flight.sim.px4.hitl_link import HitlLink, open_port
 from dart_flight.sim.served_world import STALL_S, TerminatedError, WorldLog, raise_terminated, serve
 
@@ -87,9 +87,10 @@ class HitlSimulator:
 
     def _fly(self, link: HitlLink, writer: LineWriter, commands: IO[bytes]) -> None:
         self._link = link
-        self._vehicle = Px4Vehicle(
-            self._mission, self._spec.seed, link, self._hitl.position_from, self._hitl.motors
-        )
+        mission = self._mission
+        if self._hitl.motors is not None:
+            mission = with_motors(mission, self._hitl.motors)
+        self._vehicle = Px4Vehicle(mission, self._spec.seed, link, self._hitl.position_from)
         self._start_s = time.monotonic()
         end_s = self._start_s + _FIRST_S
         while not link.answered:

@@ -26,7 +26,7 @@ from dart_flight.sim.lockstep import Lockstep
 from dart_flight.sim.pipe import LineWriter, Px4SimulatorSpec, Ready, SimulatorDied, SimulatorSpec
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.pose_feed import EmulatedMotionCapture
-from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle
+from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle, with_motors
 from dart_flight.sim.px4.launch import (
     ONBOARD_PORT,
     Instance,
@@ -137,12 +137,12 @@ class Px4Simulator:
     # -- flight --
 
     def _fly(self, px4: Px4, link: HilLink, writer: LineWriter, commands: IO[bytes]) -> None:
+        motors = motors_from(values_of(self._px4_spec.parameters), self._mission.vehicle)
         self._vehicle = Px4Vehicle(
-            self._mission,
+            with_motors(self._mission, motors),
             self._spec.seed,
             link,
             self._px4_spec.position_from,
-            motors_from(values_of(self._px4_spec.parameters), self._mission.vehicle),
             sends_poses=self._spec.mocap is None,
         )
         if self._spec.mocap is not None:
