@@ -23,6 +23,7 @@ class ApproachGrid(NamedTuple):
     """The approach of every candidate to the first wall; arrays that broadcast with the velocities.
 
     Attributes:
+        wall: the first wall, where the approach assumes it; the wall that is hit may be displaced.
         codes: reason to refuse the approach (`Refusal`), 0 if it can be flown.
         impact_x, impact_y: point at which the centre reaches the wall's plane, mission frame, m.
         begin_x, begin_y: point at which the run-up starts, mission frame, m.
@@ -30,6 +31,7 @@ class ApproachGrid(NamedTuple):
         transit_s: duration of the transit from the task's `start` to the run-up point.
     """
 
+    wall: Wall
     codes: Codes
     impact_x: Array
     impact_y: Array
@@ -56,7 +58,7 @@ def approach_grid(
     distance_m = np.hypot(begin[0] - sx, begin[1] - sy)
     transit = transit_time_s(distance_m, flying.transit_speed_m_s, flying.acceleration_m_s2, flying.jerk_m_s3)
     codes = np.zeros(np.shape(speed), dtype=np.int8)
-    grid = ApproachGrid(codes, *impact, *begin, impact_time_s(length, speed, ramp), transit)
+    grid = ApproachGrid(wall, codes, *impact, *begin, impact_time_s(length, speed, ramp), transit)
     if constraints is None:
         return grid
     mark = constraints.mark

@@ -278,15 +278,9 @@ def _rename_walls(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> U
 
 
 def _rollout(task: MissionTask, flight: FreeFlight, walls: Mapping[str, Wall] | None = None) -> Rollout:
-    """Return the rollout of a task's only candidate.
-
-    If `walls` are given, the vehicle flies into these walls. The approach still assumes the task's wall.
-    """
-    sequence = tuple(task.walls)
-    if walls is None:
-        return Rollout(task, sequence, flight, None, keep_hits=True)
-    there = task._replace(walls=task.walls | dict(walls))
-    return Rollout(there, sequence, flight, None, keep_hits=True, approached=task.walls[sequence[0]])
+    """Return the rollout of a task's only candidate; if `walls` are given, the vehicle hits these walls."""
+    there = task._replace(walls=task.walls | dict(walls or {}))
+    return Rollout(there, tuple(task.walls), flight, None, keep_hits=True)
 
 
 def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:

@@ -107,6 +107,26 @@ class Arrivals(NamedTuple):
     hits: tuple[Hits, ...]
 
 
+class _Impacts(NamedTuple):
+    """Candidates at their impact on one wall; arrays (n,).
+
+    `position` and `velocity` are those of the impact, the velocity in the wall's frame. `normal` and
+    `tangential` are the results of the contact.
+    """
+
+    wall: Wall
+    number: int  # of the wall in the sequence, from 1
+    rows: Rows
+    modes: Rows
+    t_s: Array
+    force_n: Array
+    hits: tuple[Hits, ...]
+    position: tuple[Array, Array]
+    velocity: tuple[Array, Array]
+    normal: NormalOut
+    tangential: TangentialOut
+
+
 class _Released(NamedTuple):
     """Candidates released from a wall; arrays (n,)."""
 
@@ -199,7 +219,6 @@ class Rollout:
         flight: the loop's tables, shared between rollouts.
         constraints: constraints of the task, or None to fly every candidate to its end (for comparisons).
         keep_hits: whether arrivals contain their collisions.
-        approached: the first wall, as the approach assumes it; None to use the task's wall.
     """
 
     def __init__(
@@ -209,11 +228,10 @@ class Rollout:
         flight: FreeFlight,
         constraints: Constraints | None,
         keep_hits: bool = False,
-        approached: Wall | None = None,
     ) -> None:
         self.task, self.flight, self.constraints = task, flight, constraints
         self.walls = [task.walls[name] for name in sequence]
-        self.keep_hits, self._approached = keep_hits, approached
+        self.keep_hits = keep_hits
         self.refused = np.zeros(len(REFUSALS) + 1, dtype=np.int64)
         self._goal: Vec2 = task.goal.position_m
 
@@ -234,7 +252,8 @@ class Rollout:
         Args:
             stages: contact stages of this draw.
             normal, tangential: planned velocities; arrays that broadcast with each other.
-            grid: result of `approach` for these velocities.
+            grid: result of `approach` for these velocities, of this rollout or of one in which the walls are
+                elsewhere: a vehicle hits the wall where it is, and approaches it where it was planned.
             draw: random values, or None for the nominal values. Only the offsets of the approach velocity are
                 used here, because stages and walls already contain the other values.
         """
@@ -276,9 +295,9 @@ class Rollout:
         wall = self.walls[0]
         stage = stages[wall.name, self.task.modes[mode]]
         shift_n, shift_t = (0.0, 0.0) if draw is None else (draw.normal_m_s, draw.tangential_m_s)
-        if self._approached is not None:
+        if grid.wall is not wall:
             grid, normal, tangential, shift_n, shift_t = _actual_approach(
-                wall, self._approached, grid, normal, tangential, (shift_n, shift_t)
+                wall, grid, normal, tangential, (shift_n, shift_t)
             )
         bn, bt = drag_along(wall, self.task.vehicle.airframe.drag_per_s)
         vn = normal if draw is None else np.minimum(normal + shift_n, -1e-3)
@@ -313,25 +332,16 @@ class Rollout:
         x = grid.impact_x.ravel()[rows] + nx * onset + tx * back
         y = grid.impact_y.ravel()[rows] + ny * onset + ty * back
         time = grid.impact_s.ravel()[rows] - stage.lead_s
-        start = (rows, np.full(rows.size, mode), time, np.zeros(rows.size), ())
-        return self._release(stage, wall, 1, (x, y), (n, t), flat, start)
+        modes, force = np.full(rows.size, mode), np.zeros(rows.size)
+        return self._release(stage, _Impacts(wall, 1, rows, modes, time, force, (), (x, y), (n, t), *flat))
 
-    def _release(
-        self,
-        stage: ContactStage,
-        wall: Wall,
-        number: int,
-        position: tuple[Array, Array],
-        velocity: tuple[Array, Array],
-        out: tuple[NormalOut, TangentialOut],
-        before: tuple[Rows, Rows, Array, Array, tuple[Hits, ...]],
-    ) -> _Released | None:
-        """Return the candidates released from contact `number`.
+    def _release(self, stage: ContactStage, impacts: _Impacts) -> _Released | None:
+        """Return the candidates released from a contact.
 
         Candidates whose recovery exceeds a limit are removed.
         """
-        (n, t), (nx, ny), (tx, ty) = out, wall.normal, wall.tangent
-        rows, modes, time, force, hits = before
+        wall, number, rows, modes, time, force, hits, position, velocity, n, t = impacts
+        (nx, ny), (tx, ty) = wall.normal, wall.tangent
 
         def mission(normal: Array, tangential: Array) -> tuple[Array, Array]:
             return nx * normal + tx * tangential, ny * normal + ty * tangential
@@ -481,7 +491,7 @@ class Rollout:
                 front, out, slide = front.select(stays), _select_rows(out, stays), _select_rows(slide, stays)
                 x, y, vn, vt, time = (v[stays] for v in (x, y, vn, vt, time))
         before = (front.rows, front.modes, time, front.force_n, front.hits)
-        return self._release(stage, wall, number, (x, y), (vn, vt), (out, slide), before)
+        return self._release(stage, _Impacts(wall, number, *before, (x, y), (vn, vt), out, slide))
 
     # -- to the goal --
 
@@ -562,7 +572,6 @@ _NONE = np.zeros(0, dtype=np.intp)
 
 def _actual_approach(
     wall: Wall,
-    planned: Wall,
     grid: ApproachGrid,
     normal: Array,
     tangential: Array,
@@ -579,7 +588,7 @@ def _actual_approach(
         tangential velocity. All velocities are in the true wall's frame.
     """
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
-    (ox, oy), (sx, sy) = planned.normal, planned.tangent
+    (ox, oy), (sx, sy) = grid.wall.normal, grid.wall.tangent
     across = (nx * ox + ny * oy, nx * sx + ny * sy)
     along = (tx * ox + ty * oy, tx * sx + ty * sy)
     vx, vy = ox * normal + sx * tangential, oy * normal + sy * tangential

@@ -324,7 +324,7 @@ class ScenarioSearch:
         if not draw.walls:
             return planned
         there = msgspec.structs.replace(self.scenario, walls=self.scenario.walls | draw.walls)
-        return Rollout(there, sequence, self.flight, Constraints(there), approached=planned.walls[0])
+        return Rollout(there, sequence, self.flight, Constraints(there))
 
     def _with_misses(self, c: Candidates, misses: Array) -> Candidates:
         loss = max(_MIN_LOSS_M, distance2(self.scenario.start, self.scenario.goal.position_m))
