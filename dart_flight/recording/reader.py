@@ -7,7 +7,7 @@ import struct
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Final
 
 import msgspec
 from mcap.exceptions import EndOfFile, McapError
@@ -25,7 +25,7 @@ from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
 if TYPE_CHECKING:
     from dart_flight.recording.topics import Topic, Topics
 
-IN_MEMORY = "<memory>"  # source of a log without a file
+IN_MEMORY: Final = "<memory>"  # source of a log without a file
 # The writer's chunks have one megabyte; the limit keeps damaged lengths from allocating gigabytes.
 MAX_BYTES = 64 * 1024 * 1024
 MAGIC = b"\x89MCAP0\r\n"

@@ -23,7 +23,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import msgspec
 
@@ -108,10 +108,10 @@ class LockThread:
     """Thread that runs the lock's state machine on the core's time base. The driver may block this thread.
 
     Args:
-        make_session: function that makes the session, which contains the state machine and the driver. The
-            thread calls this function only when the autopilot's time is known. Otherwise the lock's stamps
-            could be later than the autopilot's time.
-        states: queue in which the session puts the lock's states, in order.
+        make_session: function that makes the session, which contains the state machine and the driver. Its
+            argument is the callback that the session calls with each state. The thread calls the function
+            only when the autopilot's time is known. Otherwise the lock's stamps could be later than the
+            autopilot's time.
         clock_known: function that returns whether the autopilot's time is known.
         deliver: callback for every state of the lock.
         after_poll: callback after every poll of the driver.
@@ -121,15 +121,15 @@ class LockThread:
 
     def __init__(
         self,
-        make_session: Callable[[], LockSession],
-        states: queue.SimpleQueue[LockState],
+        make_session: Callable[[Callable[[LockState], None]], LockSession],
         clock_known: Callable[[], bool],
         deliver: Callable[[LockState], None],
         after_poll: Callable[[], None],
         lockstep: StepReporter | None = None,
     ) -> None:
-        self._make_session, self._states, self._deliver = make_session, states, deliver
+        self._make_session, self._deliver = make_session, deliver
         self._clock_known, self._after_poll = clock_known, after_poll
+        self._states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
         self._lockstep, self._due_us = lockstep, 0.0
         self._orders: queue.SimpleQueue[LockCommand | LockPermission | None] = queue.SimpleQueue()
         self._stop = threading.Event()
@@ -163,7 +163,7 @@ class LockThread:
         while not self._clock_known():
             if self._stop.wait(_LOCK_PERIOD_S):
                 return
-        session = self._make_session()
+        session = self._make_session(self._states.put)
         session.start()
         while not self._stop.is_set():
             travels = session.state.phase is LockPhase.TRAVELLING
@@ -191,6 +191,43 @@ class LockThread:
                 self._lockstep.close()
 
 
+class WorldLink(NamedTuple):
+    """The link to a simulated world, and the clock that the app shares with it.
+
+    Attributes:
+        world: process of the world.
+        clock: autopilot's clock, or None if the autopilot's time advances with real time.
+        lockstep: whether the world waits for this program. If so, the program's clock is simulated time.
+        lock_faults: faults of the mock servo from the start of the flight.
+        mocap_url: URL of the emulated motion capture, or None to use the vehicle's `mocap.url`.
+    """
+
+    world: Simulator
+    clock: Clock | None = None
+    lockstep: bool = False
+    lock_faults: MockFaults | None = None
+    mocap_url: str | None = None
+
+
+class AppOptions(NamedTuple):
+    """Settings of the command that flies.
+
+    Attributes:
+        progress: callback for every record. It runs on a separate thread, because a terminal may block.
+        deadman_note: file in which the deadman reports why it killed the program, or None for no deadman.
+        opened: callback for the moment when the link is open.
+        unwanted: numbers of MAVLink messages; the app asks the vehicle not to send them on this link.
+    """
+
+    progress: Progress = lambda record: None
+    deadman_note: Path | None = None
+    opened: Callable[[], None] = lambda: None
+    unwanted: Sequence[int] = ()
+
+
+_DEFAULT_OPTIONS = AppOptions()
+
+
 class FlightApp:
     """One flight over MAVSDK.
 
@@ -198,15 +235,8 @@ class FlightApp:
         mission: mission to fly.
         url: MAVSDK connection URL.
         observe: callback for every record and the record's input number, on the core thread.
-        world: simulated world, or None for a real vehicle.
-        progress: callback for every record. It runs on a separate thread, because a terminal may block.
-        clock: autopilot's clock, or None if the autopilot's time advances with real time.
-        deadman_note: file in which the deadman reports why it killed the program, or None for no deadman.
-        lock_faults: faults of the mock servo from the start of the flight.
-        opened: callback for the moment when the link is open.
-        unwanted: numbers of MAVLink messages; the app asks the vehicle not to send them on this link.
-        lockstep: whether the world waits for this program. If so, the program's clock is simulated time.
-        mocap_url: URL of the source of the forwarded poses, or None to use the vehicle's `mocap.url`.
+        options: what the command sets.
+        world_link: link to the simulated world, or None for a real vehicle.
 
     Attributes:
         loop: event loop during the flight.
@@ -218,28 +248,24 @@ class FlightApp:
         mission: Mission,
         url: str,
         observe: Observe,
-        world: Simulator | None = None,
-        progress: Progress = lambda record: None,
-        clock: Clock | None = None,
-        deadman_note: Path | None = None,
-        lock_faults: MockFaults | None = None,
-        opened: Callable[[], None] = lambda: None,
-        unwanted: Sequence[int] = (),
-        lockstep: bool = False,
-        mocap_url: str | None = None,
+        options: AppOptions = _DEFAULT_OPTIONS,
+        world_link: WorldLink | None = None,
     ) -> None:
-        self._mission, self._url, self._observe = mission, url, observe
-        self._world, self._progress = world, progress
-        assert world is not None or not lockstep
-        self._mocap_url = mocap_url or mission.vehicle.mocap.url
+        self._mission, self._url, self._observe, self._options = mission, url, observe, options
+        self._world: Simulator | None = None
+        self._clock: Clock | None = None
         self._lockstep: StepReporter | None = None
-        if world is not None and lockstep:
-            self._lockstep = StepReporter(world.send_line, batches=self._mocap_url is None)
-        self._clock: Clock | None = clock if self._lockstep is None else self._lockstep.clock
+        self._lock_faults: MockFaults | None = None
+        self._mocap_url = mission.vehicle.mocap.url
+        if world_link is not None:
+            self._world, self._clock = world_link.world, world_link.clock
+            self._lock_faults = world_link.lock_faults
+            self._mocap_url = world_link.mocap_url or self._mocap_url
+            if world_link.lockstep:
+                self._lockstep = StepReporter(world_link.world.send_line, batches=self._mocap_url is None)
+                self._clock = self._lockstep.clock
         self._host_us = host_us if self._clock is None else self._clock.host_us
         self._shown: deque[Record] = deque()
-        self._deadman_note, self._lock_faults, self._opened = deadman_note, lock_faults, opened
-        self._unwanted = unwanted
         self._deadman: Deadman | None = None
         self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
@@ -280,7 +306,7 @@ class FlightApp:
         self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
         async with connect(
-            self._url, timeout_s, self._core.arrive, clock=self._clock, opened=self._opened
+            self._url, timeout_s, self._core.arrive, clock=self._clock, opened=self._options.opened
         ) as session:
             self._session = session
             unanswered = await session.measure_link(timeout_s)
@@ -316,7 +342,7 @@ class FlightApp:
             # In lockstep a round trip takes no time.
             measuring = None if self._lockstep else asyncio.create_task(session.keep_measuring())
             try:
-                await session.stop_messages(self._unwanted)
+                await session.stop_messages(self._options.unwanted)
                 await session.set_rates()
                 if self._lockstep is not None:
                     self._lockstep.begin()
@@ -374,8 +400,8 @@ class FlightApp:
         systemd = SystemdNotice()
         systemd.ready(f"flying {self._mission.name}")
         starve_s = self._mission.vehicle.guard.deadman_s
-        if self._deadman_note is not None:
-            self._deadman = Deadman(starve_s, self._deadman_note)
+        if self._options.deadman_note is not None:
+            self._deadman = Deadman(starve_s, self._options.deadman_note)
             self._deadman.arm()
         try:
             while True:
@@ -394,7 +420,7 @@ class FlightApp:
             while self._shown:
                 with contextlib.suppress(OSError):
                     while self._shown:
-                        self._progress(self._shown.popleft())
+                        self._options.progress(self._shown.popleft())
 
     async def _watch(self, session: VehicleSession) -> None:
         while not self._done.is_set():
@@ -485,7 +511,6 @@ class FlightApp:
         if self._world is not None and self.mock is None and config.driver is not LockDriver.PX4:
             # With a real servo and a simulated vehicle, a modelled horn moves the simulated arms.
             driver = DriverWithModelledHorn(driver, config, clock_us)
-        states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
         sent: list[float] = []
 
         def after_poll() -> None:
@@ -497,8 +522,7 @@ class FlightApp:
                     self._world.send_horn(pulse)
 
         return LockThread(
-            lambda: LockSession(config, driver, clock_us, states.put),
-            states,
+            lambda keep: LockSession(config, driver, clock_us, keep),
             lambda: session.clock.offset_us is not None,
             self._handle_lock_state,
             after_poll,

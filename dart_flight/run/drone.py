@@ -8,7 +8,7 @@ from pathlib import Path
 from dart_flight.base.records import World
 from dart_flight.config.mission import Mission
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run.app import FlightApp
+from dart_flight.run.app import AppOptions, FlightApp
 from dart_flight.run.computer import ComputerWatch
 from dart_flight.run.embedded import DEADMAN_NOTE
 from dart_flight.run.flight_record import FlightRecord, Onlooker
@@ -43,11 +43,13 @@ def fly_vehicle(
         with LinkLease(url, "fly") as own:
             return fly_vehicle(mission, url, log_dir, progress, own, viewer)
     mission = with_px4_delays(mission)
-    record = FlightRecord(mission, World.DRONE, None, log_dir, viewer=viewer)
+    record = FlightRecord(mission, World.DRONE, None, log_dir)
+    if viewer is not None:
+        record.viewers.append(viewer)
     try:
         note = record.folder / DEADMAN_NOTE
         lease.store_log_path(record.path)
-        app = FlightApp(mission, url, record, None, progress, deadman_note=note, opened=lease.lock_device)
+        app = FlightApp(mission, url, record, AppOptions(progress, note, lease.lock_device))
         record.notice = app.show
         with ComputerWatch(record.truth):
             asyncio.run(app.run())

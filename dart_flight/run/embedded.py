@@ -12,7 +12,7 @@ from dart_flight.base.records import World
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.recording.verdict import TimeKind, Verdict
-from dart_flight.run.app import FlightApp
+from dart_flight.run.app import AppOptions, FlightApp, WorldLink
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.prepare import emulated_kind
 from dart_flight.run.program_fault import ProgramFault
@@ -60,7 +60,9 @@ def fly_embedded(
     """
     require_mavlink()
     drawn = draw_world(mission, seed, spreads or {})
-    record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn, viewer=viewer)
+    record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn)
+    if viewer is not None:
+        record.viewers.append(viewer)
     try:
         port, lease = acquire_free_link("dry-run", record.path)
     except InputError:
@@ -83,18 +85,8 @@ def fly_embedded(
         note = record.folder / DEADMAN_NOTE if deadman and realtime else None
         url = f"udpin://127.0.0.1:{port}"
         clock = LockstepClock(speed) if realtime and speed != 1.0 else None
-        app = FlightApp(
-            mission,
-            url,
-            record,
-            world,
-            progress,
-            clock,
-            note,
-            drawn.lock_faults,
-            lockstep=not realtime,
-            mocap_url=world.mocap_url,
-        )
+        world_link = WorldLink(world, clock, not realtime, drawn.lock_faults, world.mocap_url)
+        app = FlightApp(mission, url, record, AppOptions(progress, note), world_link)
         if fault is not None:
             record.onlookers.append(ProgramFault(fault, app, world, record.path))
         return app

@@ -57,9 +57,10 @@ from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.lock_session import LockSession
 from dart_flight.planning.contact_fit import FIT_US, ContactFitter
 from dart_flight.planning.replanner import Replanner
+from dart_flight.recording.reader import IN_MEMORY
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fault_injection import FlightWithFault, Order, TimeRequest
-from dart_flight.run.flight_record import FlightRecord, Onlooker
+from dart_flight.run.flight_record import FlightRecord, LogPlace, Onlooker
 from dart_flight.run.runner import CoreRunner, Observe
 from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.draws import DrawnWorld, draw_world
@@ -147,28 +148,29 @@ class FastFlight:
     Args:
         mission: mission to fly.
         seed: seed of the sensor noise.
-        driver: lock driver, `mock` or `px4`; the other drivers do not work in simulated time. For a vehicle
-            without a lock, the driver is ignored.
-        faults: faults of the mock servo.
         observe: callback that receives each input with the input's number. Afterwards the callback receives,
             with the same number, each output and note (such as `SetpointSent`) that the input causes.
         fault: fault to inject, with its time.
-        world: simulated world that differs at random from the mission (`sim.draws`), or None for a world
-            without differences.
+        world: simulated world that differs at random from the mission (`sim.draws`), with the faults of the
+            mock servo, or None for a world without differences.
+
+    A lock driver that does not work in simulated time is replaced by `mock`.
     """
 
     def __init__(
         self,
         mission: Mission,
         seed: int,
-        driver: LockDriver = LockDriver.MOCK,
-        faults: MockFaults | None = None,
         observe: Observe | None = None,
         fault: Fault | None = None,
         world: DrawnWorld | None = None,
     ) -> None:
         self.mission = mission
-        true = mission if world is None else world.mission
+        if world is None:
+            world = DrawnWorld(mission, None, {})
+        true, driver = world.mission, mission.vehicle.lock_driver or LockDriver.MOCK
+        if not DRIVERS[driver].simulated:
+            driver = LockDriver.MOCK
         self.vehicle = SimulatedVehicle(true, seed, driver)
         self.autopilot = self.vehicle.autopilot
         self.autopilot.send_text = self._on_text
@@ -196,7 +198,7 @@ class FastFlight:
         self.mock: MockDriver | None = None
         self.lock: LockSession | None = None
         if mission.vehicle.lock is not None:
-            self.lock = self._make_lock(mission.vehicle.lock, driver, faults)
+            self.lock = self._make_lock(mission.vehicle.lock, driver, world.lock_faults)
         self.poses: FastPoses | None = None
         if mission.vehicle.mocap.url is not None:
             self.poses = self._make_poses()
@@ -460,14 +462,16 @@ def fly_fast(
     Raises:
         InputError: the log cannot be written, or the lock driver does not work in simulated time.
     """
-    driver = simulated_driver(mission)
+    simulated_driver(mission)
     world = draw_world(mission, seed, spreads or {})
-    faults = lock_faults or world.lock_faults
-    record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn, in_memory=keep_record is not None)
+    if lock_faults is not None:
+        world = world._replace(lock_faults=lock_faults)
+    keep_in: LogPlace = IN_MEMORY if log_dir is None and keep_record is not None else log_dir
+    record = FlightRecord(mission, World.FAST, seed, keep_in, world.drawn)
     if progress is not None:
         record.onlookers.append(progress)
         record.notice = progress
-    flight = FastFlight(mission, seed, driver, faults=faults, observe=record, fault=fault, world=world)
+    flight = FastFlight(mission, seed, observe=record, fault=fault, world=world)
     flight.run()
     record.close()
     if keep_record is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
@@ -19,6 +20,7 @@ from dart_flight.recording.verdict import TimeKind, Verdict, VerdictBuilder
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 
 Onlooker = Callable[[Record], None]
+LogPlace = Path | Literal["<memory>"] | None  # the folder for the flight's folder, memory, or nowhere
 
 
 class MemoryLog:
@@ -49,10 +51,8 @@ class FlightRecord:
         mission: mission that is flown.
         world: world of the flight.
         seed: seed of a simulated flight, or None.
-        log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
+        log_dir: folder for the flight's folder, `IN_MEMORY`, or None for no log (campaigns).
         drawn: random quantities of the simulated world: name -> value.
-        viewer: callback to put into `viewers`, or None.
-        in_memory: whether to keep the log in memory if `log_dir` is None.
 
     Attributes:
         onlookers: callbacks for every record, on the thread that produced it.
@@ -69,18 +69,15 @@ class FlightRecord:
         mission: Mission,
         world: World,
         seed: int | None,
-        log_dir: Path | None,
+        log_dir: LogPlace,
         drawn: Mapping[str, float | str] | None = None,
-        *,
-        viewer: Onlooker | None = None,
-        in_memory: bool = False,
     ) -> None:
         self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
         self.verdict = VerdictBuilder(mission)
         # Most records are irrelevant to the verdict and are skipped here.
         self._handlers = self.verdict.handlers
         self.onlookers: list[Onlooker] = []
-        self.viewers: list[Onlooker] = [] if viewer is None else [viewer]
+        self.viewers: list[Onlooker] = []
         self.notice: Onlooker = lambda record: None
         self._fails = False
         self.time: TimeKind | None = None
@@ -89,11 +86,14 @@ class FlightRecord:
         )
         self._last: tuple[int, float] | None = None
         self._log: FlightLog | MemoryLog | None = None
-        if log_dir is not None or in_memory:
+        if log_dir is not None:
             about = describe_flight(mission, world, seed)
             if drawn:
                 about["drawn"] = msgspec.json.encode(self._drawn).decode()
-            self._log = MemoryLog(about) if log_dir is None else _open_log(mission.name, log_dir, about)
+            if isinstance(log_dir, Path):
+                self._log = _open_log(mission.name, log_dir, about)
+            else:
+                self._log = MemoryLog(about)
 
     @property
     def path(self) -> Path:

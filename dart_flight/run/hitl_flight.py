@@ -11,7 +11,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import Motor
 from dart_flight.recording.verdict import TimeKind, Verdict
-from dart_flight.run.app import FlightApp
+from dart_flight.run.app import AppOptions, FlightApp, WorldLink
 from dart_flight.run.computer import ComputerWatch
 from dart_flight.run.embedded import DEADMAN_NOTE
 from dart_flight.run.flight_record import FlightRecord, Onlooker
@@ -62,23 +62,18 @@ def fly_hitl(
     mission = with_px4_delays(mission)
     drawn = draw_world(mission, seed, spreads or {})
     with LinkLease(url, "dry-run --hitl") as lease, LinkLease(hitl_url, "dry-run --hitl"):
-        record = FlightRecord(mission, World.HITL, seed, log_dir, drawn.drawn, viewer=viewer)
+        record = FlightRecord(mission, World.HITL, seed, log_dir, drawn.drawn)
+        if viewer is not None:
+            record.viewers.append(viewer)
         record.time = TimeKind.REALTIME
         lease.store_log_path(record.path)
         hitl = HitlSpec(hitl_url, motors, position_from)
         spec = SimulatorSpec(mission, seed, [], hitl=hitl, spreads=dict(spreads or {}))
 
         def make_app(world: SimulatorProcess) -> FlightApp:
-            return FlightApp(
-                mission,
-                url,
-                record,
-                world,
-                progress,
-                deadman_note=record.folder / DEADMAN_NOTE,
-                opened=lease.lock_device,
-                unwanted=[_HIL_ACTUATOR_CONTROLS],
-            )
+            note = record.folder / DEADMAN_NOTE
+            options = AppOptions(progress, note, lease.lock_device, unwanted=[_HIL_ACTUATOR_CONTROLS])
+            return FlightApp(mission, url, record, options, WorldLink(world))
 
         try:
             with ComputerWatch(record.truth):

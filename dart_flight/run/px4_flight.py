@@ -16,7 +16,7 @@ from dart_flight.lab_entries import PX4_FIGURES, load_entry
 from dart_flight.planning.positioning import frame_problem
 from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.verdict import Px4Figures, TimeKind, Verdict
-from dart_flight.run.app import FlightApp
+from dart_flight.run.app import AppOptions, FlightApp, WorldLink
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.prepare import emulated_kind, with_px4_delays
 from dart_flight.run.program_fault import ProgramFault
@@ -76,7 +76,9 @@ def fly_px4(
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
     motors_from(values_of(parameters), mission.vehicle)  # raises before PX4 starts
     drawn = draw_world(mission, seed, spreads or {})
-    record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn, viewer=viewer)
+    record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn)
+    if viewer is not None:
+        record.viewers.append(viewer)
     folder = record.folder
     px4 = Px4SimulatorSpec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from)
     record.time = TimeKind.REALTIME if realtime else TimeKind.LOCKSTEP
@@ -101,17 +103,9 @@ def fly_px4(
             url = f"udpin://127.0.0.1:{world.port}"
             if realtime:  # PX4 derives the port from its instance
                 leases.enter_context(LinkLease(url, "dry-run --px4", record.path))
-            app = FlightApp(
-                mission,
-                url,
-                record,
-                world,
-                progress,
-                LockstepClock(speed) if realtime else None,
-                lock_faults=drawn.lock_faults,
-                lockstep=not realtime,
-                mocap_url=world.mocap_url,
-            )
+            clock = LockstepClock(speed) if realtime else None
+            world_link = WorldLink(world, clock, not realtime, drawn.lock_faults, world.mocap_url)
+            app = FlightApp(mission, url, record, AppOptions(progress), world_link)
             if fault is not None:
                 record.onlookers.append(ProgramFault(fault, app, world, record.path))
             return app

@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import math
 import os
-import queue
 import signal
 import sys
 import time
@@ -23,6 +22,7 @@ from dart_flight.base.records import LockCommand, LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LockConfig, VehicleConfig
 from dart_flight.lock.drivers import DriverError
 from dart_flight.lock.ground import GroundLock, clock_us, ground_driver
+from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, load_last
 from dart_flight.lock.state_machine import describe, status_text
 from dart_flight.run.app import LockThread
@@ -239,11 +239,14 @@ class Standby:
             ServoInUseError: another process moves the servo.
             DriverError: the driver of the servo cannot be opened.
         """
-        store, states = CommandStore(config.driver), queue.SimpleQueue[LockState]()
+        store = CommandStore(config.driver)
 
-        def keep(state: LockState) -> None:
-            store.store(state)
-            states.put(state)
+        def make_session(keep: Callable[[LockState], None]) -> LockSession:
+            def store_and_keep(state: LockState) -> None:
+                store.store(state)
+                keep(state)
+
+            return GroundLock(config, driver, store_and_keep).session
 
         def handle(state: LockState) -> None:
             self._desk.update_lock(state)
@@ -253,9 +256,7 @@ class Standby:
 
         with ServoOwnership():
             driver = ground_driver(config, load_last(), session.set_actuator)
-            lock = LockThread(
-                lambda: GroundLock(config, driver, keep).session, states, lambda: True, handle, lambda: None
-            )
+            lock = LockThread(make_session, lambda: True, handle, lambda: None)
             lock.thread.start()
             try:
                 yield lock

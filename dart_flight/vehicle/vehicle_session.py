@@ -14,7 +14,7 @@ import queue
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import AsyncIterator, Callable, Collection, Iterable
 from typing import Any, NamedTuple
 
 import msgspec
@@ -635,47 +635,8 @@ class VehicleSession:
         self._server = CommandServer(self._mavsdk, system_id, answer, note)
 
 
-class Connection:
-    """An async context of a MAVSDK instance that is connected to one autopilot."""
-
-    def __init__(
-        self,
-        url: str,
-        timeout_s: float,
-        deliver: Callable[[Input], None],
-        ground: bool,
-        clock: Clock | None,
-        opened: Callable[[], None],
-    ) -> None:
-        self._opened = opened
-        self._url, self._timeout_s, self._deliver, self._clock = url, timeout_s, deliver, clock
-        self._component = ComponentType.GROUND_STATION if ground else ComponentType.COMPANION_COMPUTER
-        self._mavsdk: Any = None
-
-    async def __aenter__(self) -> VehicleSession:
-        sdk_log.redirect()
-        self._mavsdk = Mavsdk(Configuration.create_with_component_type(self._component))
-        await self._mavsdk.__aenter__()
-        try:
-            await self._mavsdk.add_any_connection(self._url)
-            system = await self._mavsdk.first_autopilot(timeout_s=self._timeout_s)
-            if system is None:
-                raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
-        except VehicleError:
-            await self.__aexit__()
-            raise
-        except Exception as error:
-            await self.__aexit__()
-            raise VehicleError(f"cannot open {self._url}: {error}") from error
-        self._opened()
-        return VehicleSession(self._mavsdk, system, self._deliver, self._clock)
-
-    async def __aexit__(self, *exception: object) -> None:
-        with sdk_log.closing():
-            await self._mavsdk.__aexit__(None, None, None)
-
-
-def connect(
+@contextlib.asynccontextmanager
+async def connect(
     url: str,
     timeout_s: float,
     deliver: Callable[[Input], None],
@@ -683,7 +644,7 @@ def connect(
     ground: bool = False,
     clock: Clock | None = None,
     opened: Callable[[], None] = lambda: None,
-) -> Connection:
+) -> AsyncIterator[VehicleSession]:
     """Connect to the first autopilot on a URL: `async with connect(...) as session`.
 
     Args:
@@ -699,4 +660,30 @@ def connect(
     Raises:
         VehicleError: on entering, if the URL cannot be opened or no autopilot answers.
     """
-    return Connection(url, timeout_s, deliver, ground, clock, opened)
+    sdk_log.redirect()
+    component = ComponentType.GROUND_STATION if ground else ComponentType.COMPANION_COMPUTER
+    mavsdk: Any = Mavsdk(Configuration.create_with_component_type(component))
+    await mavsdk.__aenter__()
+    try:
+        system = await _first_autopilot(mavsdk, url, timeout_s)
+        opened()
+        yield VehicleSession(mavsdk, system, deliver, clock)
+    finally:
+        with sdk_log.closing():
+            await mavsdk.__aexit__(None, None, None)
+
+
+async def _first_autopilot(mavsdk: Any, url: str, timeout_s: float) -> Any:
+    """Open the link and return the first autopilot on it.
+
+    Raises:
+        VehicleError: the URL cannot be opened, or no autopilot answers.
+    """
+    try:
+        await mavsdk.add_any_connection(url)
+        system = await mavsdk.first_autopilot(timeout_s=timeout_s)
+    except Exception as error:
+        raise VehicleError(f"cannot open {url}: {error}") from error
+    if system is None:
+        raise VehicleError(f"no autopilot on {url} within {timeout_s:g} s")
+    return system

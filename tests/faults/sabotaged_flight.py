@@ -11,7 +11,7 @@ import msgspec
 
 from dart_flight.base.records import World
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.run.app import FlightApp
+from dart_flight.run.app import AppOptions, FlightApp
 from dart_flight.run.embedded import DEADMAN_NOTE
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.prepare import load_flyable, with_driver
@@ -27,7 +27,7 @@ guard = msgspec.structs.replace(
 vehicle = msgspec.structs.replace(mission.vehicle, guard=guard)
 mission = msgspec.structs.replace(mission, vehicle=vehicle)
 record = FlightRecord(mission, World.DRONE, None, Path(log_dir))
-app = FlightApp(mission, url, record, deadman_note=record.folder / DEADMAN_NOTE)
+app = FlightApp(mission, url, record, AppOptions(deadman_note=record.folder / DEADMAN_NOTE))
 record.onlookers.append(ProgramFault(parse_fault(fault), app))
 try:
     asyncio.run(app.run())

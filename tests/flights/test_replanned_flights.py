@@ -20,7 +20,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.document import Document
 from dart_flight.config.mission import load_mission, parse_mission
-from dart_flight.config.vehicle import LockDriver, packaged
+from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import FastFlight, fly_fast
@@ -32,7 +32,7 @@ SOURCE = packaged("missions", "dual_collision_replan.yaml")
 def fly(settings: list[str], after: AfterImpact = AfterImpact.REPLAN, source: Path = SOURCE) -> list[Record]:
     mission = msgspec.structs.replace(load_mission(source, settings=settings), after_impact=after)
     records: list[Record] = []
-    flight = FastFlight(mission, 5, LockDriver.MOCK, observe=lambda record, number: records.append(record))
+    flight = FastFlight(mission, 5, observe=lambda record, number: records.append(record))
     flight.run()
     assert flight.core.end is not None
     assert flight.core.end.outcome is Outcome.COMPLETED

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import gc
 import os
-import queue
 import signal
 import socket
 import sys
@@ -49,7 +48,7 @@ from dart_flight.base.records import (
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.state_machine import status_text
 from dart_flight.run import app as module
-from dart_flight.run.app import FlightApp, LockThread
+from dart_flight.run.app import AppOptions, FlightApp, LockThread, WorldLink
 from dart_flight.run.operator_buttons import Button
 from dart_flight.run.prepare import load_flyable
 from dart_flight.vehicle.clock import ClockEstimate, host_us
@@ -225,7 +224,7 @@ def test_queued_records_are_shown_before_the_display_thread_ends(
 ) -> None:
     app, _ = make_app(monkeypatch)
     shown: list[Record] = []
-    monkeypatch.setattr(app, "_progress", shown.append)
+    monkeypatch.setattr(app, "_options", AppOptions(shown.append))
     app._ended.set()
     wanted = [LockPermission(i, True) for i in range(records)]
     for record in wanted[:2]:
@@ -244,17 +243,17 @@ def test_queued_records_are_shown_before_the_display_thread_ends(
 class Lock:
     """A double of the lock that records its calls in order."""
 
-    def __init__(self, states: queue.SimpleQueue[LockState]) -> None:
+    def __init__(self, keep: Callable[[LockState], None]) -> None:
         self.calls: list[object] = []
         self.state = LockState(0, LockPhase.UNKNOWN, None)
-        self._states = states
+        self._keep = keep
 
     def start(self) -> None:
         self.calls.append("start")
 
     def command(self, mode: Mode) -> None:
         self.calls.append(mode)
-        self._states.put(LockState(1, LockPhase.SETTLED, mode))
+        self._keep(LockState(1, LockPhase.SETTLED, mode))
 
     def permit(self, permitted: bool) -> None:
         self.calls.append(permitted)
@@ -265,20 +264,19 @@ class Lock:
 
 def test_the_lock_is_created_only_once_the_autopilots_clock_is_known() -> None:
     """A host timestamp taken earlier would make the lock wait until the autopilot's clock reaches it."""
-    states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
     known, created, delivered = threading.Event(), list[Lock](), list[LockState]()
     polled = threading.Event()
 
-    def make() -> Any:
+    def make(keep: Callable[[LockState], None]) -> Any:
         assert known.is_set()
-        created.append(Lock(states))
+        created.append(Lock(keep))
         return created[0]
 
     def after_poll() -> None:
         if Mode.RIGID in created[0].calls and False in created[0].calls:
             polled.set()
 
-    thread = LockThread(make, states, known.is_set, delivered.append, after_poll)
+    thread = LockThread(make, known.is_set, delivered.append, after_poll)
     thread.thread.start()
     thread.put(LockCommand(1, Mode.RIGID))
     thread.put(LockPermission(2, False))
@@ -359,9 +357,8 @@ def test_a_run_starts_and_ends_lock_terminal_and_deadman(
     mission = load_flyable(ROOT / "missions/paper_single_wall.yaml")
     assert mission.vehicle.lock is not None
     world, shown, deadman_checks, watchers = World(), list[Record](), list[bool](), list[int]()
-    app = FlightApp(
-        mission, "udpin://nowhere:1", lambda *_: None, world, shown.append, deadman_note=tmp_path / "note"
-    )
+    options = AppOptions(shown.append, deadman_note=tmp_path / "note")
+    app = FlightApp(mission, "udpin://nowhere:1", lambda *_: None, options, WorldLink(world))
 
     def end() -> None:
         """End the flight once the horn has moved; the deadman must run until then."""
@@ -451,7 +448,7 @@ def test_a_dead_simulator_ends_the_flight_with_its_cause(monkeypatch: pytest.Mon
         load_flyable(ROOT / "missions/square.yaml"),
         "udpin://nowhere:1",
         lambda record, _: records.append(record),
-        world,
+        world_link=WorldLink(world),
     )
     connect_to(Flight(lambda: None), monkeypatch)
     asyncio.run(asyncio.wait_for(app.run(), 30.0))

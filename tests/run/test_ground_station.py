@@ -25,7 +25,7 @@ from dart_flight.base.records import (
     StatusText,
 )
 from dart_flight.config.mission import Mission
-from dart_flight.run.app import FlightApp
+from dart_flight.run.app import FlightApp, WorldLink
 from dart_flight.run.operator_buttons import Button
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.simulator_process import SimulatorProcess
@@ -82,7 +82,8 @@ class PressedFlight:
             try:
                 world.wait_ready()
                 url = f"udpin://127.0.0.1:{port}"
-                self._app = FlightApp(self._mission, url, self._observe, world, lockstep=True)
+                world_link = WorldLink(world, lockstep=True)
+                self._app = FlightApp(self._mission, url, self._observe, world_link=world_link)
                 operator = threading.Thread(target=self._operate, args=(station,), daemon=True)
                 operator.start()
                 asyncio.run(self._app.run())

@@ -37,7 +37,7 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.guard import Guard
 from dart_flight.core.pace import Pace
-from dart_flight.run.app import FlightApp
+from dart_flight.run.app import AppOptions, FlightApp
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.runner import CoreRunner
@@ -172,7 +172,7 @@ async def _run_app(
         if isinstance(record, SetpointSent):
             inside.append(record.latency_us * 1e-3)
 
-    app = FlightApp(mission, f"udpin://127.0.0.1:{port}", record, None, progress)
+    app = FlightApp(mission, f"udpin://127.0.0.1:{port}", record, AppOptions(progress))
     core = RepeatingCore(mission, impacts)
     app._core = CoreThread(CoreRunner(core, app, app._observe_record, host_us))
     flying = asyncio.create_task(app.run())

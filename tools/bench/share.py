@@ -26,7 +26,7 @@ import msgspec
 
 from dart_flight.base.records import World
 from dart_flight.config.mission import Mission
-from dart_flight.run.app import FlightApp
+from dart_flight.run.app import AppOptions, FlightApp
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.runner import CoreRunner
@@ -93,7 +93,7 @@ async def whole_app(mission: Mission, url: str, seconds: float) -> Shares:
     """Measure link, core, lock, log, deadman and terminal, as in `fly`."""
     with tempfile.TemporaryDirectory() as folder:
         record = FlightRecord(mission, World.EMBEDDED, None, Path(folder))
-        app = FlightApp(mission, url, record, deadman_note=Path(folder) / "deadman.txt")
+        app = FlightApp(mission, url, record, AppOptions(deadman_note=Path(folder) / "deadman.txt"))
         core = RepeatingCore(mission, 1)
         app._core = CoreThread(CoreRunner(core, app, app._observe_record, host_us), lambda: app._feed(b"c"))
         flying = asyncio.create_task(app.run())

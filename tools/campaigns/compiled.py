@@ -20,7 +20,7 @@ import msgspec
 
 from dart_flight.base.records import Record, World
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.run.fast import FastFlight, simulated_driver
+from dart_flight.run.fast import FastFlight
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.draws import draw_world, parse_vary
@@ -48,8 +48,7 @@ def digest(mission_name: str, seed: int, vary: tuple[str, ...] = ()) -> str:
         found.update(f"{number} {type(record).__name__} ".encode() + msgspec.json.encode(record))
         kept(record, number)
 
-    driver = simulated_driver(mission)
-    FastFlight(mission, seed, driver, faults=world.lock_faults, observe=observe, world=world).run()
+    FastFlight(mission, seed, observe=observe, world=world).run()
     found.update(msgspec.json.encode(kept.build()))
     return found.hexdigest()
 

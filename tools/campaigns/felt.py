@@ -142,7 +142,7 @@ def fly(point: Point, seed: int) -> EstimatedContact:
 
     sticks_rigid = disobeys and commanded is Mode.FLEXIBLE
     faults = _STUCK if disobeys and commanded is Mode.RIGID else None
-    flight = FastFlight(mission, seed, faults=faults, observe=observe, world=world)
+    flight = FastFlight(mission, seed, observe=observe, world=world._replace(lock_faults=faults))
     while flight.core.end is None and flight.autopilot.now_s < _LONGEST_S and not (estimates and contacts):
         flight.tick()
     if not estimates or not contacts:

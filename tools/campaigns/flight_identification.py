@@ -13,7 +13,7 @@ from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.flight_trials import trials_of
-from dart_flight.recording.reader import Log
+from dart_flight.recording.reader import IN_MEMORY, Log
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.sim.draws import DrawnWorld
@@ -62,7 +62,7 @@ def identify_flights(point: Point, seed: int) -> Identified:
 
 
 def _log_of(mission: Mission, real: Mission, seed: int) -> Log:
-    record = FlightRecord(mission, World.FAST, seed, None, in_memory=True)
+    record = FlightRecord(mission, World.FAST, seed, IN_MEMORY)
     FastFlight(mission, seed, observe=record, world=DrawnWorld(real, None, {})).run()
     record.close()
     return record.log

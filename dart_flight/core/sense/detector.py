@@ -69,14 +69,15 @@ class ExpectedContact(NamedTuple):
     wall: Wall | None = None
 
 
-class _Sample:
+class _Sample(NamedTuple):
     """A sample of the contact; its forces exclude the baseline, newton, mission frame."""
 
-    __slots__ = ("clipped", "dt_us", "fx", "fy", "push", "t_us")
-
-    def __init__(self, t_us: int, dt_us: int, fx: float, fy: float, push: Vec2, clipped: bool) -> None:
-        self.t_us, self.dt_us, self.fx, self.fy = t_us, dt_us, fx, fy
-        self.push, self.clipped = push, clipped
+    t_us: int
+    dt_us: int
+    fx: float
+    fy: float
+    push: Vec2
+    clipped: bool
 
 
 Stage = Literal["watching", "rising", "falling", "refractory"]

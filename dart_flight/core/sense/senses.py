@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from dart_flight.base.records import (
     ActuatorSample,
@@ -39,7 +39,7 @@ from dart_flight.core.sense.torque import TorqueEstimator
 IMPACT_WINDOW_S: Final = 2.0
 
 
-class Sensed:
+class Sensed(NamedTuple):
     """The results of one input.
 
     Attributes:
@@ -57,24 +57,14 @@ class Sensed:
             seconds of free flight; None if not known.
     """
 
-    __slots__ = (
-        *("contact", "estimate", "height_m", "impacts", "in_contact", "thrust_ratio", "torque", "wall"),
-    )
-
-    def __init__(
-        self,
-        estimate: ForceEstimate | None = None,
-        impacts: tuple[Event, ...] = (),
-        in_contact: bool = False,
-        torque: TorqueEstimate | None = None,
-        contact: tuple[Output, ...] = (),
-        wall: WallEstimate | None = None,
-        height_m: float | None = None,
-        thrust_ratio: float | None = None,
-    ) -> None:
-        self.estimate, self.impacts, self.in_contact = estimate, impacts, in_contact
-        self.torque, self.contact, self.wall, self.height_m = torque, contact, wall, height_m
-        self.thrust_ratio = thrust_ratio
+    estimate: ForceEstimate | None = None
+    impacts: tuple[Event, ...] = ()
+    in_contact: bool = False
+    torque: TorqueEstimate | None = None
+    contact: tuple[Output, ...] = ()
+    wall: WallEstimate | None = None
+    height_m: float | None = None
+    thrust_ratio: float | None = None
 
 
 _NOTHING: Final = Sensed()

@@ -69,10 +69,7 @@ class WatchedFlight:
         self.decided_us: int | None = None
         self.problems: list[str] = []
         self._builder = VerdictBuilder(mission)
-        faults = None if world is None else world.lock_faults
-        self.flight = FastFlight(
-            mission, seed, faults=faults, observe=self._observe, fault=fault, world=world
-        )
+        self.flight = FastFlight(mission, seed, observe=self._observe, fault=fault, world=world)
         self._send_status_text = self.flight.autopilot.send_text
         self.flight.autopilot.send_text = self._on_status_text
 

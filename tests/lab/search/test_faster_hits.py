@@ -7,7 +7,6 @@ import pytest
 
 from dart_flight.base.records import PlanRequest, Record
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import LockDriver
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.replanner import Replanner
 from dart_flight.run.fast import FastFlight
@@ -44,7 +43,7 @@ def test_a_touch_gives_the_height_of_the_guards(height_m: float) -> None:
     simulation = msgspec.structs.replace(simulation, contact=contact)
     vehicle = msgspec.structs.replace(mission.vehicle, simulation=simulation)
     world = DrawnWorld(msgspec.structs.replace(mission, vehicle=vehicle), None, {})
-    FastFlight(mission, 1, LockDriver.MOCK, observe=observe, world=world).run()
+    FastFlight(mission, 1, observe=observe, world=world).run()
     to_wall = requests[0]
     assert to_wall.collision == 2
     to_goal = requests[-1]
