@@ -1250,6 +1250,27 @@ def test_findings_of_other_modules_are_in_the_rule_table() -> None:
     assert found == {name for name, rule in names.items() if rule.condition.cause is None}
 
 
+def test_a_finding_without_a_rule_is_a_fault_of_the_mission() -> None:
+    """A finding of a rule that exists, but not in this guard's table, is ignored."""
+    c = HandFedCore(rules=tuple(rule for rule in RULES_WITHOUT_JUMP if rule.name != "no_peak"))
+    c.enter_approach()
+    propose, names = c.core._executive.propose, ["no_peak"]
+
+    def propose_with_finding(item: Input, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+        propose(item, state, sensed, p)
+        if names:
+            p.add_finding(names.pop(), "")
+
+    c.core._executive.propose = propose_with_finding  # type: ignore[method-assign]
+    c.run(0.02)
+    assert (names, fired(c)) == ([], [])
+    names.append("no_such_rule")
+    c.run(0.02)
+    (event,) = fired(c)
+    assert (event.rule, event.action) == ("mission_fault", Override.LAND)
+    assert "KeyError: 'no_such_rule'" in event.detail
+
+
 def test_thresholds_named_in_the_table_exist() -> None:
     c = HandFedCore()
     mission, vehicle = c.core.mission, c.core.mission.vehicle
@@ -1399,6 +1420,26 @@ def test_a_second_vehicle_becomes_the_reason_after_an_earlier_rule() -> None:
     c.silent = set()
     alternate_vehicles(c, 238_000_000, 0.0, 0.1)
     assert [e.rule for e in fired(c)] == ["odometry_silent", "second_vehicle"]
+
+
+def test_late_telemetry_becomes_the_reason_after_a_silent_stream() -> None:
+    """Both rules land; each names the other system on the link, which may be the cause."""
+    c = HandFedCore()
+    c.enter_approach()
+    c.feed(OtherVehicle(c.t_us, c.t_us, 7))
+    c.silent = {"odometry"}
+    c.run(0.3)
+    c.silent = set()
+    delay_telemetry(c)
+    late = "telemetry arrives 500 ms after sampling, limit 75 ms, round trip 1000 ms"
+    assert [(e.rule, e.detail) for e in fired(c)] == [
+        ("odometry_silent", "no data for 220 ms; system 7 sends on the same link"),
+        ("telemetry_late", f"{late}; system 7 sends on the same link"),
+    ]
+    c.set_status(flight_mode=FlightMode.LAND, landed=LandedState.ON_GROUND, armed=False)
+    c.run(0.3)
+    assert c.core.end is not None
+    assert c.core.end.reason == f"telemetry_late: {late}; system 7 sends on the same link"
 
 
 def test_the_status_of_the_other_vehicle_does_not_end_the_flight() -> None:
