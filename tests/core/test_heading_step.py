@@ -119,6 +119,18 @@ def test_no_heading_step_is_measured_across_a_gap_in_the_gyro_rates() -> None:
     assert resets.newest.heading_rad == 0.0
 
 
+def test_a_gap_in_the_gyro_rates_after_a_reset_is_no_heading_step() -> None:
+    resets, q = EstimatorResets(), quaternion_from_euler(0.0, 0.0, 1.0)
+    resets.update_counter(0, 0)
+    for t_us in (4000, 8000):
+        resets.add_imu(ImuSample(t_us, t_us, NED, NED))
+        resets.add_attitude(AttitudeSample(t_us, t_us, q))
+    assert resets.update_counter(1, 8000)
+    resets.add_imu(ImuSample(40_000, 40_000, NED, NED))  # after the gap, no attitude has been compared yet
+    assert resets.newest is not None
+    assert resets.newest.heading_rad == 0.0
+
+
 def test_position_and_velocity_steps_are_separated_from_the_motion() -> None:
     resets = EstimatorResets()
     resets.update_counter(250, 0)

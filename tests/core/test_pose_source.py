@@ -113,6 +113,23 @@ def test_a_pose_fault_is_named_in_time(
     assert fault.startswith(message)
 
 
+@pytest.mark.parametrize(
+    ("speed_m_s", "away_m", "apart"),
+    [(0.0, 0.29, False), (0.0, 0.32, True), (2.0, 0.48, False), (2.0, 0.52, True)],
+)
+def test_a_pose_that_drifts_away_is_named_after_half_a_second(
+    feed: Feed, speed_m_s: float, away_m: float, apart: bool
+) -> None:
+    """It may be 0.3 m from PX4's position, and farther by 0.1 s of flight."""
+    moving = (0.0, speed_m_s, 0.0)
+    for step in range(50):
+        feed.pose(velocity=moving, away=(0.02 * away_m * step, 0.0, 0.0))
+    fault = feed.hover(0.46, velocity=moving, away=(away_m, 0.0, 0.0))
+    assert fault is None
+    fault = feed.hover(0.05, velocity=moving, away=(away_m, 0.0, 0.0))
+    assert fault == (f"the pose is {away_m:.2f} m from PX4's position" if apart else None)
+
+
 def test_poses_are_late_once_the_last_timely_one_is_a_quarter_second_old(feed: Feed) -> None:
     feed.pose(later_us=50_000, step_us=250_000)
     assert feed.watch.fault(Phase.TRANSIT) is None
