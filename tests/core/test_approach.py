@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import msgspec
 import pytest
@@ -215,3 +216,36 @@ def test_a_post_blocks_an_approach_in_its_run_up_and_before_it(
     else:
         with pytest.raises(NoApproachError, match=f"post pole blocks {blocked_part}"):
             plan_approach(mission, mission.collisions[0])
+
+
+@pytest.mark.parametrize(
+    ("board", "blocked"),
+    [
+        ((0.9, 0.1), True),  # across the run-up
+        ((0.9, 1.2), False),  # beside it
+        ((1.8, 0.5), False),  # behind the wall to be hit
+    ],
+)
+def test_a_wall_across_the_run_up_blocks_the_approach(board: tuple[float, float], blocked: bool) -> None:
+    """The run-up leads from (0, 0) to the acrylic wall at (1.65, 0.825)."""
+    across = Wall("board", board, (-1.0, 0.0), 0.8, "wood")
+    mission = msgspec.structs.replace(MISSION, walls=(*MISSION.walls, across))
+    if blocked:
+        with pytest.raises(NoApproachError, match=r"^wall board blocks the run-up$"):
+            plan_approach(mission, mission.collisions[0])
+    else:
+        assert plan_approach(mission, mission.collisions[0]).begin == pytest.approx((0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(("inside_m", "refused"), [(0.01, False), (-0.2, True)])
+def test_an_impact_outside_the_flight_space_is_refused(inside_m: float, refused: bool) -> None:
+    impact = MISSION.collisions[0].impact_point
+    assert impact is not None
+    bounds = msgspec.structs.replace(MISSION.bounds, x=(-1.5, impact[0] + inside_m))
+    mission = msgspec.structs.replace(MISSION, bounds=bounds)
+    if refused:
+        place = re.escape(f"({impact[0]:.2f}, {impact[1]:.2f})")
+        with pytest.raises(NoApproachError, match=rf"^the impact at {place} is 0\.20 m outside bounds_m$"):
+            plan_approach(mission, mission.collisions[0])
+    else:
+        assert plan_approach(mission, mission.collisions[0]).begin == pytest.approx((0.0, 0.0, 1.0))

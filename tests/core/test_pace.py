@@ -102,3 +102,11 @@ def test_a_batch_lasts_one_tick_and_a_quarter_of_the_imu_timeout() -> None:
 
 def test_inputs_are_batched_on_the_ground() -> None:
     assert FlightCore(SINGLE_WALL).pace is Pace.BATCHED
+
+
+@pytest.mark.parametrize("phase", list(Phase))
+def test_inputs_far_from_every_wall_are_stepped_at_once_only_in_a_contact(phase: Phase) -> None:
+    """In a contact the estimated position does not matter."""
+    state = state_at(SINGLE_WALL, SINGLE_WALL.start, (0.0, 0.0))
+    immediate = pace_near_walls(SINGLE_WALL, state, phase) is Pace.IMMEDIATE
+    assert immediate is (phase is Phase.CONTACT)

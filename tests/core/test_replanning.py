@@ -222,6 +222,24 @@ def test_an_approach_from_rest_must_move_towards_its_wall(
         assert planning.rules.approach(planning.progress, NOW_US + 40_000) == NO_CHANGE  # once
 
 
+def test_an_approach_without_room_is_refused_once_and_the_previous_approach_is_kept() -> None:
+    """The run-up for 2.9 m/s would start outside the flight space."""
+    planning, hit = Planning(MISSION), MISSION.collisions[0]
+    request = planning.request((hit, hit), state_at(NOW_US), OVER)
+    assert request is not None
+    fast = msgspec.structs.replace(answer_to(request), normal_m_s=-2.9, tangential_m_s=0.0)
+    assert refusal_to(planning, fast, NOW_US + 40_000) is None
+    change = planning.apply(planning.rules.approach(planning.progress, NOW_US + 44_000))
+    assert change.approach is None
+    refusal = refusal_in(change)
+    assert refusal is not None
+    assert refusal.startswith("the run-up to wall wood at 2.90 m/s starts at (")
+    (taken,) = change.outputs
+    assert isinstance(taken, PlanTaken)
+    assert (taken.t_us, taken.number) == (NOW_US + 44_000, request.number)
+    assert planning.rules.approach(planning.progress, NOW_US + 48_000) == NO_CHANGE
+
+
 def test_a_late_answer_is_refused() -> None:
     planning, request = planning_with_request()
     assert refusal_to(planning, answer_to(request), request.begin_us + 20_000) == "the plan is 20 ms late"
