@@ -46,6 +46,7 @@ from dart_flight.core.sense.senses import Senses
 from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.recording.anchor import MissionFrameReader
 from tests.core.conftest import HOVER, ROOT, HandFedCore
+from tests.core.test_limits import SINGLE, leave_single_wall
 
 
 def of_kind(kind: type[Any], outputs: list[Output]) -> list[Any]:
@@ -307,6 +308,34 @@ def test_an_exception_in_the_guard_withholds_only_the_commands_of_that_step(hand
     out = hand_fed.run(0.02)
     assert [e.rule for e in of_kind(GuardEvent, out)] == ["mission_fault"]
     assert of_kind(VehicleCommand, out)[0].action is VehicleAction.LAND
+
+
+def test_an_exception_in_the_guard_at_the_end_of_the_mission_aborts_the_flight() -> None:
+    """The vehicle has landed, so the guard commands nothing."""
+    c = HandFedCore(SINGLE)
+    leave_single_wall(c)
+    c.position_ned = (0.4, -1.0, -1.0)  # at the goal
+    c.run(10.5)
+    assert c.core.phase is Phase.LANDING
+    c.set_status(flight_mode=FlightMode.LAND, landed=LandedState.ON_GROUND, armed=False)
+    review = c.core._guard.review
+
+    def fails_at_the_end(*step: Any) -> list[Output]:
+        if c.core.phase is Phase.DONE:
+            raise ZeroDivisionError("guard")
+        return review(*step)
+
+    c.core._guard.review = fails_at_the_end  # type: ignore[method-assign, assignment]
+    c.run(0.3)
+    assert (c.core.phase, c.core.end) == (Phase.DONE, None)
+    c.core._guard.review = review  # type: ignore[method-assign]
+    out = c.run(0.5)
+    (end,) = of_kind(MissionEnd, out)
+    assert end.outcome == "aborted"
+    assert end.reason.startswith("mission_fault: ")
+    assert "ZeroDivisionError: guard" in end.reason
+    assert c.core.end is end
+    assert not of_kind(PhaseChange, out) + of_kind(Setpoint, out) + of_kind(VehicleCommand, out)
 
 
 @pytest.mark.parametrize("shift_us", [0, -1_000_000])

@@ -9,6 +9,7 @@ import pytest
 
 from dart_flight.base.records import (
     FlightMode,
+    GuardEvent,
     LandedState,
     LockCommand,
     Mode,
@@ -20,7 +21,7 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.core.mission.course import ARRIVED_S
-from tests.core.conftest import HandFedCore
+from tests.core.conftest import SHORT_TIMEOUTS, HandFedCore
 from tests.core.test_limits import SINGLE, leave_single_wall
 
 HERE = (1.0, -0.5, -1.0)  # where `leave_single_wall` leaves the vehicle, NED
@@ -71,6 +72,29 @@ def test_arrival_is_timed_again_in_every_phase() -> None:
     first, second, transit = times[-4:-1] if c.core.phase is Phase.PREPARE else times[-3:]
     assert second - first >= arrive_us
     assert transit - second >= arrive_us
+
+
+def test_a_waypoint_is_given_up_after_its_flight_and_the_timeout() -> None:
+    settings = {"waypoints": [{"position_m": [1.0, 0.0], "speed_m_s": 0.5}], **SHORT_TIMEOUTS}
+    c = HandFedCore(settings=settings)
+    c.finish_climb()
+    out = c.run(8.0)  # the vehicle does not follow the setpoints
+    (event,) = (o for o in out if isinstance(o, GuardEvent))
+    assert (event.rule, event.detail) == ("transit_timeout", "waypoint 1 was not reached in time")
+    waited_s = (event.t_us - phase_starts_us(c.outputs)[Phase.WAYPOINT]) * 1e-6
+    assert waited_s == pytest.approx(1.875 * 1.0 / 0.5 + 3.0, abs=0.02)
+
+
+def test_a_reached_waypoint_is_not_given_up_while_it_is_held() -> None:
+    """The hold may last longer than the timeout, and the vehicle may drift meanwhile."""
+    settings = {"waypoints": [{"position_m": [0.0, 0.0], "hold_s": 6.0}], **SHORT_TIMEOUTS}
+    c = HandFedCore(settings=settings)
+    c.finish_climb()
+    c.run(0.5)
+    c.position_ned = (0.3, 0.0, -1.0)
+    out = c.run(5.0)
+    assert c.core.phase is Phase.WAYPOINT
+    assert not [o for o in out if isinstance(o, GuardEvent)]
 
 
 WAITS: dict[str, Any] = {"pause": "operator", "timeout_s": 60.0}
