@@ -10,16 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import MissionFrame, Vec2, distance2
-from dart_flight.base.records import WallEstimate
+from dart_flight.base.records import OdometrySample, Phase, PhaseChange, Tick, WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.anchors import START_SD_M, Anchor, FrameAnchors
 from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.phases import PhaseTrigger
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
+from tests.core.conftest import HandFedCore
 
 DRIFT_M_S = 0.03
 S = 1_000_000
@@ -274,3 +276,63 @@ def test_a_contact_with_a_probed_wall_does_not_correct_the_frame(sought: bool) -
     estimate = wall_estimate((x + 0.05 * nx, y + 0.05 * ny), (nx, ny), 0.05, wall=mission.walls[0].name)
     flown._handle_contacts(Sensed(None, (), False, wall=estimate), state, p)
     assert (p.frame is None) is sought
+
+
+# --- in flight --------------------------------------------------------------------------------------------
+
+GPS = "missions/dual_collision_gps.yaml"
+
+
+@pytest.mark.parametrize("armed_by_hand", [False, True])
+def test_the_drift_counts_from_take_off(armed_by_hand: bool) -> None:
+    c = HandFedCore(GPS)
+    c.run(5.0)  # on the ground
+    c.set_status(armed=armed_by_hand)
+    c.enter_climb()
+    (climb_us,) = (o.t_us for o in c.outputs if isinstance(o, PhaseChange) and o.after is Phase.CLIMB)
+    wood, walls = c.core.mission.walls[0], c.core._executive.progress.walls
+    drift_m_s = c.core.mission.vehicle.estimation.position_drift_m_s
+    for after_s in (0, 10):
+        sd_m = walls.known_wall(wood, climb_us + after_s * S).position_sd_m
+        assert sd_m == pytest.approx(math.hypot(START_SD_M, after_s * drift_m_s))
+
+
+def test_a_leg_after_a_correction_starts_at_the_vehicle_in_the_corrected_frame() -> None:
+    """The step of the correction starts no leg, because the vehicle's position is still in the old frame."""
+    mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
+    flown, state, tick = Executive(mission), FlightState(), Tick(0)
+    progress, rest_ned = flown.progress, (0.4, 0.55, -1.0)
+    state.anchor(MissionFrame())
+    state.update_odometry(OdometrySample(9 * S, 9 * S, rest_ned, (0.0, 0.0, 0.0)))
+    progress.phase, progress.entered_us, progress.index = Phase.RECOVERY, 8 * S, 1
+    progress.course = progress.course.hold(state.position)
+    p = Proposal()
+    flown.propose(tick, state, Sensed(wall=wall_estimate(None, None, 0.2, t_us=8 * S)), p)
+    assert (progress.phase, progress.index) == (Phase.RECOVERY, 1)
+    assert p.frame is not None
+    state.anchor(p.frame)
+    flown.propose(tick, state, Sensed(), Proposal())
+    assert progress.phase is Phase.TRANSIT
+    assert progress.course.trajectory is not None
+    begin = progress.course.trajectory.begin
+    assert p.frame.point_to_ned(begin) == pytest.approx(rest_ned)
+    assert begin[1] == pytest.approx(-0.55 - 0.2, abs=0.01)
+
+
+def test_a_collision_with_a_trajectory_is_flown_as_planned_although_its_wall_was_touched() -> None:
+    """Its trajectory was planned for the wall of the mission file."""
+    loaded = load_mission(packaged("missions", "touch_and_return.yaml"))
+    planned = [hit for hit in loaded.to_dict()["collisions"] if hit.get("trajectory")][:1]
+    mission = loaded.replace(
+        {"collisions": planned, "waypoints": [], "goal_trajectory": None, "frame.anchored_by": "touch"}
+    )
+    flown, state, p = Executive(mission), FlightState(), Proposal()
+    progress, (hit,) = flown.progress, mission.collisions
+    approach = progress.approaches[1]
+    progress.walls.add_estimate(wall_estimate((2.1, 0.0), (-1.0, 0.0), wall="east"), hit.wall)
+    progress.phase = Phase.CLIMB
+    flown._start_next(PhaseTrigger.ARRIVED, state, p)
+    assert (progress.phase, p.findings) == (Phase.TRANSIT, [])
+    assert progress.collision is hit
+    assert progress.approaches[1] is approach
+    assert progress.course.target == (0.0, 0.0, 1.0)
