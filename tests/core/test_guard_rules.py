@@ -678,6 +678,25 @@ def test_no_rule_fires_in_a_quiet_flight() -> None:
     assert not fired(c)
 
 
+@pytest.mark.parametrize("mode", [Mode.RIGID, Mode.FLEXIBLE])
+def test_a_contact_after_a_recovery_needs_the_planned_mode_of_the_lock(mode: Mode) -> None:
+    """A vehicle that does not close on the wall has no late lock, but it may still touch the wall."""
+    c = HandFedCore()
+    fly_to_acrylic(c)
+    c.set_lock(mode)
+    c.position_ned, c.velocity_ned = (1.65, 0.9, -1.0), (0.0, 0.0, 0.0)
+    c.run(0.3)
+    assert not fired(c)
+    c.pulse((-20.0, 0.0))
+    found = [(e.rule, e.detail) for e in fired(c)]
+    phases = [o.after for o in c.outputs if isinstance(o, PhaseChange)][-2:]
+    if mode is Mode.RIGID:
+        assert (found, phases) == ([], [Phase.CONTACT, Phase.RECOVERY])
+    else:
+        assert found == [("lock_not_settled", "contact with wall acrylic while the lock is not rigid")]
+        assert phases == [Phase.RECOVERY, Phase.OVERRULED]
+
+
 def test_a_wall_that_the_recovery_does_not_reach_is_given_up_after_a_timeout() -> None:
     c = HandFedCore(settings={"limits.collision_timeout_s": 0.6})
     fly_to_acrylic(c)
