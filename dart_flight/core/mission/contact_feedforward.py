@@ -61,10 +61,9 @@ class ContactFeedforward:
         self._last_us: int | None = None
 
     def update(self, sensed: Sensed) -> None:
-        """Filter the force estimate of one input."""
+        """Filter the force estimate of one input, which must have one."""
         estimate = sensed.estimate
-        if estimate is None:
-            return
+        assert estimate is not None
         last, self._last_us = self._last_us, estimate.t_us
         x, y = self._filtered
         if last is None or not (sensed.in_contact or x or y):
