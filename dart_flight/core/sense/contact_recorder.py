@@ -95,11 +95,8 @@ class ContactRecorder:
                 return self._end(self._begun)
         return None
 
-    def _begin(
-        self, onset: ImpactOnset, state: FlightState, slow: Vec2, wall: Wall | None
-    ) -> ContactRequest | None:
-        if state.frame is None:
-            return None
+    def _begin(self, onset: ImpactOnset, state: FlightState, slow: Vec2, wall: Wall | None) -> ContactRequest:
+        assert state.frame is not None
         self._number += 1
         return ContactRequest(
             t_us=onset.t_us,
