@@ -252,6 +252,6 @@ class SetpointSelection:
 
 def _yaw_rate(state: FlightState) -> float:
     """Return the rate of the heading, rad/s, mission frame."""
-    if state.imu is None or state.attitude is None:
-        return 0.0
+    assert state.imu is not None
+    assert state.attitude is not None
     return -rotate(state.attitude.q_frd_to_ned, state.imu.rate_frd)[2]
