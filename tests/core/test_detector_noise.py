@@ -264,6 +264,30 @@ def test_a_half_sine_between_two_samples_has_no_guaranteed_share() -> None:
     assert half_sine_share(1, 0.01, 0.01) == 0.0
 
 
+def test_no_peak_is_certainly_detected_if_the_pulse_may_fall_between_two_samples() -> None:
+    detector, _ = run(noisy(8.0, 0.26), noise_n=0.26)
+    assert detector.detection_floor_n(VEHICLE.imu.tick_s) == math.inf
+    # If it is a quarter longer than a tick, one sample reaches at least this share of the peak.
+    share = math.cos(0.5 * math.pi / 1.25)
+    sample_n = VEHICLE.detection.force_threshold_n + _MARGIN_SIGMA * detector._windows[0].noise_n
+    assert detector.detection_floor_n(1.25 * VEHICLE.imu.tick_s) == pytest.approx(sample_n / share)
+
+
+@pytest.mark.parametrize(
+    ("sigma_n", "peak_n", "duration_s", "window"),
+    [(0.26, 40.0, 0.06, 0), (3.9, 15.4, 0.15, 2), (7.0, 11.0, 0.3, 3)],
+)
+def test_the_crossed_threshold_is_that_of_the_detecting_window(
+    sigma_n: float, peak_n: float, duration_s: float, window: int
+) -> None:
+    """In low noise, one or two samples cross the configured threshold."""
+    forces = with_pulse(noisy(12.0, sigma_n), 10.0, peak_n, duration_s)
+    detector, events = run(forces[: round((10.05 + duration_s) / 0.004)], noise_n=sigma_n)
+    assert len(onsets(events)) == 1
+    assert detector.crossed_threshold_n == detector.thresholds_n()[window]
+    assert (detector.crossed_threshold_n > VEHICLE.detection.force_threshold_n) is (window > 0)
+
+
 def test_an_unplanned_wall_gets_the_geometric_mean_of_the_materials() -> None:
     """Half and double the stiffness are equally likely; without materials, the prior is positive."""
     stiff, soft = PulsePrior(80.0, 9.0, 2.0), PulsePrior(20.0, 1.0, 0.5)

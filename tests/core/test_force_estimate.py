@@ -159,6 +159,23 @@ def test_no_pulse_is_fitted_to_readings_without_one() -> None:
     assert not fits([r._replace(normal=40.0 * (i % 2)) for i, r in enumerate(begun)])
 
 
+@pytest.mark.parametrize(("noise_n", "fits"), [(0.26, False), (1000.0, True)])
+def test_a_pulse_above_all_its_clipped_readings_has_no_certain_peak(noise_n: float, fits: bool) -> None:
+    """The first step leads above all readings, and then none of them limits the pulse.
+
+    In low noise, the next step of the fit fails. In high noise, the fit has settled, and the standard error
+    of its peak is 0.
+    """
+    forces = [0.0] * 5 + [17.0, 70.0, 68.0]
+    begins = [-0.0247 + 0.004 * i for i in range(len(forces))]
+    readings = [TickReading(a, a + 0.004, n, 0.0, n > 0.0) for a, n in zip(begins, forces, strict=True)]
+    pulse = fit_normal(readings, 0.0, PulsePrior(65.0, 5.8, 0.2), noise_n, -0.003, 0.00073)
+    assert (pulse is not None) is fits
+    if pulse is not None:
+        assert pulse.peak_n > max(forces)
+        assert (pulse.sigma_n, pulse.misfit) == (0.0, 0.0)
+
+
 @pytest.mark.parametrize("share", [0.6, 0.75, 0.9])
 def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
     c = VEHICLE.materials["wood"].rigid
@@ -232,6 +249,15 @@ def test_commands_act_from_their_stamp_with_the_motor_lag() -> None:
     assert lagged.value[0] == pytest.approx(0.7 - 0.2 * math.exp(-1.0))
 
 
+def test_a_change_of_the_number_of_motors_is_refused() -> None:
+    lagged = LaggedCommands(0.025)
+    lagged.update(1_000_000, (0.5,) * 4)
+    lagged.update(1_004_000, (0.5,) * 6)
+    lagged.advance(1_003_000)
+    with pytest.raises(ValueError, match=r"^6 commands after 4$"):
+        lagged.advance(1_008_000)
+
+
 def test_the_best_fresh_thrust_source_is_used() -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
     assert model.mean_over_tick(1_000_000) == pytest.approx(MASS * 9.81)
@@ -270,6 +296,32 @@ def test_slow_or_uncalibrated_motor_speeds_are_not_used(period_us: int, constant
             model.update_esc(EscSample(t_us, 0, (17_000.0,) * 4))
         model.mean_over_tick(t_us)
         assert model.source is ThrustSource.ACTUATOR
+
+
+@pytest.mark.parametrize("late_us", [0, 4_000, 60_000])
+def test_motor_speeds_that_arrive_late_do_not_replace_newer_ones(late_us: int) -> None:
+    model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
+    for t_us in (1_000_000, 1_010_000):
+        model.update_esc(EscSample(t_us, 0, (17_000.0,) * 4))
+    model.update_esc(EscSample(1_010_000 - late_us, 0, (9_000.0,) * 4))
+    assert model.mean_over_tick(1_012_000) == pytest.approx(4 * 1.1e-8 * 17_000.0**2)
+    assert model.source is ThrustSource.ESC
+
+
+def test_a_measured_thrust_table_replaces_the_curve() -> None:
+    """The table is interpolated for each motor and scaled by the battery voltage."""
+    table = msgspec.structs.replace(
+        VEHICLE.thrust, full_n=None, model_factor=None, table=((0.5, 3.0), (1.0, 8.0))
+    )
+    battery = msgspec.structs.replace(VEHICLE.estimation.battery, exponent=1.5)
+    model = ThrustModel(msgspec.structs.replace(with_estimation(battery=battery), thrust=table))
+    model.add_commands(ActuatorSample(1_000_000, 0, (0.25, 0.5, 0.6, 1.0)))
+    assert model.mean_over_tick(1_004_000) == pytest.approx(1.5 + 3.0 + 4.0 + 8.0)
+    assert model.each_n == pytest.approx((1.5, 3.0, 4.0, 8.0))
+    model.update_voltage(0.9 * battery.reference_v)
+    model.mean_over_tick(1_008_000)
+    assert model.mean_over_tick(1_012_000) == pytest.approx(16.5 * 0.9**1.5)
+    assert model.each_n == pytest.approx([0.9**1.5 * n for n in (1.5, 3.0, 4.0, 8.0)])
 
 
 def test_battery_voltage_scales_the_thrust_curve() -> None:
@@ -442,6 +494,19 @@ def test_an_attitude_is_propagated_for_at_most_sixty_milliseconds(away_us: int, 
     estimator.add_attitude(AttitudeSample(at_us + away_us, 0, IDENTITY))
     imu = ImuSample(1_000_000, 0, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
     assert (estimator.estimate(imu, state) is not None) is near
+
+
+def test_a_late_imu_sample_gets_the_attitude_of_its_own_time() -> None:
+    """Attitudes with newer stamps may already have arrived."""
+    estimator, state = ForceEstimator(VEHICLE), FlightState()
+    state.anchor(MissionFrame())
+    at_us = 1_000_000 - round(VEHICLE.imu.reading_lag_s * 1e6)
+    for away_us in (-20_000, 2_000, 40_000, 70_000, 100_000):
+        q = quaternion_from_euler(0.0, 0.0, away_us * 1e-6)
+        estimator.add_attitude(AttitudeSample(at_us + away_us, 0, q))
+    imu = ImuSample(1_000_000, 0, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
+    assert estimator.estimate(imu, state) is not None
+    assert estimator.attitude == pytest.approx(quaternion_from_euler(0.0, 0.0, 0.002))
 
 
 def test_a_reading_at_full_scale_is_marked_as_clipped() -> None:
