@@ -30,6 +30,7 @@ from dart_flight.core.pace import Pace
 from dart_flight.run import core_thread as module
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.runner import CoreRunner
+from dart_flight.run.step_reporter import StepReporter
 from dart_flight.vehicle.clock import host_us
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -63,12 +64,12 @@ C = TypeVar("C", bound=SteppedCore)
 class Harness(Generic[C]):
     """A core thread whose sent setpoints, executed outputs and observed records are kept in order."""
 
-    def __init__(self, core: C) -> None:
+    def __init__(self, core: C, lockstep: StepReporter | None = None) -> None:
         self.core = core
         self.turns = 0
         self.actions: list[tuple[str, Record]] = []
         self.observed: list[tuple[Record, int]] = []
-        self.thread = CoreThread(CoreRunner(core, self, self._observe, host_us), self._alive)
+        self.thread = CoreThread(CoreRunner(core, self, self._observe, host_us), self._alive, lockstep)
 
     def send(self, setpoint: Setpoint) -> None:
         self.actions.append(("send", setpoint))
@@ -311,6 +312,25 @@ def test_the_core_thread_is_woken_once_when_the_immediate_pace_ends(
     turns = watched.turns
     time.sleep(0.1)
     assert watched.turns <= turns + 1  # the thread waits and does not spin
+
+
+def test_in_lockstep_the_core_thread_only_reports_that_it_is_alive() -> None:
+    """The thread that delivers the last sample of a batch steps the whole batch."""
+    reporter = StepReporter(lambda line: None)
+    reporter.begin()
+    harness = Harness(WatchedCore(), reporter)
+    harness.thread.thread.start()
+    batch = [ImuSample(t_us, t_us, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)) for t_us in (4000, 8000, 24_000)]
+    for item in batch[:2]:
+        harness.thread.arrive(item)
+    stepped, turns = list(harness.core.stepped), harness.turns
+    assert harness.core.samples == batch[:1]
+    wait_for(lambda: harness.turns > turns + 3)
+    assert harness.core.stepped == stepped
+    harness.thread.arrive(batch[2])
+    assert harness.core.samples == batch
+    harness.thread.stop()
+    assert set(harness.core.threads) == {threading.current_thread().name}
 
 
 def test_a_step_that_hangs_on_another_thread_starves_the_deadman(watched: Harness[WatchedCore]) -> None:
