@@ -319,7 +319,7 @@ def test_a_leg_after_a_correction_starts_at_the_vehicle_in_the_corrected_frame()
     assert begin[1] == pytest.approx(-0.55 - 0.2, abs=0.01)
 
 
-def test_a_collision_with_a_trajectory_is_flown_as_planned_although_its_wall_was_touched() -> None:
+def test_a_planned_trajectory_is_kept_although_its_wall_was_touched() -> None:
     """Its trajectory was planned for the wall of the mission file."""
     loaded = load_mission(packaged("missions", "touch_and_return.yaml"))
     planned = [hit for hit in loaded.to_dict()["collisions"] if hit.get("trajectory")][:1]
