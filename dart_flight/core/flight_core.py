@@ -46,7 +46,6 @@ class FlightCore:
         self._executive = Executive(mission) if mission.standoff_m is None else Rehearsal(mission)
         self._guard = Guard(mission, rules)
         self._expected = ExpectedContact()  # from the mission, for the detector at the next step
-        self._fault: MissionFinding | None = None  # exception of the guard's own code, for its next review
         self.end: MissionEnd | None = None
 
     @property
@@ -85,7 +84,7 @@ class FlightCore:
                 self._executive.propose(item, state, sensed, proposal)
                 self._expected = proposal.expected
         except Exception:
-            proposal.findings.append(_fault())
+            proposal.findings.append(MissionFinding("mission_fault", _active_exception()))
         if proposal.frame is not None:
             state.anchor(proposal.frame)
         known: list[Output] = []
@@ -97,19 +96,19 @@ class FlightCore:
                 known.append(sensed.torque)
         if sensed.contact:
             known += sensed.contact
+        guard = self._guard
         try:
-            known += self._review(item, sensed, proposal)
-            return known
+            known += guard.review(item, state, sensed, self._executive.progress.phase, proposal)
         except Exception:
-            # The guard itself has failed: suppress the commands of this step, and land if possible.
-            self._fault = _fault()
-            return known + [o for o in proposal.outputs if not o.topic.startswith("/out/")]
+            # The guard itself has failed: suppress the commands of this step, and land.
+            known += [o for o in proposal.outputs if not o.topic.startswith("/out/")]
+            known += guard.land_after_fault(item, state, _active_exception())
+        return known + self._follow_guard(proposal.end)
 
-    def _review(self, item: Input, sensed: Sensed, proposal: Proposal) -> list[Output]:
-        if self._fault is not None:
-            proposal.findings.append(self._fault)
+    def _follow_guard(self, mission_end: MissionEnd | None) -> list[Output]:
+        """Record an override of the guard and the end of the flight; return the records."""
         guard, executive, state = self._guard, self._executive, self._senses.state
-        kept = guard.review(item, state, sensed, executive.progress.phase, proposal)
+        kept: list[Output] = []
         if guard.overrules:
             kept += executive.record_override(state.now_us, guard.reason or "")
             # While the guard holds or backs off, a wall is an impact; the ground at the end is not.
@@ -118,12 +117,12 @@ class FlightCore:
         if guard.end is not None:
             self.end = guard.end
             kept += executive.record_end(guard.end)
-        elif proposal.end is not None and not guard.overrules:
-            self.end = proposal.end
-            kept.append(proposal.end)
+        elif mission_end is not None and not guard.overrules:
+            self.end = mission_end
+            kept.append(mission_end)
         return kept
 
 
-def _fault() -> MissionFinding:
-    """Return the active exception, with its place in the code, as the finding `mission_fault`."""
-    return MissionFinding("mission_fault", traceback.format_exc(limit=-2).strip().replace("\n", " | "))
+def _active_exception() -> str:
+    """Return the active exception with its place in the code, in one line."""
+    return traceback.format_exc(limit=-2).strip().replace("\n", " | ")

@@ -1,6 +1,7 @@
 """The core's decisions, sample by sample: phases, recovery, guard. No world, no clock."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -39,10 +40,13 @@ from dart_flight.base.records import (
     WallEstimate,
 )
 from dart_flight.config.mission import load_mission
+from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, PhaseTrigger
+from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.sense.detector import ExpectedContact
-from dart_flight.core.sense.senses import Senses
+from dart_flight.core.sense.senses import Sensed, Senses
+from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.recording.anchor import MissionFrameReader
 from tests.core.conftest import HOVER, ROOT, HandFedCore
@@ -291,23 +295,57 @@ def test_an_exception_in_the_mission_code_leads_to_a_landing(hand_fed: HandFedCo
     assert of_kind(VehicleCommand, out)[0].action is VehicleAction.LAND
 
 
-def test_an_exception_in_the_guard_withholds_only_the_commands_of_that_step(hand_fed: HandFedCore) -> None:
-    """Records are kept, commands that were not reviewed are withheld, and the next step lands."""
+def break_observation(core: FlightCore) -> None:
+    core._guard._watch.observe = raise_in_guard  # type: ignore[method-assign, assignment]
+
+
+def break_evaluation(core: FlightCore) -> None:
+    core._guard._evaluate = raise_in_guard  # type: ignore[method-assign, assignment]
+
+
+def report_unknown_findings(core: FlightCore) -> None:
+    """Let the mission report a finding without a rule in every step."""
+    propose = core._executive.propose
+
+    def propose_with_finding(item: Input, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+        propose(item, state, sensed, p)
+        p.add_finding("no_such_rule", "")
+
+    core._executive.propose = propose_with_finding  # type: ignore[method-assign]
+
+
+def raise_in_guard(*_: object) -> Any:
+    raise ZeroDivisionError("guard")
+
+
+@pytest.mark.parametrize(
+    ("sabotage", "error"),
+    [
+        (break_observation, "ZeroDivisionError: guard"),
+        (break_evaluation, "ZeroDivisionError: guard"),
+        (report_unknown_findings, "KeyError: 'no_such_rule'"),
+    ],
+)
+def test_a_guard_that_fails_in_every_step_lands(
+    hand_fed: HandFedCore, sabotage: Callable[[FlightCore], None], error: str
+) -> None:
+    """Records are kept, and commands that were not reviewed are withheld."""
     hand_fed.enter_prepare()
-    review = hand_fed.core._guard.review
-
-    def broken(*_: object) -> None:
-        raise ZeroDivisionError("guard")
-
-    hand_fed.core._guard.review = broken  # type: ignore[method-assign, assignment]
+    before = len(hand_fed.outputs)
+    sabotage(hand_fed.core)
     hand_fed.set_lock(Mode.FLEXIBLE)
-    out = hand_fed.run(0.02)
-    assert [o.after for o in of_kind(PhaseChange, hand_fed.outputs)][-1] is Phase.APPROACH
-    assert not of_kind(Setpoint, out) + of_kind(LockCommand, out) + of_kind(VehicleCommand, out)
-    hand_fed.core._guard.review = review  # type: ignore[method-assign]
-    out = hand_fed.run(0.02)
-    assert [e.rule for e in of_kind(GuardEvent, out)] == ["mission_fault"]
-    assert of_kind(VehicleCommand, out)[0].action is VehicleAction.LAND
+    hand_fed.run(0.02)
+    out = hand_fed.outputs[before:]
+    assert [o.after for o in of_kind(PhaseChange, out)] == [Phase.APPROACH, Phase.OVERRULED]
+    (event,) = of_kind(GuardEvent, out)
+    assert (event.rule, event.action) == ("mission_fault", "land")
+    assert error in event.detail
+    assert not of_kind(Setpoint, out) + of_kind(LockCommand, out)
+    assert [o.action for o in of_kind(VehicleCommand, out)] == [VehicleAction.LAND]
+    assert not of_kind(GuardEvent, hand_fed.run(2.0))
+    hand_fed.set_status(flight_mode=FlightMode.LAND, landed=LandedState.ON_GROUND, armed=False)
+    (end,) = of_kind(MissionEnd, hand_fed.run(2.0))
+    assert (end.outcome, end.reason) == ("aborted", f"mission_fault: {event.detail}")
 
 
 def test_an_exception_in_the_guard_at_the_end_of_the_mission_aborts_the_flight() -> None:

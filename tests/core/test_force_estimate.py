@@ -159,21 +159,16 @@ def test_no_pulse_is_fitted_to_readings_without_one() -> None:
     assert not fits([r._replace(normal=40.0 * (i % 2)) for i, r in enumerate(begun)])
 
 
-@pytest.mark.parametrize(("noise_n", "fits"), [(0.26, False), (1000.0, True)])
-def test_a_pulse_above_all_its_clipped_readings_has_no_certain_peak(noise_n: float, fits: bool) -> None:
+@pytest.mark.parametrize("noise_n", [0.26, 1000.0])
+def test_no_pulse_is_fitted_above_all_its_clipped_readings(noise_n: float) -> None:
     """The first step leads above all readings, and then none of them limits the pulse.
 
-    In low noise, the next step of the fit fails. In high noise, the fit has settled, and the standard error
-    of its peak is 0.
+    In low noise, the next step of the fit fails. In high noise, the fit has settled by then.
     """
     forces = [0.0] * 5 + [17.0, 70.0, 68.0]
     begins = [-0.0247 + 0.004 * i for i in range(len(forces))]
     readings = [TickReading(a, a + 0.004, n, 0.0, n > 0.0) for a, n in zip(begins, forces, strict=True)]
-    pulse = fit_normal(readings, 0.0, PulsePrior(65.0, 5.8, 0.2), noise_n, -0.003, 0.00073)
-    assert (pulse is not None) is fits
-    if pulse is not None:
-        assert pulse.peak_n > max(forces)
-        assert (pulse.sigma_n, pulse.misfit) == (0.0, 0.0)
+    assert fit_normal(readings, 0.0, PulsePrior(65.0, 5.8, 0.2), noise_n, -0.003, 0.00073) is None
 
 
 @pytest.mark.parametrize("share", [0.6, 0.75, 0.9])

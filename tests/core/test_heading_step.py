@@ -6,7 +6,7 @@ import math
 import random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import (
@@ -119,16 +119,22 @@ def test_no_heading_step_is_measured_across_a_gap_in_the_gyro_rates() -> None:
     assert resets.newest.heading_rad == 0.0
 
 
-def test_a_gap_in_the_gyro_rates_after_a_reset_is_no_heading_step() -> None:
-    resets, q = EstimatorResets(), quaternion_from_euler(0.0, 0.0, 1.0)
+@given(rate=st.floats(-15.0, 15.0), before=st.integers(2, 12), gap_us=st.integers(20_001, 90_000))
+@example(rate=10.0, before=3, gap_us=30_000)
+def test_a_turn_with_a_gap_in_the_gyro_rates_after_a_reset_is_no_heading_step(
+    rate: float, before: int, gap_us: int
+) -> None:
+    resets, t_us = EstimatorResets(), 0
     resets.update_counter(0, 0)
-    for t_us in (4000, 8000):
-        resets.add_imu(ImuSample(t_us, t_us, NED, NED))
+    for i in range(40):
+        t_us += gap_us if i == before + 1 else 4000
+        resets.add_imu(ImuSample(t_us, t_us, NED, (0.0, 0.0, rate)))
+        q = quaternion_from_euler(0.0, 0.0, rate * t_us * 1e-6)
         resets.add_attitude(AttitudeSample(t_us, t_us, q))
-    assert resets.update_counter(1, 8000)
-    resets.add_imu(ImuSample(40_000, 40_000, NED, NED))  # after the gap, no attitude has been compared yet
+        if i == before:
+            assert resets.update_counter(1, t_us)
     assert resets.newest is not None
-    assert resets.newest.heading_rad == 0.0
+    assert resets.newest.heading_rad == pytest.approx(0.0, abs=1e-6)
 
 
 def test_position_and_velocity_steps_are_separated_from_the_motion() -> None:

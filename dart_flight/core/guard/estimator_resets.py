@@ -93,8 +93,9 @@ class EstimatorResets:
         reset, before = self.newest, self._before
         if reset is None or before is None:
             return
-        if now_us - reset.t_us > REACH_US:
-            self._before = None  # later steps of the heading do not belong to this reset
+        if now_us - reset.t_us > REACH_US or self._heading.before is None:
+            # Later steps of the heading do not belong to this reset; a gap in the rates has no integral.
+            self._before = None
             return
         step = self._heading.step_since(before)
         if abs(step) > abs(reset.heading_rad):

@@ -134,9 +134,18 @@ class Guard:
             return outputs + events
         kept: list[Output] = [o for o in proposal.outputs if not isinstance(o, _COMMANDS_AND_LOCK)]
         kept += events
-        if self.end is None and (self.action is Override.RELEASE or not self._watch.mode_change_unexplained):
-            self._fly(item, state, kept)
+        self._fly_override(item, state, kept)
         return kept
+
+    def land_after_fault(self, item: Input, state: FlightState, detail: str) -> list[Output]:
+        """Land after an exception in `review`, without the rules that may have raised it.
+
+        If the exception recurs in every step, this continues the landing. `detail` names the exception.
+        """
+        outputs: list[Output] = []
+        self._fire("mission_fault", detail, state, outputs)
+        self._fly_override(item, state, outputs)
+        return outputs
 
     @property
     def telemetry_late(self) -> bool:
@@ -232,6 +241,11 @@ class Guard:
                 self._watch.land_asked = True
 
     # -- flying --
+
+    def _fly_override(self, item: Input, state: FlightState, out: list[Output]) -> None:
+        released = self.action is Override.RELEASE
+        if self.overrules and self.end is None and (released or not self._watch.mode_change_unexplained):
+            self._fly(item, state, out)
 
     def _fly(self, item: Input, state: FlightState, out: list[Output]) -> None:
         if self.action is Override.RELEASE:

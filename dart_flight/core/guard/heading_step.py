@@ -68,9 +68,10 @@ class HeadingStep:
         return self._turns[0][1] if self._turns else None
 
     def step_since(self, before: Quaternion) -> float:
-        """Return the step of the heading since `before`, radians, positive clockwise from above."""
-        if not self._turns:
-            return 0.0
+        """Return the step of the heading since `before`, radians, positive clockwise from above.
+
+        `before` is an earlier value of the property, which must not be None at present.
+        """
         w, _, _, z = quaternion_multiply(self._turns[-1][1], quaternion_conjugate(before))
         return wrap_angle(2.0 * math.atan2(z, w))
 

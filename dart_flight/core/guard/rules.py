@@ -333,7 +333,7 @@ RULES: tuple[Rule, ...] = (
            "telemetry or lock was not ready before take-off", "flying.ready_timeout_s", of_streams=True),
     _found("offboard_refused", _GIVE_UP, "PX4 refused offboard mode", "flying.ready_timeout_s"),
     _found("arming_refused", _GIVE_UP, "PX4 refused to arm", "flying.ready_timeout_s"),
-    _found("mission_fault", _LAND, "the code of the mission raised an exception"),
+    _found("mission_fault", _LAND, "the code of the mission or of the guard raised an exception"),
 )
 # fmt: on
 

@@ -286,7 +286,7 @@ class _PulseFit:
         try:
             _, x, y = solve(self._curvature, [0.0, fs, dw])
         except ValueError:
-            x = y = 0.0
+            return None  # no reading limits the peak
         variance = (fs * x + dw * y) * max(1.0, self._cost / max(1, freedom - 3))
         top = peak * (1.0 + 0.5 * (omega * lag_s) ** 2)
         misfit = math.sqrt(self._squares / max(1, freedom)) / peak
