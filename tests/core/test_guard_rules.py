@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from dart_flight.base.geometry import Vec3, quaternion_from_euler
+from dart_flight.base.geometry import Vec2, Vec3, quaternion_from_euler
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
@@ -52,8 +52,9 @@ from dart_flight.base.streams import BY_NAME
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core import flight_core
-from dart_flight.core.guard.rule import Rule
-from dart_flight.core.guard.rules import RULES
+from dart_flight.core.guard.flight_conditions import FlightConditions
+from dart_flight.core.guard.rule import Rule, Scope, in_scope
+from dart_flight.core.guard.rules import RULES, table
 from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
 from dart_flight.core.mission import executive
 from dart_flight.core.mission.proposal import Proposal
@@ -353,7 +354,7 @@ def wall_met_early(c: HandFedCore) -> None:
 @cause_with({"collisions": []})
 def unplanned_hit(c: HandFedCore) -> None:
     c.finish_climb()
-    c.pulse((20.0, 0.0))
+    c.pulse((12.0, 16.0))
 
 
 @cause
@@ -572,6 +573,42 @@ def mission_fault(c: HandFedCore) -> None:
     c.run(0.02)
 
 
+# The operator reads what was measured and its limit.
+DETAILS = {
+    "link_lost": "no telemetry for 5.0 s",
+    "imu_silent": "no data for 100 ms",
+    "actuator_silent": "no data for 320 ms",
+    "status_silent": "no heartbeat for 3.0 s",
+    "stream_rate": "odometry arrives at 18 Hz, minimum 30 Hz",
+    "telemetry_late": "telemetry arrives 500 ms after sampling, limit 75 ms, round trip 1000 ms",
+    "second_vehicle": "two clocks alternate, 238.0 s apart",
+    "imu_stuck": "the IMU repeats one reading for 116 ms",
+    "imu_clipped": "the IMU is at full scale for 256 ms",
+    "pose_source_ground": "not tracking body dart for 2.02 s, limit 2 s",
+    "pose_source_blind": "not tracking body dart for 1.50 s, limit 1.5 s",
+    "pose_source": "not tracking body dart for 0.26 s, limit 0.25 s",
+    "estimator_jump": "position jumped by 1.00 m, limit 0.3 m",
+    "estimator_reset": "position stepped by 0.08 m, velocity by 0.00 m/s",
+    "heading_reset": "heading stepped by 28.6 deg, limit 5 deg",
+    "estimator_flags": "no valid estimate for 0.3 s",
+    "position_uncertain": "standard deviation of the position 0.23 m, limit 0.10 m",
+    "still_armed": "still armed after 10 s in land mode",
+    "hover_thrust": "the thrust curve gives a mass of 1.30 kg, airframe.mass_kg is 0.85: ratio 0.65, "
+    "limits 0.75 to 1.25",
+    "tilt": "69 deg, limit 60 deg",
+    "altitude": "2.20 m, limits 0.3 to 2 m",
+    "bounds": "the vehicle would stop 0.20 m outside bounds_m",
+    "speed": "3.63 m/s, limit 3 m/s",
+    "force_over_limit": "180 N, limit 172.5 N",
+    "peak_force": "162 N at wall wood, limit 150 N",
+    "wall_not_met": "no contact, but the vehicle is 0.20 m behind the plane of wall wood",
+    "wall_met_early": "contact 0.50 m before wall wood",
+    "unplanned_hit": "unplanned impact of 12 N in phase goal",
+    "lock_late": "the lock is travelling, not rigid; wall acrylic is 0.45 m away, closing speed 1.00 m/s",
+    "goal_not_reached": "the vehicle is still 1.12 m from the goal",
+}
+
+
 def fired(c: HandFedCore) -> list[GuardEvent]:
     return [o for o in c.outputs if isinstance(o, GuardEvent)]
 
@@ -588,6 +625,7 @@ def test_a_rule_fires_on_its_cause_and_is_reported(rule: Rule) -> None:
     mine = [e for e in events if e.rule == rule.name]
     assert len(mine) == 1, [(e.rule, e.detail) for e in events]
     assert mine[0].action == rule.action
+    assert mine[0].detail == DETAILS.get(rule.name, mine[0].detail)
     after = c.outputs[c.outputs.index(mine[0]) :]
     if rule.action is Override.RELEASE:
         assert any(isinstance(o, Silence) for o in after)
@@ -781,21 +819,24 @@ def test_a_bounce_on_the_wall_just_hit_is_only_reported(
     assert finding.note_only is noted
 
 
-def test_the_vehicle_retreats_and_replans_after_a_bounce() -> None:
+@pytest.mark.parametrize(
+    ("hits", "place", "away"), [(4, (1.6, -0.5, 1.0), (-1.0, 0.0)), (3, (0.4, -1.1, 1.0), (0.0, 1.0))]
+)
+def test_the_vehicle_retreats_and_replans_after_a_bounce(hits: int, place: Vec3, away: Vec2) -> None:
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     flown, p, state = executive.Executive(mission), Proposal(), FlightState()
     flown.progress.phase, flown.progress.index, flown.progress.entered_us, state.now_us = (
         Phase.RECOVERY,
-        4,
+        hits,
         0,
         300_000,
     )
-    state.position = place = (1.6, -0.5, 1.0)
+    state.position = place
     flown.progress.replan = Replan(trajectory=Trajectory.level((0.0,) * 6, (0.0,) * 6, 1.0, (1.0,)))
     onset = ImpactOnset(5, 1, 5, (-9.0, 0.0, 0.0), (0.0, 0.0, 0.0), place, False)
     flown._handle_contacts(Sensed(None, (onset,), True), state, p)
-    target = flown.progress.course.target
-    assert target[:2] == pytest.approx((1.6 - mission.vehicle.guard.retreat_m, -0.5))
+    target, retreat_m = flown.progress.course.target, mission.vehicle.guard.retreat_m
+    assert target[:2] == pytest.approx((place[0] + retreat_m * away[0], place[1] + retreat_m * away[1]))
     assert flown.progress.replan.since_us is None
     assert [finding.note_only for finding in p.findings] == [True]
 
@@ -967,11 +1008,49 @@ def test_rules_are_checked_at_the_same_interval_without_ticks(every_us: int, aft
     assert c.t_us - last_us == after_us
 
 
-@pytest.mark.parametrize(("above_m", "rules"), [(0.04, []), (0.06, ["altitude"])])
-def test_an_altitude_slightly_outside_the_flight_space_is_tolerated(above_m: float, rules: list[str]) -> None:
+@pytest.mark.parametrize(("axis", "side"), [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_a_vehicle_must_be_able_to_stop_inside_the_bounds(axis: int, side: int) -> None:
+    """At 1 m/s it needs half a metre."""
+    mission = load_mission(packaged("missions", "hover.yaml"))
+    watch, limit_m = FlightConditions(mission), (mission.bounds.x, mission.bounds.y)[axis][side]
+    outwards = 1.0 if side else -1.0
+
+    def excess_m(inside_m: float, speed_m_s: float) -> float:
+        position, velocity = [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
+        position[axis], velocity[axis] = limit_m - outwards * inside_m, outwards * speed_m_s
+        watch.state.position = (position[0], position[1], position[2])
+        watch.state.velocity = (velocity[0], velocity[1], velocity[2])
+        return watch.stop_excess_m()
+
+    assert excess_m(0.3, 1.0) == pytest.approx(0.2)
+    assert excess_m(0.8, 2.0) == pytest.approx(0.2)
+    assert (excess_m(0.55, 1.0), excess_m(0.3, -1.0)) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("outside_m", "rules"), [(-0.01, []), (0.01, ["altitude"])])
+@pytest.mark.parametrize("above", [True, False])
+@pytest.mark.parametrize(("hits_wall", "tolerance_m"), [(False, 0.05), (True, 0.25)])
+def test_an_altitude_slightly_outside_the_flight_space_is_tolerated(
+    hits_wall: bool, tolerance_m: float, above: bool, outside_m: float, rules: list[str]
+) -> None:
+    """The vertical force of a contact moves the vehicle."""
+    c = HandFedCore()
+    c.fly_to_wood()
+    if hits_wall:
+        c.pulse((-10.0, -16.0))
+    low, high = c.core.mission.bounds.z
+    up_m = high + tolerance_m + outside_m if above else low - tolerance_m - outside_m
+    c.position_ned = (*c.position_ned[:2], -up_m)
+    c.run(0.05)
+    assert [e.rule for e in fired(c)] == rules
+
+
+@pytest.mark.parametrize(("climb_m_s", "rules"), [(3.29, []), (3.31, ["speed"])])
+def test_a_tenth_above_the_speed_limit_is_tolerated(climb_m_s: float, rules: list[str]) -> None:
     c = HandFedCore()
     c.enter_approach()
-    c.position_ned = (*c.position_ned[:2], -(c.core.mission.bounds.z[1] + above_m))
+    assert c.core.mission.limits.speed_m_s == 3.0
+    c.velocity_ned = (0.0, 0.0, -climb_m_s)
     c.run(0.05)
     assert [e.rule for e in fired(c)] == rules
 
@@ -1288,6 +1367,33 @@ def test_a_finding_without_a_rule_is_a_fault_of_the_mission() -> None:
     (event,) = fired(c)
     assert (event.rule, event.action) == ("mission_fault", Override.LAND)
     assert "KeyError: 'no_such_rule'" in event.detail
+
+
+@pytest.mark.parametrize(
+    ("phase", "scopes"),
+    [
+        (Phase.READYING, {Scope.ALWAYS, Scope.GROUND}),
+        (Phase.ARMING, {Scope.ALWAYS, Scope.GROUND}),
+        (Phase.CLIMB, {Scope.ALWAYS, Scope.AIR, Scope.GUIDED, Scope.FLYING}),
+        (Phase.RECOVERY, {Scope.ALWAYS, Scope.AIR, Scope.GUIDED, Scope.FLYING}),
+        (Phase.LANDING, {Scope.ALWAYS, Scope.AIR}),
+        (Phase.OVERRULED, {Scope.ALWAYS, Scope.AIR, Scope.GUIDED}),
+        (Phase.DONE, set[Scope]()),
+    ],
+)
+def test_a_scope_selects_the_phases_in_which_a_rule_is_evaluated(phase: Phase, scopes: set[Scope]) -> None:
+    assert {scope for scope in Scope if in_scope(RULES[0]._replace(scope=scope), phase)} == scopes
+
+
+def test_the_table_of_the_manual_names_scope_and_inputs_of_every_rule() -> None:
+    header, _, *rows = table().splitlines()
+    assert header == "| rule | fires when | threshold | action | judged by |"
+    assert [row.split("`")[1] for row in rows] == [rule.name for rule in RULES]
+    by_name = {row.split("`")[1]: row for row in rows}
+    assert by_name["imu_stuck"].endswith(" | 0.1 s | land | guard, in the air |")
+    assert by_name["peak_force"].endswith(" | `limits.peak_force_n` | break off | mission |")
+    for name, kinds in (("altitude", "`OdometrySample`"), ("disarmed", "`StatusSample`, `ActuatorSample`")):
+        assert by_name[name].endswith(f", at once after {kinds} |")
 
 
 def test_thresholds_named_in_the_table_exist() -> None:
