@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import distance2
+from dart_flight.base.geometry import Vec2, distance2
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import Flying, packaged
@@ -249,3 +249,55 @@ def test_an_impact_outside_the_flight_space_is_refused(inside_m: float, refused:
             plan_approach(mission, mission.collisions[0])
     else:
         assert plan_approach(mission, mission.collisions[0]).begin == pytest.approx((0.0, 0.0, 1.0))
+
+
+BOARD = Wall("board", (0.0, 0.0), (-1.0, 0.0), 0.6, "wood")
+
+
+def with_board(mission: Mission, place: Vec2, normal: Vec2) -> Mission:
+    board = msgspec.structs.replace(BOARD, point=place, normal=normal)
+    return msgspec.structs.replace(mission, walls=(*mission.walls, board))
+
+
+@pytest.mark.parametrize("facing", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("place", "normal", "blocked"),
+    [
+        ((0.8, 0.4), (1.0, 0.0), True),
+        ((0.2, -0.6), (0.0, 1.0), True),
+        ((0.8, -1.0), (0.0, 1.0), False),
+    ],
+)
+def test_a_wall_blocks_an_approach_in_its_run_up_and_before_it(
+    place: Vec2, normal: Vec2, facing: float, blocked: bool
+) -> None:
+    mission = msgspec.structs.replace(MISSION, start=(0.0, -1.4))
+    mission = with_board(mission, place, (facing * normal[0], facing * normal[1]))
+    if not blocked:
+        assert plan_approach(mission, mission.collisions[0]).after is AfterEnd.CONTINUE
+        return
+    with pytest.raises(NoApproachError, match="wall board blocks the run-up"):
+        plan_approach(mission, mission.collisions[0])
+
+
+@pytest.mark.parametrize(("place", "blocked"), [((-0.5, 0.5), True), ((-0.5, -0.8), False)])
+def test_a_wall_blocks_the_path_to_a_waypoint(place: Vec2, blocked: bool) -> None:
+    mission = with_board(mission_with([{"position_m": [-1.0, 1.0]}], (9.0, 9.0)), place, (1.0, 0.0))
+    if not blocked:
+        check_segments_clear(mission)
+        return
+    with pytest.raises(NoApproachError, match="wall board blocks the path to waypoint 1"):
+        check_segments_clear(mission)
+
+
+def test_a_wall_blocks_the_trajectory_to_another_wall() -> None:
+    mission = load_mission(packaged("missions", "touch_and_return.yaml"))
+    check_segments_clear(mission)
+    written = next(c for c in mission.collisions if c.trajectory is not None)
+    assert written.trajectory is not None
+    trajectory = Trajectory.from_mission(written.trajectory, mission.altitude_m)
+    there = trajectory.at(0.7 * trajectory.duration_s)
+    (x, y, _), (vx, vy, _), speed_m_s = there.position, there.velocity, math.hypot(*there.velocity)
+    blocked = with_board(mission, (x, y), (-vx / speed_m_s, -vy / speed_m_s))
+    with pytest.raises(NoApproachError, match=f"board blocks the trajectory to wall {written.wall.name}"):
+        check_segments_clear(blocked)

@@ -7,9 +7,10 @@ import random
 
 import pytest
 
-from dart_flight.base.geometry import MissionFrame
+from dart_flight.base.geometry import MissionFrame, quaternion_from_euler
 from dart_flight.base.records import AttitudeSample, OdometrySample, Phase
 from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission import course
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.sense.state import FlightState
@@ -65,3 +66,26 @@ def test_the_mean_velocity_covers_the_requested_time_span() -> None:
         state.update_odometry(OdometrySample(i * 10_000, i * 10_000, (0.0, 0.0, 0.0), (float(i), 0.0, 0.0)))
     assert state.mean_velocity(0.0)[0] == pytest.approx(100.0)
     assert state.mean_velocity(0.1)[0] == pytest.approx(95.5)  # the newest ten
+
+
+@pytest.mark.parametrize(
+    ("name", "near_m", "slow_m_s", "turned_rad"),
+    [("paper_dual_collision", 0.12, 0.1, 0.05), ("dual_collision_gps", 0.3, 0.4, 0.1)],
+)
+def test_an_arrival_is_more_tolerant_if_the_position_drifts(
+    name: str, near_m: float, slow_m_s: float, turned_rad: float
+) -> None:
+    arrival = course.Arrival(load_mission(packaged("missions", f"{name}.yaml")))
+
+    def is_at(away_m: float, speed_m_s: float, yaw: float) -> bool:
+        state = FlightState()
+        state.anchor(MissionFrame())
+        state.update_attitude(AttitudeSample(1, 1, quaternion_from_euler(0.0, 0.0, yaw)))
+        state.update_odometry(OdometrySample(1, 1, (0.0, away_m, -1.0), (0.0, 0.0, speed_m_s)))
+        return arrival.is_at((0.0, 0.0, 1.0), 0.0, state)
+
+    limits = (near_m, slow_m_s, turned_rad)
+    for sign in (1.0, -1.0):
+        assert is_at(*(0.99 * sign * limit for limit in limits))
+        for i in range(3):
+            assert not is_at(*(sign * limit * (1.01 if k == i else 0.99) for k, limit in enumerate(limits)))

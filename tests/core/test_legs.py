@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import Vec2, distance2
-from dart_flight.base.records import LockPhase, LockState, Phase, ProbeEnd
+from dart_flight.base.geometry import MissionFrame, Vec2, distance2
+from dart_flight.base.records import ImpactPeak, LockPhase, LockState, Phase, ProbeEnd
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.probes import resolve_place
 from dart_flight.config.vehicle import packaged
@@ -85,6 +85,33 @@ def test_a_probe_may_begin_where_the_vehicle_rests(from_here: bool) -> None:
     assert now.begin == (HERE if from_here else probe.begin)
     approach, before = (tuple(e - b for b, e in zip(p.begin, p.end, strict=True)) for p in (now, probe))
     assert approach == pytest.approx(before, abs=1e-12)
+
+
+@pytest.mark.parametrize("from_here", [True, False])
+def test_the_flight_to_a_probe_ends_where_the_probe_begins(from_here: bool) -> None:
+    first = FIND.collisions[0]
+    assert first.probe is not None
+    probe = msgspec.structs.replace(first.probe, from_here=from_here)
+    flown, p = Executive(FIND), Proposal()
+    flown.progress.collisions[0] = collision = msgspec.structs.replace(first, probe=probe)
+    flown.progress.course = flown.progress.course.hold(HERE)
+    flown._begin_transit(FlightState(), p)
+    begin = HERE if from_here else probe.begin
+    assert flown.progress.course.target[:2] == begin
+    assert flown.progress.approaches[collision.index].begin[:2] == pytest.approx(begin)
+    assert not p.findings
+
+
+def test_a_probe_retreats_along_the_normal_of_the_wall_that_it_met() -> None:
+    flown, p, state = Executive(FIND), Proposal(), FlightState()
+    state.anchor(MissionFrame())
+    flown.progress.phase, probe = Phase.CONTACT, FIND.collisions[0].probe
+    assert probe is not None
+    peak = ImpactPeak(5, 5, 5, (-0.8, 0.6), 20.0, 3.0, (1.9, 0.1, 1.0), True)
+    flown._handle_contacts(Sensed(None, (peak,), True), state, p)
+    assert flown.progress.phase is Phase.RECOVERY
+    place = (1.9 - 0.8 * probe.back_m, 0.1 + 0.6 * probe.back_m, FIND.altitude_m)
+    assert flown.progress.course.target == pytest.approx(place)
 
 
 def test_an_updated_mission_contains_the_measured_walls() -> None:

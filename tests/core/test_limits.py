@@ -29,6 +29,8 @@ from dart_flight.base.records import (
 )
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_BAD_S
+from dart_flight.core.mission.mission_state import MissionState
+from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore
 
 SINGLE = "missions/paper_single_wall.yaml"
@@ -102,6 +104,32 @@ def test_a_push_above_the_threshold_counts_as_wind_only_after_it_outlasts_a_cont
     assert pushed.core._senses.detector.slow_force.value[0] > 1.0
 
 
+# --- phases ---
+
+
+@pytest.mark.parametrize(
+    ("autopilot_s", "host_s", "late"),
+    [
+        (21.9, 21.9, False),
+        (22.1, 22.1, True),
+        (22.1, 0.0, True),
+        (0.0, 65.9, False),  # a slow simulation
+        (0.0, 66.1, True),  # the autopilot's clock jumped back
+    ],
+)
+def test_a_phase_is_late_after_its_timeout_and_its_travel_time(
+    autopilot_s: float, host_s: float, late: bool
+) -> None:
+    """The timeout is 20 s and the flight takes 2 s; by the host's clock, three times this is allowed."""
+    core, state = HandFedCore().core, FlightState()
+    progress = MissionState(core.mission, {})
+    assert core.mission.vehicle.flying.ready_timeout_s == 20.0
+    progress.entered_us, progress.entered_host_us = 50_000_000, 70_000_000
+    state.now_us = progress.entered_us + round(autopilot_s * 1e6)
+    state.host_us = progress.entered_host_us + round(host_s * 1e6)
+    assert progress.is_late(state, 2.0) is late
+
+
 # --- commands ----------------------------------------------------------------------------------------------
 
 
@@ -129,7 +157,8 @@ def test_the_mission_requests_landing_every_second_until_telemetry_confirms_it()
     c = HandFedCore(SINGLE)
     leave_single_wall(c)
     c.position_ned = (0.4, -1.0, -1.0)  # at the goal
-    c.run(8.5)  # until the recovery times out
+    out = c.run(8.5)  # until the recovery times out
+    assert [o.timed_out for o in out if isinstance(o, GoalPassed)] == [True]
     c.run(2.0)
     assert c.core.phase is Phase.LANDING
     times = landing_requests_s(c, 3.5)
@@ -351,7 +380,7 @@ def test_the_goal_is_passed_once_its_distance_grows_by_more_than_noise() -> None
     assert at(0.3, 0.3) == []
     assert at(0.32, 0.3) == []  # noise
     passed = at(0.36, 0.1)
-    assert [round(p.miss_m, 3) for p in passed] == [0.3]
+    assert [(round(p.miss_m, 3), p.timed_out) for p in passed] == [(0.3, False)]
     assert c.core.phase is Phase.GOAL
 
 
