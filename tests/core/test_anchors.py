@@ -170,6 +170,8 @@ def test_a_walls_position_is_that_of_its_latest_contact(place_sd: float | None, 
         expected = walls.known_wall(wall)
         walls.add_estimate(wall_estimate((x, 0.0), (-1.0, 0.0), expected.signed_distance((x, 0.0))), wall)
         assert walls.known_wall(wall).point == pytest.approx((x, 0.0))
+        written = place_sd is not None or yaw_sd is not None
+        assert walls.known_wall(wall).position_sd_m == (pytest.approx(0.012) if written else None)
     for incomplete in (
         wall_estimate(None, None),
         wall_estimate((2.1, 0.0), None),
@@ -336,3 +338,20 @@ def test_a_planned_trajectory_is_kept_although_its_wall_was_touched() -> None:
     assert progress.collision is hit
     assert progress.approaches[1] is approach
     assert progress.course.target == (0.0, 0.0, 1.0)
+
+
+def test_a_run_up_allows_for_the_drift_until_the_impact() -> None:
+    """The impact is assumed 5 s after the flight to the run-up point begins; three deviations count."""
+    mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
+    wall, drift_m_s = mission.collisions[2].wall, mission.vehicle.estimation.position_drift_m_s
+
+    def run_up_distance_m(now_s: int) -> float:
+        flown, p, state = Executive(mission), Proposal(), FlightState()
+        flown.progress.index, state.now_us = 2, now_s * S
+        flown.progress.course = flown.progress.course.hold((0.4, 0.2))
+        flown._begin_transit(state, p)
+        assert not p.findings
+        return wall.signed_distance(flown.progress.course.target)
+
+    sd_m = [math.hypot(START_SD_M, drift_m_s * age_s) for age_s in (6.0, 15.0)]
+    assert run_up_distance_m(10) - run_up_distance_m(1) == pytest.approx(3.0 * (sd_m[1] - sd_m[0]))

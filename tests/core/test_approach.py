@@ -23,6 +23,7 @@ from dart_flight.core.mission.approach import (
     plan_approach,
     run_up,
     standoff_point,
+    transit_segments,
 )
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 
@@ -301,3 +302,26 @@ def test_a_wall_blocks_the_trajectory_to_another_wall() -> None:
     blocked = with_board(mission, (x, y), (-vx / speed_m_s, -vy / speed_m_s))
     with pytest.raises(NoApproachError, match=f"board blocks the trajectory to wall {written.wall.name}"):
         check_segments_clear(blocked)
+
+
+@pytest.mark.parametrize(
+    ("name", "waypoints", "segments"),
+    [
+        ("hover", [], [("the goal", (0.0, 0.0))]),
+        ("hover", [{"position_m": [-1.0, 1.0]}], [("waypoint 1", (0.0, 0.0)), ("the goal", (-1.0, 1.0))]),
+        ("paper_single_wall", [], []),  # the recovery leads to the goal
+        (
+            "paper_single_wall",
+            [{"position_m": [-1.0, 1.0], "after": 1}],
+            [("waypoint 1", None), ("the goal", (-1.0, 1.0))],
+        ),
+        # a trajectory leads to the goal
+        ("touch_and_return", [], [("waypoint 1", None), ("waypoint 2", None)]),
+    ],
+)
+def test_only_flights_from_rest_are_segments(
+    name: str, waypoints: list[dict[str, object]], segments: list[tuple[str, Vec2 | None]]
+) -> None:
+    mission = load_mission(packaged("missions", f"{name}.yaml"))
+    found = transit_segments(mission.replace({"waypoints": waypoints}) if waypoints else mission)
+    assert [(one.name, one.begin and one.begin[:2]) for one in found] == segments

@@ -78,11 +78,12 @@ def test_an_arrival_is_more_tolerant_if_the_position_drifts(
     arrival = course.Arrival(load_mission(packaged("missions", f"{name}.yaml")))
 
     def is_at(away_m: float, speed_m_s: float, yaw: float) -> bool:
+        """Return whether the vehicle has arrived; NED headings are clockwise."""
         state = FlightState()
         state.anchor(MissionFrame())
-        state.update_attitude(AttitudeSample(1, 1, quaternion_from_euler(0.0, 0.0, yaw)))
+        state.update_attitude(AttitudeSample(1, 1, quaternion_from_euler(0.0, 0.0, yaw - math.radians(90.0))))
         state.update_odometry(OdometrySample(1, 1, (0.0, away_m, -1.0), (0.0, 0.0, speed_m_s)))
-        return arrival.is_at((0.0, 0.0, 1.0), 0.0, state)
+        return arrival.is_at((0.0, 0.0, 1.0), math.radians(90.0), state)
 
     limits = (near_m, slow_m_s, turned_rad)
     for sign in (1.0, -1.0):

@@ -22,6 +22,7 @@ from dart_flight.base.records import (
     Mode,
     OperatorRequest,
     Phase,
+    PhaseChange,
     Request,
     Setpoint,
     VehicleAction,
@@ -31,7 +32,7 @@ from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_BAD_S
 from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.sense.state import FlightState
-from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore
+from tests.core.conftest import RULES_WITHOUT_JUMP, SHORT_TIMEOUTS, HandFedCore
 
 SINGLE = "missions/paper_single_wall.yaml"
 
@@ -128,6 +129,24 @@ def test_a_phase_is_late_after_its_timeout_and_its_travel_time(
     state.now_us = progress.entered_us + round(autopilot_s * 1e6)
     state.host_us = progress.entered_host_us + round(host_s * 1e6)
     assert progress.is_late(state, 2.0) is late
+
+
+def test_the_time_before_the_first_sample_does_not_count() -> None:
+    """The autopilot may have run for long when the program starts."""
+    c = HandFedCore(settings=SHORT_TIMEOUTS)
+    c.t_us += 3_600_000_000
+    assert not [o for o in c.run(2.9) if isinstance(o, GuardEvent)]
+    assert [o.rule for o in c.run(0.3) if isinstance(o, GuardEvent)] == ["not_ready"]
+
+
+def test_a_waypoint_is_held_after_the_arrival() -> None:
+    """An arrival takes 0.3 s."""
+    c = HandFedCore(settings={"waypoints": [{"position_m": [0.0, 0.0], "speed_m_s": 0.5, "hold_s": 1.2}]})
+    c.finish_climb()
+    c.run(2.5)
+    changed_us = {o.before: o.t_us for o in c.outputs if isinstance(o, PhaseChange)}
+    held_s = (changed_us[Phase.WAYPOINT] - changed_us[Phase.CLIMB]) * 1e-6
+    assert held_s == pytest.approx(0.3 + 1.2, abs=0.03)
 
 
 # --- commands ----------------------------------------------------------------------------------------------
@@ -332,6 +351,19 @@ def test_the_ended_process_is_named_if_it_is_known(detail: str) -> None:
     c.feed(OperatorRequest(c.t_us, Request.WORLD_DIED, detail))
     details = [o.detail for o in c.outputs if isinstance(o, GuardEvent)]
     assert details == [detail or "the simulated vehicle ended"]
+
+
+def test_the_guard_keeps_the_last_commanded_heading() -> None:
+    """The mission is still turning the vehicle from 0.6 rad towards zero."""
+    c = HandFedCore()
+    c.q = quaternion_from_euler(0.0, 0.0, 0.6)
+    c.finish_climb()
+    last = [o.yaw_ned_rad for o in c.outputs if isinstance(o, Setpoint)][-1]
+    assert 0.2 < last < 0.55
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
+    held = [o.yaw_ned_rad for o in c.run(0.5) if isinstance(o, Setpoint)]
+    assert held
+    assert set(held) == {last}
 
 
 # --- heading -----------------------------------------------------------------------------------------------
