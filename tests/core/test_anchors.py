@@ -18,7 +18,7 @@ from dart_flight.core.mission.anchors import START_SD_M, Anchor, FrameAnchors
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.phases import PhaseTrigger
 from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
+from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, early_m, end_margin_m, late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import HandFedCore
@@ -257,6 +257,17 @@ def test_wall_uncertainty_grows_with_the_age_of_its_anchor() -> None:
     assert walls.known_wall(own, 0).position_sd_m == pytest.approx(math.hypot(0.1, fresh))
 
 
+def test_three_standard_deviations_of_a_wall_widen_every_tolerance() -> None:
+    wall = msgspec.structs.replace(WOOD, position_sd_m=0.1, half_vehicle_m=0.2)
+    guard = load_mission(packaged("missions", "dual_collision_gps.yaml")).vehicle.guard
+    assert end_margin_m(wall, wall.point) == pytest.approx(0.2 + 0.3)
+    assert overrun_m(guard, wall, wall.point) == pytest.approx(guard.wall_overrun_m + 0.3)
+    assert early_m(guard, wall, wall.point) == pytest.approx(guard.wall_early_m + 0.3)
+    for closing_m_s, least_m_s in ((1.5, 1.5), (0.05, 0.1)):
+        late = late_s(guard, wall, wall.point, closing_m_s)
+        assert late == pytest.approx(guard.wall_late_s + 0.3 / least_m_s)
+
+
 @pytest.mark.parametrize(("along_m", "sd_m"), [(0.0, 0.012), (1.5, math.hypot(0.012, 1.5 * math.tan(0.02)))])
 def test_wall_centre_uncertainty_grows_with_the_distance_of_the_contact(along_m: float, sd_m: float) -> None:
     wall = msgspec.structs.replace(WOOD, position_sd_m=0.1, yaw_sd_rad=0.05)
@@ -278,6 +289,7 @@ def test_a_contact_with_a_probed_wall_does_not_correct_the_frame(sought: bool) -
     estimate = wall_estimate((x + 0.05 * nx, y + 0.05 * ny), (nx, ny), 0.05, wall=mission.walls[0].name)
     flown._handle_contacts(Sensed(None, (), False, wall=estimate), state, p)
     assert (p.frame is None) is sought
+    assert flown.progress.replan.has_wall_estimate, "a plan must not wait for it any longer"
 
 
 # --- in flight --------------------------------------------------------------------------------------------
@@ -354,4 +366,4 @@ def test_a_run_up_allows_for_the_drift_until_the_impact() -> None:
         return wall.signed_distance(flown.progress.course.target)
 
     sd_m = [math.hypot(START_SD_M, drift_m_s * age_s) for age_s in (6.0, 15.0)]
-    assert run_up_distance_m(10) - run_up_distance_m(1) == pytest.approx(3.0 * (sd_m[1] - sd_m[0]))
+    assert run_up_distance_m(10) - run_up_distance_m(1) == pytest.approx(3.0 * (sd_m[1] - sd_m[0]), abs=1e-10)

@@ -154,6 +154,19 @@ def test_a_faulty_lock_is_late_once_a_stop_ends_within_2_cm_of_the_wall(
     assert [finding.rule for finding in p.findings] == rules
 
 
+@pytest.mark.parametrize(("closing_m_s", "rules"), [(0.1, ["lock_late"]), (0.0, []), (-0.5, [])])
+def test_a_faulty_lock_is_not_late_if_the_vehicle_does_not_approach(
+    closing_m_s: float, rules: list[str]
+) -> None:
+    wall, state, p = ACRYLIC.wall, FlightState(), Proposal()
+    (x, y), (nx, ny) = wall.point, wall.normal
+    state.position = (x + 0.01 * nx, y + 0.01 * ny, 1.0)
+    state.velocity = (-closing_m_s * nx, -closing_m_s * ny, 0.0)
+    state.lock = LockState(0, LockPhase.FAULT, None)
+    Executive(STIFF)._check_lock_in_time(ACRYLIC, state, Sensed(), p)
+    assert [finding.rule for finding in p.findings] == rules
+
+
 @pytest.mark.parametrize(("closing_m_s", "after_s"), [(0.0, 1.3), (-4.0, 1.9)])
 def test_impact_prediction_looks_as_far_ahead_as_the_loop_may_need(
     closing_m_s: float, after_s: float

@@ -20,6 +20,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import plan_approach
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.legs import skip_reason, update_collision, update_mission, update_waypoint
+from dart_flight.core.mission.phases import PhaseTrigger
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
@@ -55,6 +56,19 @@ def test_legs_with_a_contact_condition_are_skipped_if_it_fails() -> None:
     conditional = msgspec.structs.replace(probe, if_met="west")
     assert skip_reason(conditional, walls_after_contact("east")) == "no contact with wall west"
     assert skip_reason(conditional, walls_after_contact("west")) is None
+
+
+def test_skipped_legs_are_recorded_and_the_flight_continues_with_the_next_leg() -> None:
+    flown, p = Executive(FIND), Proposal()
+    flown.progress.phase, flown.progress.index = Phase.RECOVERY, 1
+    flown._start_next(PhaseTrigger.RESTED, FlightState(), p)
+    reason = "skipped: no contact with wall east"
+    assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
+        f"{AWAY.name} {reason}",
+        f"collision 2 {reason}",
+    ]
+    assert (flown.progress.stops, flown.progress.index) == (1, 2)
+    assert flown.progress.collision == FIND.collisions[2]
 
 
 def test_a_hit_and_a_waypoint_follow_the_measured_wall() -> None:

@@ -8,7 +8,7 @@ import math
 import msgspec
 import pytest
 
-from dart_flight.base.geometry import quaternion_from_euler
+from dart_flight.base.geometry import MissionFrame, quaternion_from_euler
 from dart_flight.base.records import (
     ClockOffset,
     ContactEnd,
@@ -20,6 +20,7 @@ from dart_flight.base.records import (
     ImpactPeak,
     LandedState,
     Mode,
+    OdometrySample,
     OperatorRequest,
     Phase,
     PhaseChange,
@@ -30,7 +31,10 @@ from dart_flight.base.records import (
 )
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_BAD_S
+from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.mission_state import MissionState
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import RULES_WITHOUT_JUMP, SHORT_TIMEOUTS, HandFedCore
 
@@ -147,6 +151,40 @@ def test_a_waypoint_is_held_after_the_arrival() -> None:
     changed_us = {o.before: o.t_us for o in c.outputs if isinstance(o, PhaseChange)}
     held_s = (changed_us[Phase.WAYPOINT] - changed_us[Phase.CLIMB]) * 1e-6
     assert held_s == pytest.approx(0.3 + 1.2, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("after_us", "speed_m_s", "rests"),
+    [(500_000, 0.0, False), (500_001, 0.0, True), (4_000_000, 1.0, False), (4_000_001, 1.0, True)],
+)
+def test_a_leg_from_rest_begins_when_the_vehicle_is_slow_or_after_four_seconds(
+    after_us: int, speed_m_s: float, rests: bool
+) -> None:
+    c = HandFedCore(SINGLE, settings={"waypoints": [{"position_m": [-1.0, 1.0], "after": 1}]})
+    flown, state = Executive(c.core.mission), FlightState()
+    state.anchor(MissionFrame())
+    state.update_odometry(OdometrySample(after_us, 0, (1.0, 0.0, -1.0), (speed_m_s, 0.0, 0.0)))
+    flown.progress.phase, flown.progress.index, flown.progress.entered_us = Phase.RECOVERY, 1, 0
+    flown._recovery(state, Sensed(), Proposal())
+    assert (flown.progress.phase is Phase.WAYPOINT) is rests
+
+
+def test_the_operator_ends_one_pause_at_a_time() -> None:
+    pause = {"pause": "operator", "timeout_s": 5.0}
+    c = HandFedCore(settings={"waypoints": [pause, pause]})
+    c.finish_climb()
+    for phase in (Phase.PAUSE, Phase.PAUSE, Phase.TRANSIT, Phase.TRANSIT):
+        assert c.core.phase is phase
+        c.feed(OperatorRequest(c.t_us, Request.CONTINUE))
+        c.run(0.02)
+
+
+@pytest.mark.parametrize(("after_us", "count"), [(999_999, 1), (1_000_000, 2)])
+def test_a_command_is_repeated_after_a_second(after_us: int, count: int) -> None:
+    flown, state, p = Executive(HandFedCore().core.mission), FlightState(), Proposal()
+    for state.now_us in (5, 5 + after_us):
+        flown._send_action(VehicleAction.LAND, state, p)
+    assert len(p.outputs) == count
 
 
 # --- commands ----------------------------------------------------------------------------------------------
