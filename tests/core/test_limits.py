@@ -169,6 +169,42 @@ def test_a_leg_from_rest_begins_when_the_vehicle_is_slow_or_after_four_seconds(
     assert (flown.progress.phase is Phase.WAYPOINT) is rests
 
 
+def test_a_waypoint_and_the_goal_are_held_to_the_microsecond() -> None:
+    waypoint = {"position_m": [0.0, 0.0], "hold_s": 2.0}
+    goal = {"position_m": [0.0, 0.0], "capture_radius_m": 0.15, "hold_s": 3.0}
+    mission = HandFedCore(settings={"waypoints": [waypoint], "goal": goal}).core.mission
+    for after_us, phases in (
+        (-1, (Phase.WAYPOINT, Phase.GOAL)),
+        (0, (Phase.TRANSIT, Phase.LANDING)),
+    ):
+        found = []
+        for phase, hold_us in ((Phase.WAYPOINT, 2_000_000), (Phase.GOAL, 3_000_000)):
+            flown, state = Executive(mission), FlightState()
+            flown.progress.phase, flown.progress.entered_us = phase, 0
+            flown.progress.reached_us = flown.progress.captured_us = 1_000_000
+            state.now_us = 1_000_000 + hold_us + after_us
+            flown._steps[phase](state, Sensed(), Proposal())
+            found.append(flown.progress.phase)
+        assert tuple(found) == phases
+
+
+@pytest.mark.parametrize(
+    ("phase", "limit_s", "rule"),
+    [(Phase.CONTACT, 0.24, "no_peak"), (Phase.PREPARE, 3.5, "lock_not_ready")],
+)
+def test_a_peak_and_the_lock_are_awaited_for_a_limited_time(phase: Phase, limit_s: float, rule: str) -> None:
+    """Twice `peak_wait_s`, and `lock.timeout_s` plus 2 s."""
+    mission = HandFedCore().core.mission
+    assert mission.vehicle.lock is not None
+    assert (mission.vehicle.detection.peak_wait_s, mission.vehicle.lock.timeout_s) == (0.12, 1.5)
+    for after_us, rules in ((0, []), (1, [rule])):
+        flown, state, p = Executive(mission), FlightState(), Proposal()
+        flown.progress.phase, flown.progress.entered_us = phase, 0
+        state.now_us = round(1e6 * limit_s) + after_us
+        flown._steps[phase](state, Sensed(), p)
+        assert [finding.rule for finding in p.findings] == rules
+
+
 def test_the_operator_ends_one_pause_at_a_time() -> None:
     pause = {"pause": "operator", "timeout_s": 5.0}
     c = HandFedCore(settings={"waypoints": [pause, pause]})

@@ -52,8 +52,13 @@ def test_the_path_to_the_next_wall_starts_from_rest_after_a_slow_lock() -> None:
     c = HandFedCore(settings={"standoff_m": 0.3})
     stand_off_first_wall(c)
     assert c.core.phase is Phase.RECOVERY
+    stood_at = c.position_ned
+    assert c.core.mission.walls[0].signed_distance((stood_at[0], -stood_at[1])) == pytest.approx(
+        0.3, abs=0.01
+    )
     c.set_lock(Mode.RIGID, LockPhase.TRAVELLING)
     here = follow(c, 2.0)[-1].position_ned  # as long as the whole path takes
+    assert math.dist(here, stood_at) < 0.01
     c.set_lock(Mode.RIGID)
     sent = follow(c, 4.0)
     steps = [math.dist(b.position_ned, a.position_ned) for a, b in pairwise(sent)]

@@ -297,6 +297,28 @@ def test_a_trajectory_is_flown_if_the_position_loop_can_still_reach_it(
     assert not planning.flies(moved_to(request))  # once
 
 
+def test_a_trajectory_is_compared_with_the_vehicle_at_the_present_time() -> None:
+    """The first sample after the begin time may arrive late."""
+    planning, request = planning_with_request()
+    planning.accept(answer_to(request), NOW_US + 40_000)
+    state = moved_to(request)
+    (x, y, z), (vx, vy, _), late_s = state.position, state.velocity, 0.4
+    state.now_us, state.position = request.begin_us + 400_000, (x + late_s * vx, y + late_s * vy, z)
+    assert planning.flies(state)
+
+
+def test_a_planned_trajectory_keeps_the_altitude_between_its_walls() -> None:
+    """The waypoint after the second wall is higher."""
+    higher = {"position_m": [0.0, 0.0], "altitude_m": 1.4, "after": 2}
+    planning = Planning(MISSION.replace({"waypoints": [higher]}))
+    request = planning.request(BETWEEN, state_at(NOW_US), OVER)
+    assert request is not None
+    planning.accept(answer_to(request), NOW_US + 40_000)
+    course = planning.trajectory(moved_to(request)).course
+    assert course is not None
+    assert course.target[2] == 1.0
+
+
 def test_a_contact_discards_earlier_plans() -> None:
     planning, request = planning_with_request()
     planning.contact_begins()
