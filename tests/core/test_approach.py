@@ -291,6 +291,17 @@ def test_a_wall_blocks_the_path_to_a_waypoint(place: Vec2, blocked: bool) -> Non
         check_segments_clear(mission)
 
 
+@pytest.mark.parametrize(("place", "blocked"), [((-0.3, 0.6), True), ((0.2, -0.6), False)])
+def test_the_path_to_a_run_up_begins_at_the_last_waypoint(place: Vec2, blocked: bool) -> None:
+    one = msgspec.structs.replace(mission_with([{"position_m": [-1.0, 1.0]}], (9.0, 9.0)), start=(0.0, -1.4))
+    mission = with_board(one, place, (1.0, 0.0))
+    if not blocked:  # the board stands between the start and the run-up
+        assert plan_approach(mission, mission.collisions[0]).after is AfterEnd.CONTINUE
+        return
+    with pytest.raises(NoApproachError, match="wall board blocks the run-up"):
+        plan_approach(mission, mission.collisions[0])
+
+
 def test_a_wall_blocks_the_trajectory_to_another_wall() -> None:
     mission = load_mission(packaged("missions", "touch_and_return.yaml"))
     check_segments_clear(mission)

@@ -233,3 +233,14 @@ def test_the_verdict_lists_estimator_resets(fault: str, outcome: str, heading_de
     (reset,) = verdict.estimator_resets
     assert reset.heading_deg == pytest.approx(heading_deg, rel=0.06)  # motion capture has begun to correct
     assert reset.position_m < 0.05
+
+
+def test_a_reset_before_the_first_attitude_has_no_heading_step() -> None:
+    resets = EstimatorResets()
+    assert [resets.update_counter(counter, 1_000_000) for counter in (3, 4)] == [False, True]
+    for tick in range(1, 5):
+        t_us = 1_000_000 + 4000 * tick
+        resets.add_imu(ImuSample(t_us, t_us, NED, NED))
+        resets.add_attitude(AttitudeSample(t_us, t_us, quaternion_from_euler(0.0, 0.0, 0.3 * tick)))
+    assert resets.newest is not None
+    assert resets.newest.heading_rad == 0.0
