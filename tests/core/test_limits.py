@@ -143,14 +143,16 @@ def test_the_time_before_the_first_sample_does_not_count() -> None:
     assert [o.rule for o in c.run(0.3) if isinstance(o, GuardEvent)] == ["not_ready"]
 
 
-def test_a_waypoint_is_held_after_the_arrival() -> None:
-    """An arrival takes 0.3 s."""
-    c = HandFedCore(settings={"waypoints": [{"position_m": [0.0, 0.0], "speed_m_s": 0.5, "hold_s": 1.2}]})
+def test_every_waypoint_is_held_after_its_arrival() -> None:
+    """An arrival takes 0.3 s; the vehicle is at both waypoints from the beginning."""
+    here = {"position_m": [0.0, 0.0], "speed_m_s": 0.5}
+    c = HandFedCore(settings={"waypoints": [{**here, "hold_s": 1.2}, {**here, "hold_s": 0.5}]})
     c.finish_climb()
-    c.run(2.5)
-    changed_us = {o.before: o.t_us for o in c.outputs if isinstance(o, PhaseChange)}
-    held_s = (changed_us[Phase.WAYPOINT] - changed_us[Phase.CLIMB]) * 1e-6
-    assert held_s == pytest.approx(0.3 + 1.2, abs=0.03)
+    c.run(3.0)
+    began = [o for o in c.outputs if isinstance(o, PhaseChange)][-4:-1]
+    assert [o.after for o in began] == [Phase.WAYPOINT, Phase.WAYPOINT, Phase.TRANSIT]
+    held_s = [(b.t_us - a.t_us) * 1e-6 for a, b in itertools.pairwise(began)]
+    assert held_s == pytest.approx([0.3 + 1.2, 0.3 + 0.5], abs=0.03)
 
 
 @pytest.mark.parametrize(
