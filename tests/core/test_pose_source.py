@@ -130,6 +130,7 @@ def test_a_pose_that_drifts_away_is_named_after_half_a_second(
     assert fault == (f"the pose is {away_m:.2f} m from PX4's position" if apart else None)
 
 
+@pytest.mark.parametrize(
     ("changes", "seconds"),
     [({"away": (0.5, 0.0, 0.0)}, 0.03), ({"turn": math.radians(90.0)}, 0.08), ({"tracked": False}, 0.4)],
 )

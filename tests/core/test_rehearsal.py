@@ -65,6 +65,11 @@ def test_the_path_to_the_next_wall_starts_from_rest_after_a_slow_lock() -> None:
     assert math.dist(sent[0].position_ned, here) < 0.01
     assert max(steps) < 0.01
     assert math.dist(sent[-1].position_ned, here) > 0.4
+    wall = c.core.mission.walls[1]
+    places = [(one.position_ned[0], -one.position_ned[1]) for one in sent]
+    nearest = min(places, key=wall.signed_distance)
+    assert wall.signed_distance(nearest) == pytest.approx(0.3, abs=1e-3)
+    assert wall.along(nearest) == pytest.approx(wall.along((here[0], -here[1])), abs=1e-3)
 
 
 def test_a_standoff_point_that_is_not_reached_is_given_up_after_the_timeout() -> None:
@@ -110,9 +115,3 @@ def test_a_waypoint_between_two_walls_is_rehearsed_too() -> None:
     assert follow_through(c, Phase.WAYPOINT) == pytest.approx((0.2, -0.5, -1.0), abs=0.01)
     phases = [o.after for o in c.outputs if isinstance(o, PhaseChange)]
     assert phases[-3:] == [Phase.RECOVERY, Phase.WAYPOINT, Phase.TRANSIT]
-
-    wall = c.core.mission.walls[1]
-    places = [(one.position_ned[0], -one.position_ned[1]) for one in sent]
-    nearest = min(places, key=wall.signed_distance)
-    assert wall.signed_distance(nearest) == pytest.approx(0.3, abs=1e-3)
-    assert wall.along(nearest) == pytest.approx(wall.along((here[0], -here[1])), abs=1e-3)
