@@ -5,6 +5,8 @@ import random
 from collections import deque
 from collections.abc import Callable, Sequence
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -158,3 +160,125 @@ def test_a_gap_in_the_imu_stream_gives_no_delay() -> None:
             step(delay, imu, t_us, now)
             found.append(delay.ahead_s)
     assert all(ahead_s is None or abs(ahead_s) < 0.02 for ahead_s in found)
+
+
+# --- the regression, compared with its definition ---------------------------------------------------------
+
+STEP_US = 50_000
+Series = npt.NDArray[np.float64]  # one row for every step, one column for every axis
+
+
+def random_motion(rng: random.Random, acceleration_m_s2: float, steps: int) -> tuple[list[Momenta], Series]:
+    """Return the IMU's momenta and the true velocity at every step, half of them between two samples."""
+    imu, kept, velocities = Imu(), list[Momenta](), []
+    velocity = last = np.zeros(3)
+    at = np.zeros(3)
+    for tick in range(1, steps * STEP_US // TICK_US + 2):
+        t_us = tick * TICK_US
+        if tick % 50 == 1:
+            at = np.array([rng.gauss(0.0, acceleration_m_s2) for _ in range(3)])
+        imu.add_reading(t_us, (at[0], at[1], at[2]))
+        last, velocity = velocity, velocity + at * TICK_US * 1e-6
+        while len(kept) < steps and (len(kept) + 1) * STEP_US <= t_us:
+            share = ((len(kept) + 1) * STEP_US - (t_us - TICK_US)) / TICK_US
+            kept.append(imu.momenta.copy())
+            velocities.append(last + share * (velocity - last))
+    return kept, np.array(velocities)
+
+
+def high_passed(changes: Series) -> Series:
+    """Return the sum of the changes behind a high-pass filter of 0.5 s."""
+    out, value = [], np.zeros(3)
+    for change in changes:
+        value = (1.0 - 0.05 / 0.5) * (value + change)
+        out.append(value)
+    return np.array(out)
+
+
+def expected_figures(e: Series, z: Series) -> tuple[float, float, float]:
+    """Return the covariance of e and z and both variances, with a memory of 4 s, over all axes."""
+    weights = 0.05 * (1.0 - 0.05 / 4.0) ** np.arange(len(e))[::-1, np.newaxis]
+    e, z = (x - (weights * x).sum(axis=0) / weights.sum() for x in (e, z))
+    return tuple(float((weights * x).sum()) for x in (e * z, z * z, e * e))  # type: ignore[return-value]
+
+
+def expected_lead(ez: float, zz: float, ee: float) -> float | None:
+    """Return the lead, or None if acceleration or correlation is too small.
+
+    To be ahead, more motion permits less correlation; to be behind always takes both.
+    """
+    correlation = ez / math.sqrt(zz * ee)
+    ahead = (zz > 0.1 and correlation > 0.75) or (zz > 0.2 and correlation > 0.6)
+    behind = zz > 0.2 and correlation < -0.8
+    return ez / (0.75 * zz) if ahead or behind else None
+
+
+# `error_m_s` is white noise of the estimate. In every case, motion or correlation crosses a limit.
+@pytest.mark.parametrize(
+    ("acceleration_m_s2", "wrong_s", "error_m_s"),
+    [
+        (0.5, 0.1, 0.03),
+        (0.5, -0.1, 0.016),
+        (0.22, 0.1, 0.008),
+        (0.22, -0.1, 0.001),
+        (0.15, 0.1, 0.001),
+    ],
+)
+def test_the_lead_follows_from_the_covariance_of_error_and_past_acceleration(
+    acceleration_m_s2: float, wrong_s: float, error_m_s: float
+) -> None:
+    """The acceleration is the mean from 0.6 s to 0.3 s ago; all axes count alike.
+
+    A contact restarts the filters after 2 s, and the sums are kept.
+    """
+    rng, steps, contact = random.Random(2), 400, 200
+    momenta, velocity = random_motion(rng, acceleration_m_s2, steps)
+    error = np.array([[rng.gauss(0.0, error_m_s) for _ in range(3)] for _ in range(steps)])
+    error[12:] += 0.75 * wrong_s * (velocity[6:-6] - velocity[:-12]) / 0.3
+    delay, known, e, z = new_estimator(), set[bool](), np.zeros((0, 3)), np.zeros((0, 3))
+    begin = 0
+    for i in range(steps):
+        t_us = (i + 1) * STEP_US
+        if i == contact:
+            delay.disturb(t_us)
+            begin = contact + 2_000_000 // STEP_US
+        delay.compare_odometry(t_us, tuple(velocity[i] + error[i]), momenta[i])
+        if i + 1 in (contact, steps):
+            past = (velocity[begin + 6 : i - 5] - velocity[begin : i - 11]) / 0.3
+            e = np.vstack([e, high_passed(np.diff(error[begin : i + 1], axis=0))[12:]])
+            z = np.vstack([z, high_passed(np.diff(past, axis=0))])
+            assert delay.figures == pytest.approx(expected_figures(e, z), rel=1e-9)
+        if min(delay.figures[1:]) > 1e-9:
+            lead = expected_lead(*delay.figures)
+            assert delay.ahead_s == (None if lead is None else pytest.approx(lead))
+            known.add(lead is not None)
+    assert known == {False, True}
+
+
+def test_odometry_is_compared_every_fifty_milliseconds() -> None:
+    """Samples arrive every 8 ms. The next step makes up for a late one, but not for a pause of 2 s."""
+    delay, imu = new_estimator(), Imu()
+    compared_us = []
+    for t_us in range(TICK_US, 4_000_000, TICK_US):
+        imu.add_reading(t_us, (0.0, 0.0, 0.0))
+        if t_us % 8000 == 0 and t_us >= delay.due_us and not 1_000_000 < t_us < 3_000_000:
+            delay.compare_odometry(t_us, (0.0, 0.0, 0.0), imu.momenta)
+            compared_us.append(t_us)
+    assert compared_us[:5] == [8000, 56_000, 104_000, 152_000, 200_000]
+    assert sum(t_us <= 1_000_000 for t_us in compared_us) == 21
+    assert sum(t_us >= 3_000_000 for t_us in compared_us) == 21
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("jump_m_s", "counts"), [(0.14, True), (-0.14, True), (0.16, False), (-0.16, False)])
+def test_a_change_of_more_than_fifteen_centimetres_per_second_restarts_the_comparison(
+    jump_m_s: float, counts: bool, axis: int
+) -> None:
+    momenta, velocity = random_motion(random.Random(2), 0.5, 40)
+    velocity[30:, axis] += jump_m_s
+    delay, found = new_estimator(), []
+    for i in range(40):
+        delay.compare_odometry((i + 1) * STEP_US, tuple(velocity[i]), momenta[i])
+        found.append(delay.figures)
+    assert found[28] != found[29]
+    assert (found[29] != found[30]) is counts
