@@ -20,8 +20,11 @@ from dart_flight.base.records import (
     Record,
     WallEstimate,
 )
+from dart_flight.base.walls import Wall
+from dart_flight.config.mission import load_mission
+from dart_flight.core.sense.contact_recorder import undecided
 from dart_flight.planning.contact_fit import ContactFitter
-from tests.core.conftest import HandFedCore
+from tests.core.conftest import ROOT, HandFedCore
 
 R = TypeVar("R", bound=Record)
 WITHIN_S = 0.3
@@ -114,3 +117,60 @@ def test_an_answer_for_another_wall_or_contact_is_rejected(hand_fed: HandFedCore
     out = hand_fed.feed(msgspec.structs.replace(answer, wall=elsewhere))
     (estimate,) = of_kind(WallEstimate, out)
     assert (estimate.wall, estimate.mode_felt) == ("wood", None)
+
+
+# --- the estimate without a fit ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("position_sd_m", "yaw_sd_rad", "sought", "corrected"),
+    [
+        (None, None, False, False),
+        (0.0, 0.0, False, False),
+        (0.2, None, False, True),
+        (None, 0.1, False, True),
+        (None, None, True, True),
+    ],
+)
+@pytest.mark.parametrize("reported", [None, Mode.RIGID])
+def test_a_contact_without_a_fit_locates_only_an_uncertain_or_sought_wall(
+    position_sd_m: float | None,
+    yaw_sd_rad: float | None,
+    sought: bool,
+    corrected: bool,
+    reported: Mode | None,
+) -> None:
+    """The vehicle moves at (0.4, -0.7) m/s; the onset is detected 20 ms after the first force."""
+    vehicle = load_mission(ROOT / "missions" / "paper_dual_collision.yaml").vehicle
+    wall = Wall("north", (1.0, 2.0), (-0.6, -0.8), 4.0, "wood", position_sd_m, yaw_sd_rad, sought=sought)
+    onset = ImpactOnset(5_020_000, 5_000_000, 0, (0.0, 0.0, 0.0), (0.4, -0.7, 0.1), (0.9, 1.8, 1.5), True)
+    request = ContactRequest(
+        t_us=5_100_000,
+        number=1,
+        onset=onset,
+        wall=wall,
+        normal=wall.normal,
+        mode_reported=reported,
+        frame_heading_rad=0.0,
+        slow_force=(0.0, 0.0),
+        noise_n=0.3,
+        noise_frd_nm=(0.0, 0.0, 0.0),
+    )
+    found = undecided(request, wall, vehicle, "no answer")
+    # Without a report, the coefficients are those of unlocked arms.
+    c = vehicle.materials["wood"].coefficients(reported or Mode.FLEXIBLE)
+    assert (found.k_n_per_m, found.f_ns_per_m, found.mu_s_per_m, found.nu_n) == (c.k, c.f, c.mu, c.nu)
+    assert (found.mode_felt, found.mode_reported, found.log_odds) == (None, reported, 0.0)
+    assert {found.k_sd, found.f_sd, found.mu_sd, found.nu_sd} == {vehicle.estimation.walls.spread}
+    assert (found.t_us, found.first_us, found.problem) == (5_100_000, 5_000_000, "no answer")
+    assert found.centre_mission == pytest.approx((0.9 - 0.02 * 0.4, 1.8 + 0.02 * 0.7))
+    assert (found.incidence_rad, found.incidence_sigma_rad) == (0.0, yaw_sd_rad or 0.0)
+    if corrected:
+        assert found.plane_offset_m == pytest.approx(0.1 * 0.6 + 0.2 * 0.8)
+        assert found.plane_offset_sigma_m == 0.03
+        assert (found.plane_point_mission, found.plane_normal_mission) == ((0.9, 1.8), wall.normal)
+        assert found.plane_normal_sigma_rad == yaw_sd_rad
+    else:
+        assert (found.plane_offset_m, found.plane_offset_sigma_m) == (0.0, 0.0)
+        assert (found.plane_point_mission, found.plane_normal_mission) == (None, None)
+        assert found.plane_normal_sigma_rad is None
