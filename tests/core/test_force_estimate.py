@@ -504,11 +504,60 @@ def test_a_late_imu_sample_gets_the_attitude_of_its_own_time() -> None:
     assert estimator.attitude == pytest.approx(quaternion_from_euler(0.0, 0.0, 0.002))
 
 
-def test_a_reading_at_full_scale_is_marked_as_clipped() -> None:
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("share", "clipped"), [(-1.0, True), (0.991, True), (-0.991, True), (0.989, False)])
+def test_a_reading_within_a_hundredth_of_full_scale_is_clipped(
+    share: float, clipped: bool, axis: int
+) -> None:
     vehicle = Hovering(VEHICLE)
     vehicle.run(0.1)
-    vehicle.force = (-VEHICLE.imu.full_scale_m_s2 * MASS, 0.0, 0.0)
-    assert all(e.clipped for e in vehicle.run(0.02))
+    reading = [0.0, 0.0, 0.0]
+    reading[axis] = share * VEHICLE.imu.full_scale_m_s2
+    vehicle.force = (MASS * reading[0], MASS * reading[1], MASS * (reading[2] + 9.81))
+    assert {e.clipped for e in vehicle.run(0.02)} == {clipped}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_momenta_are_the_integral_of_the_specific_force_without_bias(seed: int) -> None:
+    """After a gap of more than 50 ms, the integral starts again; gravity is not removed."""
+    rng = random.Random(seed)
+    estimator, state = ForceEstimator(VEHICLE), FlightState()
+    state.anchor(MissionFrame(1.0, 2.0, -3.0, rng.uniform(-3.0, 3.0)))
+    q = quaternion_from_euler(*(rng.uniform(-1.5, 1.5) for _ in range(3)))
+    hover = estimator.hover
+    hover.bias_x, hover.bias_y, hover.scale = 0.3, -0.2, 0.9
+
+    def feed(t_us: int) -> Vec3:
+        """Feed the sample of a stamp; return its specific force in the mission frame."""
+        f = (rng.uniform(-20.0, 20.0), rng.uniform(-20.0, 20.0), rng.uniform(-20.0, 20.0))
+        estimator.add_attitude(AttitudeSample(t_us, 0, q))
+        estimator.thrust.add_commands(ActuatorSample(t_us, 0, (HOVER,) * 4))
+        assert estimator.estimate(ImuSample(t_us, 0, f, (0.0, 0.0, 0.0)), state, in_contact=True) is not None
+        assert state.frame is not None
+        return state.frame.vector_from_ned(rotate(q, (f[0] - 0.3, f[1] + 0.2, f[2])))
+
+    feed(1_000_000)
+    for later_us in (1_004_000, 1_012_000, 1_062_000):
+        t_us, *before = estimator.momenta[-1]
+        force = feed(later_us)
+        expected = [p + MASS * a * (later_us - t_us) * 1e-6 for p, a in zip(before, force, strict=True)]
+        assert estimator.momenta[-1] == pytest.approx((later_us, *expected))
+    assert len(estimator.momenta) == 4
+    feed(1_112_001)
+    assert len(estimator.momenta) == 1
+
+
+@pytest.mark.parametrize("lost", [(), (1,), (3,), (4,)])
+@pytest.mark.parametrize("skew", [-1.0, 1.0])
+def test_a_lost_sample_does_not_shift_the_parabola_of_a_peak(lost: tuple[int, ...], skew: float) -> None:
+    """With a sample missing, the stamps are not symmetric about their mean."""
+    top_us = 9300
+    samples = [(4000 * i, 10.0 - 0.01 * (4.0 * i - 9.3) ** 2) for i in range(6) if i not in lost]
+    if skew < 0.0:
+        top_us, samples = 40_000 - top_us, [(40_000 - t, height) for t, height in reversed(samples)]
+    height, t_us = _top_of(samples)
+    assert height == pytest.approx(10.0)
+    assert abs(t_us - top_us) <= 1
 
 
 @pytest.mark.parametrize("first_us", [4000, 8000])
