@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import msgspec
 import pytest
@@ -16,6 +17,7 @@ from dart_flight.base.records import (
     CommandResult,
     EstimatorSample,
     HealthReport,
+    ImuSample,
     OdometrySample,
     StatusText,
     Tick,
@@ -25,6 +27,7 @@ from dart_flight.core.sense.state import FlightState
 FRAME = MissionFrame(3.0, 1.0, -0.2, 0.7)
 SAMPLE = OdometrySample(8, 8, (4.0, -1.0, -1.5), (0.3, 0.1, 0.2))
 HERE: Vec3 = (0.0, 0.0, 0.0)
+Sample = ImuSample | AttitudeSample | OdometrySample
 
 
 def at(t_us: int, position: Vec3 = HERE, velocity: Vec3 = HERE) -> OdometrySample:
@@ -165,6 +168,32 @@ def test_a_stamp_may_advance_further_after_a_pause() -> None:
         assert state.update_odometry(later) is accepted
 
 
+def imu_at(t_us: int, received_us: int) -> ImuSample:
+    return ImuSample(t_us, received_us, HERE, HERE)
+
+
+def attitude_at(t_us: int, received_us: int) -> AttitudeSample:
+    return AttitudeSample(t_us, received_us, (1.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("first", [imu_at, attitude_at, lambda t, host: OdometrySample(t, host, HERE, HERE)])
+@pytest.mark.parametrize("pause_us", [0, 500_000])
+def test_the_first_sample_of_a_stream_may_not_be_ahead_of_the_other_streams(
+    first: Callable[[int, int], Sample], pause_us: int
+) -> None:
+    """Such a sample may come from another vehicle. Half a second of silence permits ten seconds more."""
+    begin_us, host_us = 300_000_000, 7_000_000
+    for ahead_us, accepted in ((0, True), (1_000_000, True), (1_000_001, False)):
+        state = FlightState()
+        state.update_imu(imu_at(begin_us - 4000, host_us))
+        state.update_attitude(attitude_at(begin_us, host_us))
+        stream = {ImuSample: "imu", AttitudeSample: "attitude", OdometrySample: "odometry"}
+        sample = first(begin_us + ahead_us + 20 * pause_us, host_us + pause_us)
+        setattr(state, stream[type(sample)], None)  # the stream has not begun
+        update = getattr(state, f"update_{stream[type(sample)]}")
+        assert update(sample) is accepted
+
+
 def test_the_position_uncertainty_is_kept_until_it_is_reported_again() -> None:
     state = FlightState()
     state.update_estimator(EstimatorSample(0, 10, position_sd_m=0.3))
@@ -213,6 +242,18 @@ def test_findings_of_this_program_are_not_attributed_to_px4() -> None:
     state.add_text(StatusText(0, 0, "error", here, found_here=True))
     state.add_result(CommandResult(0, "arm", False, "DENIED"))
     assert state.reasons("arm") == f"; {here}; PX4 answers: DENIED"
+
+
+def test_the_newest_of_several_findings_is_quoted() -> None:
+    """PX4's texts and this program's findings count alike."""
+    state = FlightState()
+    here = [("ODOMETRY: no velocity", True), ("ODOMETRY: NaN", False), ("ODOMETRY: late", True)]
+    for t_us, (text, found_here) in enumerate(here):
+        state.now_us = t_us
+        state.add_text(StatusText(0, 0, "warning", text, found_here=found_here))
+    state.add_text(StatusText(0, 0, "warning", "IMU: late"))
+    assert state.text_about("ODOMETRY") == "; ODOMETRY: late"
+    assert state.text_about("GPS") == ""
 
 
 def test_a_refusal_is_reported_for_its_command_until_it_is_accepted() -> None:

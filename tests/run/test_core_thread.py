@@ -126,12 +126,12 @@ def test_only_the_newest_sample_of_each_state_stream_in_a_backlog_is_stepped() -
     assert len(kept) == 40 + 1 + 3
 
 
-def test_a_short_queue_is_stepped_in_full() -> None:
+@pytest.mark.parametrize(("count", "in_full"), [(61, True), (64, True), (65, False)])
+def test_a_queue_of_up_to_64_inputs_is_stepped_in_full(count: int, in_full: bool) -> None:
     harness = Harness(SteppedCore())
-    items = backlog(15)
-    assert len(items) == 61
+    items = backlog(20)[:count]
     harness.run(items)
-    assert harness.core.samples == items
+    assert (harness.core.samples == items) is in_full
 
 
 def test_inputs_are_numbered_in_order_and_outputs_carry_their_inputs_number() -> None:
