@@ -6,7 +6,7 @@ from collections import Counter
 from typing import cast
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from dart_flight.base.records import (
@@ -17,6 +17,7 @@ from dart_flight.base.records import (
     OdometrySample,
     Phase,
 )
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.flight_core import FlightCore
@@ -30,6 +31,9 @@ from dart_flight.run.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 
 SINGLE_WALL = load_flyable(packaged("missions", "paper_single_wall.yaml"), packaged("configs", "dart.yaml"))
+DUAL_COLLISION = load_flyable(
+    packaged("missions", "paper_dual_collision.yaml"), packaged("configs", "dart.yaml")
+)
 WHILE_FLYING = [
     Phase.CLIMB,
     Phase.WAYPOINT,
@@ -53,26 +57,31 @@ def state_at(mission: Mission, place: tuple[float, float], velocity: tuple[float
 
 
 @given(
-    distance_m=st.floats(-0.1, 4.0),
+    wall=st.sampled_from(DUAL_COLLISION.walls),
+    distance_m=st.floats(-1.0, 2.0),
     along_m=st.floats(-2.0, 2.0),
-    closing_m_s=st.floats(0.05, 5.0),
+    velocity=st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0)),
     phase=st.sampled_from(WHILE_FLYING),
 )
-def test_inputs_are_stepped_at_once_shortly_before_a_wall(
-    distance_m: float, along_m: float, closing_m_s: float, phase: Phase
+def test_inputs_are_stepped_at_once_if_a_contact_is_possible_within_a_fifth_of_a_second(
+    wall: Wall, distance_m: float, along_m: float, velocity: tuple[float, float], phase: Phase
 ) -> None:
-    wall = SINGLE_WALL.walls[0]
+    """A contact is possible from `wall_early_m` before a wall to `wall_overrun_m` behind it."""
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
     place = (
         wall.point[0] + distance_m * nx + along_m * tx,
         wall.point[1] + distance_m * ny + along_m * ty,
     )
-    state = state_at(SINGLE_WALL, place, (-closing_m_s * nx, -closing_m_s * ny))
-    pace = pace_near_walls(SINGLE_WALL, state, phase)
-    if distance_m < LEAD_S * closing_m_s:
-        assert pace is Pace.IMMEDIATE
-    elif distance_m > LEAD_S * closing_m_s + 0.3:  # too far for a contact with the wall
-        assert pace is Pace.BATCHED
+    guard, possible = DUAL_COLLISION.vehicle.guard, False
+    for one in DUAL_COLLISION.walls:
+        closing_m_s = max(0.0, -(velocity[0] * one.normal[0] + velocity[1] * one.normal[1]))
+        away_m = one.signed_distance(place)
+        assume(abs(away_m - guard.wall_early_m - LEAD_S * closing_m_s) > 1e-9)
+        assume(abs(away_m + guard.wall_overrun_m) > 1e-9)
+        possible |= -guard.wall_overrun_m < away_m < guard.wall_early_m + LEAD_S * closing_m_s
+    pace = pace_near_walls(DUAL_COLLISION, state_at(DUAL_COLLISION, place, velocity), phase)
+    assert pace is (Pace.IMMEDIATE if possible else Pace.BATCHED)
+    assert pace_near_walls(DUAL_COLLISION, FlightState(), Phase.CONTACT) is Pace.IMMEDIATE
 
 
 @pytest.mark.parametrize("mission", ["paper_single_wall", "paper_dual_collision"])
