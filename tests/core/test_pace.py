@@ -58,7 +58,7 @@ def state_at(mission: Mission, place: tuple[float, float], velocity: tuple[float
 
 @given(
     wall=st.sampled_from(DUAL_COLLISION.walls),
-    distance_m=st.floats(-1.0, 2.0),
+    distance_m=st.floats(-0.5, 1.5),
     along_m=st.floats(-2.0, 2.0),
     velocity=st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0)),
     phase=st.sampled_from(WHILE_FLYING),
