@@ -152,6 +152,7 @@ def test_no_pulse_is_fitted_to_readings_without_one() -> None:
 
     assert fits(readings)
     assert not fits(begun[:2])
+    assert fits(begun[:3])
     assert not fits([])
     assert not fits([r._replace(normal=-abs(r.normal)) for r in readings])
     assert not fits([r._replace(normal=0.0) for r in readings])
@@ -169,6 +170,39 @@ def test_no_pulse_is_fitted_above_all_its_clipped_readings(noise_n: float) -> No
     begins = [-0.0247 + 0.004 * i for i in range(len(forces))]
     readings = [TickReading(a, a + 0.004, n, 0.0, n > 0.0) for a, n in zip(begins, forces, strict=True)]
     assert fit_normal(readings, 0.0, PulsePrior(65.0, 5.8, 0.2), noise_n, -0.003, 0.00073) is None
+
+
+@pytest.mark.parametrize(
+    ("noise_share", "misfit_share", "fits"),
+    [(0.01, 0.15, True), (0.01, 0.26, False), (0.1, 0.26, True), (0.1, 0.36, False)],
+)
+def test_no_friction_is_fitted_to_readings_that_alternate(
+    noise_share: float, misfit_share: float, fits: bool
+) -> None:
+    """The limit of the misfit is a fifth of the peak, or three standard deviations of the noise."""
+    c = VEHICLE.materials["acrylic"].rigid
+    pulse = true_pulse(c.k, c.f, 1.0, 0.0, 0.5, c.mu)
+    peak = min(t for _, t in pulse)
+    clean = readings_of(pulse, 0.002, 0.0, 1e9, 0.00073)
+    prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, c.mu / MASS)
+    normal = fit_normal(clean, 0.0, prior, 0.05, -0.003, 0.00073)
+    assert normal is not None
+    readings = [
+        r._replace(tangential=r.tangential + misfit_share * peak * (-1) ** i) for i, r in enumerate(clean)
+    ]
+    found = fit_friction(readings, normal, 0.0, MASS, prior.kappa, noise_share * abs(peak))
+    assert (found is not None) is fits
+    inside = [r for r in clean if r.b > normal.start_s]
+    assert fit_friction(inside[:2], normal, 0.0, MASS, prior.kappa, 0.05) is None
+    assert fit_friction(inside[:3], normal, 0.0, MASS, prior.kappa, 0.05) is not None
+
+
+@pytest.mark.parametrize(("sigma", "damped"), [(0.0, 50.0), (30.0, 40.0), (49.9, 5.0), (80.0, 5.0)])
+def test_the_half_period_of_a_contact_is_bounded_if_damping_prevents_an_oscillation(
+    sigma: float, damped: float
+) -> None:
+    """At least a tenth of the undamped frequency is assumed."""
+    assert PulsePrior(50.0, sigma, 1.0).half_period_s == pytest.approx(math.pi / damped)
 
 
 @pytest.mark.parametrize("share", [0.6, 0.75, 0.9])
