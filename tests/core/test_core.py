@@ -280,8 +280,10 @@ def test_only_a_stronger_action_replaces_the_active_one(hand_fed: HandFedCore) -
     hand_fed.silent.add("imu")
     hand_fed.run(0.3)
     hand_fed.feed(OperatorRequest(hand_fed.t_us, Request.LAND))
-    actions = [g.action for g in of_kind(GuardEvent, hand_fed.outputs)]
-    assert actions == ["break_off", "land"]
+    events = of_kind(GuardEvent, hand_fed.outputs)
+    assert [g.action for g in events] == ["break_off", "land"]
+    (overruled,) = (p for p in of_kind(PhaseChange, hand_fed.outputs) if p.after is Phase.OVERRULED)
+    assert overruled.reason == "operator: landing requested"
 
 
 def test_an_exception_in_the_mission_code_leads_to_a_landing(hand_fed: HandFedCore) -> None:

@@ -188,6 +188,16 @@ def test_a_rotating_vibration_does_not_hide_later_impacts(hz: float) -> None:
     assert all(0.0 <= end - at - 0.06 < 0.05 for at, end in zip(ats, ends, strict=True))
 
 
+@pytest.mark.parametrize("sigma_n", [0.26, 1.5, 3.9])
+def test_a_vehicle_that_stays_at_a_wall_has_one_impact(sigma_n: float) -> None:
+    """The force must have been below the release level before it counts as another impact."""
+    forces = [
+        (x + 24.0 * (i >= 2000), y - 18.0 * (i >= 2000)) for i, (x, y) in enumerate(noisy(12.0, sigma_n))
+    ]
+    _, events = run(forces, noise_n=sigma_n)
+    assert [round(e.t_us * 1e-6 - 1.0, 1) for e in onsets(events)] == [8.0]
+
+
 @pytest.mark.parametrize("top_n", [4.0, 5.4, 7.0])
 def test_noise_does_not_shift_the_baseline(top_n: float) -> None:
     # Many samples exceed the threshold, and more of them on one side as soon as the baseline drifts.
