@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak
+from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak, Mode
 from dart_flight.core.sense.detector import (
     _MARGIN_SIGMA,
     ExpectedContact,
@@ -108,6 +108,42 @@ def test_a_pulse_just_above_the_detection_floor_is_detected(duration_s: float, s
     assert floor <= 1.001 * max(*at_most, 5.6)
     found = onsets(run(with_pulse(forces, 9.0, 1.25 * floor, duration_s))[1])
     assert [9.99 <= e.t_us * 1e-6 <= 10.0 + duration_s + 0.04 for e in found] == [True]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_long_contact_in_strong_noise_is_detected_by_the_long_mean(seed: int) -> None:
+    """The threshold of the mean over the short window is higher than this contact's peak."""
+    forces = noisy(12.0, 10.0, seed)
+    quiet, _ = run(forces[: round(9.0 / 0.004)], noise_n=10.0)
+    weakest_n = quiet.detection_floor_n(0.18)
+    _, events = run(with_pulse(forces, 9.0, 1.1 * weakest_n, 0.18), noise_n=10.0)
+    assert 1.1 * weakest_n < quiet.thresholds_n()[2]
+    (onset,) = onsets(events)
+    assert 10.0 <= onset.t_us * 1e-6 <= 10.22
+    assert 9.96 <= onset.first_us * 1e-6 <= 10.1
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_the_detection_floor_of_an_unknown_material_is_within_those_of_the_known(mode: Mode) -> None:
+    """In noise, a flexible contact lasts longer and is detected at a lower force."""
+    detector, state = run(noisy(8.0, 3.9))[0], FlightState()
+
+    def floor_n(material: str | None) -> float:
+        for t_us, normal in ((20_000_000, None), (20_004_000, (1.0, 0.0))):
+            events = detector.update(
+                ForceEstimate(t_us, (0.0, 0.0, 0.0), False, noise_n=3.9),
+                t_us,
+                state,
+                ExpectedContact(False, normal, material),
+            )
+        (floor,) = events
+        assert isinstance(floor, DetectionFloor)
+        found = floor.rigid_n if mode is Mode.RIGID else floor.flexible_n
+        assert found is not None
+        return found
+
+    known = [floor_n(material) for material in VEHICLE.materials]
+    assert min(known) < floor_n(None) < max(known)
 
 
 def test_the_long_windows_do_not_lower_the_detection_floor_in_low_noise() -> None:
