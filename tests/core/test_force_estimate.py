@@ -757,6 +757,20 @@ def test_a_force_slightly_into_the_wall_can_be_the_planned_hit(into_n: float, pl
     assert [e.planned for e in events if isinstance(e, ImpactOnset)] == [planned]
 
 
+@pytest.mark.parametrize(("normal", "first"), [(None, (6.0, -3.0)), ((-1.0, 0.0), (0.5, -10.0))])
+def test_a_contact_without_its_expected_wall_has_the_direction_of_its_impulse(
+    normal: tuple[float, float] | None, first: tuple[float, float]
+) -> None:
+    """The first samples, of friction, do not give the direction, nor does the expected wall."""
+    pulse = [(f, 0.2 * f) for f in half_sine(30.0, 12)[1:]]
+    events = detector_events([(0.0, 0.0)] * 20 + [first] * 2 + pulse + [(0.0, 0.0)] * 60, 0.01, normal)
+    (onset,) = [e for e in events if isinstance(e, ImpactOnset)]
+    (peak,) = [e for e in events if isinstance(e, ImpactPeak)]
+    assert onset.planned is (normal is not None)
+    assert math.degrees(math.atan2(peak.normal[1], peak.normal[0])) == pytest.approx(0.0, abs=12.0)
+    assert peak.normal_force_n == pytest.approx(30.0, rel=0.15)
+
+
 @pytest.mark.parametrize(("noise_n", "samples"), [(1.19, 2), (1.2, 3)])
 def test_three_samples_confirm_an_impact_if_two_are_too_noisy(noise_n: float, samples: int) -> None:
     """The limit is the threshold of 5.5 N divided by 4.6."""
