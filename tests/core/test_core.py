@@ -35,6 +35,7 @@ from dart_flight.base.records import (
     Setpoint,
     StatusSample,
     StatusText,
+    Tick,
     VehicleAction,
     VehicleCommand,
     WallEstimate,
@@ -157,6 +158,53 @@ def test_the_peak_force_comes_from_the_samples_if_no_pulse_fits(
     (peak,) = of_kind(ImpactPeak, pulse(hand_fed, (along_n, -16.0)) + hand_fed.run(0.1))
     assert peak.normal_force_n == pytest.approx(16.0, rel=0.05)
     assert peak.tangential_force_n == pytest.approx(along_n, rel=0.05)
+
+
+def test_force_bias_and_constant_torque_are_learned_only_in_free_flight(
+    hand_fed: HandFedCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The ground and a wall also push."""
+    senses = hand_fed.core._senses
+    learned: list[str] = []
+    monkeypatch.setattr(senses.torque, "_learn", lambda *_: learned.append("torque"))
+    monkeypatch.setattr(senses.estimator.hover, "learn", lambda *_: learned.append("bias"))
+    hand_fed.set_status(landed=LandedState.ON_GROUND)
+    hand_fed.run(0.1)
+    assert learned == []
+    hand_fed.enter_climb()
+    hand_fed.run(0.1)
+    assert learned.count("torque") == learned.count("bias") == 25
+    hand_fed.position_ned = (0.0, 0.0, -1.0)
+    hand_fed.run(1.0)
+    hand_fed.force_ned = (-30.0, 0.0, 0.0)
+    hand_fed.run(0.02)
+    assert senses.detector.in_contact
+    learned.clear()
+    hand_fed.run(0.1)
+    assert senses.detector.in_contact
+    assert learned == []
+    # Every input of a contact reports the contact, not only the IMU samples.
+    for item in (Tick(hand_fed.t_us), hand_fed.status, EstimatorSample(hand_fed.t_us, hand_fed.t_us)):
+        assert senses.update(item, ExpectedContact()).in_contact
+
+
+def test_the_position_delay_is_not_measured_in_a_contact_and_two_seconds_after_it(
+    hand_fed: HandFedCore,
+) -> None:
+    """A measurement needs 13 odometry samples, 50 ms apart."""
+    hand_fed.finish_climb()
+    hand_fed.run(1.0)
+    delay = hand_fed.core._senses.delay
+    before = delay.figures
+    hand_fed.run(0.1)
+    assert delay.figures != before
+    hand_fed.pulse((-30.0, 0.0))
+    hand_fed.run(0.1)
+    before = delay.figures
+    hand_fed.run(2.4)
+    assert delay.figures == before
+    hand_fed.run(0.5)
+    assert delay.figures != before
 
 
 @pytest.mark.parametrize(("closing_m_s", "estimated"), [(0.1, True), (0.01, False), (-0.1, False)])
