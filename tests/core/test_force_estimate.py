@@ -205,8 +205,12 @@ def test_the_half_period_of_a_contact_is_bounded_if_damping_prevents_an_oscillat
     assert PulsePrior(50.0, sigma, 1.0).half_period_s == pytest.approx(math.pi / damped)
 
 
-@pytest.mark.parametrize("share", [0.6, 0.75, 0.9])
-def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
+@pytest.mark.parametrize(
+    ("share", "stiffness", "error"),
+    [(0.6, 1.0, 0.04), (0.75, 1.0, 0.04), (0.9, 1.0, 0.04), (0.9, 1.25, 0.01), (0.9, 1.6, 0.01)],
+)
+def test_a_clipped_pulse_is_reconstructed(share: float, stiffness: float, error: float) -> None:
+    """The bounds, also those after the first that the model satisfies, correct a prior that is too stiff."""
     c = VEHICLE.materials["wood"].rigid
     pulse = true_pulse(c.k, c.f, 3.0, 0.0, 0.0, 0.0)
     top = max(n for n, _ in pulse)
@@ -214,10 +218,10 @@ def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
     for i in range(1, len(readings) - 1):  # like the detector, neighbours of a clipped tick are bounds
         bound = any(r.normal >= 0.99 * share * top for r in readings[i - 1 : i + 2])
         readings[i] = readings[i]._replace(bound=readings[i].bound or bound)
-    prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
+    prior = PulsePrior(math.sqrt(stiffness * c.k / MASS), 0.5 * c.f / MASS, 0.2)
     fit = fit_normal(readings, 0.0, prior, 0.26, -0.003, 0.00073)
     assert fit is not None
-    assert fit.peak_n == pytest.approx(top, rel=0.04)
+    assert fit.peak_n == pytest.approx(top, rel=error)
     assert max(r.normal for r in readings) < share * top + 1.0
 
 
@@ -549,6 +553,19 @@ def test_a_reading_within_a_hundredth_of_full_scale_is_clipped(
     reading[axis] = share * VEHICLE.imu.full_scale_m_s2
     vehicle.force = (MASS * reading[0], MASS * reading[1], MASS * (reading[2] + 9.81))
     assert {e.clipped for e in vehicle.run(0.02)} == {clipped}
+
+
+def test_a_late_imu_sample_uses_the_attitude_of_its_time() -> None:
+    """The vehicle pitches; attitudes from 100 ms before the sample to 100 ms after it have arrived."""
+    estimator, state = ForceEstimator(VEHICLE), FlightState()
+    state.anchor(MissionFrame())
+    at_us = 1_000_000 - round(VEHICLE.imu.reading_lag_s * 1e6)
+    for away_us in range(-100_000, 100_001, 8000):
+        pitch = 0.3 + 2e-6 * away_us
+        estimator.add_attitude(AttitudeSample(at_us + away_us, 0, quaternion_from_euler(0.0, pitch, 0.0)))
+    imu = ImuSample(1_000_000, 0, (0.0, 0.0, -9.81), (0.0, 2.0, 0.0))
+    assert estimator.estimate(imu, state) is not None
+    assert estimator.attitude == pytest.approx(quaternion_from_euler(0.0, 0.3, 0.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
