@@ -815,8 +815,23 @@ def test_short_windows_need_a_higher_noise_multiple_than_long_ones() -> None:
 
 def test_the_peak_fit_uses_only_samples_above_seven_tenths_of_the_largest() -> None:
     """Fewer than four samples give no least-squares parabola, so the largest sample is used."""
-    sharp = [(4000 * i, height) for i, height in enumerate((1.0, 6.9, 10.0, 8.0, 5.0))]
-    assert _top_of(sharp) == (10.0, 8000)
+    for heights in ((1.0, 6.9, 10.0, 8.0, 7.1, 6.9, 5.0), (9.0, 9.0, 6.9, 10.0, 6.9, 9.0, 9.0)):
+        sharp = [(4000 * i, height) for i, height in enumerate(heights)]
+        top_us = 4000 * heights.index(10.0)
+        assert _top_of(sharp) == (10.0, top_us)
+        assert _top_of([(28_000 - t, height) for t, height in reversed(sharp)]) == (10.0, 28_000 - top_us)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_peak_is_that_of_the_parabola_through_four_samples_on_either_side(seed: int) -> None:
+    rng = random.Random(seed)
+    middle, stamps = rng.randrange(6, 12), [4000 * i + rng.randrange(0, 2000) for i in range(18)]
+    pulse = [(t, 10.0 - 0.05 * abs(i - middle) + rng.uniform(-0.02, 0.02)) for i, t in enumerate(stamps)]
+    near = pulse[middle - 4 : middle + 5]
+    a, b, c = np.polyfit([(t - stamps[middle]) * 1e-3 for t, _ in near], [height for _, height in near], 2)
+    height, t_us = _top_of(pulse)
+    assert height == pytest.approx(c - b * b / (4.0 * a))
+    assert t_us == pytest.approx(stamps[middle] - 500.0 * b / a, abs=1.0)
 
 
 def test_wind_is_no_contact_but_a_lean_on_a_wall_is() -> None:
