@@ -6,9 +6,11 @@ import math
 import random
 from typing import Any
 
+import msgspec
 import pytest
 
 from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak, Mode
+from dart_flight.config.vehicle import Coefficients, Material
 from dart_flight.core.sense.detector import (
     _MARGIN_SIGMA,
     ExpectedContact,
@@ -144,6 +146,27 @@ def test_the_detection_floor_of_an_unknown_material_is_within_those_of_the_known
 
     known = [floor_n(material) for material in VEHICLE.materials]
     assert min(known) < floor_n(None) < max(known)
+
+
+def test_the_detection_floor_without_materials_is_that_of_a_firm_contact() -> None:
+    """A contact with a natural frequency of 50 rad/s and a decay of 4 per second."""
+    mass = VEHICLE.airframe.mass_kg
+    firm = Coefficients(2500.0 * mass, 8.0 * mass, 0.1, 0.0)
+    material = msgspec.structs.replace(VEHICLE.materials["wood"], rigid=firm, flexible=firm)
+
+    def floors(materials: dict[str, Material]) -> list[float]:
+        vehicle = msgspec.structs.replace(VEHICLE, materials=materials)
+        detector = ImpactDetector(vehicle)
+        for t_us, normal in ((20_000_000, None), (20_004_000, (1.0, 0.0))):
+            estimate = ForceEstimate(t_us, (0.0, 0.0, 0.0), False, noise_n=3.9)
+            events = detector.update(estimate, t_us, FlightState(), ExpectedContact(False, normal, None))
+        (floor,) = events
+        assert isinstance(floor, DetectionFloor)
+        assert floor.rigid_n is not None
+        assert floor.flexible_n is not None
+        return [floor.rigid_n, floor.flexible_n]
+
+    assert floors({}) == pytest.approx(floors({"firm": material}), rel=1e-9)
 
 
 def test_the_long_windows_do_not_lower_the_detection_floor_in_low_noise() -> None:

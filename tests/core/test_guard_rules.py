@@ -225,6 +225,17 @@ def imu_clipped(c: HandFedCore) -> None:
     c.run(0.3)
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_imu_clipped_on_any_axis_is_reported(axis: int) -> None:
+    c = HandFedCore()
+    c.enter_approach()
+    force = [0.0, 0.0, 0.0]
+    force[axis] = 250.0 if axis < 2 else -250.0
+    c.force_ned = (force[0], force[1], force[2])
+    c.run(0.3)
+    assert "imu_clipped" in [event.rule for event in fired(c)]
+
+
 @cause
 def estimator_jump(c: HandFedCore) -> None:
     c.enter_approach()
@@ -1083,6 +1094,15 @@ def test_landing_time_counts_only_while_armed_in_land_mode() -> None:
     c.set_status(armed=False)
     c.run(0.1)
     assert watch.landing_s == 0.0
+
+
+def test_landing_time_is_the_shorter_of_both_clocks() -> None:
+    c = HandFedCore()
+    c.set_status(flight_mode=FlightMode.LAND, armed=True)
+    c.run(2.0)
+    c.host_ahead_us += 60_000_000
+    c.run(0.02)
+    assert c.core._guard._watch.landing_s == pytest.approx(2.0, abs=0.03)
 
 
 def test_a_jump_of_one_stamp_in_a_landing_does_not_stop_the_motors() -> None:

@@ -95,6 +95,21 @@ def test_a_heading_step_far_from_a_counter_change_is_no_reset() -> None:
     assert measured_step_deg(30.0, 1, counter=(4, 4)) == 0.0
 
 
+@pytest.mark.parametrize(("ticks_later", "counts"), [(0, True), (24, True), (26, False)])
+def test_a_heading_step_may_come_a_tenth_of_a_second_before_the_counter_rises(
+    ticks_later: int, counts: bool
+) -> None:
+    resets = EstimatorResets()
+    resets.update_counter(0, 0)
+    for tick in range(101 + ticks_later):
+        resets.add_imu(ImuSample(4000 * tick, 4000 * tick, NED, NED))
+        q = quaternion_from_euler(0.0, 0.0, 0.2 if tick >= 100 else 0.0)
+        resets.add_attitude(AttitudeSample(4000 * tick, 4000 * tick, q))
+    assert resets.update_counter(1, 4000 * (100 + ticks_later))
+    assert resets.newest is not None
+    assert resets.newest.heading_rad == pytest.approx(0.2 if counts else 0.0)
+
+
 def test_a_tilt_step_is_no_heading_step() -> None:
     resets, q = EstimatorResets(), quaternion_from_euler(0.0, 0.0, 1.0)
     resets.update_counter(0, 0)
