@@ -1098,6 +1098,7 @@ def test_landing_time_counts_only_while_armed_in_land_mode() -> None:
 
 def test_landing_time_is_the_shorter_of_both_clocks() -> None:
     c = HandFedCore()
+    c.run(0.1)
     c.set_status(flight_mode=FlightMode.LAND, armed=True)
     c.run(2.0)
     c.host_ahead_us += 60_000_000
