@@ -148,6 +148,18 @@ def test_the_detection_floor_of_an_unknown_material_is_within_those_of_the_known
     assert min(known) < floor_n(None) < max(known)
 
 
+@pytest.mark.parametrize(("forces", "samples"), [((40.0, 44.0, 20.0), 3), ((40.0, 20.0, 4.0), 3)])
+def test_the_peak_is_reported_at_the_third_sample_of_a_contact_at_the_earliest(
+    forces: tuple[float, ...], samples: int
+) -> None:
+    """An earlier drop may be noise, or the end of the pulse before its peak was seen."""
+    quiet = [(0.0, 0.0)] * (LEARNING_SAMPLES + 10)
+    for count in range(1, len(forces) + 1):
+        _, events = run([*quiet, *((-f, 0.0) for f in forces[:count])], noise_n=0.05)
+        assert len(onsets(events)) == 1
+        assert len([e for e in events if isinstance(e, ImpactPeak)]) == (count >= samples)
+
+
 def test_the_detection_floor_without_materials_is_that_of_a_firm_contact() -> None:
     """A contact with a natural frequency of 50 rad/s and a decay of 4 per second."""
     mass = VEHICLE.airframe.mass_kg

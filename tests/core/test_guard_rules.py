@@ -624,6 +624,48 @@ def fired(c: HandFedCore) -> list[GuardEvent]:
     return [o for o in c.outputs if isinstance(o, GuardEvent)]
 
 
+def jump_position(c: HandFedCore) -> None:
+    north, east, down = c.position_ned
+    c.position_ned = (north, east - 0.4, down)
+
+
+def reset_estimator(c: HandFedCore) -> None:
+    for count in (3, 4):
+        c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=count))
+    north, east, down = c.position_ned
+    c.position_ned = (north + 0.08, east, down)
+
+
+def tilt_over(c: HandFedCore) -> None:
+    c.q = quaternion_from_euler(1.2, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "rule"),
+    [
+        (jump_position, reset_estimator, "estimator_reset"),
+        (jump_position, tilt_over, "tilt"),
+    ],
+)
+def test_a_further_fault_is_recorded_once_while_the_guard_holds(
+    first: Callable[[HandFedCore], None], then: Callable[[HandFedCore], None], rule: str
+) -> None:
+    """The action does not change, but whoever reads the log must know."""
+    c = HandFedCore()
+    c.enter_approach()
+    c.run(1.0)
+    c.use_rules(RULES)
+    first(c)
+    c.run(0.2)
+    assert fired(c)[0].action is Override.HOLD
+    before = len(fired(c))
+    then(c)
+    c.run(0.2)
+    recorded = [event for event in fired(c)[before:] if event.rule == rule]
+    assert [event.action for event in recorded] == [Override.NONE]
+    assert c.core.override is Override.HOLD
+
+
 def test_every_rule_has_a_cause_here() -> None:
     assert set(CAUSES) == {rule.name for rule in RULES}
 

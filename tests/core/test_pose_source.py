@@ -130,6 +130,21 @@ def test_a_pose_that_drifts_away_is_named_after_half_a_second(
     assert fault == (f"the pose is {away_m:.2f} m from PX4's position" if apart else None)
 
 
+@pytest.mark.parametrize(("more_us", "named"), [(0, False), (1, True)])
+def test_a_pose_may_be_apart_from_px4s_position_for_exactly_half_a_second(
+    feed: Feed, more_us: int, named: bool
+) -> None:
+    for step in range(50):
+        feed.pose(away=(0.0062 * step, 0.0, 0.0))
+    assert feed.watch.fault(Phase.TRANSIT) is None
+    began_us = feed.watch._apart_us
+    assert began_us is not None
+    while feed.now_us < began_us + 500_000 - STEP_US:
+        feed.pose(away=(0.31, 0.0, 0.0))
+    feed.pose(away=(0.31, 0.0, 0.0), step_us=began_us + 500_000 + more_us - feed.now_us)
+    assert (feed.watch.fault(Phase.TRANSIT) is not None) is named
+
+
 @pytest.mark.parametrize(
     ("changes", "seconds"),
     [({"away": (0.5, 0.0, 0.0)}, 0.03), ({"turn": math.radians(90.0)}, 0.08), ({"tracked": False}, 0.4)],
