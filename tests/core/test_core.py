@@ -342,6 +342,7 @@ def test_an_exception_in_the_mission_code_leads_to_a_landing(hand_fed: HandFedCo
     assert [(e.rule, e.action) for e in events] == [("mission_fault", "land")]
     assert "ZeroDivisionError" in events[0].detail
     assert "in raises" in events[0].detail  # where it was raised
+    assert events[0].detail.count("File ") == 2  # and the caller
     assert of_kind(VehicleCommand, out)[0].action is VehicleAction.LAND
 
 
