@@ -16,7 +16,6 @@ from dart_flight.sim.embedded_autopilot import TICK_S, TICK_US
 from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.lockstep import Lockstep
 from dart_flight.sim.pipe import (
-    FULL_SPEED,
     FaultLine,
     HornPosition,
     LineReader,
@@ -82,6 +81,16 @@ class ServedWorld(Protocol):
         ...
 
 
+def speed_limit(speed: float, lockstep: Lockstep | None, *, connected: bool) -> float:
+    """Return the highest number of simulated seconds per second at present.
+
+    A world in lockstep is faster than real time only while the app holds it back. Otherwise its telemetry
+    would run ahead of the app: before the app's first report, and while a request to PX4 is open.
+    """
+    held = lockstep is None or (connected and lockstep.limits_pace)
+    return speed if held else min(speed, 1.0)
+
+
 def serve(
     world: ServedWorld,
     writer: LineWriter,
@@ -133,9 +142,7 @@ def serve(
         if frame is not None and lockstep is not None and not reader.closed:
             lockstep.publish("pose", frame)
             lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), process_lines)
-        # Run without a limit only while lockstep holds the world back.
-        waits = lockstep is not None and lockstep.limits_pace and not reader.closed
-        pace.wait(TICK_S / (1.0 if speed == FULL_SPEED and not waits else speed))
+        pace.wait(TICK_S / speed_limit(speed, lockstep, connected=not reader.closed))
         plant = world.advance()
         if tick % _TRUTH_EVERY == 0:
             writer.put(Truth(state=plant.truth()))

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from dart_flight.sim import lockstep as module
 from dart_flight.sim.embedded_autopilot import TICK_US
 from dart_flight.sim.lockstep import Lockstep, SilentParticipantError
-from dart_flight.sim.pipe import Stepped
+from dart_flight.sim.pipe import FULL_SPEED, Stepped
+from dart_flight.sim.served_world import speed_limit
 
 STREAMS = ("imu", "attitude", "odometry", "actuator")
 SETPOINT = (1.0, 2.0, -1.0, 0.5, None, None, None, None, None)
@@ -130,6 +131,22 @@ def test_time_continues_for_an_autopilot_that_needs_it_to_answer_commands(answer
     assert world.limits_pace is answers_at_rest, "otherwise a world at full speed would run ahead"
     sender.sent_us = {"imu": 8_000}
     assert world.outstanding(12_000) is not None, "the world always waits for telemetry"
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.0, 10.0, FULL_SPEED])
+def test_a_world_in_lockstep_is_faster_than_real_time_only_while_the_application_holds_it_back(
+    speed: float,
+) -> None:
+    """Beside other work, the telemetry of a faster world would run ahead of the application."""
+    world = make_lockstep(Sender(), answers_at_rest=False, waits_at_first=False)
+    at_most = min(speed, 1.0)
+    assert speed_limit(speed, world, connected=True) == at_most, "before the first report"
+    world.update(Stepped({}))
+    assert speed_limit(speed, world, connected=True) == speed
+    world.update(Stepped({}, commands=1))
+    assert speed_limit(speed, world, connected=True) == at_most, "PX4 needs time to answer"
+    assert speed_limit(speed, world, connected=False) == at_most
+    assert speed_limit(speed, None, connected=True) == speed, "the user wants no lockstep"
 
 
 def test_time_does_not_wait_for_a_silenced_application() -> None:
