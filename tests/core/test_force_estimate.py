@@ -529,19 +529,6 @@ def test_an_attitude_is_propagated_for_at_most_sixty_milliseconds(away_us: int, 
     assert (estimator.estimate(imu, state) is not None) is near
 
 
-def test_a_late_imu_sample_gets_the_attitude_of_its_own_time() -> None:
-    """Attitudes with newer stamps may already have arrived."""
-    estimator, state = ForceEstimator(VEHICLE), FlightState()
-    state.anchor(MissionFrame())
-    at_us = 1_000_000 - round(VEHICLE.imu.reading_lag_s * 1e6)
-    for away_us in (-20_000, 2_000, 40_000, 70_000, 100_000):
-        q = quaternion_from_euler(0.0, 0.0, away_us * 1e-6)
-        estimator.add_attitude(AttitudeSample(at_us + away_us, 0, q))
-    imu = ImuSample(1_000_000, 0, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
-    assert estimator.estimate(imu, state) is not None
-    assert estimator.attitude == pytest.approx(quaternion_from_euler(0.0, 0.0, 0.002))
-
-
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize(("share", "clipped"), [(-1.0, True), (0.991, True), (-0.991, True), (0.989, False)])
 def test_a_reading_within_a_hundredth_of_full_scale_is_clipped(

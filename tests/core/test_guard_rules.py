@@ -1138,6 +1138,17 @@ def test_landing_time_counts_only_while_armed_in_land_mode() -> None:
     assert watch.landing_s == 0.0
 
 
+@pytest.mark.parametrize(("later_us", "just_after"), [(1_999_999, True), (2_000_000, False)])
+def test_an_impact_excuses_the_estimator_for_two_seconds(later_us: int, just_after: bool) -> None:
+    c = HandFedCore()
+    c.enter_approach()
+    c.pulse((0.0, -30.0))
+    watch = c.core._guard._watch
+    assert watch.impact is not None
+    watch.state.now_us = watch.impact.t_us + later_us
+    assert watch.just_after_impact is just_after
+
+
 def test_landing_time_is_the_shorter_of_both_clocks() -> None:
     c = HandFedCore()
     c.run(0.1)
