@@ -1149,6 +1149,21 @@ def test_an_impact_excuses_the_estimator_for_two_seconds(later_us: int, just_aft
     assert watch.just_after_impact is just_after
 
 
+@pytest.mark.parametrize(("speed_m_s", "after_us"), [(0.09, 1_504_000), (0.11, 3_004_000)])
+def test_a_vehicle_that_broke_off_is_landed_after_a_second_and_a_half_at_rest_or_after_three(
+    speed_m_s: float, after_us: int
+) -> None:
+    c = HandFedCore()
+    c.enter_approach()
+    c.run(1.0)
+    c.velocity_ned = (0.0, speed_m_s, 0.0)
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
+    out = c.run(4.0)
+    assert c.core.override is Override.BREAK_OFF
+    land = next(o for o in out if isinstance(o, VehicleCommand) and o.action is VehicleAction.LAND)
+    assert land.t_us - fired(c)[0].t_us == after_us
+
+
 def test_landing_time_is_the_shorter_of_both_clocks() -> None:
     c = HandFedCore()
     c.run(0.1)

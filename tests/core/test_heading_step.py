@@ -110,6 +110,22 @@ def test_a_heading_step_may_come_a_tenth_of_a_second_before_the_counter_rises(
     assert resets.newest.heading_rad == pytest.approx(0.2 if counts else 0.0)
 
 
+@pytest.mark.parametrize("rate", [10.0, -15.0])
+def test_attitudes_stamped_between_gyro_samples_are_compared_at_their_own_time(rate: float) -> None:
+    resets = EstimatorResets()
+    resets.update_counter(0, 0)
+    for tick in range(40):
+        t_us = 4000 * tick
+        at_us = t_us - 2000 * (tick % 2)
+        resets.add_imu(ImuSample(t_us, t_us, NED, (0.0, 0.0, rate)))
+        q = quaternion_from_euler(0.0, 0.0, rate * at_us * 1e-6)
+        resets.add_attitude(AttitudeSample(at_us, t_us, q))
+        if tick == 20:
+            assert resets.update_counter(1, t_us)
+    assert resets.newest is not None
+    assert resets.newest.heading_rad == pytest.approx(0.0, abs=1e-6)
+
+
 def test_a_tilt_step_is_no_heading_step() -> None:
     resets, q = EstimatorResets(), quaternion_from_euler(0.0, 0.0, 1.0)
     resets.update_counter(0, 0)
