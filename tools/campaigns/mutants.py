@@ -28,8 +28,8 @@ from dart_flight.lab.campaign.flight_job import JudgedRow
 from tools.campaigns.results import ROOT, markdown
 
 _MUTATED = ("dart_flight/core/*/*.py", "dart_flight/core/*.py", "dart_flight/run/core_thread.py")
-# Operators by kind of change; cosmic-ray's others, such as a shift for a sum, always fail. `<=` for `<` is not
-# drawn, because a measured number does not equal its limit.
+# Operators by kind of change; cosmic-ray's others, such as a shift for a sum, always fail. None changes `<`
+# into `<=`, because a measured number does not equal its limit.
 _KINDS = {
     "comparison": [
         f"ReplaceComparisonOperator_{a}_{b}"
