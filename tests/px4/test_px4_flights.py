@@ -157,6 +157,7 @@ def test_an_impact_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_pat
     assert [r.clipped for r in records if isinstance(r, ImpactPeak)] == [True]
 
 
+@pytest.mark.realtime  # the pilot moves the sticks in the computer's time
 @pytest.mark.parametrize("sticks", [True, False])
 def test_a_switch_to_position_mode_releases_the_flight_only_with_sticks(
     px4_dir: Path, tmp_path: Path, sticks: bool
