@@ -462,7 +462,7 @@ def fly_fast(
     Raises:
         InputError: the log cannot be written, or the lock driver does not work in simulated time.
     """
-    simulated_driver(mission)
+    simulated_driver(mission)  # raises if the driver cannot be simulated
     world = draw_world(mission, seed, spreads or {})
     if lock_faults is not None:
         world = world._replace(lock_faults=lock_faults)
