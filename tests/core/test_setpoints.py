@@ -322,3 +322,11 @@ def test_arrival_tolerates_a_limited_distance_and_heading_error(
     arrival, state = Arrival(load_mission(packaged("missions", f"{mission}.yaml"))), FlightState()
     state.position, state.yaw = (1.0 + share * ARRIVED_M, 2.0, 0.0), off_rad
     assert arrival.is_at(STANDING.target, 0.0, state) is arrives
+
+
+@pytest.mark.parametrize("along", [(1.0, 0.0), (0.0, 1.0)])
+def test_a_position_with_one_free_axis_commands_rest_along_the_other(along: tuple[float, float]) -> None:
+    free = FreeAxes((along,), (0.5, 0.7, 1.2), (0.3, -0.4, 0.1))
+    found = make_setpoint(FRAME, TRIGGER, Reference((1.0, 2.0, 1.0), None), 0.2, free)
+    x, y = along
+    assert has_parts(found, (0.5 if x else 1.0, 0.7 if y else 2.0, 1.0), (0.3 * x, -0.4 * y, 0.0))
