@@ -10,6 +10,7 @@ raises: an exception in the mission's code becomes a guard decision (land), with
 
 from __future__ import annotations
 
+import contextlib
 import traceback
 from typing import Final
 
@@ -98,12 +99,18 @@ class FlightCore:
             known += sensed.contact
         guard = self._guard
         try:
-            known += guard.review(item, state, sensed, self._executive.progress.phase, proposal)
+            reviewed = guard.review(item, state, sensed, self._executive.progress.phase, proposal)
+            return known + reviewed + self._follow_guard(proposal.end)
         except Exception:
             # The guard itself has failed: suppress the commands of this step, and land.
             known += [o for o in proposal.outputs if not o.topic.startswith("/out/")]
-            known += guard.land_after_fault(item, state, _active_exception())
-        return known + self._follow_guard(proposal.end)
+            fault = _active_exception()
+        # No exception leaves the core: if the landing fails too, PX4's failsafe lands without setpoints.
+        with contextlib.suppress(Exception):
+            known += guard.land_after_fault(item, state, fault)
+        with contextlib.suppress(Exception):
+            known += self._follow_guard(None)
+        return known
 
     def _follow_guard(self, mission_end: MissionEnd | None) -> list[Output]:
         """Record an override of the guard and the end of the flight; return the records."""

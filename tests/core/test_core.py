@@ -354,6 +354,30 @@ def break_evaluation(core: FlightCore) -> None:
     core._guard._evaluate = raise_in_guard  # type: ignore[method-assign, assignment]
 
 
+def break_records_of_override(core: FlightCore) -> None:
+    core._guard._evaluate = raise_in_guard  # type: ignore[method-assign, assignment]
+    core._executive.record_override = raise_in_guard  # type: ignore[method-assign, assignment]
+
+
+def break_landing(core: FlightCore) -> None:
+    core._guard._evaluate = raise_in_guard  # type: ignore[method-assign, assignment]
+    core._guard._fly = raise_in_guard  # type: ignore[method-assign, assignment]
+
+
+@pytest.mark.parametrize(
+    ("sabotage", "commands"), [(break_records_of_override, [VehicleAction.LAND]), (break_landing, [])]
+)
+def test_no_exception_leaves_the_core_if_the_landing_after_a_fault_fails_too(
+    hand_fed: HandFedCore, sabotage: Callable[[FlightCore], None], commands: list[VehicleAction]
+) -> None:
+    """Without setpoints, PX4's failsafe lands the vehicle."""
+    hand_fed.enter_approach()
+    sabotage(hand_fed.core)
+    out = hand_fed.run(0.1)
+    assert [o.action for o in of_kind(VehicleCommand, out)] == commands
+    assert not of_kind(Setpoint, out)
+
+
 def report_unknown_findings(core: FlightCore) -> None:
     """Let the mission report a finding without a rule in every step."""
     propose = core._executive.propose
