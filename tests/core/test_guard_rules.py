@@ -52,9 +52,9 @@ from dart_flight.base.streams import BY_NAME
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core import flight_core
-from dart_flight.core.guard.flight_conditions import FlightConditions
+from dart_flight.core.guard.flight_conditions import LYING_TILT_DEG, FlightConditions
 from dart_flight.core.guard.rule import Rule, Scope, in_scope
-from dart_flight.core.guard.rules import RULES, table
+from dart_flight.core.guard.rules import LYING_S, RULES, table
 from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
 from dart_flight.core.mission import executive
 from dart_flight.core.mission.proposal import Proposal
@@ -571,6 +571,20 @@ CAUSES |= {
 }
 
 
+def lie_down(c: HandFedCore, tilt_deg: float, height_m: float, seconds: float) -> None:
+    """Lie still with this tilt and height above the place of take-off."""
+    north, east, _ = c.position_ned
+    c.position_ned, c.velocity_ned = (north, east, -height_m), (0.0, 0.0, 0.0)
+    c.q = quaternion_from_euler(math.radians(tilt_deg), 0.0, 0.0)
+    c.run(seconds)
+
+
+@cause
+def lying(c: HandFedCore) -> None:
+    c.enter_approach()
+    lie_down(c, 1.02 * LYING_TILT_DEG, 0.1, LYING_S + 0.05)
+
+
 @cause
 def operator_ground(c: HandFedCore) -> None:
     c.run(0.1)
@@ -603,6 +617,7 @@ DETAILS = {
     "heading_reset": "heading stepped by 28.6 deg, limit 5 deg",
     "estimator_flags": "no valid estimate for 0.3 s",
     "position_uncertain": "standard deviation of the position 0.23 m, limit 0.10 m",
+    "lying": "the vehicle has been lying on the ground at 61 deg for 0.5 s",
     "still_armed": "still armed after 10 s in land mode",
     "hover_thrust": "the thrust curve gives a mass of 1.30 kg, airframe.mass_kg is 0.85: ratio 0.65, "
     "limits 0.75 to 1.25",
@@ -690,6 +705,27 @@ def test_a_rule_fires_on_its_cause_and_is_reported(rule: Rule) -> None:
     elif rule.action is not Override.GIVE_UP:
         assert c.core.override is rule.action
         assert c.core.phase in (Phase.OVERRULED, Phase.DONE)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "height_m", "seconds", "kills"),
+    [
+        (LYING_TILT_DEG + 1.0, 0.1, LYING_S + 0.1, True),
+        (180.0, -0.1, LYING_S + 0.1, True),
+        (LYING_TILT_DEG - 1.0, 0.1, 3.0, False),
+        (LYING_TILT_DEG + 1.0, 0.8, 3.0, False),
+        (LYING_TILT_DEG + 1.0, 0.1, LYING_S - 0.1, False),
+    ],
+    ids=["on its side", "upside down", "a slope", "in the air", "a moment"],
+)
+def test_only_a_vehicle_that_lies_on_the_ground_is_disarmed(
+    tilt_deg: float, height_m: float, seconds: float, kills: bool
+) -> None:
+    c = core_for("lying")
+    c.enter_approach()
+    lie_down(c, tilt_deg, height_m, seconds)
+    sent = [o.action for o in c.outputs if isinstance(o, VehicleCommand)]
+    assert (VehicleAction.KILL in sent) is kills
 
 
 def test_a_delayed_position_is_reported_with_its_value_and_a_remedy() -> None:

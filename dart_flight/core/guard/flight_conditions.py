@@ -7,6 +7,7 @@ measured in host time.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from dart_flight.base.geometry import norm
@@ -42,7 +43,11 @@ from dart_flight.core.sense.state import FlightState
 
 _DOUBT_US: Final = 100_000  # host time; the first sample of another vehicle follows its mode within this time
 _CLIP_SHARE: Final = 0.99
+# A vehicle that flies cannot keep such a tilt near the ground; PX4 does not detect a landing on the side.
+LYING_TILT_DEG: Final = 60.0
 _FALLING_M_S2: Final = 4.9  # half of hover
+_LYING_BELOW_M: Final = 0.5  # above the place of take-off; a fall disturbs the height estimate
+_STILL_M_S, _STILL_RAD_S = 0.3, 0.5
 _SURELY_DOWN: Final = 3.0  # factor on the time of descent from the top of the flight space
 _PAUSE_US: Final = 40_000  # a longer gap between the ticks, 20 ms of host time, is a pause of this program
 _PAUSE_MEMORY_US: Final = 3_000_000
@@ -68,6 +73,8 @@ class FlightConditions:
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
         self.falling_since_us: int | None = None  # motors stopped and close to free fall
+        self.lying_since_us: int | None = None  # tilted and still at the height of the ground
+        self._ground_m: float | None = None  # height before take-off
         # In land mode and armed: autopilot time and host time.
         self._landing_since_us: tuple[int, int] | None = None
         self.streams = StreamWatch(self.config)
@@ -277,6 +284,21 @@ class FlightConditions:
         clipped = abs(x) >= full or abs(y) >= full or abs(z) >= full
         self.clipped_since_us = (self.clipped_since_us or item.t_us) if clipped else None
 
+    def _update_lying(self) -> None:
+        state = self.state
+        if not self.was_armed:
+            self._ground_m = state.position[2]
+        imu, ground_m = state.imu, self._ground_m
+        lies = (
+            imu is not None
+            and ground_m is not None
+            and state.tilt_rad > math.radians(LYING_TILT_DEG)
+            and state.position[2] - ground_m < _LYING_BELOW_M
+            and norm(state.velocity) < _STILL_M_S
+            and norm(imu.rate_frd) < _STILL_RAD_S
+        )
+        self.lying_since_us = (self.lying_since_us or state.now_us) if lies else None
+
     def _handle_motors(self, item: ActuatorSample) -> None:
         imu = self._imu
         falls = imu is not None and not any(item.motors) and norm(imu.specific_force_frd) < _FALLING_M_S2
@@ -290,6 +312,7 @@ class FlightConditions:
         self._handle_stamp("odometry", item, state.odometry)
         if item is state.odometry:
             self.estimator.add_odometry(item)
+        self._update_lying()
         self.was_inside = self.was_inside or state.position[2] >= self.mission.bounds.z[0]
 
     def _handle_status(self, item: StatusSample) -> None:

@@ -28,7 +28,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.text import battery_figures
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_RULES
-from dart_flight.core.guard.flight_conditions import FlightConditions
+from dart_flight.core.guard.flight_conditions import LYING_TILT_DEG, FlightConditions
 from dart_flight.core.guard.pose_watch import POSE_RULES
 from dart_flight.core.guard.rule import Rule, RuleCondition, Scope, condition
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
@@ -36,6 +36,7 @@ from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S, STREAM_RULES
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 from dart_flight.core.sense.bias import THRUST_SCALE_LIMIT
 
+LYING_S: Final = 0.5
 IMU_STUCK_S: Final = 0.1  # noise changes every reading of a working IMU
 IMU_CLIPPED_S: Final = 0.25  # longer than any contact lasts
 BATTERY_LOW_S: Final = 1.0  # longer than a burst of thrust lasts
@@ -136,6 +137,18 @@ def _still_armed(v: FlightConditions) -> str | None:
     if limit is None or v.landing_s <= limit:
         return None
     return f"still armed after {v.landing_s:.0f} s in land mode"
+
+
+@condition(
+    "the vehicle lies on the ground, tilted and still, with its motors armed",
+    f"{LYING_TILT_DEG:g} degrees, {LYING_S:g} s",
+)
+def _lying(v: FlightConditions) -> str | None:
+    lying_s = v.duration_s(v.lying_since_us)
+    if lying_s <= LYING_S or not v.state.status.armed:
+        return None
+    tilt_deg = math.degrees(v.state.tilt_rad)
+    return f"the vehicle has been lying on the ground at {tilt_deg:.0f} deg for {lying_s:.1f} s"
 
 
 @condition("the battery is low", f"guard.battery_remaining, guard.battery_v, {BATTERY_LOW_S:g} s")
@@ -287,6 +300,7 @@ RULES: tuple[Rule, ...] = (
     Rule("position_delayed", _BREAK_OFF, _FLYING, _position_delayed),
     Rule("battery", _LAND, _AIR, _battery),
     Rule("still_armed", _KILL, _AIR, _still_armed),
+    Rule("lying", _KILL, _AIR, _lying),
     Rule("hover_thrust", _BREAK_OFF, _FLYING, _hover_thrust),
     # Break off before landing, as for `mode_felt`: PX4's land mode reduces the tilt slowly and flies away.
     Rule("tilt", _BREAK_OFF, _AIR, _tilt, (AttitudeSample,), noted=True),

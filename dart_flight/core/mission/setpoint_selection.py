@@ -224,13 +224,15 @@ class SetpointSelection:
     def _lead(self, trajectory: Trajectory, since_s: float) -> Reference:
         """Return the reference of a trajectory for the time at which PX4 executes the setpoint.
 
-        The acceleration is taken at an even later time, because the attitude lags. This time is limited to
-        the trajectory's end, because the trajectory has no thrust afterwards. Drag and the response of PX4's
-        D term are added, so that no error builds up in the position loop.
+        The acceleration is taken at an even later time, because the attitude lags. If the trajectory ends at
+        rest or leaning, this time is limited to its end. Drag and the response of PX4's D term are added, so
+        that no error builds up in the position loop.
         """
         flown_s = since_s + self._delay_s
         flown = trajectory.at(flown_s)
-        tilted_s = min(flown_s + self._dead_s, max(since_s, trajectory.duration_s))
+        tilted_s = flown_s + self._dead_s
+        if tilted_s > trajectory.duration_s and not trajectory.goes_straight_on:
+            tilted_s = min(tilted_s, max(since_s, trajectory.duration_s))
         tilted = flown if tilted_s == flown_s else trajectory.at(tilted_s)
         v, a, b = flown.velocity, tilted.acceleration, self._airframe.drag_per_s
         d, lead = 1.0 + self._kd, ATTITUDE_LAG_S - self._dead_s

@@ -19,6 +19,7 @@ from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, maximum, sqrt
 
 _MIN_TRANSIT_S = 0.1
+_AT_REST_M_S, _LEVEL_M_S2 = 0.01, 0.01  # at the end of a trajectory; larger than rounding errors
 # Rest to rest over a distance of 1 in a time of 1, constant term first.
 _REST_TO_REST = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
 
@@ -153,6 +154,14 @@ class Trajectory(msgspec.Struct, frozen=True):
     def begin(self) -> Vec3:
         """Position at the beginning."""
         return (self.x[0], self.y[0], self.z[0])
+
+    @property
+    def goes_straight_on(self) -> bool:
+        """Whether the trajectory is one polynomial, followed by straight flight without acceleration."""
+        if self.after is AfterEnd.HOLD or len(self.pieces_s) > 1:
+            return False
+        end = self.at(self.duration_s)
+        return math.hypot(*end.velocity) > _AT_REST_M_S and math.hypot(*end.acceleration) < _LEVEL_M_S2
 
     def at(self, t_s: float) -> TrajectoryPoint:
         """Return the reference `t_s` seconds after the beginning."""
