@@ -169,6 +169,8 @@ def verdict_table(verdict: Verdict) -> RenderableType:
     ]
     if figures:
         parts.append(Text(", ".join(figures)))
+    if verdict.other_contacts:
+        parts.append(_other_contacts_line(verdict))
     if verdict.estimator_resets:
         parts.append(_resets_line(verdict))
     if verdict.goal_reached is not None and verdict.outcome is Outcome.COMPLETED:
@@ -177,6 +179,20 @@ def verdict_table(verdict: Verdict) -> RenderableType:
     if verdict.plan_followed is not None and verdict.outcome is Outcome.COMPLETED:
         parts.append(_plan_line(verdict))
     return Group(*parts)
+
+
+def _other_contacts_line(verdict: Verdict) -> Text:
+    """Return a line with the number of unplanned contacts, and their largest speed and force."""
+    contacts = verdict.other_contacts
+    speeds = [c.speed_m_s if c.truth is None else abs(c.truth.normal_m_s or 0.0) for c in contacts]
+    forces = [c.peak_force_n if c.truth is None else c.truth.peak_force_n for c in contacts]
+    figures = [
+        f"{max(known):.{digits}f} {unit}"
+        for values, digits, unit in ((speeds, 2, "m/s"), (forces, 0, "N"))
+        if (known := [v for v in values if v is not None])
+    ]
+    count = "1 contact was" if len(contacts) == 1 else f"{len(contacts)} contacts were"
+    return Text(f"{count} not planned, the hardest at {', '.join(figures)}", style="yellow")
 
 
 def _resets_line(verdict: Verdict) -> Text:

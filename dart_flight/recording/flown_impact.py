@@ -94,6 +94,26 @@ class CollisionVerdict(msgspec.Struct):
         return None if measured is None or not true else measured / true - 1.0
 
 
+class OtherContact(msgspec.Struct):
+    """A contact that was not planned, for example after the guard broke off.
+
+    Attributes:
+        t_us: autopilot time of the detection; if the contact was not detected, its true beginning.
+        phase: phase of the mission.
+        speed_m_s: horizontal speed before the contact; None if the contact was not detected.
+        peak_force_n: peak normal force; None if it was not measured.
+        truth: true values in simulation; None on the drone.
+        wall: the touched wall in simulation; None on the drone.
+    """
+
+    t_us: int
+    phase: Phase
+    speed_m_s: float | None = None
+    peak_force_n: float | None = None
+    truth: Velocities | None = None
+    wall: str | None = None
+
+
 class FlownImpact(CollisionVerdict, kw_only=True):
     """A planned collision as flown: its verdict, and further data for figures.
 
@@ -144,6 +164,9 @@ class ImpactCollector:
         self._relaxation_us = None if lock is None else round(lock.relaxation_s * 1e6)
         self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # walls with unique names
         self.impacts: list[FlownImpact] = []
+        self._others: list[OtherContact] = []  # as detected
+        self._phase = Phase.READYING
+        self._overruled_us: int | None = None
         self._truths: list[TruthContact] = []
         self._onset: ImpactOnset | None = None
         self._lock_mode: Mode | None = Mode.RIGID if lock is None else None
@@ -180,16 +203,28 @@ class ImpactCollector:
                 continue
             impact.mode_true = true.mode
             impact.detection_latency_ms = (impact.t_us - true.t_us) * 1e-3
-            impact.truth = Velocities(
-                true.normal_in_m_s,
-                true.tangential_in_m_s,
-                true.peak_normal_force_n,
-                ContactSide.from_lead(true.lead_m),
-                math.degrees(true.incidence_rad),
-                true.peak_torque_nm,
-                true.normal_out_m_s,
-                true.tangential_out_m_s,
-            )
+            impact.truth = _true_velocities(true)
+
+    def other_contacts(self) -> list[OtherContact]:
+        """Return the contacts that were not planned, in order.
+
+        In simulation each has the values of its simulated contact, and after the guard has overruled the
+        mission the list includes contacts that were not detected. Call `match_truth` before.
+        """
+        found = list(self._others)
+        planned = [impact.contact for impact in self.impacts]
+        for true in self._truths:
+            if true in planned:
+                continue
+            begin_us, end_us = true.t_us - _TRUTH_MATCH_US, true.end_us + _TRUTH_MATCH_US
+            mine = next((one for one in found if begin_us <= one.t_us <= end_us), None)
+            if mine is None:
+                if self._overruled_us is None or true.t_us < self._overruled_us:
+                    continue
+                mine = OtherContact(true.t_us, Phase.OVERRULED)
+                found.append(mine)
+            mine.truth, mine.wall = _true_velocities(true), true.wall
+        return sorted(found, key=lambda one: one.t_us)
 
     def _newest(self) -> FlownImpact | None:
         """Return the impact that began with the last onset; None if the last onset was not planned."""
@@ -197,12 +232,17 @@ class ImpactCollector:
 
     def _handle_onset(self, record: ImpactOnset) -> None:
         self._onset = record
+        self._others.append(OtherContact(record.t_us, self._phase, math.hypot(*record.velocity_mission[:2])))
 
     def _handle_phase(self, record: PhaseChange) -> None:
+        self._phase = record.after
+        if record.after is Phase.OVERRULED:
+            self._overruled_us = record.t_us
         if record.after is Phase.CONTACT and record.collision is not None and self._onset is not None:
             self._open(self._mission.collisions[record.collision - 1], self._onset)
 
     def _open(self, collision: Collision, onset: ImpactOnset) -> None:
+        self._others = [other for other in self._others if other.t_us != onset.t_us]  # it was planned
         normal, tangential, _ = collision.wall.to_collision(onset.velocity_mission)
         self.impacts.append(
             FlownImpact(
@@ -224,6 +264,8 @@ class ImpactCollector:
         if impact is not None:
             impact.peak, impact.clipped = record, record.clipped
             impact.measured.peak_force_n = record.normal_force_n
+        elif self._others:
+            self._others[-1].peak_force_n = record.normal_force_n
 
     def _handle_body(self, record: ImpactBody) -> None:
         impact = self._newest()
@@ -272,3 +314,16 @@ class ImpactCollector:
             times.commanded_us = record.commanded_us
         if record.phase is LockPhase.SETTLED and times.settled_us is None:
             times.settled_us = record.settled_us
+
+
+def _true_velocities(true: TruthContact) -> Velocities:
+    return Velocities(
+        true.normal_in_m_s,
+        true.tangential_in_m_s,
+        true.peak_normal_force_n,
+        ContactSide.from_lead(true.lead_m),
+        math.degrees(true.incidence_rad),
+        true.peak_torque_nm,
+        true.normal_out_m_s,
+        true.tangential_out_m_s,
+    )

@@ -43,7 +43,7 @@ from dart_flight.core.guard.estimator_resets import EstimatorReset, EstimatorRes
 from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.anchor import MissionFrameReader
-from dart_flight.recording.flown_impact import CollisionVerdict, FlownImpact, ImpactCollector
+from dart_flight.recording.flown_impact import CollisionVerdict, FlownImpact, ImpactCollector, OtherContact
 from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.measured_walls import MeasuredWall, WallMeasurements
 from dart_flight.recording.plan_versus_flight import Deviation, deviations, predict_flight
@@ -136,6 +136,7 @@ class Verdict(msgspec.Struct):
     time: TimeKind | None = None  # None for a real vehicle
     speed: float | None = None  # achieved simulated seconds per second
     uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, from a simulation's truth
+    other_contacts: list[OtherContact] = msgspec.field(default_factory=list)  # contacts that were not planned
 
 
 class PositionError:
@@ -320,6 +321,7 @@ class VerdictBuilder:
             world=world,
             seed=seed,
             collisions=[impact.verdict() for impact in impacts],
+            other_contacts=self._impacts.other_contacts(),
             max_tilt_deg=None if self._tilt_rad is None else math.degrees(self._tilt_rad),
             log=log,
             px4_log=px4_log,

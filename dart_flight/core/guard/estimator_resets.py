@@ -11,6 +11,7 @@ from typing import Final
 
 from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.base.records import AttitudeSample, ImuSample, OdometrySample
+from dart_flight.core.guard.dead_reckoning import WRONG_RAD, DeadReckoning
 from dart_flight.core.guard.heading_step import HeadingStep
 
 REACH_US: Final = 100_000  # a step this close to the counter's step belongs to the reset
@@ -47,11 +48,15 @@ class EstimatorResets:
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
         self._heading = HeadingStep()
         self._before: Quaternion | None = None  # `HeadingStep.before` at the newest reset
+        self._rotation: Quaternion | None = None  # the same at the reset from which the error is measured
+        self._reckoned: DeadReckoning | None = None  # since that reset
 
     def add_imu(self, item: ImuSample) -> None:
-        """Update the heading comparison with an IMU sample."""
+        """Update the heading comparison and the dead reckoning with an IMU sample."""
         self._heading.add_imu(item)
         self._measure_heading(item.t_us)
+        if self._reckoned is not None:
+            self._reckoned.add_imu(item, self._heading.gyro)
 
     def add_attitude(self, item: AttitudeSample) -> None:
         """Update the heading comparison with an attitude."""
@@ -66,6 +71,8 @@ class EstimatorResets:
         if before is None or not 0 < item.t_us - before.t_us <= _JUMP_REACH_US:
             return 0.0, 0.0
         away_m = math.dist(item.position_ned, _extrapolate(before, item))
+        if self._reckoned is not None and self._reckoned.is_finished(item, self.heading_error_rad, away_m):
+            self._reckoned = None
         faster_m_s = math.dist(item.velocity_ned, before.velocity_ned)
         self._steps.append((item.t_us, away_m, faster_m_s))
         if self.newest is not None:
@@ -79,10 +86,28 @@ class EstimatorResets:
             return False
         self.newest = EstimatorReset(now_us)
         self._before = self._heading.before
+        if self._reckoned is None and abs(self.heading_error_rad) <= WRONG_RAD:
+            self._rotation = self._before
+            if self._before is not None and self._odometry is not None:
+                self._reckoned = DeadReckoning(self._odometry, self._before)
         for step in self._steps:
             self._add_step(self.newest, *step)
         self._measure_heading(now_us)
         return True
+
+    @property
+    def heading_error_rad(self) -> float:
+        """Estimated heading minus the heading that the gyro continues from before a reset.
+
+        The error is 0 if the integral of the gyro was interrupted since the reset.
+        """
+        return 0.0 if self._rotation is None else self._heading.step_since(self._rotation)
+
+    @property
+    def reckoned(self) -> DeadReckoning | None:
+        """The motion by dead reckoning, from a wrong reset of the heading until PX4's estimate recovers."""
+        reckoned = self._reckoned
+        return None if reckoned is None or not reckoned.heading_was_wrong else reckoned
 
     def _add_step(self, reset: EstimatorReset, t_us: int, position_m: float, velocity_m_s: float) -> None:
         if abs(t_us - reset.t_us) <= REACH_US:
@@ -90,11 +115,13 @@ class EstimatorResets:
             reset.velocity_m_s = max(reset.velocity_m_s, velocity_m_s)
 
     def _measure_heading(self, now_us: int) -> None:
+        if self._heading.before is None:  # a gap in the rates has no integral
+            self._before = self._rotation = self._reckoned = None
+            return
         reset, before = self.newest, self._before
         if reset is None or before is None:
             return
-        if now_us - reset.t_us > REACH_US or self._heading.before is None:
-            # Later steps of the heading do not belong to this reset; a gap in the rates has no integral.
+        if now_us - reset.t_us > REACH_US:  # later steps of the heading do not belong to this reset
             self._before = None
             return
         step = self._heading.step_since(before)

@@ -46,6 +46,7 @@ class EstimatorWatch:
         self._reset_phase = Phase.READYING  # at the newest reset
         self._unhealthy = False
         self._invalid_since_us: int | None = None
+        self._recovers_us: int | None = None  # last time at which PX4's motion was wrong after a heading step
 
     def begin(self, now_us: int, excused: bool) -> None:
         """Begin a step; if `excused`, an impact explains unusual behaviour of the estimator."""
@@ -53,8 +54,10 @@ class EstimatorWatch:
 
     def add_odometry(self, item: OdometrySample) -> None:
         """Process a position that the flight state has accepted."""
+        if self.resets.reckoned is not None:
+            self._recovers_us = self._now_us
         away_m, faster_m_s = self.resets.add_odometry(item)
-        if self._excused:
+        if self._excused or self._recovers:
             return
         if away_m > POSITION_JUMP_M:
             self.jump = f"position jumped by {away_m:.2f} m, limit {POSITION_JUMP_M:g} m"
@@ -84,10 +87,15 @@ class EstimatorWatch:
         reset = self.resets.newest
         return reset if reset is not None and self._now_us - reset.t_us <= reach_us else None
 
+    @property
+    def _recovers(self) -> bool:
+        """Whether PX4 returns from a wrong heading; a jump back to the true motion is no further fault."""
+        return self._recovers_us is not None and self._now_us - self._recovers_us <= 2 * REACH_US
+
     def reset_step(self) -> str | None:
         """Return a text about the step of position or velocity in a reset, or None without such a step."""
         reset = self._reset_within(REACH_US)
-        if reset is None or self._excused:
+        if reset is None or self._excused or self._recovers:
             return None
         if reset.position_m > RESET_POSITION_M or reset.velocity_m_s > RESET_VELOCITY_M_S:
             return f"position stepped by {reset.position_m:.2f} m, velocity by {reset.velocity_m_s:.2f} m/s"

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from dart_flight.base.geometry import Vec2, Vec3, norm
+from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, norm
 from dart_flight.base.records import (
     FlightMode,
     GuardEvent,
@@ -32,12 +32,14 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.config.mission import Mission
+from dart_flight.core.guard.dead_reckoning import WRONG_RAD, horizontal_ned
 from dart_flight.core.guard.flight_conditions import FlightConditions
 from dart_flight.core.guard.rule import Cause, Rule, Scope, in_scope
 from dart_flight.core.guard.rules import RULES, RULES_BY_NAME
 from dart_flight.core.mission.phases import DOWN_US
 from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, SetpointTrigger, make_setpoint
 from dart_flight.core.mission.wall_uncertainty import early_m, position_margin_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -51,6 +53,7 @@ _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 _STOPPED_M_S: Final = 0.3
 _ELSEWHERE_M: Final = 0.3
+_MOST_M_S2: Final = 5.0  # a lean of 27 degrees while PX4's heading is wrong
 # PX4 disarms by itself after landing; this command is the fallback
 _DISARM_AFTER_US: Final = 15_000_000
 _UNSURE_US: Final = 15_000_000
@@ -271,18 +274,43 @@ class Guard:
             jumped = bool(self._watch.estimator.jump) and "estimator_jump" in self._rules
             if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
                 self._hold, self._held_impact = self._hold_point(state), impact
-            out.append(
-                Setpoint(
-                    t_us=item.t_us,
-                    trigger_received_us=item.received_us,
-                    position_ned=state.frame.point_to_ned(self._hold),
-                    yaw_ned_rad=self._yaw_ned,
-                )
-            )
-        slow = norm(state.velocity) < 0.1
+            out.append(self._hold_setpoint(item, state, state.frame, self._hold))
+        slow = norm(self._motion(state)[1]) < 0.1 and self._watch.estimator.resets.reckoned is None
         elapsed = state.now_us - self._since_us
         if elapsed > _HOLD_US or (slow and elapsed > _HOLD_US // 2):
             self._land(state, out)
+
+    def _hold_setpoint(
+        self, item: OdometrySample, state: FlightState, frame: MissionFrame, hold: Vec3
+    ) -> Setpoint:
+        """Return the setpoint that holds the vehicle at `hold`, with its true heading.
+
+        After a wrong reset of the heading, PX4 rotates every horizontal acceleration by the error of its
+        heading, and its position and velocity are wrong. Until they have recovered, the axes are free, and
+        an acceleration that is rotated back leads to `hold`.
+        """
+        resets, trigger = self._watch.estimator.resets, SetpointTrigger(item.t_us, item.received_us)
+        error_rad, reckoned = resets.heading_error_rad, resets.reckoned
+        if reckoned is None and abs(error_rad) <= WRONG_RAD:
+            return make_setpoint(frame, trigger, Reference(hold), frame.yaw_from_ned(self._yaw_ned))
+        position, velocity = self._motion(state)
+        px4 = self._mission.vehicle.px4
+        ax, ay = (
+            px4.mpc_xy_vel_p_acc * (px4.mpc_xy_p * (to - at) - v)
+            for to, at, v in zip(hold[:2], position[:2], velocity[:2], strict=True)
+        )
+        share = min(1.0, _MOST_M_S2 / max(math.hypot(ax, ay), _MOST_M_S2))
+        lean = horizontal_ned(frame.vector_to_ned((share * ax, share * ay, 0.0)), error_rad)
+        reference = Reference(hold, (0.0, 0.0, 0.0), frame.vector_from_ned(lean))
+        free = FreeAxes(BOTH, state.position, state.velocity)
+        return make_setpoint(frame, trigger, reference, frame.yaw_from_ned(self._yaw_ned + error_rad), free)
+
+    def _motion(self, state: FlightState) -> tuple[Vec3, Vec3]:
+        """Return position and velocity, mission frame, by dead reckoning if PX4's are wrong."""
+        reckoned, frame = self._watch.estimator.resets.reckoned, state.frame
+        if reckoned is None or frame is None:
+            return state.position, state.velocity
+        return frame.point_from_ned(reckoned.position_ned), frame.vector_from_ned(reckoned.velocity_ned)
 
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
         """Return whether a vehicle that broke off rests far from `hold`, for example because it tilted.
@@ -290,9 +318,10 @@ class Guard:
         The guard then holds the vehicle at its resting place. On the way back to `hold`, PX4's integrator
         would push the vehicle past `hold`, towards the wall.
         """
-        if self.action is not Override.BREAK_OFF or norm(state.velocity) > _STOPPED_M_S:
+        position, velocity = self._motion(state)
+        if self.action is not Override.BREAK_OFF or norm(velocity) > _STOPPED_M_S:
             return False
-        return math.dist(state.position[:2], hold[:2]) > _ELSEWHERE_M
+        return math.dist(position[:2], hold[:2]) > _ELSEWHERE_M
 
     def _is_down(self, state: FlightState, killed: bool) -> bool:
         """Return whether this vehicle, not another one on the same link, has landed and disarmed."""
@@ -313,14 +342,14 @@ class Guard:
         After breaking off, the point keeps the retreat distance from the mission's walls, and from an
         unknown wall that was just touched.
         """
-        x, y, z = state.position
+        (x, y, z), velocity = self._motion(state)
         if self.action is Override.BREAK_OFF:
             x, y = self._clear_of_unknown_wall(x, y)
             for wall in self._mission.walls:
                 distance = wall.signed_distance((x, y))
                 away_m = self._config.retreat_m + position_margin_m(wall, (x, y))
                 nx, ny = wall.normal
-                closing = max(0.0, -(state.velocity[0] * nx + state.velocity[1] * ny))
+                closing = max(0.0, -(velocity[0] * nx + velocity[1] * ny))
                 # Keep the retreat distance, and if approaching brake harder than by holding still.
                 push = max(away_m - distance, STOP_TIME_S * closing)
                 if wall.spans((x, y)) and -away_m < distance and push > 0.0 and distance < 1.0:

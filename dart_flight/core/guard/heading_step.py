@@ -31,10 +31,14 @@ _GAP_US: Final = 20_000  # a longer gap between rates invalidates the integral
 
 
 class HeadingStep:
-    """Recent rotations of the heading estimate that the gyro did not measure, each with its stamp."""
+    """Recent rotations of the heading estimate that the gyro did not measure, each with its stamp.
+
+    Attributes:
+        gyro: the integrated rate.
+    """
 
     def __init__(self) -> None:
-        self._gyro: Quaternion = IDENTITY
+        self.gyro: Quaternion = IDENTITY
         self._imu_us: int | None = None
         self._rate: Vec3 = (0.0, 0.0, 0.0)
         self._waiting: AttitudeSample | None = None  # until a rate with its stamp or a later one arrives
@@ -45,10 +49,10 @@ class HeadingStep:
         before_us, self._imu_us, self._rate = self._imu_us, item.t_us, item.rate_frd
         if before_us is None or not 0 < item.t_us - before_us <= _GAP_US:
             self._turns.clear()
-            self._gyro, self._waiting = IDENTITY, None
+            self.gyro, self._waiting = IDENTITY, None
             return
         dt_s = (item.t_us - before_us) * 1e-6
-        self._gyro = quaternion_normalise(advance_attitude(self._gyro, item.rate_frd, dt_s))
+        self.gyro = quaternion_normalise(advance_attitude(self.gyro, item.rate_frd, dt_s))
         if self._waiting is not None and self._waiting.t_us <= item.t_us:
             self._compare(self._waiting, item.t_us)
             self._waiting = None
@@ -76,7 +80,7 @@ class HeadingStep:
         return wrap_angle(2.0 * math.atan2(z, w))
 
     def _compare(self, item: AttitudeSample, imu_us: int) -> None:
-        then = self._gyro
+        then = self.gyro
         if imu_us != item.t_us:
             then = advance_attitude(then, self._rate, (item.t_us - imu_us) * 1e-6)
         self._turns.append((item.t_us, quaternion_multiply(item.q_frd_to_ned, quaternion_conjugate(then))))

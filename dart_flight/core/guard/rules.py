@@ -181,6 +181,8 @@ def _tilt(v: FlightConditions) -> str | None:
     "the vehicle is horizontally outside bounds_m, or would stop outside bounds_m", "bounds_m.x, bounds_m.y"
 )
 def _bounds(v: FlightConditions) -> str | None:
+    if v.estimator.resets.reckoned is not None:
+        return None  # PX4's position is wrong
     bounds = v.mission.bounds
     excess = bounds.excess2(v.state.position)
     if v.phase is Phase.OVERRULED:  # the guard brakes already, and may break off outwards
