@@ -152,7 +152,7 @@ def check_collisions(mission: Mission, planned: PredictedFlight | None) -> Itera
             continue
         yield from _check_force(mission, collision)
         yield from _check_noise(mission, collision)
-        yield from _check_envelope(mission, collision)
+        yield from _check_envelope(mission, collision, planned)
         yield from _check_recovery(mission, collision, planned)
         yield from _check_servo(mission, collision)
 
@@ -234,12 +234,16 @@ def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
     return [CheckFinding(f"noise_{collision.index}", True, says, remark=True)]
 
 
-def _check_envelope(mission: Mission, collision: Collision) -> list[CheckFinding]:
+def _check_envelope(
+    mission: Mission, collision: Collision, planned: PredictedFlight | None
+) -> list[CheckFinding]:
     """Check that earlier flights have recovered from impacts of this speed, incidence and guard height."""
+    hit = None if planned is None else planned.hits.get(collision.index)
+    predicted = None if hit is None else (hit.normal_m_s, hit.tangential_m_s)
     warnings = {
-        "speed": speed_warning(collision),
+        "speed": speed_warning(collision, predicted),
         "incidence": incidence_warning(mission, collision),
-        "guard_height": height_warning(mission, collision),
+        "guard_height": height_warning(mission, collision, predicted),
     }
     return [
         CheckFinding(f"{item}_{collision.index}", False, says)

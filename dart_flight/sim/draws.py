@@ -34,7 +34,7 @@ SPREADS: Final[Mapping[str, float]] = {
     "lock_true_mode": 0.01,  # probability that the lock is stuck or half engaged, regardless of its report
     "wall_offset_m": 0.03,  # a tape measure and a moved panel
     "wall_yaw_deg": 4.0,
-    "guard_height_m": 0.02,  # battery and payload move the centre of mass
+    "guard_height_m": 0.02,  # without a vehicle's own guard_height_sd_m
     "mass": 0.03,
     "wind_m_s": 0.5,  # a room with an open door, and the vehicle's own wash; gusts have half of it
     "servo": 0.2,  # 0.15 to 0.19 s over 60 degrees without load, longer with load (manufacturer)
@@ -70,18 +70,19 @@ def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, flo
         InputError: a name is unknown or refers to a part that the vehicle lacks, or a number is below 0.
     """
     names = [n for n in NAMES if vehicle.has_lock or n not in _OF_LOCK]
+    spreads = {**SPREADS, "guard_height_m": vehicle.simulation.contact.guard_height_sd_m}
     wanted: dict[str, float] = {}
     for setting in settings:
         name, given, text = setting.partition("=")
         if name == "all" and not given:
-            wanted = {**{n: SPREADS[n] for n in names}, **wanted}
+            wanted = {**{n: spreads[n] for n in names}, **wanted}
             continue
         if name in _OF_LOCK and name not in names:
             raise InputError(f"--vary {setting}: this vehicle has no lock")
         if name not in NAMES:
             raise InputError(f"--vary {setting}: {unknown_name(name, [*names, 'all'])}")
         try:
-            sd = float(text) if given else SPREADS[name]
+            sd = float(text) if given else spreads[name]
         except ValueError:
             sd = math.nan
         if not 0.0 <= sd <= 100.0:

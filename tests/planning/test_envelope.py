@@ -11,7 +11,14 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.search.search import search
 from dart_flight.planning.constraints import Refusal
-from dart_flight.planning.envelope import heights_flown_m, impact_warnings, incidence_deg
+from dart_flight.planning.envelope import (
+    HEIGHT_SURE_SD,
+    height_warning,
+    heights_flown_m,
+    impact_warnings,
+    incidence_deg,
+    speed_warning,
+)
 from tests.mission_findings import check_mission
 
 DUAL = load_mission(packaged("missions", "paper_dual_collision.yaml"))
@@ -52,25 +59,52 @@ def test_check_rejects_an_incidence_beyond_the_limit_of_the_mode(
     assert any("incidence" in line for line in impact_warnings(mission)) is warns
 
 
-@pytest.mark.parametrize(("height_m", "warns"), [(0.0, False), (-0.03, False), (-0.04, True), (0.06, True)])
-def test_guards_above_or_below_the_centre_of_mass_are_warned_of_at_the_impact_speed(
-    height_m: float, warns: bool
+def with_guards(height_m: float, sd_m: float, *more: str) -> Mission:
+    settings = [
+        f"simulation.contact.guard_height_m={height_m}",
+        f"simulation.contact.guard_height_sd_m={sd_m}",
+    ]
+    return load_mission(packaged("missions", "paper_single_wall.yaml"), settings=[*settings, *more])
+
+
+@pytest.mark.parametrize("sd_m", [0.0, 0.01])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize(("beyond_m", "warns"), [(-0.002, False), (0.002, True)])
+def test_the_height_of_the_guards_and_its_scatter_are_judged_at_the_impact_speed(
+    sd_m: float, side: float, beyond_m: float, warns: bool
 ) -> None:
-    settings = [f"simulation.contact.guard_height_m={height_m}"]
-    mission = load_mission(
-        packaged("missions", "paper_single_wall.yaml"), settings=settings
-    )  # impact at 1 m/s
+    below, above = heights_flown_m(1.0, Mode.FLEXIBLE)  # the speed of the mission
+    height_m = side * ((below if side < 0.0 else above) - HEIGHT_SURE_SD * sd_m + beyond_m)
+    mission = with_guards(height_m, sd_m)
     assert any("turn the vehicle over" in line for line in impact_warnings(mission)) is warns
-    point = load_mission(
-        packaged("missions", "paper_single_wall.yaml"), settings=[*settings, "simulation.contact.body=point"]
-    )
+    assert any(not f.go for f in check_mission(mission) if f.item == "guard_height_1") is warns
+    point = with_guards(height_m, sd_m, "simulation.contact.body=point")
     assert not any("turn the vehicle over" in line for line in impact_warnings(point))
 
 
-def test_the_permitted_guard_height_below_the_centre_shrinks_with_speed() -> None:
-    heights = [heights_flown_m(speed) for speed in (0.3, 0.8, 1.5, 2.5, 9.0)]
+@pytest.mark.parametrize("mode", list(Mode))
+def test_the_permitted_guard_height_below_the_centre_shrinks_with_speed(mode: Mode) -> None:
+    heights = [heights_flown_m(speed, mode) for speed in (0.3, 0.8, 1.7, 2.4, 9.0)]
     assert [below for below, _ in heights] == sorted((below for below, _ in heights), reverse=True)
     assert all(math.isfinite(above) and above > 0.0 for _, above in heights)
+
+
+def test_a_fast_hit_is_refused_without_a_touch_and_let_go_after_one() -> None:
+    """A touch measures the height, and on a trajectory the vehicle leans against it."""
+    touched = load_mission(packaged("missions", "limited_sight.yaml"))
+    assert touched.collisions[-1].trajectory is not None
+    assert not [f for f in check_mission(touched) if f.item == "guard_height_2"]
+    only_fast = msgspec.structs.replace(touched, collisions=touched.collisions[1:])
+    assert height_warning(only_fast, only_fast.collisions[0]) is not None
+
+
+@pytest.mark.parametrize(("normal_m_s", "go"), [(1.6, True), (1.9, False)])
+def test_a_predicted_second_impact_is_judged_too(normal_m_s: float, go: bool) -> None:
+    second = DUAL.collisions[1]
+    assert second.approach_m_s is None
+    warning = height_warning(DUAL, second, (-normal_m_s, 0.2))
+    assert (warning is None) is go
+    assert (speed_warning(second, (-3.2, 0.0)) is None) is False
 
 
 def test_the_planner_refuses_a_recovery_into_a_wall_at_excessive_incidence() -> None:

@@ -29,6 +29,8 @@ class ContactBody(Section, frozen=True):
         guard_out_m: distance from the centre of mass to the guards' plane.
         guard_along_m: distance from the middle of a side to either of its guards.
         guard_height_m: height of the guards above the centre of mass.
+        guard_height_sd_m: standard deviation of that height between flights; `check` allows for it, and
+            `--vary guard_height_m` draws it.
         friction_lever_share: lever arm of friction about the centre of mass, as a share of the guards' lever
             arm; 0: friction acts at the centre of mass, 1: at the guards.
         vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
@@ -42,6 +44,7 @@ class ContactBody(Section, frozen=True):
     guard_out_m: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.20
     guard_along_m: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.13
     guard_height_m: Annotated[float, Meta(ge=-0.5, le=0.5)] = 0.0
+    guard_height_sd_m: Annotated[float, Meta(ge=0.0, le=0.2)] = 0.02
     friction_lever_share: Fraction = 0.3
     vertical_lever_m: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.01
     fold_share: Fraction = 0.7
