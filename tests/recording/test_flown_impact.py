@@ -172,3 +172,33 @@ def test_a_true_contact_with_another_wall_is_not_assigned_to_the_impact() -> Non
         TruthContact(APART_US, APART_US, other, Mode.RIGID, -1.0, 0.0, 0.5, 0.0, 9.0, 0.0, (0.0,) * 3)
     )
     assert builder.impacts()[0].truth is None
+
+
+@settings(max_examples=100, deadline=None)
+@given(contacts)
+def test_every_contact_is_listed_once_as_planned_or_as_another(drawn: list[DrawnContact]) -> None:
+    builder = VerdictBuilder(MISSION)
+    for record in records_of(drawn):
+        builder.add(record)
+    verdict = builder.build(None, None)
+    planned = [number for number, contact in enumerate(drawn, 1) if contact.is_planned]
+    others = [n for n in range(1, len(drawn) + 1) if n not in planned[: len(MISSION.collisions)]]
+    assert [c.t_us for c in verdict.other_contacts] == [number * APART_US for number in others]
+    for found, number in zip(verdict.other_contacts, others, strict=True):
+        contact = drawn[number - 1]
+        assert found.speed_m_s == pytest.approx(math.hypot(*contact.velocity))
+        assert found.peak_force_n == contact.peak_n
+        assert (found.truth is None) is (contact.truth_after_ms is None)
+
+
+def test_a_true_contact_after_the_guard_broke_off_is_listed_even_if_nothing_was_detected() -> None:
+    builder = VerdictBuilder(MISSION)
+    wall = MISSION.collisions[0].wall.name
+    for t_us, broke_off in ((1_000_000, False), (2_000_000, True)):
+        if broke_off:
+            builder.add(PhaseChange(t_us - 1, Phase.APPROACH, Phase.OVERRULED, "tilt"))
+        builder.add(TruthContact(t_us, t_us + 9, wall, Mode.RIGID, -0.4, 0.0, 0.2, 0.0, 3.0, 0.0, (0.0,) * 3))
+    (found,) = builder.build(None, None).other_contacts
+    assert (found.t_us, found.wall, found.speed_m_s, found.phase) == (2_000_000, wall, None, Phase.OVERRULED)
+    assert found.truth is not None
+    assert found.truth.peak_force_n == 3.0
