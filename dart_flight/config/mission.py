@@ -347,6 +347,26 @@ def load_mission(
     return parse_mission(load_document(path, FileKind.MISSION), config, settings)
 
 
+def load_empty_room(config: str | Path | None = None, settings: Sequence[str] = ()) -> Mission:
+    """Return a mission without walls, for commands that need a vehicle but no mission.
+
+    The vehicle hovers above PX4's local origin. `config` and `settings` are those of `load_mission`.
+
+    Raises:
+        InputError: the configuration is invalid.
+    """
+    bounds = {axis: [-10.0, 10.0] for axis in "xy"} | {"z": [0.3, 3.0]}
+    place = {"position_m": [0.0, 0.0]}
+    tree = {
+        "version": 1,
+        "name": "empty room",
+        "start": {**place, "altitude_m": 1.0},
+        "goal": place,
+        "bounds_m": bounds,
+    }
+    return parse_mission(Document.from_tree(tree), config, settings)
+
+
 def parse_mission(
     document: Document,
     config: str | Path | VehicleConfig | LoadedVehicle | None = None,
