@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -28,8 +29,12 @@ def with_objective(scenario: Scenario, objective: Objective) -> Scenario:
     return msgspec.structs.replace(scenario, objective=objective)
 
 
-def plan_summary(result: SearchResult) -> dict[str, Any]:
-    """Return the object of `plan --json`: ranking, rejected candidates by reason, and time used."""
+def plan_summary(result: SearchResult, refused: Mapping[int, str] | None = None) -> dict[str, Any]:
+    """Return the object of `plan --json`: ranking, rejected candidates by reason, and time used.
+
+    `refused` contains the ranks of the plans whose missions are refused, with the reasons.
+    """
+    missions = {"mission": {"count": len(refused), "advice": "; ".join(refused.values())}} if refused else {}
     return {
         "scenario": result.scenario.name,
         "objective": result.scenario.objective.value,
@@ -40,7 +45,8 @@ def plan_summary(result: SearchResult) -> dict[str, Any]:
         "refused": {
             reason.value: {"count": count, "advice": ADVICE[reason]}
             for reason, count in result.refused.items()
-        },
+        }
+        | missions,
         "elapsed_s": result.elapsed_s,
         "free": result.free,
         "plans": result.plans,
