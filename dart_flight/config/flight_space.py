@@ -16,6 +16,7 @@ from dart_flight.config.vehicle import VehicleConfig
 _AXIS_TOLERANCE = 1e-6
 _UNIT_TOLERANCE = 1e-15
 _ON_POST_M = 0.01  # tolerance of an impact point on a post
+LIMITED_KEYS = ("acceleration_m_s2", "transit_speed_m_s", "jerk_m_s3")  # keys of `flying` that limits change
 
 
 def resolve_space(

@@ -126,6 +126,7 @@ def fly_mission(
     landed: dict[int, Verdict] = {}
 
     def done(verdict: Verdict) -> None:
+        assert verdict.seed is not None
         landed[verdict.seed] = verdict
         watch.landed(len(landed), sum(v.outcome is not Outcome.COMPLETED for v in landed.values()))
         # Only the first seeds decide, so that the order in which flights land has no influence.
@@ -137,8 +138,8 @@ def fly_mission(
         fly(mission, seeds, parse_vary(["all"], mission.vehicle), done)
     verdicts = _first(landed, seeds)
     times_s = {
-        v.seed: v.flight_time_s
-        for v in verdicts
+        seed: v.flight_time_s
+        for seed, v in zip(seeds, verdicts, strict=False)
         if v.outcome is Outcome.COMPLETED and v.flight_time_s is not None
     }
     return FlownMission(_with_drawn(record, verdicts, len(verdicts)), times_s)
@@ -292,8 +293,8 @@ class PlanChoice:
         return not self._hits or self._result.scenario.chosen_by_planner
 
     def _offer(self, one: _Candidate | None, record: FlownRecord | None) -> OfferedPlan:
-        found = (None, self._result.scenario) if one is None else (one.plan, one.scenario)
-        return OfferedPlan(*found, record, self.says, self.flown, self.refused)
+        plan, scenario = (None, self._result.scenario) if one is None else (one.plan, one.scenario)
+        return OfferedPlan(plan, scenario, record, self.says, self.flown, self.refused)
 
     def _say(self, line: str) -> None:
         self.says.append(line)

@@ -197,6 +197,7 @@ def test_the_free_plan_is_flown_before_it_is_offered(planned: QuickestResult) ->
 
 def test_optional_collisions_that_hardly_save_time_are_not_flown(planned: QuickestResult) -> None:
     assert planned.colliding is not None
+    assert planned.free is not None
     slow = msgspec.structs.replace(planned.colliding, time_s=0.991 * planned.free.time_s)
     result = msgspec.structs.replace(planned, colliding=slow, best=slow)
     offered, flights = choose(result, times_by_kind(free=20.0))
