@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -12,7 +14,6 @@ import pytest
 from dart_flight.config.document import Document, InputError, Key, dotted, iterate_leaves
 from dart_flight.config.mission import Mission, load_mission, parse_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
-from tools.docs.schemas import schemas
 
 MISSIONS = [
     "single_wall",
@@ -22,7 +23,8 @@ MISSIONS = [
     "unknown_room",
     "rigid_cage/single_wall",
 ]
-SCHEMA = schemas()["mission.json"]
+ROOT = Path(__file__).parents[2]
+SCHEMA = json.loads((ROOT / "docs" / "schemas" / "mission.json").read_text())
 
 
 def comparable(mission: Mission) -> Mission:
