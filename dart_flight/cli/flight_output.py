@@ -149,7 +149,7 @@ def verdict_table(verdict: Verdict) -> RenderableType:
         parts.append(Text(f"reason: {verdict.reason}", style="red"))
     if verdict.collisions:
         table = Table()
-        for column in ("", "normal\nm/s", "along\nm/s", "peak\nN", "contact\nms", "detected\nms"):
+        for column in ("", "normal\nm/s", "along\nm/s", "normal\npeak N", "contact\nms", "detected\nms"):
             table.add_column(column, justify="left" if not column else "right", no_wrap=bool(column))
         for collision in verdict.collisions:
             _add_collision(table, collision)
