@@ -25,6 +25,7 @@ from dart_flight.config.flight_space import (
     apply_limits,
     check_clear_of_posts,
     check_place,
+    hint_at_surface,
     refuse_mode,
     resolve_alphas,
     resolve_posts,
@@ -735,6 +736,7 @@ def _impact_point(
             x, y = wall.foot(given)
             text = f"is {off:.3f} m off wall {wall.name}, whose nearest point is [{x:.3f}, {y:.3f}]; "
             text += f"or give impact_along_m: {wall.along((x, y)):.3f}"
+            text += hint_at_surface(off, wall.half_vehicle_m)
             raise document.error((*key, "impact_point_m"), text)
         return given
     if along is None:

@@ -460,14 +460,14 @@ def _percent(share: float | None) -> float | None:
 def _spread(name: str, values: Iterable[float | None]) -> list[Cell]:
     """Return a table row: name, count, mean, half width of the mean's 95 % interval, and further figures.
 
-    The further figures are standard deviation, minimum and maximum.
+    The further figures are standard deviation, least and most by magnitude: -0.9 m/s is less than -1.1 m/s.
     """
     known = [v for v in values if v is not None]
     if not known:
         return [name, 0, *(None,) * 5]
     sd = stdev(known) if len(known) > 1 else None
     half = mean_half_width(known)
-    return [name, len(known), fmean(known), half, sd, min(known), max(known)]
+    return [name, len(known), fmean(known), half, sd, min(known, key=abs), max(known, key=abs)]
 
 
 def _world(verdict: Verdict) -> str:
