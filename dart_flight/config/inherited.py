@@ -128,7 +128,7 @@ def _copied_from(name: str, own: Mapping[str, Any]) -> Path | None:
 
     def share(path: Path) -> float:
         known = _by_name(Document.load(path).tree)
-        return sum(own.get(key) == value for key, value in known.items()) / len(known)
+        return sum(bool(own.get(key) == value) for key, value in known.items()) / len(known)
 
     likest = max(shipped, key=share)
     return likest if share(likest) > _COPIED else None

@@ -57,7 +57,7 @@ def other_values(value: Any, schema: dict[str, Any]) -> Iterator[Any]:
 
 def schema_of(key: Key) -> dict[str, Any]:
     """Return the schema of a key of a mission."""
-    found = SCHEMA
+    found: dict[str, Any] = SCHEMA
     for part in key:
         found = resolved(found)
         if isinstance(part, int):
@@ -65,7 +65,7 @@ def schema_of(key: Key) -> dict[str, Any]:
             found = items[part] if isinstance(items, list) else items
         else:
             found = found.get("properties", {}).get(part) or found.get("additionalProperties") or {}
-    return found
+    return dict(found)
 
 
 def resolved(schema: Any) -> dict[str, Any]:
