@@ -113,13 +113,13 @@ def run(arguments: argparse.Namespace) -> int:
     with _search_bar() as progress:
         result = search(scenario, top, arguments.seed, progress)
     print_vehicle(scenario.vehicle_source, arguments)
-    plan, mission, refused = _first_flyable(result, min(arguments.rank, len(result.plans)))
-    says = [f"plan {rank} is refused: {reason}" for rank, reason in refused.items()]
     if not arguments.json:
         for table in (plan_table(result), refusal_table(result)):
             tables().print(table)
+    plan, mission, refused = _first_flyable(result, min(arguments.rank, len(result.plans)))
+    print_status(*(f"plan {rank} is refused: {reason}" for rank, reason in refused.items()))
+    if not arguments.json:
         tables().print(f"plan {plan.rank} {describe_goal_miss(plan.goal_miss_m, scenario.spec.goal)}")
-        print_status(*says)
     record, status = None, 0
     if arguments.output is not None and arguments.verify:
         with _Watch(not arguments.json) as watch:
@@ -233,8 +233,8 @@ class _Watch(FlightWatch):
 def _warn_about_settings(arguments: argparse.Namespace) -> None:
     if arguments.set:
         messages().print(
-            "[yellow]the mission file does not contain the --set values: give the same --set when you fly "
-            "the mission[/]",
+            "the mission file does not contain the --set values: give the same --set when you fly",
+            style="yellow",
             soft_wrap=True,
         )
 
