@@ -15,7 +15,6 @@ from dart_flight.base.records import (
     Phase,
     WallEstimate,
 )
-from dart_flight.config.flight_space import hint_at_surface
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
 from dart_flight.core.mission.phases import AT_WALL, WATCHING, PhaseTrigger
@@ -76,7 +75,6 @@ class ImpactResponse:
         distance = wall.signed_distance((x, y))
         if collision.probe is None and distance > early_m(self._mission.vehicle.guard, wall, (x, y)):
             text = f"contact {distance:.2f} m before wall {collision.wall.name}"
-            text += hint_at_surface(distance, wall.half_vehicle_m)
             return change._replace(finding=MissionFinding("wall_met_early", text))
         if not state.lock_is_in(collision.mode):
             text = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
