@@ -22,7 +22,7 @@ from dart_flight.core.mission.approach import (
     transit_segments,
 )
 from dart_flight.core.mission.commitment import SETPOINT_OUTSIDE_M, setpoint_outside_m
-from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
+from dart_flight.core.mission.planned_impact import describe_force, expected_hit, impact_velocity
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
@@ -200,7 +200,7 @@ def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
     normal, friction = hit.peak_normal_force_n, hit.peak_friction_force_n
     force, limit = math.hypot(normal, friction), mission.limits.peak_force_n
     detection = mission.vehicle.detection.force_threshold_n
-    says = f"wall {wall}: {force:.0f} N predicted ({normal:.0f} normal, {friction:.0f} along)"
+    says = f"wall {wall}: predicted {describe_force(normal, friction)}"
     if force > limit:
         return [CheckFinding(item, False, f"{says}, limits.peak_force_n is {limit:g} N")]
     if normal < _WEAK * detection:

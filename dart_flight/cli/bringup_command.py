@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 
 from dart_flight.check.bringup import progress
@@ -15,9 +16,8 @@ from dart_flight.cli.terminal import emit_json, print_status
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.edit import write_values
-from dart_flight.config.mission import load_mission
+from dart_flight.config.mission import load_empty_room, load_mission
 from dart_flight.config.state_folder import state_dir
-from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import default_config_path
 from dart_flight.run.prepare import with_driver, with_mocap
 from dart_flight.vehicle.link import LinkLease
@@ -73,8 +73,8 @@ def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: fl
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return 0 if no step has failed."""
-    config = arguments.config or (None if arguments.mission else default_config_path())
-    mission = load_mission(arguments.mission or packaged("missions", "single_wall.yaml"), config)
+    load = partial(load_mission, arguments.mission) if arguments.mission else load_empty_room
+    mission = load(arguments.config)
     mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
     url = link_of(arguments, mission.vehicle.connection)
     folder = arguments.state or state_dir() / "bringup"
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
                 if before.result is StepOutcome.PASS and not arguments.again:
                     print_status(f"  passed on {before.date}")
                     continue
-                if arguments.yes and step.by_hand:
+                if arguments.yes and bringup.needs_operator(step):
                     finding = StepFinding(
                         StepOutcome.NEEDS_OPERATOR, "the step needs an operator at the vehicle"
                     )

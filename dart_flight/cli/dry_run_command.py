@@ -8,9 +8,8 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from rich.progress import Progress
-
 from dart_flight.base.processes import LATE_S, measure_lateness_s
+from dart_flight.base.records import Outcome
 from dart_flight.cli import EXIT_INTERRUPTED
 from dart_flight.cli.flight_output import (
     TOO_BUSY,
@@ -20,6 +19,7 @@ from dart_flight.cli.flight_output import (
     show_end,
     summary_table,
 )
+from dart_flight.cli.flight_progress import FlightProgress
 from dart_flight.cli.hitl_preflight import prepare_hitl, print_hitl_exit
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import (
@@ -209,16 +209,20 @@ def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[...,
 def _fly_many(arguments: argparse.Namespace, mission: Mission, fly: Callable[..., Verdict]) -> int:
     """Fly all seeds and show the summary; after an interrupt, summarize the flights so far."""
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
-    with Progress(console=messages(), transient=True) as bar:
-        task = bar.add_task("flights", total=arguments.runs)
+    landed: list[Verdict] = []
+    with FlightProgress(messages(), arguments.runs) as progress:
+        progress(0, 0)
 
-        def done(_: Verdict) -> None:
-            bar.advance(task)
+        def done(verdict: Verdict) -> None:
+            landed.append(verdict)
+            progress(len(landed), sum(v.outcome is not Outcome.COMPLETED for v in landed))
 
         try:
             if arguments.fast:
                 spreads = parse_vary(arguments.vary, mission.vehicle)
-                verdicts = fly_fast_many(mission, seeds, arguments.log_dir, done, spreads)
+                verdicts = fly_fast_many(
+                    mission, seeds, arguments.log_dir, done, spreads, progress.interrupted
+                )
             else:
                 verdicts = fly_one_by_one(
                     lambda seed, look: fly(mission, seed=seed, log_dir=arguments.log_dir, progress=look),

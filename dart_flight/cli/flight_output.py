@@ -149,7 +149,7 @@ def verdict_table(verdict: Verdict) -> RenderableType:
         parts.append(Text(f"reason: {verdict.reason}", style="red"))
     if verdict.collisions:
         table = Table()
-        for column in ("", "normal\nm/s", "along\nm/s", "peak\nN", "contact\nms", "detected\nms"):
+        for column in ("", "normal\nm/s", "along\nm/s", "normal\npeak N", "contact\nms", "detected\nms"):
             table.add_column(column, justify="left" if not column else "right", no_wrap=bool(column))
         for collision in verdict.collisions:
             _add_collision(table, collision)
@@ -210,8 +210,12 @@ def _goal_line(verdict: Verdict) -> Text:
     if verdict.goal_reached:
         return Text("goal reached")
     text = "goal not reached"
-    if verdict.goal_miss_m is not None and verdict.goal_miss_planned_m is not None:
-        text += f": passed at {verdict.goal_miss_m:.2f} m, predicted at {verdict.goal_miss_planned_m:.2f} m"
+    if verdict.goal_miss_m is not None:
+        text = f"goal not passed within the capture radius: passed at {verdict.goal_miss_m:.2f} m"
+        if verdict.goal_miss_planned_m is not None:
+            text += f", predicted at {verdict.goal_miss_planned_m:.2f} m"
+    if verdict.final_error_m is not None:
+        text = f"held {verdict.final_error_m:.2f} m from the goal; {text}"
     return Text(text, style="yellow")
 
 

@@ -14,9 +14,7 @@ from dart_flight.cli.options import add_mocap_option, link_of, number
 from dart_flight.cli.terminal import emit_json, styled, tables
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
-from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import packaged
-from dart_flight.config.vehicle.configuration import default_config_path
+from dart_flight.config.mission import load_empty_room
 from dart_flight.run.pose_forwarding import forward_poses
 from dart_flight.run.prepare import with_mocap
 from dart_flight.vehicle.link import LinkLease
@@ -34,10 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command until interrupted and return 0; with --json, print the last figures at the end."""
-    mission = load_mission(
-        packaged("missions", "single_wall.yaml"), arguments.config or default_config_path()
-    )
-    mission = with_mocap(mission, arguments.mocap)
+    mission = with_mocap(load_empty_room(arguments.config), arguments.mocap)
     if mission.vehicle.mocap.url is None:
         raise InputError("no motion capture: give --mocap URL, or set mocap.url (docs/motion_capture.md)")
     url = link_of(arguments, mission.vehicle.connection)

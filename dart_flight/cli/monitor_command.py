@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -19,8 +20,7 @@ from dart_flight.cli.options import add_mocap_option, link_of, number
 from dart_flight.cli.terminal import emit_json, print_status, styled, tables
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
-from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.vehicle import default_config_path, packaged
+from dart_flight.config.mission import Mission, load_empty_room, load_mission
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.follow import LogFollower
 from dart_flight.run.monitor import MonitorView, TelemetryMonitor, monitor_log, monitor_vehicle
@@ -69,15 +69,14 @@ def run(arguments: argparse.Namespace) -> int:
 def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -> Mission:
     """Watch a flight through its log, or a vehicle through the link; return the mission that was used."""
     placed = arguments.mission is not None
-    # Without --mission, the vehicle is that of the working folder, not that of the packaged mission.
-    config = arguments.config or (None if placed else default_config_path())
-    mission = load_mission(arguments.mission if placed else packaged("missions", "single_wall.yaml"), config)
-    connection = mission.vehicle.connection
+    load = partial(load_mission, arguments.mission) if placed else load_empty_room
     if arguments.connection is None:
-        flight = _flight(arguments.log, connection.url)
+        # A flight's log contains its vehicle, so following a single flight needs no configuration.
+        flight = _flight(arguments.log, lambda: load(arguments.config).vehicle.connection.url)
         if flight is not None:
             return _follow(*flight, show, arguments)
-    mission = with_mocap(mission, arguments.mocap)
+    mission = with_mocap(load(arguments.config), arguments.mocap)
+    connection = mission.vehicle.connection
     url = link_of(arguments, connection)
     print_vehicle(mission.flown_vehicle(), arguments)
     lease = LinkLease(url, "monitor")
@@ -98,25 +97,27 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
     return mission
 
 
-def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | None:
+def _flight(log: Path | None, link: Callable[[], str]) -> tuple[Path, Callable[[], bool]] | None:
     """Return the log of the flight in progress, and a function that returns whether the flight continues.
 
-    The result is None if no flight is in progress.
+    The result is None if no flight is in progress. `link` returns the URL of the configuration's link.
 
     Raises:
-        InputError: several flights are in progress, and none or more than one of them uses the link `url`.
+        InputError: several flights are in progress, and none or more than one of them uses that link.
     """
     if log is not None:
         held = [holder for holder in held_links() if holder.log == printable(str(log.resolve()))]
         return log, _still_held(held[0]) if held else lambda: False
     flights = [holder for holder in held_links() if holder.log is not None]
-    here = [holder for holder in flights if endpoint_of(holder.url) == endpoint_of(url)]
     if not flights:
         return None
-    if len(flights) > 1 and len(here) != 1:
+    if len(flights) > 1:
         several = "; ".join(f"{holder.describe()}: {holder.log}" for holder in flights)
-        raise InputError(f"several flights are in progress; choose one with --log: {several}")
-    flight = here[0] if here else flights[0]
+        own = endpoint_of(link())
+        flights = [holder for holder in flights if endpoint_of(holder.url) == own]
+        if len(flights) != 1:
+            raise InputError(f"several flights are in progress; choose one with --log: {several}")
+    flight = flights[0]
     print_status(f"watching {flight.describe()} through its log {flight.log}")
     return Path(flight.log or ""), _still_held(flight)
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from functools import partial
 
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_set_option, whole_number
 from dart_flight.cli.terminal import messages
 from dart_flight.cli.vehicle_line import print_vehicle
-from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import default_config_path, packaged
+from dart_flight.config.mission import load_empty_room, load_mission
 from dart_flight.sim.pipe import require_mavlink
 from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name
 
@@ -23,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "mission",
         metavar="MISSION",
         nargs="?",
-        help="mission that gives walls and start (default: the dual collision)",
+        help="mission that gives walls and start (default: an empty room)",
     )
     parser.add_argument(
         "--port",
@@ -41,10 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
     require_mavlink()
     from dart_flight.sim.standalone import VehiclePortLease, run_vehicle
 
-    path = arguments.mission or packaged("missions", "dual_collision.yaml")
-    # Without MISSION, the vehicle is that of the working folder, not that of the packaged mission.
-    config = arguments.config or (None if arguments.mission else default_config_path())
-    mission = load_mission(path, config, arguments.set)
+    load = partial(load_mission, arguments.mission) if arguments.mission else load_empty_room
+    mission = load(arguments.config, arguments.set)
     console = messages()
     print_vehicle(mission.flown_vehicle(), arguments)
     with contextlib.ExitStack() as held:
@@ -65,13 +63,15 @@ def run(arguments: argparse.Namespace) -> int:
             "" if lock is None else f"; its lock servo listens to PX4's actuator {lock.px4.actuator_index}"
         )
         driver = "" if lock is None else "--driver px4 "
+        where = f"for {mission.name}" if arguments.mission else "in an empty room"
         console.print(
-            f"the simulated vehicle for {mission.name} sends to UDP {' and '.join(map(str, ports))}"
+            f"the simulated vehicle {where} sends to UDP {' and '.join(map(str, ports))}"
             f"{servo}. In another terminal:",
             soft_wrap=True,
         )
         console.print(
-            f"  dart-flight fly {path} {driver}--connection udpin://127.0.0.1:{arguments.port}",
+            f"  dart-flight fly {arguments.mission or 'MISSION'} {driver}"
+            f"--connection udpin://127.0.0.1:{arguments.port}",
             soft_wrap=True,
         )
         viewer = held.enter_context(live_view(arguments, mission, from_truth=True)) or (lambda record: None)

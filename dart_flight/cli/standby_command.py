@@ -11,8 +11,7 @@ from dart_flight.cli.options import add_driver_option, add_log_dir_option, link_
 from dart_flight.cli.terminal import print_status, write_output
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
-from dart_flight.config.provenance import find_vehicle
-from dart_flight.config.vehicle import default_config_path
+from dart_flight.config.mission import load_empty_room
 from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.run.standby import Standby
 
@@ -32,7 +31,6 @@ def run(arguments: argparse.Namespace) -> int:
     flown = [
         with_driver(load_flyable(path, arguments.config), arguments.driver) for path in arguments.missions
     ]
-    vehicle, source = find_vehicle(arguments.config or default_config_path())
     if flown:
         vehicle, source = flown[0].vehicle, flown[0].flown_vehicle()
         for mission in flown[1:]:
@@ -41,9 +39,9 @@ def run(arguments: argparse.Namespace) -> int:
                     "the lock or motion capture of this mission differs from the first mission's",
                     source=mission.source,
                 )
-    elif arguments.driver is not None and vehicle.lock is not None:
-        lock = msgspec.structs.replace(vehicle.lock, driver=arguments.driver)
-        vehicle = msgspec.structs.replace(vehicle, lock=lock)
+    else:
+        empty = with_driver(load_empty_room(arguments.config), arguments.driver)
+        vehicle, source = empty.vehicle, empty.flown_vehicle()
     url = link_of(arguments, vehicle.connection)
     print_vehicle(source, arguments)
     options = [f"--log-dir={arguments.log_dir}"]

@@ -91,6 +91,31 @@ def report_write_errors(path: str | Path) -> Iterator[None]:
         raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
 
 
+def replace_file(path: Path, data: bytes) -> None:
+    """Write a file completely or not at all, and flush it to the disk; an interrupted write changes nothing.
+
+    A symbolic link and the mode of an existing file are kept. A device is written directly.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    target = path.resolve()
+    if target.exists() and not target.is_file():
+        target.write_bytes(data)
+        return
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        if target.exists():
+            part.chmod(target.stat().st_mode & 0o777)
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
+
+
 Stamp = tuple[int, int, int] | None  # of a file: time of change, size, inode; None: there is no such file
 _noting: list[dict[Path, Stamp]] = []
 

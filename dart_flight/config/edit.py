@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import yaml
 
-from dart_flight.config.document import Document, InputError, Key, read_text, report_write_errors
+from dart_flight.config.document import (
+    Document,
+    InputError,
+    Key,
+    read_text,
+    replace_file,
+    report_write_errors,
+)
 
 
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
@@ -40,20 +45,8 @@ def write_values(path: Path, values: Mapping[Key, float]) -> None:
     Raises:
         InputError: as in `edit_values`; or the file cannot be written.
     """
-    target = path.resolve()  # keep a symbolic link to the configuration
     with report_write_errors(path):
-        text = edit_values(read_text(target), values, str(path))
-        descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(text.encode("utf-8"))
-                file.flush()
-                os.fsync(file.fileno())
-            os.chmod(name, target.stat().st_mode & 0o777)
-            os.replace(name, target)
-        except OSError:
-            Path(name).unlink(missing_ok=True)
-            raise
+        replace_file(path, edit_values(read_text(path), values, str(path)).encode("utf-8"))
 
 
 def _number(value: float) -> str:

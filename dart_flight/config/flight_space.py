@@ -16,6 +16,8 @@ from dart_flight.config.vehicle import VehicleConfig
 _AXIS_TOLERANCE = 1e-6
 _UNIT_TOLERANCE = 1e-15
 _ON_POST_M = 0.01  # tolerance of an impact point on a post
+_LIKE_CONTACT_DISTANCE_M = 0.03  # tolerance of a distance that could be the contact distance
+LIMITED_KEYS = ("acceleration_m_s2", "transit_speed_m_s", "jerk_m_s3")  # keys of `flying` that limits change
 
 
 def resolve_space(
@@ -87,6 +89,16 @@ def resolve_walls(
             name, point, normal, spec.length_m, spec.material, spec.position_sd_m, yaw_sd_rad, half_m
         )
     return walls
+
+
+def hint_at_surface(off_m: float, contact_distance_m: float) -> str:
+    """Return a hint for a message if a distance equals the contact distance, otherwise an empty text."""
+    if not contact_distance_m > 0.0 or abs(off_m - contact_distance_m) > _LIKE_CONTACT_DISTANCE_M:
+        return ""
+    return (
+        f"; airframe.contact_distance_m is {contact_distance_m:g} m: if point_m is on the wall itself, give "
+        "given_at: surface"
+    )
 
 
 def resolve_posts(

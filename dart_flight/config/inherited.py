@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from dart_flight.config.document import Document, InputError, dotted, iterate_leaves
+from dart_flight.config.document import Document, dotted, iterate_leaves
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
+_COPIED: Final = 0.5  # a file with a larger share of a packaged file's values is a copy of it
 _SAME: Final = 0.1  # relative difference up to which two values count as equal
 _SIZE: Final = ("airframe.arm_x_m", "airframe.arm_y_m", "airframe.motors")
 _TURNING: Final = ("airframe.mass_kg", "airframe.inertia_kg_m2", "thrust.full_n", *_SIZE)
@@ -45,7 +46,6 @@ FOLLOWS_FROM: Final[Mapping[str, tuple[str, ...]]] = {
     "simulation.contact.guard_along_m": ("airframe.guard_along_m",),
 }
 _MATERIALS: Final = "materials."
-_SAYS_WHICH_VEHICLE: Final = ("airframe.mass_kg", "airframe.contact_distance_m", LOCK, *_SIZE)
 
 
 class Inherited(NamedTuple):
@@ -75,7 +75,9 @@ def find_inherited(
         settings: `KEY=VALUE` pairs from `--set`.
 
     Returns:
-        The inherited values, or None for a packaged vehicle, even with changes by `--set`.
+        The inherited values. The result is None for a packaged vehicle, even with changes by `--set`, and for
+        a file that gives no value of `FOLLOWS_FROM`, no material and no other lock: it describes the same
+        vehicle.
     """
     found = None if file is None else _given_and_base(Path(file))
     if file is None or found is None:
@@ -83,12 +85,13 @@ def find_inherited(
     given, base_path = found
     given |= {setting.partition("=")[0].strip() for setting in settings}
     own, base = _values(vehicle), _values(load_vehicle(base_path))
-    if not any(_differ(own.get(key), base.get(key)) for key in _SAYS_WHICH_VEHICLE):
-        return None
     kept: list[str] = []
     contradictions: dict[str, list[str]] = {}
     materials = {f"{_MATERIALS}{name}": ("airframe.mass_kg", LOCK) for name in vehicle.materials}
-    for key, follows in {**FOLLOWS_FROM, **materials}.items():
+    measured = {**FOLLOWS_FROM, **materials}
+    if own[LOCK] == base[LOCK] and not any(_is_given(key, given) for key in measured):
+        return None
+    for key, follows in measured.items():
         value = own.get(key)
         if value is None or value != base.get(key) or _is_given(key, given):
             continue
@@ -104,18 +107,31 @@ def find_inherited(
 
 def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
     """Return the keys that a file itself sets, and the file's base; None for an unchanged packaged file."""
-    own = Document.load(path).tree
-    try:
-        original = packaged("configs", path.name)
-    except InputError:
-        base = own.get(EXTENDS)
-        if isinstance(base, str):
-            return set(_by_name(own)), path.parent / base
-        original = packaged("configs", "dart.yaml")
+    own = _by_name(Document.load(path).tree)
+    original = _copied_from(path.name, own)
+    if original is None:
+        return set(own), path.parent / str(own[EXTENDS])
     # In an edited copy, values equal to the packaged file's count as inherited.
     known = _by_name(Document.load(original).tree)
-    given = {key for key, value in _by_name(own).items() if value != known.get(key)}
+    given = {key for key, value in own.items() if value != known.get(key)}
     return (given, original) if given else None
+
+
+def _copied_from(name: str, own: Mapping[str, Any]) -> Path | None:
+    """Return the packaged file of which a file is a copy, perhaps renamed and edited; None if it is none."""
+    shipped = sorted(packaged("configs", "dart.yaml").parent.glob("*.yaml"))
+    for path in shipped:
+        if path.name == name:
+            return path
+    if EXTENDS not in own:
+        return packaged("configs", "dart.yaml")
+
+    def share(path: Path) -> float:
+        known = _by_name(Document.load(path).tree)
+        return sum(bool(own.get(key) == value) for key, value in known.items()) / len(known)
+
+    likest = max(shipped, key=share)
+    return likest if share(likest) > _COPIED else None
 
 
 def _by_name(tree: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,9 +21,11 @@ from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import IN_PYTHON, Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document, refuse_other_keys
 from dart_flight.config.flight_space import (
+    LIMITED_KEYS,
     apply_limits,
     check_clear_of_posts,
     check_place,
+    hint_at_surface,
     refuse_mode,
     resolve_alphas,
     resolve_posts,
@@ -50,7 +52,7 @@ from dart_flight.config.probes import Probe, resolve_place, resolve_probe, unkno
 from dart_flight.config.provenance import LoadedVehicle, VehicleSource, display_path, find_vehicle
 from dart_flight.config.section import shared_keys, without_defaults
 from dart_flight.config.settings import apply_changes
-from dart_flight.config.vehicle import VehicleConfig, load_vehicle
+from dart_flight.config.vehicle import Flying, VehicleConfig, load_vehicle
 
 _PAUSE_S = 60.0
 # PX4's estimator still settles after power-on: movement of the estimate before arming is no motion, and the
@@ -158,6 +160,27 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
         return f"{'pause' if self.position is None else 'waypoint'} {self.index}"
 
 
+class WrittenForm(msgspec.Struct, frozen=True, eq=False):
+    """A mission as written, for `Mission.replace`. It has no part in comparisons of missions.
+
+    Attributes:
+        tree: keys and values of the file, without the vehicle.
+        flying: section `flying` of the vehicle, without the limits of the mission.
+    """
+
+    tree: dict[str, Any]
+    flying: Flying
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, WrittenForm)
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    def __hash__(self) -> int:
+        return hash(WrittenForm)
+
+
 class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
     """A checked mission with its vehicle.
 
@@ -169,6 +192,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         simulated_walls: additional walls that exist only in simulation.
         posts: the posts.
         vehicle_source: origin of the vehicle's configuration, or None if built in Python.
+        written: the keys as written, or None in logs of older versions.
     """
 
     source: str
@@ -182,6 +206,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     posts: tuple[Post, ...] = ()
     simulated_walls: tuple[Wall, ...] = ()
     vehicle_source: VehicleSource | None = None
+    written: WrittenForm | None = None
 
     @property
     def flat_walls(self) -> tuple[Wall, ...]:
@@ -236,6 +261,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         fingerprint.
         """
         bare = msgspec.structs.replace(self, source="", vehicle_source=None, flown=None, standoff_m=None)
+        bare = msgspec.structs.replace(bare, written=None)
         tree = without_defaults(bare)
         tree["vehicle"].pop("connection", None)
         tree["vehicle"].get("lock", {}).pop("driver", None)
@@ -266,7 +292,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return tree
 
     def replace(self, changes: Mapping[str, Any]) -> Mission:
-        """Return another mission with some keys changed, and validate everything again.
+        """Return the mission that the file would define with some keys changed.
 
         Args:
             changes: value by dotted key of the mission file, such as `{"collisions[0].approach.normal_m_s":
@@ -278,12 +304,13 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
                 contradict each other.
         """
         own = {key: value for key, value in changes.items() if key.partition(".")[0] != "vehicle"}
-        vehicle, source = changes.get("vehicle", self.vehicle), self.vehicle_source
+        own_vehicle = self.vehicle_as_written()
+        vehicle, source = changes.get("vehicle", own_vehicle), self.vehicle_source
         if not isinstance(vehicle, VehicleConfig):
             raise InputError(
                 f"expected a vehicle configuration, not {type(vehicle).__name__}", key=("vehicle",)
             )
-        if vehicle is not self.vehicle:
+        if vehicle is not own_vehicle:
             source = None
         of_vehicle = {key.partition(".")[2]: v for key, v in changes.items() if key.startswith("vehicle.")}
         if of_vehicle:
@@ -293,9 +320,34 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
                 source = msgspec.structs.replace(
                     source, mass_kg=vehicle.airframe.mass_kg, set=(*source.set, *given)
                 )
-        document = Document.from_tree(self._own_keys(), IN_PYTHON)
+        document = Document.from_tree(self._keys_as_written(own_vehicle), IN_PYTHON)
         apply_changes(own, document)
         return msgspec.structs.replace(parse_mission(document, vehicle), vehicle_source=source)
+
+    def vehicle_as_written(self) -> VehicleConfig:
+        """Return the vehicle without the limits of the mission."""
+        if self.written is None:
+            return self.vehicle
+        own = {name: getattr(self.written.flying, name) for name in LIMITED_KEYS}
+        flying = msgspec.structs.replace(self.vehicle.flying, **own)
+        vehicle = msgspec.structs.replace(self.vehicle, flying=flying)
+        # Python code may have given the mission another vehicle.
+        return vehicle if apply_limits(vehicle, self.limits) == self.vehicle else self.vehicle
+
+    def _keys_as_written(self, vehicle: VehicleConfig) -> dict[str, Any]:
+        """Return the keys of the file; if Python code has changed the resolved parts, return those."""
+        if self.written is None:
+            return self._own_keys()
+        try:
+            same = parse_mission(Document.from_tree(self.written.tree), vehicle)
+        except InputError:  # another vehicle
+            return self._own_keys()
+        unequal = {n for n in self.__struct_fields__ if getattr(self, n) != getattr(same, n)}
+        unequal -= {"source", "vehicle", "vehicle_source"}
+        if unequal - set(MissionKeys.__struct_fields__):
+            return self._own_keys()
+        changed: dict[str, Any] = msgspec.to_builtins({name: getattr(self, name) for name in unequal})
+        return self.written.tree | changed
 
     def frame_at(self, takeoff_ned: Vec3) -> MissionFrame:
         """Return the mission frame for a take-off point (local NED, metres)."""
@@ -347,6 +399,26 @@ def load_mission(
     return parse_mission(load_document(path, FileKind.MISSION), config, settings)
 
 
+def load_empty_room(config: str | Path | None = None, settings: Sequence[str] = ()) -> Mission:
+    """Return a mission without walls, for commands that need a vehicle but no mission.
+
+    The vehicle hovers above PX4's local origin. `config` and `settings` are those of `load_mission`.
+
+    Raises:
+        InputError: the configuration is invalid.
+    """
+    bounds = {axis: [-10.0, 10.0] for axis in "xy"} | {"z": [0.3, 3.0]}
+    place = {"position_m": [0.0, 0.0]}
+    tree = {
+        "version": 1,
+        "name": "empty room",
+        "start": {**place, "altitude_m": 1.0},
+        "goal": place,
+        "bounds_m": bounds,
+    }
+    return parse_mission(Document.from_tree(tree), config, settings)
+
+
 def parse_mission(
     document: Document,
     config: str | Path | VehicleConfig | LoadedVehicle | None = None,
@@ -382,6 +454,8 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     Raises:
         InputError: the parts of the mission contradict each other.
     """
+    tree = {key: value for key, value in document.tree.items() if key != "vehicle"}
+    written = WrittenForm(tree, vehicle.flying)
     vehicle = apply_limits(vehicle, spec.limits)
     walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     refuse_mode(spec.transit_mode, vehicle, ("transit_mode",), document)
@@ -408,6 +482,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
         waypoints=_resolve_waypoints(spec, vehicle, walls, sought, posts, document),
         posts=tuple(posts.values()),
         simulated_walls=tuple(simulated.values()),
+        written=written,
     )
 
 
@@ -661,6 +736,7 @@ def _impact_point(
             x, y = wall.foot(given)
             text = f"is {off:.3f} m off wall {wall.name}, whose nearest point is [{x:.3f}, {y:.3f}]; "
             text += f"or give impact_along_m: {wall.along((x, y)):.3f}"
+            text += hint_at_surface(off, wall.half_vehicle_m)
             raise document.error((*key, "impact_point_m"), text)
         return given
     if along is None:

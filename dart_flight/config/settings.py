@@ -80,6 +80,7 @@ def _key(name: str) -> Key:
 
 def _set(document: Document, key: Key, value: Any, setting: str) -> None:
     """Set a value in a document; error messages contain the text `setting`."""
+    document.set_by.pop(key, None)  # the order is that of the changes
     document.set_by[key] = setting
     node: Any = document.tree
     for part in key[:-1]:

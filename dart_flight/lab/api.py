@@ -91,7 +91,8 @@ def load_mission(
     if isinstance(mission, Mission):
         if vehicle is None and not settings:
             return mission
-        base = load_vehicle(vehicle) if isinstance(vehicle, str | Path) else vehicle or mission.vehicle
+        own = mission.vehicle_as_written()
+        base = load_vehicle(vehicle) if isinstance(vehicle, str | Path) else vehicle or own
         return mission.replace({"vehicle": _with_settings(base, settings)})
     if isinstance(vehicle, VehicleConfig):
         return mission_files.load_mission(mission, _with_settings(vehicle, settings))

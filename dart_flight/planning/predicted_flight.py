@@ -6,6 +6,7 @@ the gains. The model is the one that `plan` uses to choose an approach and gains
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -20,6 +21,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.mission_file import GoalSpec, MotionState, TrajectoryPieces
 from dart_flight.core.mission.approach import TransitSegment, transit_segments
+from dart_flight.core.mission.planned_impact import expected_hit
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.flight_model import FreeFlight
 from dart_flight.planning.rollout import (
@@ -196,11 +198,10 @@ def _add_written(planned: PredictedFlight, mission: Mission, group: Sequence[Col
     for i, collision in enumerate(group):
         assert collision.predicted is not None
         predicted, wall = collision.predicted, collision.wall
-        friction_ns = (
-            mission.vehicle.materials[wall.material].coefficients(collision.mode).mu
-            * predicted.tangential_m_s
+        hit = expected_hit(mission, collision)
+        friction_n = (
+            0.0 if hit is None else -math.copysign(hit.peak_friction_force_n, predicted.tangential_m_s)
         )
-        friction_n = -friction_ns * predicted.peak_force_n
         (nx, ny), (tx, ty), (x, y) = wall.normal, wall.tangent, predicted.position_m
         away = collision.alpha_normal_m_per_n * predicted.peak_force_n
         onward = -collision.alpha_tangential_m_per_n * friction_n

@@ -76,12 +76,14 @@ class EventFormatter:
     def __init__(self, every_problem: bool = False) -> None:
         self._every_problem = every_problem
         self._problems: tuple[str, ...] = ()
+        self._ready = False
 
     def format_event(self, record: Record) -> Event | None:
         """Return the event of a record, or None if the record has no event."""
         if record.frequent:  # the usual case
             return None
         if isinstance(record, PhaseChange):
+            self._ready = True
             which = f" {record.collision}" if record.collision else ""
             return Event(Level.INFO, "mission", f"→ {record.after.upper()}{which}", record.reason)
         if isinstance(record, ImpactPeak):
@@ -135,7 +137,10 @@ class EventFormatter:
         changed, self._problems = problems != self._problems, problems
         if not changed or not problems:
             return None
-        return Event(Level.WARNING, "px4", f"PX4 preflight checks: {', '.join(problems)}")
+        text = f"PX4 would not arm at present: {', '.join(problems)}"
+        if not self._ready:
+            text += "; this is usual until PX4 has started, and the flight waits for it"
+        return Event(Level.WARNING, "px4", text)
 
 
 def _lock(record: LockState) -> Event:

@@ -83,6 +83,7 @@ def fly_fast_many(
     log_dir: Path | None,
     done: Callable[[Verdict], None],
     spreads: Mapping[str, float] | None = None,
+    announce: Callable[[int], None] = lambda under_way: None,
 ) -> list[Verdict]:
     """Fly many fast flights on the processor's cores (`run.workers`); return verdicts in seed order.
 
@@ -92,6 +93,7 @@ def fly_fast_many(
         log_dir: folder for the flights' folders, or None for no logs.
         done: callback for the verdict of every flight.
         spreads: quantities to draw at random for each seed (`sim.draws`): name -> standard deviation.
+        announce: called after the first Ctrl-C, with the number of flights in progress.
 
     Raises:
         RunsInterruptedError: the operator has pressed Ctrl-C. Flights in progress were completed, and no
@@ -102,7 +104,7 @@ def fly_fast_many(
     verdicts: dict[int, Verdict] = {}
     fly = partial(fly_fast, mission, log_dir=log_dir, spreads=dict(spreads or {}))
     with (
-        Interrupt() as interrupt,
+        Interrupt(announce) as interrupt,
         contextlib.closing(work(fly, seeds, usable_cores(), interrupt)) as landings,
     ):
         for seed, result in landings:

@@ -44,10 +44,14 @@ class Interrupt:
     """Context that counts Ctrl-C, SIGTERM and SIGHUP (a dropped session) instead of ending the program.
 
     The context has an effect only in the main thread; in other threads the count stays 0.
+
+    Args:
+        announce: called once after the first interrupt, with the number of flights in progress.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, announce: Callable[[int], None] = lambda under_way: None) -> None:
         self.count = 0
+        self._announce: Callable[[int], None] | None = announce
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupt:
@@ -61,6 +65,12 @@ class Interrupt:
     ) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
+
+    def report(self, under_way: int) -> None:
+        """Announce the first interrupt, if it is new; an engine calls this method several times a second."""
+        if self.count and self._announce is not None:
+            announce, self._announce = self._announce, None
+            announce(under_way)
 
     def _count(self, signum: int, frame: FrameType | None) -> None:
         self.count += 1
@@ -203,6 +213,7 @@ def work(
                 except StopIteration:
                     break
                 under_way[pool.submit(item)] = item
+            interrupt.report(len(under_way))
             if not under_way:
                 return
             landed, _ = wait(under_way, timeout=_POLL_S, return_when=FIRST_COMPLETED)

@@ -66,8 +66,10 @@ def test_init_of_another_vehicle_recommends_two_commands_that_work(
     assert default_config_path() == Path(f"configs/{name}.yaml")
     vehicle = load_vehicle()
     assert not vehicle.has_lock
-    assert {path.stem for path in (folder / "missions").rglob("*.yaml")} == {"single_wall", "square"}
-    for path in (folder / "missions").rglob("*.yaml"):
+    assert load_scenario(f"missions/{name}/scenarios/one_wall.yaml").vehicle == vehicle
+    missions = sorted((folder / "missions" / name).glob("*.yaml"))
+    assert [path.stem for path in missions] == ["single_wall", "square"]
+    for path in missions:
         mission = load_mission(path)
         assert mission.vehicle == vehicle
         assert all(finding.go for finding in check_mission(mission))

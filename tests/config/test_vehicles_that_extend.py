@@ -140,12 +140,42 @@ def test_an_edited_copy_inherits_the_values_that_were_not_edited(tmp_path: Path)
     "text",
     [
         "extends: dart.yaml\npx4: {MPC_XY_P: 1.2}\n",
-        "extends: dart.yaml\nairframe: {mass_kg: 1.33}\n",
         "extends: dart.yaml\nlock: {driver: maestro}\n",
     ],
 )
-def test_a_variant_of_dart_inherits_nothing(tmp_path: Path, text: str) -> None:
+def test_a_file_without_a_value_of_the_vehicle_inherits_nothing(tmp_path: Path, text: str) -> None:
     assert find_inherited_values(text, tmp_path) is None
+
+
+NEARLY = [
+    ("rigid_cage", "rigid_cage.yaml", "mass_kg: 0.9 ", "mass_kg: 0.93"),
+    ("rigid_cage", "my_ring.yaml", "mass_kg: 0.9 ", "mass_kg: 0.93"),
+    ("ring_guard_250g", "mine.yaml", "contact_distance_m: 0.12", "contact_distance_m: 0.125"),
+    ("dart", "mine.yaml", "full_n: 7.0", "full_n: 7.2"),
+]
+
+
+@pytest.mark.parametrize(("example", "name", "before", "after"), NEARLY)
+def test_a_copy_that_hardly_differs_from_its_example_inherits_every_other_value(
+    example: str, name: str, before: str, after: str, tmp_path: Path
+) -> None:
+    text = packaged("configs", f"{example}.yaml").read_text("utf-8")
+    assert before in text
+    found = find_inherited_values(text.replace(before, after, 1), tmp_path, name)
+    assert found is not None
+    assert found.base == f"{example}.yaml"
+    assert not found.contradictions, "less than 10 %"
+    given = before.split(":", maxsplit=1)[0]
+    assert {"thrust.model_factor", "materials.wood"} <= {key.split()[0] for key in found.keys}
+    assert not any(f".{given} " in key for key in found.keys)
+
+
+def test_a_file_that_gives_its_mass_inherits_every_other_value(tmp_path: Path) -> None:
+    found = find_inherited_values("extends: dart.yaml\nairframe: {mass_kg: 1.33}\n", tmp_path)
+    assert found is not None
+    assert not found.contradictions
+    assert "airframe.contact_distance_m 0.2" in found.keys
+    assert "materials.acrylic" in found.keys
 
 
 @pytest.mark.parametrize("name", ["dart", "rigid_cage", "hexarotor"])

@@ -17,7 +17,7 @@ from dart_flight.core.mission.heading import Heading
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
 
 SHUTTLE = load_mission(Path(__file__).parents[2] / "missions" / "shuttle.yaml")
-EAST, WEST = (next(c for c in SHUTTLE.collisions if c.wall.name == name) for name in ("east", "west"))
+NORTH, SOUTH = (next(c for c in SHUTTLE.collisions if c.wall.name == name) for name in ("north", "south"))
 turns = st.floats(-0.17, 0.17)
 
 
@@ -36,22 +36,22 @@ def off_square(yaw: float, collision: Any, rotations: dict[str, float]) -> float
     return abs(wrap_angle(4.0 * (yaw - square))) / 4.0
 
 
-@given(east=turns, west=turns, spun=st.floats(-0.7, 0.7))
-def test_the_heading_after_a_hit_is_square_to_the_next_wall(east: float, west: float, spun: float) -> None:
-    rotations = {"east": east, "west": west}
+@given(north=turns, south=turns, spun=st.floats(-0.7, 0.7))
+def test_the_heading_after_a_hit_is_square_to_the_next_wall(north: float, south: float, spun: float) -> None:
+    rotations = {"north": north, "south": south}
     state: Any = SimpleNamespace(yaw=0.0, now_us=0)
-    now = progress_at(0.0, rotations, Phase.APPROACH, EAST)
+    now = progress_at(0.0, rotations, Phase.APPROACH, NORTH)
     approach = SELECTION.wanted_yaw(now, state)
-    assert off_square(approach, EAST, rotations) == pytest.approx(0.0, abs=1e-9)
+    assert off_square(approach, NORTH, rotations) == pytest.approx(0.0, abs=1e-9)
     now.heading = now.heading._replace(yaw=approach)
     now.heading = SELECTION.heading(now, state)
     assert now.heading.asked is None
     # The hit has turned the vehicle; the next wall has another rotation.
-    now.phase, now.collision = Phase.RECOVERY, WEST
+    now.phase, now.collision = Phase.RECOVERY, SOUTH
     state.yaw = approach + spun
     target = SELECTION.wanted_yaw(now, state)
-    assert off_square(target, WEST, rotations) == pytest.approx(0.0, abs=1e-9)
-    assert abs(wrap_angle(target - approach)) == pytest.approx(abs(west - east), abs=1e-9)
+    assert off_square(target, SOUTH, rotations) == pytest.approx(0.0, abs=1e-9)
+    assert abs(wrap_angle(target - approach)) == pytest.approx(abs(south - north), abs=1e-9)
 
 
 def test_the_heading_from_before_the_hits_is_kept_to_the_goal() -> None:

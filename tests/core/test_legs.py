@@ -44,25 +44,25 @@ def test_legs_with_a_contact_condition_are_skipped_if_it_fails() -> None:
     probe, again, other = FIND.collisions
     for leg, walls, reason in (
         (probe, EstimatedWalls(), None),
-        (again, EstimatedWalls(), "no contact with wall east"),
-        (again, walls_after_contact("east"), None),
+        (again, EstimatedWalls(), "no contact with wall north"),
+        (again, walls_after_contact("north"), None),
         (other, EstimatedWalls(), None),
-        (other, walls_after_contact("east"), "contact with wall east"),
-        (AWAY, EstimatedWalls(), "no contact with wall east"),
-        (AWAY, walls_after_contact("east"), None),
-        (AWAY, walls_after_contact("west"), "no contact with wall east"),
+        (other, walls_after_contact("north"), "contact with wall north"),
+        (AWAY, EstimatedWalls(), "no contact with wall north"),
+        (AWAY, walls_after_contact("north"), None),
+        (AWAY, walls_after_contact("south"), "no contact with wall north"),
     ):
         assert skip_reason(leg, walls) == reason
-    conditional = msgspec.structs.replace(probe, if_met="west")
-    assert skip_reason(conditional, walls_after_contact("east")) == "no contact with wall west"
-    assert skip_reason(conditional, walls_after_contact("west")) is None
+    conditional = msgspec.structs.replace(probe, if_met="south")
+    assert skip_reason(conditional, walls_after_contact("north")) == "no contact with wall south"
+    assert skip_reason(conditional, walls_after_contact("south")) is None
 
 
 def test_skipped_legs_are_recorded_and_the_flight_continues_with_the_next_leg() -> None:
     flown, p = Executive(FIND), Proposal()
     flown.progress.phase, flown.progress.index = Phase.RECOVERY, 1
     flown._start_next(PhaseTrigger.RESTED, FlightState(), p)
-    reason = "skipped: no contact with wall east"
+    reason = "skipped: no contact with wall north"
     assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
         f"{AWAY.name} {reason}",
         f"collision 2 {reason}",
@@ -72,7 +72,7 @@ def test_skipped_legs_are_recorded_and_the_flight_continues_with_the_next_leg() 
 
 
 def test_a_hit_and_a_waypoint_follow_the_measured_wall() -> None:
-    walls = walls_after_contact("east")
+    walls = walls_after_contact("north")
     hit = update_collision(FIND.collisions[1], walls, 0, HERE)
     assert (hit.wall.point, hit.wall.sought) == ((1.9, 0.1), False)
     assert hit.impact_point is not None
@@ -129,8 +129,8 @@ def test_a_probe_retreats_along_the_normal_of_the_wall_that_it_met() -> None:
 
 
 def test_an_updated_mission_contains_the_measured_walls() -> None:
-    now = update_mission(FIND, walls_after_contact("east"), 0, HERE)
-    assert [wall.name for wall in now.walls] == ["east"]
+    now = update_mission(FIND, walls_after_contact("north"), 0, HERE)
+    assert [wall.name for wall in now.walls] == ["north"]
     assert [w.index for w in now.waypoints] == [1]
     assert now.start == HERE
     before = update_mission(FIND, EstimatedWalls(), 0, HERE)
@@ -152,7 +152,7 @@ def test_a_place_at_a_wall_has_its_distance_from_the_wall_and_along_it(away_m: f
 
 def mission_with_probe(angle: float, length_m: float, speed_m_s: float) -> Mission:
     first: dict[str, Any] = {
-        "wall": "east",
+        "wall": "north",
         "mode": "rigid",
         "probe": {
             "from_m": [0.1, -0.2],
@@ -210,7 +210,7 @@ def test_a_probe_without_a_contact_ends_at_the_vehicle() -> None:
     assert flown.progress.course.target[:2] == state.position[:2]
     assert flown.progress.lock.contact_end_us == state.now_us, "the lock must be free to move"
     assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
-        "the probe for wall east ended without a contact"
+        "the probe for wall north ended without a contact"
     ]
 
 

@@ -103,11 +103,11 @@ def test_a_wall_found_without_a_fit_is_placed_at_the_onset(
     mission = shipped("find_a_wall")
     verdict, log = fly_with(mission, deliver, tmp_path, monkeypatch)
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
-    assert [(hit.wall, hit.mode) for hit in verdict.collisions] == [("east", "rigid"), ("east", "flexible")]
-    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 skipped: contact with wall east"]
+    assert [(hit.wall, hit.mode) for hit in verdict.collisions] == [("north", "rigid"), ("north", "flexible")]
+    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 skipped: contact with wall north"]
     (board,) = mission.simulated_walls
-    (east,) = verdict.walls
-    assert abs(board.signed_distance(east.point_m)) < 0.05
+    (north,) = verdict.walls
+    assert abs(board.signed_distance(north.point_m)) < 0.05
     if deliver is dead_after_the_first:
         first, second = all_of(log, WallEstimate)
         assert (first.problem, second.problem) == ("", "the planner process ended")

@@ -71,23 +71,23 @@ def test_an_unknown_wall_is_found_and_hit_again_and_the_other_probe_is_skipped(
     verdict, log = replay_exactly(*flown("find_a_wall", 1))
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert verdict.guard == []
-    assert [(c.wall, c.mode) for c in verdict.collisions] == [("east", "rigid"), ("east", "flexible")]
-    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 skipped: contact with wall east"]
+    assert [(c.wall, c.mode) for c in verdict.collisions] == [("north", "rigid"), ("north", "flexible")]
+    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 skipped: contact with wall north"]
     hit = ["transit", "prepare", "approach", "contact", "recovery"]
     assert phases(log) == [*hit, "waypoint", *hit, "goal", "landing", "done"]
     # The board is 2 m away and rotated by 6 degrees: the contacts measure its position and direction.
     (board,) = mission.simulated_walls
-    (east,) = verdict.walls
-    assert abs(board.signed_distance(east.point_m)) < 0.02
-    turned = math.degrees(math.acos(min(1.0, np.dot(board.normal, east.normal))))
+    (north,) = verdict.walls
+    assert abs(board.signed_distance(north.point_m)) < 0.02
+    turned = math.degrees(math.acos(min(1.0, np.dot(board.normal, north.normal))))
     assert turned < 1.0
-    assert east.truth_error_m is not None
-    assert abs(east.truth_error_m) < 0.02
-    assert east.truth_error_deg is not None
-    assert abs(east.truth_error_deg) == pytest.approx(turned, abs=0.05)
-    assert set(east.coefficients) == {"rigid", "flexible"}
-    stiff, _ = east.coefficients["rigid"]["k"]
-    soft, _ = east.coefficients["flexible"]["k"]
+    assert north.truth_error_m is not None
+    assert abs(north.truth_error_m) < 0.02
+    assert north.truth_error_deg is not None
+    assert abs(north.truth_error_deg) == pytest.approx(turned, abs=0.05)
+    assert set(north.coefficients) == {"rigid", "flexible"}
+    stiff, _ = north.coefficients["rigid"]["k"]
+    soft, _ = north.coefficients["flexible"]["k"]
     wood = mission.vehicle.materials["wood"]
     assert stiff == pytest.approx(wood.coefficients(mission.collisions[0].mode).k, rel=0.2)
     assert soft == pytest.approx(wood.coefficients(mission.collisions[1].mode).k, rel=0.2)
@@ -119,14 +119,14 @@ def test_a_mission_whose_probes_find_no_wall_completes_on_its_own_branch(tmp_pat
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert (verdict.collisions, verdict.guard, verdict.walls) == ([], [], [])
     assert [e.what for e in all_of(log, ProbeEnd)] == [
-        "the probe for wall east ended without a contact",
-        "waypoint 1 skipped: no contact with wall east",
-        "collision 2 skipped: no contact with wall east",
-        "the probe for wall west ended without a contact",
+        "the probe for wall north ended without a contact",
+        "waypoint 1 skipped: no contact with wall north",
+        "collision 2 skipped: no contact with wall north",
+        "the probe for wall south ended without a contact",
     ]
     search = ["transit", "prepare", "approach"]
     assert phases(log) == [*search, "recovery", *search, "recovery", "goal", "landing", "done"]
-    # The vehicle stops at the end of each probe: 2.8 m to the east, 2 m to the west.
+    # The vehicle stops at the end of each probe: 2.8 m to the north, 2 m to the south.
     course = FlightArrays(log, find_a_wall())
     x = course.true.position[:, 0]
     assert x.max() == pytest.approx(2.8, abs=0.1)

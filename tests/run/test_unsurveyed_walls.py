@@ -315,10 +315,10 @@ def test_check_reports_a_wall_that_may_block_a_planned_trajectory(north_sd_m: fl
     tree = load_mission(ROOT / "missions/hairpin.yaml").to_dict()
     tree["collisions"] = [hit for hit in tree["collisions"] if hit.get("trajectory")]
     tree["waypoints"] = []
-    tree["walls"]["north"]["position_sd_m"] = north_sd_m
+    tree["walls"]["left"]["position_sd_m"] = north_sd_m
     found = no_goes(check_mission(load_mission(tree)))
     assert ("survey_1" not in found) == go
-    assert go or "wall north may block the trajectory to wall end" in found["survey_1"]
+    assert go or "wall left may block the trajectory to wall end" in found["survey_1"]
 
 
 def test_small_standard_deviations_are_a_go() -> None:

@@ -116,14 +116,16 @@ def test_processes_that_cannot_start_raise_a_flight_error() -> None:
         list(work(DiesOnUnpickling(), range(5), 2, Interrupt()))
 
 
-def test_an_interrupt_lets_running_items_finish() -> None:
-    with Interrupt() as interrupt:
+def test_an_interrupt_is_announced_and_lets_running_items_finish() -> None:
+    announced: list[int] = []
+    with Interrupt(announced.append) as interrupt:
         results = work(square, range(1000), 2, interrupt)
         found = [next(results)]
         os.kill(os.getpid(), signal.SIGINT)
         found += results
         assert interrupt.count == 1
     assert 1 <= len(found) <= 3
+    assert announced == [len(found) - 1], "the items in progress are announced once"
     assert all(done.result == done.item**2 for done in found)
 
 

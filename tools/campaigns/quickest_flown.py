@@ -81,7 +81,7 @@ def fly(point: Point, _: int) -> RoomFlown:
     """Plan a room, fly the plan in the worlds that `plan` draws, and fly it in twenty other worlds."""
     room, fly_here = ROOMS[int(point.case["room"]) - 1], flown_plan.fly_in_process
     result = plan_quickest(load_scenario(scenario_of(room)), 60.0)
-    offered = flown_plan.choose_flown(result, False, fly=fly_here)
+    offered = flown_plan.PlanChoice(result, False).run(fly_here)
     if offered.plan is None:
         return RoomFlown(result.saving_s, "none", None, None)
     name = next(name for name, flown in offered.flown.items() if flown == offered.record)

@@ -52,6 +52,7 @@ from dart_flight.vehicle.baud_rate import listen_for_mavlink
 from dart_flight.vehicle.ground_link import GroundLink, unusable_streams
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
+_SERVO = "servo"
 _OBSERVE_S = 3.0
 WAIT_S = 60.0
 _CONNECT_S = 10.0
@@ -215,6 +216,10 @@ class Bringup(CheckContext[StepFinding]):
                 "correct the URL or SER_TEL2_BAUD"
             )
         return f"{says}, but MAVLink arrives: its sender is not an autopilot, or the TX wire is open"
+
+    def needs_operator(self, step: BenchStep) -> bool:
+        """Return whether a step needs an operator; without a lock, the servo's step does not."""
+        return step.by_hand and (step.name != _SERVO or self._mission.vehicle.has_lock)
 
     # -- steps --
 
@@ -441,7 +446,7 @@ STEPS: tuple[BenchStep, ...] = (
         True,
     ),
     Check(
-        "servo",
+        _SERVO,
         Stage.BENCH,
         lambda b: [b.evaluate_servo()],
         "the lock's servo moves in the right direction; this step also measures its travel time",

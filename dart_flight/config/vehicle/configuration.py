@@ -14,7 +14,7 @@ import msgspec
 
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
-from dart_flight.config.document import Document, InputError, iterate_leaves, read_text, unknown_name
+from dart_flight.config.document import Document, InputError, Key, iterate_leaves, read_text, unknown_name
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.retired_keys import ignore_retired
 from dart_flight.config.section import Section
@@ -228,10 +228,11 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
         config.hover_thrust_fraction(),
     )
     if hover > 0.8:
+        thrust = "table" if config.thrust.table is not None else "full_n"
         raise document.error(
-            ("thrust", "table" if config.thrust.table is not None else "full_n"),
-            f"{count} motors of {most_n:g} N need {hover:.0%} of full thrust to hover "
-            f"{config.airframe.mass_kg:g} kg, limit 80 %",
+            _set_last(document, ("airframe", "mass_kg"), ("thrust", thrust)),
+            f"{count} motors of {most_n:g} N (thrust.{thrust}) need {hover:.0%} of full thrust to hover "
+            f"{config.airframe.mass_kg:g} kg (airframe.mass_kg), limit 80 %: correct one of the two",
         )
     if config.airframe.listed is None:
         return
@@ -248,6 +249,15 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
             "mass is not between the motors"
         )
         raise document.error(("airframe", "motors"), text)
+
+
+def _set_last(document: Document, first: Key, second: Key) -> Key:
+    """Return the second key if another file than that of the first key has set it later, else the first."""
+    names = list(document.set_by)
+    if second not in names or (first in names and names.index(first) > names.index(second)):
+        return first
+    file, other = (document.set_by.get(key, "").partition(":")[0] for key in (first, second))
+    return first if file == other else second
 
 
 def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
@@ -270,5 +280,6 @@ def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
                 node[part] = {}
             node = node[part]
         node[key[-1]] = value
+        merged.set_by.pop(key, None)  # the order is that of the files, the extending one last
         merged.set_by[key] = document.error(key, "").one_line()
     return merged

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.contact import contact_map
 from dart_flight.contact.law import Onset
@@ -28,3 +30,8 @@ def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallHit[
     vehicle = mission.vehicle
     coefficients = vehicle.materials[collision.wall.material].coefficients(collision.mode)
     return contact_map.collide(coefficients, vehicle.airframe.mass_kg, *velocity, Onset(vehicle.onset))
+
+
+def describe_force(normal_n: float, friction_n: float) -> str:
+    """Return the force that `limits.peak_force_n` limits, with its parts: `85 N (82 normal, 22 along)`."""
+    return f"{math.hypot(normal_n, friction_n):.0f} N ({normal_n:.0f} normal, {abs(friction_n):.0f} along)"

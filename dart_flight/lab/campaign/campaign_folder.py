@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 
 from dart_flight.base.errors import FlightError
-from dart_flight.config.document import InputError, read_text
+from dart_flight.config.document import InputError, read_text, replace_file
 from dart_flight.lab.campaign.campaign_spec import (
     Campaign,
     CampaignSpec,
@@ -116,17 +115,10 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises:
         FlightError: the file cannot be written.
     """
-    part = path.with_name(f"{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open(part, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
+        replace_file(path, data)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink()
         raise FlightError(f"cannot write {path}: {error.strerror}") from None
 
 

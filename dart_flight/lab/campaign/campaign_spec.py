@@ -235,7 +235,7 @@ def points_of(asked: CampaignSpec) -> list[Point]:
 
 
 def _digest(mission: Mission, spreads: Mapping[str, float], case: Mapping[str, str]) -> str:
-    bare = msgspec.structs.replace(mission, source="", vehicle_source=None, flown=None)
+    bare = msgspec.structs.replace(mission, source="", vehicle_source=None, flown=None, written=None)
     flown = [bare, spreads, case] if case else [bare, spreads]
     return hashlib.sha256(msgspec.json.encode(flown, order="sorted")).hexdigest()[:32]
 

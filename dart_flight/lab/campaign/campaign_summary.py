@@ -46,7 +46,10 @@ _OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
 
 
 class FigureSpread(msgspec.Struct, frozen=True):
-    """The distribution of one numerical result of a campaign. Flights without this result are left out."""
+    """The distribution of one numerical result of a campaign. Flights without this result are left out.
+
+    Percentiles and `most` count by magnitude, so that the most of the normal velocities is the fastest hit.
+    """
 
     flights: int
     median: float
@@ -321,7 +324,7 @@ def _followed(rows: Sequence[_SummaryRow]) -> Share:
 
 
 def _spread(values: Sequence[float | None]) -> FigureSpread | None:
-    known = sorted(v for v in values if v is not None and math.isfinite(v))
+    known = sorted((v for v in values if v is not None and math.isfinite(v)), key=abs)
     if not known:
         return None
     last = len(known) - 1

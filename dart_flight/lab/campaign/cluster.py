@@ -157,6 +157,7 @@ def _hand_out(
             if item is None:
                 break
             under_way[client.submit(attempt, shared, item, pure=False)] = item
+        interrupt.report(len(under_way))
         if not under_way:
             return
         landed = [future for future in under_way if future.done()]

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import time
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from dart_flight.cli import EXIT_INTERRUPTED
+from dart_flight.cli.flight_progress import FlightProgress
 from dart_flight.cli.options import add_vary_option, whole_number
 from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, tables
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 
 _MAX_SHOWN = 5  # printed flights with unexplained modes; the summary lists all of them
-_LINE_EVERY_S = 60.0  # interval of progress lines without a terminal
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -86,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f"the campaign also flies {len(opened.points) - 1} other missions or settings")
     for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):
         console.print(line, style="yellow", soft_wrap=True)
-    with Interrupt() as interrupt, _ProgressDisplay(console, opened.flights) as progress:
+    with FlightProgress(console, opened.flights) as progress, Interrupt(progress.interrupted) as interrupt:
         flown = campaigns.fly(opened, engine, interrupt, progress)
     summary = summarise(opened)
     campaigns.write_atomically(
@@ -147,54 +146,6 @@ def _requested_campaign(arguments: argparse.Namespace) -> Any:
         seed=1 if arguments.seed is None else arguments.seed,
         keep=Keep(arguments.keep or Keep.FAILED),
     )
-
-
-class _ProgressDisplay:
-    """A progress display on standard error: flights flown, rate and remaining time."""
-
-    def __init__(self, console: Any, flights: int) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        self._console, self._flights = console, flights
-        self._began_s, self._printed_s = time.monotonic(), time.monotonic()
-        self._begun_with: int | None = None
-        self._bar = Progress(
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[failed]}"),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-        self._task = self._bar.add_task("flights", total=flights, rate="", failed="")
-
-    def __enter__(self) -> _ProgressDisplay:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, flown: int, failed: int) -> None:
-        """Show how many rows the table has and how many flights of this call did not complete."""
-        now = time.monotonic()
-        if self._begun_with is None:
-            self._begun_with = flown
-            self._bar.update(self._task, completed=flown)
-            if flown:
-                self._console.print(f"{flown} of {self._flights} flights are already in the table")
-        elapsed = max(now - self._began_s, 1e-6)
-        rate = (flown - self._begun_with) / elapsed
-        bad = f"{failed} not completed" if failed else ""
-        self._bar.update(self._task, completed=flown, rate=f"{60.0 * rate:.0f} a minute", failed=bad)
-        if not self._console.is_terminal and now - self._printed_s >= _LINE_EVERY_S and rate:
-            self._printed_s = now
-            left_s = (self._flights - flown) / rate
-            parts = [f"{flown} of {self._flights} flights", f"{60.0 * rate:.0f} a minute"]
-            parts += [f"{left_s / 60.0:.0f} min left", *([bad] if bad else [])]
-            self._console.print(", ".join(parts))
 
 
 def _table(summary: Any) -> Any:

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import argparse
-import itertools
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
-from rich.progress import Progress
+import rich.progress
 
 from dart_flight.cli import EXIT_INTERRUPTED
+from dart_flight.cli.flight_progress import FlightProgress
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_set_option, link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
-from dart_flight.lab.search.flown_plan import (
-    Done,
-    OfferedPlan,
-    choose_flown,
-    fly_mission,
-)
+from dart_flight.config.mission import Mission
+from dart_flight.lab.search import flown_plan
+from dart_flight.lab.search.flown_plan import Done, FlightWatch, PlanChoice, fly_mission, fly_on_all_cores
 from dart_flight.lab.search.limited_sight import plan_limited_sight
-from dart_flight.lab.search.mission_writer import planned_mission, write_mission
+from dart_flight.lab.search.mission_writer import RefusedPlanError, planned_mission, write_mission
 from dart_flight.lab.search.plan_table import (
     describe_quickest,
     plan_summary,
@@ -33,11 +32,12 @@ from dart_flight.lab.search.plan_table import (
 )
 from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
-from dart_flight.lab.search.search import search
+from dart_flight.lab.search.search import Plan, Progress, SearchResult, search
 from dart_flight.planning.predicted_flight import describe_goal_miss
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.many_flights import RunsInterruptedError
 
+_LINE_EVERY_S = 5.0  # interval of progress lines without a terminal
 NOT_VERIFIED = "not flown in simulation (--no-verify): the plan may not be flyable"
 
 
@@ -94,14 +94,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit status."""
-    try:
-        return _plan(arguments)
-    except RunsInterruptedError:
-        print_status("interrupted during the simulated flights; nothing was written")
-        return EXIT_INTERRUPTED
-
-
-def _plan(arguments: argparse.Namespace) -> int:
     console = messages()
     scenario = load_scenario(arguments.scenario, arguments.config, settings=arguments.set)
     if arguments.connection is not None:
@@ -117,68 +109,140 @@ def _plan(arguments: argparse.Namespace) -> int:
         return _plan_quickest(scenario, arguments)
     if arguments.free:
         raise InputError("--free needs the objective quickest", source=scenario.source)
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("trajectories", total=None)
-        top = max(arguments.top, arguments.rank)
-        result = search(
-            scenario, top, arguments.seed, lambda done, of: bar.update(task, completed=done, total=of)
-        )
+    top = max(arguments.top, arguments.rank)
+    with _search_bar() as progress:
+        result = search(scenario, top, arguments.seed, progress)
     print_vehicle(scenario.vehicle_source, arguments)
-    plan = result.plans[min(arguments.rank, len(result.plans)) - 1]
-    record = None
+    if not arguments.json:
+        for table in (plan_table(result), refusal_table(result)):
+            tables().print(table)
+    plan, mission, refused = _first_flyable(result, min(arguments.rank, len(result.plans)))
+    print_status(*(f"plan {rank} is refused: {reason}" for rank, reason in refused.items()))
+    if not arguments.json:
+        tables().print(f"plan {plan.rank} {describe_goal_miss(plan.goal_miss_m, scenario.spec.goal)}")
+    record, status = None, 0
     if arguments.output is not None and arguments.verify:
-        with Progress(console=console, transient=True) as bar:
-            record = fly_mission(planned_mission(scenario, plan), _show_flights(bar)).record
-    if arguments.output is not None:
+        with _Watch(not arguments.json) as watch:
+            try:
+                record = fly_mission(mission, watch, watch.fly, f"plan {plan.rank}").record
+            except RunsInterruptedError:
+                status = watch.end(arguments.output)
+    if record is not None and record.failure is not None:
+        print_status(f"plan {plan.rank} fails in simulation: {record.failure}")
+    elif record is not None and not arguments.json:
+        tables().print(f"plan {plan.rank} in simulation: {record.summary}", soft_wrap=True)
+    elif arguments.output is not None and not arguments.verify and not arguments.json:
+        print_status(NOT_VERIFIED)
+    if status == 0 and arguments.output is not None:
         write_mission(scenario, plan, arguments.output, record)
         console.print(f"plan {plan.rank} written to {arguments.output}", soft_wrap=True)
         _warn_about_settings(arguments)
-    if arguments.plot is not None:
-        write_picture(planned_mission(scenario, plan), arguments.plot)
+    if status == 0 and arguments.plot is not None:
+        write_picture(mission, arguments.plot)
     if arguments.json:
-        emit_json({**plan_summary(result), "flown": record})
-    else:
-        for table in (plan_table(result), refusal_table(result)):
-            tables().print(table)
-        tables().print(f"plan {plan.rank} {describe_goal_miss(plan.goal_miss_m, scenario.spec.goal)}")
-        if record is not None and record.failure is not None:
-            print_status(f"plan {plan.rank} fails in simulation: {record.failure}")
-        elif record is not None:
-            tables().print(f"plan {plan.rank} in simulation: {record.summary}", soft_wrap=True)
-        elif arguments.output is not None:
-            print_status(NOT_VERIFIED)
-    return 0
+        emit_json({**plan_summary(result, refused), "flown": record})
+    return status
+
+
+def _first_flyable(result: SearchResult, rank: int) -> tuple[Plan, Mission, dict[int, str]]:
+    """Return the first plan from a rank on whose mission is not refused, and the refused ranks with reasons.
+
+    Raises:
+        RefusedPlanError: the mission of every plan is refused.
+    """
+    refused: dict[int, str] = {}
+    for plan in result.plans[rank - 1 :]:
+        try:
+            return plan, planned_mission(result.scenario, plan), refused
+        except RefusedPlanError as error:
+            refused[plan.rank] = error.reason
+            last = error
+    raise last
+
+
+@contextlib.contextmanager
+def _search_bar() -> Iterator[Progress]:
+    """Show a bar on a terminal during a search; the context is the search's progress callback."""
+    console = messages()
+    with rich.progress.Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("searching", total=None)
+        yield lambda done, of: bar.update(task, completed=done, total=of)
+
+
+class _Watch(FlightWatch):
+    """The simulated flights on standard error: their number, and each result as soon as it is known.
+
+    Args:
+        on_output: whether the results are printed on standard output, as without `--json`.
+    """
+
+    def __init__(self, on_output: bool) -> None:
+        self._console = tables() if on_output else messages()
+        self._progress: FlightProgress | None = None
+        self._plan = self._known = ""
+
+    def __enter__(self) -> _Watch:
+        print_status(
+            f"flying in simulation, nominally and in up to {flown_plan.DRAWN} drawn worlds (--no-verify "
+            "skips this)"
+        )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close()
+
+    def begin(self, plan: str) -> None:
+        """Begin the count of a plan's flights in drawn worlds."""
+        self._close()
+        self._progress = FlightProgress(messages(), flown_plan.DRAWN, plan, _LINE_EVERY_S)
+        self._progress.__enter__()
+        self._progress(0, 0)
+        self._plan, self._known = plan, ""
+
+    def landed(self, flown: int, failed: int) -> None:
+        """Count a flight."""
+        if self._progress is not None:
+            self._progress(flown, failed)
+        self._known = f"; {self._plan}: {flown - failed} of {flown} flights in drawn worlds completed"
+
+    def report(self, line: str) -> None:
+        """Print a result."""
+        self._close()
+        self._console.print(line, soft_wrap=True)
+
+    def fly(self, mission: Mission, seeds: list[int], spreads: dict[str, float], done: Done) -> list[Verdict]:
+        """Fly on all cores, and say at once what an interrupt ends."""
+        return fly_on_all_cores(mission, seeds, spreads, done, self._interrupted)
+
+    def end(self, output: Path | None) -> int:
+        """Report what is known after an interrupt, and return the exit status."""
+        self._close()
+        kept = "" if output is None else f"; {output} was not written"
+        print_status(f"interrupted during the simulated flights{self._known}{kept}")
+        return EXIT_INTERRUPTED
+
+    def _interrupted(self, under_way: int) -> None:
+        (self._progress or FlightProgress(messages(), 1)).interrupted(under_way)
+
+    def _close(self) -> None:
+        if self._progress is not None:
+            self._progress.__exit__()
+            self._progress = None
 
 
 def _warn_about_settings(arguments: argparse.Namespace) -> None:
     if arguments.set:
         messages().print(
-            "[yellow]the mission file does not contain the --set values: give the same --set when you fly "
-            "the mission[/]",
+            "the mission file does not contain the --set values: give the same --set when you fly",
+            style="yellow",
             soft_wrap=True,
         )
-
-
-def _show_flights(bar: Progress) -> Done:
-    """Announce the simulated flights and return a callback that counts them."""
-    print_status("flying the plan in simulation, nominally and in 20 drawn worlds (--no-verify skips this)")
-    task, flown = bar.add_task("simulated flights", total=None), itertools.count(1)
-
-    def done(_: Verdict) -> None:
-        bar.update(task, advance=1, description=f"simulated flights: {next(flown)}")
-
-    return done
 
 
 def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
     """Search for the quickest flight, fly it in simulation and write it; return the exit status."""
     console = messages()
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("sequences", total=None)
-
-        def progress(done: int, of: int) -> None:
-            bar.update(task, completed=done, total=of)
-
+    with _search_bar() as progress:
         if scenario.sight is not None:
             result = plan_limited_sight(scenario, progress)
         else:
@@ -186,11 +250,21 @@ def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
     print_vehicle(scenario.vehicle_source, arguments)
     if arguments.free and result.free is None:
         raise InputError("the goal cannot be reached without a collision", source=scenario.source)
-    offered = OfferedPlan(result.free if arguments.free else result.best, scenario, None, [NOT_VERIFIED], {})
+    if not arguments.json:
+        tables().print(quickest_table(result))
+        tables().print(describe_quickest(result), soft_wrap=True)
+    watch = _Watch(not arguments.json)
+    choice = PlanChoice(result, arguments.free, watch)
+    status = 0
     if arguments.verify:
-        with Progress(console=console, transient=True) as bar:
-            offered = choose_flown(result, arguments.free, _show_flights(bar))
-    if offered.plan is not None:
+        with watch:
+            try:
+                offered = choice.run(watch.fly)
+            except RunsInterruptedError:
+                status = watch.end(arguments.output)
+    else:
+        offered = choice.skip(NOT_VERIFIED)
+    if status == 0 and offered.plan is not None:
         if arguments.output is not None:
             write_mission(offered.scenario, offered.plan, arguments.output, offered.record)
             console.print(f"plan written to {arguments.output}", soft_wrap=True)
@@ -198,10 +272,6 @@ def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
         if arguments.plot is not None:
             write_picture(planned_mission(offered.scenario, offered.plan), arguments.plot)
     if arguments.json:
-        emit_json({**quickest_summary(result), "flown": offered.flown, "says": offered.says})
-    else:
-        tables().print(quickest_table(result))
-        tables().print(describe_quickest(result), soft_wrap=True)
-        for line in offered.says:
-            tables().print(line, soft_wrap=True)
-    return 0 if offered.plan is not None else 1
+        found = {"flown": choice.flown, "says": choice.says, "refused": choice.refused}
+        emit_json({**quickest_summary(result), **found})
+    return status or (0 if offered.plan is not None else 1)

@@ -19,9 +19,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Compute the tables, print or write them, and return the exit status."""
     from dart_flight.config.provenance import find_vehicle
+    from dart_flight.config.vehicle import packaged
     from dart_flight.lab.paper import tables as paper
 
     vehicle, source = find_vehicle(arguments.config)
+    if not vehicle.has_lock and arguments.config is None:  # the folder of another vehicle than the paper's
+        vehicle, source = find_vehicle(packaged("configs", "dart.yaml"))
     if not vehicle.has_lock:
         raise InputError("the paper's tables need a vehicle with a lock", key=("lock",))
     for surface in paper.SURFACES:

@@ -37,7 +37,7 @@ from dart_flight.recording.verdict import Verdict
 # A smaller disagreement of peak forces does not identify k: 20 % of k changes the peak by twice as much. One
 # flight has no spread, and its measured velocity, which the prediction uses, has an error of up to 4 %.
 AGREES, _ALONE = 0.05, 0.1
-_MAIN_ROWS = ("normal velocity", "peak normal force", "contact time")
+_MAIN_ROWS = ("normal velocity", "peak force", "peak normal force", "peak friction force", "contact time")
 _PLAN_HEADS = ["", "planned", "flown", "tolerance", "within"]
 
 
@@ -240,18 +240,20 @@ def outcome_sentence(flight: RecordedFlight) -> str:
 
 
 def _hits_table(flight: RecordedFlight) -> PageTable:
-    heads = ["hit", "at, s", "wall", "mode", "normal, m/s", "along, m/s", "peak, N", "error %"]
+    heads = ["hit", "at, s", "wall", "mode", "normal, m/s", "along, m/s", "peak, N", "normal, N", "error %"]
     return PageTable(heads, [_hit_row(impact) for impact in flight.impacts])
 
 
 def _hit_row(impact: Impact) -> Row:
     v = impact.verdict
-    peak = next(c for c in impact.compared if c.name == "peak normal force")
+    rows = {row.name: row for row in impact.compared}
+    peak = rows["peak normal force"]
     estimated = f", estimated {v.mode_felt}" if v.mode_felt not in (None, v.mode) else ""
     clipped = ", clipped" if v.clipped else ""
     return [
         v.index, impact.at_s, v.wall, f"{v.mode}{estimated}{clipped}", v.measured.normal_m_s,
-        v.measured.tangential_m_s, v.measured.peak_force_n, signed(peak.error_percent),
+        v.measured.tangential_m_s, rows["peak force"].measured,
+        v.measured.peak_force_n, signed(peak.error_percent),
     ]  # fmt: skip
 
 
@@ -458,14 +460,14 @@ def _percent(share: float | None) -> float | None:
 def _spread(name: str, values: Iterable[float | None]) -> list[Cell]:
     """Return a table row: name, count, mean, half width of the mean's 95 % interval, and further figures.
 
-    The further figures are standard deviation, minimum and maximum.
+    The further figures are standard deviation, least and most by magnitude: -0.9 m/s is less than -1.1 m/s.
     """
     known = [v for v in values if v is not None]
     if not known:
         return [name, 0, *(None,) * 5]
     sd = stdev(known) if len(known) > 1 else None
     half = mean_half_width(known)
-    return [name, len(known), fmean(known), half, sd, min(known), max(known)]
+    return [name, len(known), fmean(known), half, sd, min(known, key=abs), max(known, key=abs)]
 
 
 def _world(verdict: Verdict) -> str:

@@ -24,6 +24,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.approach import transit_segments
+from dart_flight.core.mission.planned_impact import expected_hit
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.flight_arrays import Array, FlightArrays
 from dart_flight.lab.predict.path import ContactMotion, HitHistory, trajectory
@@ -100,6 +101,8 @@ class Impact:
         self.prediction: HitHistory | None = None
         self.predicted = Velocities()
         self._contact_ms: float | None = None  # predicted
+        hit = expected_hit(flight.mission, self.collision)
+        self._planned_friction_n = None if hit is None else hit.peak_friction_force_n
         if (impact.measured.normal_m_s or 0.0) < 0.0:
             self._predict(flight)
         self.compared = self._compare()
@@ -133,16 +136,25 @@ class Impact:
             return Compared(name, unit, *(getattr(source, figure, None) for source in sources))
 
         friction = (
+            self._planned_friction_n,
             None if path is None else float(np.abs(path.tangential_force_n).max()),
             None if peak is None else abs(peak.tangential_force_n),
             None if true is None else abs(true.peak_friction_force_n),
         )
+        normal = row("peak normal force", "N", "peak_force_n")
+        total = [
+            None if n is None or f is None else math.hypot(n, f)
+            for n, f in zip(
+                (normal.planned, normal.predicted, normal.measured, normal.true), friction, strict=True
+            )
+        ]
         true_ms = None if true is None else (true.end_us - true.t_us) * 1e-3
         return [
             row("normal velocity", "m/s", "normal_m_s"),
             row("tangential velocity", "m/s", "tangential_m_s"),
-            row("peak normal force", "N", "peak_force_n"),
-            Compared(_FRICTION, "N", None, *friction),
+            Compared("peak force", "N", *total),
+            normal,
+            Compared(_FRICTION, "N", *friction),
             Compared("contact time", "ms", None, self._contact_ms, v.contact_time_ms, true_ms),
             row("normal velocity out", "m/s", "normal_out_m_s"),
             row("tangential velocity out", "m/s", "tangential_out_m_s"),

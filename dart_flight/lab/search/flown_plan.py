@@ -1,14 +1,16 @@
 """Simulated flights of plans in the fast world, and the choice of the plan to offer; used by `plan`.
 
-`fly_mission` flies a mission once in the nominal world, and twenty times in drawn worlds. A drawn world
-differs at random from the nominal world (docs/draws.md). `choose_flown` compares the flight times with and
+`fly_mission` flies a mission once in the nominal world, and up to twenty times in drawn worlds. A drawn world
+differs at random from the nominal world (docs/draws.md). `PlanChoice` compares the flight times with and
 without hits. The times count from take-off to landing, so they include touches of the walls before the hits.
 """
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import msgspec
@@ -16,7 +18,7 @@ import msgspec
 from dart_flight.base.records import Outcome
 from dart_flight.config.mission import Mission
 from dart_flight.config.mission_file import DrawnFlights, FlownRecord, NominalFlight
-from dart_flight.lab.search.mission_writer import planned_mission
+from dart_flight.lab.search.mission_writer import RefusedPlanError, planned_mission
 from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
 from dart_flight.lab.search.scenario import Scenario
 from dart_flight.recording.about import software_version
@@ -27,11 +29,28 @@ from dart_flight.sim.draws import parse_vary
 
 DRAWN, FIRST_SEED = 20, 700_001  # campaigns and tests begin at seed 1
 TOUCH_M_S = 0.6  # touch speed of the shipped missions
+LEAST_SAVING = 0.01  # share of the free flight's time; a smaller predicted saving is not worth its flights
 _DIGITS = 3
 
 # Fly a mission with these seeds and spreads, and call back after each flight.
 FlyMany = Callable[[Mission, list[int], dict[str, float], Callable[[Verdict], None]], list[Verdict]]
 Done = Callable[[Verdict], None]
+
+
+class FlightWatch:
+    """Callbacks during the simulated flights of plans; this base class ignores them."""
+
+    def begin(self, plan: str) -> None:
+        """Announce the flights in drawn worlds of a plan, such as `the plan with collisions`."""
+
+    def landed(self, flown: int, failed: int) -> None:
+        """Count the flights in drawn worlds, and those of them that did not complete."""
+
+    def report(self, line: str) -> None:
+        """Report a result as soon as it is known."""
+
+
+_NO_WATCH = FlightWatch()
 
 
 class FlownMission(NamedTuple):
@@ -47,10 +66,14 @@ class FlownMission(NamedTuple):
 
 
 def fly_on_all_cores(
-    mission: Mission, seeds: list[int], spreads: dict[str, float], done: Done
+    mission: Mission,
+    seeds: list[int],
+    spreads: dict[str, float],
+    done: Done,
+    announce: Callable[[int], None] = lambda under_way: None,
 ) -> list[Verdict]:
-    """Fly in parallel processes, like `dry-run --fast --runs`."""
-    return fly_fast_many(mission, seeds, None, done, spreads)
+    """Fly in parallel processes, like `dry-run --fast --runs`; `announce` is that of `Interrupt`."""
+    return fly_fast_many(mission, seeds, None, done, spreads, announce)
 
 
 def fly_in_process(
@@ -64,20 +87,30 @@ def fly_in_process(
     return verdicts
 
 
+class _DecidedError(Exception):
+    """The plan has failed, whatever the remaining flights do."""
+
+
 def fly_mission(
-    mission: Mission, done: Done = lambda verdict: None, fly: FlyMany = fly_on_all_cores
+    mission: Mission,
+    watch: FlightWatch = _NO_WATCH,
+    fly: FlyMany = fly_on_all_cores,
+    name: str = "the plan",
 ) -> FlownMission:
     """Fly a mission once nominally. If that flight succeeds, fly the mission in twenty drawn worlds.
 
+    As soon as the flights of the first seeds decide that the plan fails, the remaining flights are skipped.
+
     Args:
         mission: the mission as loaded from its file.
-        done: callback after each flight.
+        watch: callbacks during the flights.
         fly: function that flies the seeds.
+        name: the plan in messages.
 
     Raises:
         RunsInterruptedError: the operator pressed Ctrl-C.
     """
-    (first,) = fly(mission, [FIRST_SEED], {}, done)
+    (first,) = fly(mission, [FIRST_SEED], {}, lambda verdict: None)
     nominal = NominalFlight(
         outcome=first.outcome,
         uncontrolled=bool(first.uncontrolled),
@@ -88,23 +121,54 @@ def fly_mission(
     record = FlownRecord(software_version(), mission.digest, nominal)
     if record.danger is not None:
         return FlownMission(record, {})
+    watch.report(f"{name}: the nominal flight completes{_duration(nominal.time_s)}")
     seeds = list(range(FIRST_SEED, FIRST_SEED + DRAWN))
-    verdicts = fly(mission, seeds, parse_vary(["all"], mission.vehicle), done)
+    landed: dict[int, Verdict] = {}
+
+    def done(verdict: Verdict) -> None:
+        assert verdict.seed is not None
+        landed[verdict.seed] = verdict
+        watch.landed(len(landed), sum(v.outcome is not Outcome.COMPLETED for v in landed.values()))
+        # Only the first seeds decide, so that the order in which flights land has no influence.
+        if _with_drawn(record, _first(landed, seeds), len(seeds)).failure is not None:
+            raise _DecidedError
+
+    watch.begin(name)
+    with contextlib.suppress(_DecidedError):
+        fly(mission, seeds, parse_vary(["all"], mission.vehicle), done)
+    verdicts = _first(landed, seeds)
     times_s = {
         seed: v.flight_time_s
-        for seed, v in zip(seeds, verdicts, strict=True)
+        for seed, v in zip(seeds, verdicts, strict=False)
         if v.outcome is Outcome.COMPLETED and v.flight_time_s is not None
     }
+    return FlownMission(_with_drawn(record, verdicts, len(verdicts)), times_s)
+
+
+def _first(landed: dict[int, Verdict], seeds: list[int]) -> list[Verdict]:
+    """Return the verdicts of the first seeds, up to the first seed whose flight has not landed."""
+    return [landed[seed] for seed in itertools.takewhile(landed.__contains__, seeds)]
+
+
+def _with_drawn(record: FlownRecord, verdicts: list[Verdict], flights: int) -> FlownRecord:
+    """Return the record with the flights in drawn worlds; flights without a verdict count as completed."""
+    times_s = [
+        v.flight_time_s for v in verdicts if v.outcome is Outcome.COMPLETED and v.flight_time_s is not None
+    ]
     drawn = DrawnFlights(
-        flights=DRAWN,
+        flights=flights,
         first_seed=FIRST_SEED,
-        completed=sum(v.outcome is Outcome.COMPLETED for v in verdicts),
+        completed=flights - sum(v.outcome is not Outcome.COMPLETED for v in verdicts),
         uncontrolled=sum(bool(v.uncontrolled) for v in verdicts),
         ended_by=summarise(verdicts).reasons,
-        median_time_s=_rounded(statistics.median(times_s.values()) if times_s else None),
+        median_time_s=_rounded(statistics.median(times_s) if times_s else None),
         max_tilt_deg=_rounded(max((v.max_tilt_deg or 0.0 for v in verdicts), default=None)),
     )
-    return FlownMission(msgspec.structs.replace(record, drawn=drawn), times_s)
+    return msgspec.structs.replace(record, drawn=drawn)
+
+
+def _duration(time_s: float | None) -> str:
+    return "" if time_s is None else f", {time_s:.1f} s from take-off to landing"
 
 
 def compare(colliding: FlownMission, free: FlownMission) -> FlownRecord:
@@ -131,6 +195,7 @@ class OfferedPlan(NamedTuple):
         record: record of the plan's flights.
         says: lines that report the flights and the reason for the choice.
         flown: records of all plans flown, under the keys `free`, `colliding` and `touched`.
+        refused: reasons why plans were not flown, under the same keys.
     """
 
     plan: QuickestPlan | None
@@ -138,81 +203,148 @@ class OfferedPlan(NamedTuple):
     record: FlownRecord | None
     says: list[str]
     flown: dict[str, FlownRecord]
+    refused: dict[str, str]
 
 
-def choose_flown(
-    result: QuickestResult,
-    free_only: bool,
-    done: Done = lambda verdict: None,
-    fly: FlyMany = fly_on_all_cores,
-) -> OfferedPlan:
-    """Fly the plans of a search in simulation and choose the one to offer.
+class _Candidate(NamedTuple):
+    """A plan of a search, and the scenario whose touches its mission flies.
 
-    A plan with hits must succeed in simulation. A successful plan with hits is offered if it saves time from
-    take-off to landing, or if the scenario demands its hits or touches. A plan that succeeds only with
-    touches before the hits is offered with these touches.
+    Attributes:
+        key: `free`, `colliding` or `touched`.
+        name: the plan in messages.
+    """
+
+    key: str
+    name: str
+    scenario: Scenario
+    plan: QuickestPlan
+
+
+class PlanChoice:
+    """The choice between the plans of a search; it grows while the plans fly.
 
     Args:
         result: result of the search.
         free_only: whether to offer the plan without a collision.
-        done: callback after each flight.
-        fly: function that flies the seeds of a mission.
+        watch: callbacks during the flights.
 
-    Raises:
-        RunsInterruptedError: the operator pressed Ctrl-C.
+    Attributes:
+        says, flown, refused: as in `OfferedPlan`, for the plans so far.
     """
-    scenario, flown, lines = result.scenario, dict[str, FlownRecord](), list[str]()
-    free: FlownMission | None = None
-    if result.free is not None:
-        free = fly_mission(planned_mission(scenario, result.free), done, fly)
-        flown["free"] = free.record
-        if free.record.failure is not None:
-            lines.append(f"the flight without a collision is not offered: {free.record.failure}")
-    hits = None if free_only or result.best is not result.colliding else result.colliding
-    if hits is not None:
-        for name, wanted in _colliding_variants(scenario).items():
-            mission = fly_mission(planned_mission(wanted, hits), done, fly)
-            record = mission.record if free is None else compare(mission, free)
-            flown[name] = record
-            with_touches = (
-                f" with a touch of each wall at {wanted.spec.touch_m_s:g} m/s" if name == "touched" else ""
-            )
-            if record.failure is not None:
-                lines.append(f"the plan with collisions{with_touches} is not offered: {record.failure}")
+
+    def __init__(self, result: QuickestResult, free_only: bool, watch: FlightWatch = _NO_WATCH) -> None:
+        self.says, self.flown, self.refused = list[str](), dict[str, FlownRecord](), dict[str, str]()
+        self._result, self._watch = result, watch
+        scenario = result.scenario
+        hits = None if free_only or result.best is not result.colliding else result.colliding
+        self._hits = [] if hits is None else list(_colliding(scenario, hits))
+        name = "the flight without a collision"
+        self._free = None if result.free is None else _Candidate("free", name, scenario, result.free)
+
+    def run(self, fly: FlyMany = fly_on_all_cores) -> OfferedPlan:
+        """Fly the plans in simulation and return the plan to offer.
+
+        A plan with hits must succeed in simulation. A successful plan with hits is offered if it saves time
+        from take-off to landing, or if the scenario demands its hits or touches. A plan that succeeds only
+        with touches before the hits is offered with these touches. A plan whose mission is refused is not
+        flown. Neither is a plan whose hits are optional and hardly save time.
+
+        Raises:
+            RunsInterruptedError: the operator pressed Ctrl-C.
+        """
+        free = None if self._free is None else self._fly(self._free, fly)
+        if free is not None and free.record.failure is not None:
+            self._say(f"the flight without a collision is not offered: {free.record.failure}")
+            free = None
+        for hits in [] if free is not None and self._saves_too_little() else self._hits:
+            flown = self._fly(hits, fly)
+            if flown is None:
                 continue
-            lines.append(f"the plan with collisions{with_touches} succeeds in simulation: {record.summary}")
-            if _is_offered(record, free, scenario):
-                return OfferedPlan(hits, wanted, record, lines, flown)
+            record = flown.record if free is None else compare(flown, free)
+            self.flown[hits.key] = record
+            if record.failure is not None:
+                self._say(f"{hits.name} is not offered: {record.failure}")
+                continue
+            self._say(f"{hits.name} succeeds in simulation: {record.summary}")
+            saves = record.saving_s is not None and record.saving_s > 0.0
+            if _is_demanded(self._result.scenario) or saves or free is None:
+                return self._offer(hits, record)
             break
-    if (
-        free is None
-        or free.record.failure is not None
-        or (hits is not None and not scenario.chosen_by_planner)
-    ):
-        lines.append("no plan is offered")
-        return OfferedPlan(None, scenario, None, lines, flown)
-    lines.append(f"the flight without a collision is offered: {free.record.summary}")
-    return OfferedPlan(result.free, scenario, free.record, lines, flown)
+        if free is None or self._free is None or not self._is_free_allowed:
+            self._say("no plan is offered")
+            return self._offer(None, None)
+        self._say(f"the flight without a collision is offered: {free.record.summary}")
+        return self._offer(self._free, free.record)
+
+    def skip(self, reason: str) -> OfferedPlan:
+        """Return the plan to offer without a flight: the first plan whose mission is not refused.
+
+        `reason` is the reason for the missing flights.
+        """
+        for one in (*self._hits, *([self._free] if self._free and self._is_free_allowed else [])):
+            if self._mission(one) is not None:
+                self._say(reason)
+                return self._offer(one, None)
+        self._say("no plan is offered")
+        return self._offer(None, None)
+
+    @property
+    def _is_free_allowed(self) -> bool:
+        return not self._hits or self._result.scenario.chosen_by_planner
+
+    def _offer(self, one: _Candidate | None, record: FlownRecord | None) -> OfferedPlan:
+        plan, scenario = (None, self._result.scenario) if one is None else (one.plan, one.scenario)
+        return OfferedPlan(plan, scenario, record, self.says, self.flown, self.refused)
+
+    def _say(self, line: str) -> None:
+        self.says.append(line)
+        self._watch.report(line)
+
+    def _mission(self, one: _Candidate) -> Mission | None:
+        """Return the mission of a plan, or None if it is refused."""
+        try:
+            return planned_mission(one.scenario, one.plan)
+        except RefusedPlanError as error:
+            self.refused[one.key] = error.reason
+            self._say(f"{one.name} is refused: {error.reason}")
+            return None
+
+    def _fly(self, one: _Candidate, fly: FlyMany) -> FlownMission | None:
+        """Fly a plan; return None if its mission is refused."""
+        mission = self._mission(one)
+        if mission is None:
+            return None
+        flown = fly_mission(mission, self._watch, fly, one.name)
+        self.flown[one.key] = flown.record
+        return flown
+
+    def _saves_too_little(self) -> bool:
+        """Return whether the hits are optional and predicted to save less than `LEAST_SAVING`."""
+        saving_s, free = self._result.saving_s, self._result.free
+        if not self._hits or saving_s is None or free is None or _is_demanded(self._result.scenario):
+            return False
+        if saving_s >= LEAST_SAVING * free.time_s:
+            return False
+        self._say(
+            f"the plan with collisions is not flown: it is predicted to save {saving_s:.2f} s of "
+            f"{free.time_s:.2f} s, less than {LEAST_SAVING:.0%}"
+        )
+        return True
 
 
-def _colliding_variants(scenario: Scenario) -> dict[str, Scenario]:
-    """Return name -> scenario: the scenario itself and, if it has no touches, also a copy with touches."""
-    variants = {"colliding": scenario}
+def _colliding(scenario: Scenario, hits: QuickestPlan) -> Iterator[_Candidate]:
+    """Yield the plan with hits and, if the scenario has no touches, also the plan with touches."""
+    name = "the plan with collisions"
+    yield _Candidate("colliding", name, scenario, hits)
     if scenario.spec.touch_m_s is None:
         spec = msgspec.structs.replace(scenario.spec, touch_m_s=TOUCH_M_S)
-        variants["touched"] = msgspec.structs.replace(scenario, spec=spec)
-    return variants
+        name += f" with a touch of each wall at {TOUCH_M_S:g} m/s"
+        yield _Candidate("touched", name, msgspec.structs.replace(scenario, spec=spec), hits)
 
 
-def _is_offered(record: FlownRecord, free: FlownMission | None, scenario: Scenario) -> bool:
-    """Return whether to offer a colliding plan that succeeds in simulation.
-
-    The plan is offered if the scenario demands its hits or touches, if it saves time, or if no flight without
-    a collision succeeds.
-    """
-    demanded = not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
-    saves = record.saving_s is not None and record.saving_s > 0.0
-    return demanded or saves or free is None or free.record.failure is not None
+def _is_demanded(scenario: Scenario) -> bool:
+    """Return whether the file demands hits or touches."""
+    return not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
 
 
 def _rounded(value: float | None) -> float | None:

@@ -14,7 +14,7 @@ import yaml
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import AfterImpact
 from dart_flight.base.walls import Wall
-from dart_flight.config.document import Document, report_write_errors
+from dart_flight.config.document import Document, InputError, dotted, replace_file, report_write_errors
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.mission_file import FlownRecord, Limits, TrajectoryPieces, WallSpec
 from dart_flight.config.vehicle import VehicleConfig
@@ -23,6 +23,7 @@ from dart_flight.lab.search.quickest import QuickestPlan
 from dart_flight.lab.search.scenario import Scenario
 from dart_flight.lab.search.search import Plan, PlannedCollision
 from dart_flight.planning.task import drag_along
+from dart_flight.run.prepare import refuse_unflyable
 
 _DIGITS = 4
 _LEAST_GAIN, _USUAL_GAIN = 1e-3, 0.025  # m/N
@@ -179,17 +180,35 @@ def _predicted(hit: PlannedCollision | TrajectoryHit, t_s: float, contact_s: flo
     }
 
 
+class RefusedPlanError(InputError):
+    """The mission of a plan does not load, or cannot be flown; the search did not apply this rule."""
+
+    @property
+    def reason(self) -> str:
+        """The reason, with the key of the mission."""
+        return ": ".join(part for part in (dotted(self.key), self.message) if part)
+
+
 def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | None = None) -> Mission:
-    """Return the mission of a plan, parsed from the text of its mission file.
+    """Return the mission of a plan, parsed from the text of its mission file, once it is known to be flyable.
 
     Args:
         scenario: the planned scenario.
         plan: the chosen plan.
         text: text of the mission file; by default the text from `mission_text`.
+
+    Raises:
+        RefusedPlanError: the mission is refused, as `dry-run` would refuse it.
     """
     source = Path(scenario.source)
     document = Document(text or mission_text(scenario, plan, source), str(source))
-    return parse_mission(document, scenario.vehicle)
+    try:
+        mission = parse_mission(document, scenario.vehicle)
+        refuse_unflyable(mission)
+    except InputError as error:
+        # The line of the error is a line of the plan's mission, which is not a file yet.
+        raise RefusedPlanError(error.message, source=f"plan of {source}", key=error.key) from None
+    return mission
 
 
 def write_mission(
@@ -198,12 +217,13 @@ def write_mission(
     """Write the mission file, validate the file in the same way as `dry-run`, and return its text.
 
     Raises:
-        InputError: the file cannot be written.
+        RefusedPlanError: as in `planned_mission`; an existing file is kept.
+        InputError: the file cannot be written; an existing file is kept.
     """
     text = mission_text(scenario, plan, target, flown)
     planned_mission(scenario, plan, text)
     with report_write_errors(target):
-        target.write_text(text, encoding="utf-8")
+        replace_file(target, text.encode("utf-8"))
     return text
 
 

@@ -27,7 +27,7 @@ from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.packages import missing_package
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
-from dart_flight.contact.contact_map import contact_map
+from dart_flight.contact.contact_map import collide, contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.planning.polynomials import quintic
@@ -215,6 +215,7 @@ class TrajectoryHit(msgspec.Struct, frozen=True):
         t_s: time from the start of the trajectory to the onset.
         position_m: position of the vehicle's centre at the onset, mission frame.
         acceleration_m_s2: acceleration at the onset, along normal and tangent.
+        peak_force_n, peak_friction_n: peaks of the normal force and of the friction force.
     """
 
     wall: str
@@ -225,6 +226,7 @@ class TrajectoryHit(msgspec.Struct, frozen=True):
     tangential_m_s: float
     acceleration_m_s2: Vec2
     peak_force_n: float
+    peak_friction_n: float
     contact_s: float
 
 
@@ -466,7 +468,7 @@ def _as_trajectory(problem: Problem, n: int, values: list[Array]) -> OptimalTraj
             pieces = []
         if isinstance(part.to, Hit):
             response = ContactResponse.at_wall(problem.vehicle, part.to.wall, part.to.mode)
-            hits.append(_hit(part.to, response, now, states[i][:, -1]))
+            hits.append(_hit(part.to, problem.vehicle, now, states[i][:, -1]))
             now += response.contact_s + problem.dead_s
             begin = states[i + 1][:, 0]
     return OptimalTrajectory(now, tuple(legs), tuple(hits), tuple(visits))
@@ -484,10 +486,12 @@ def _leg(begin: Array, pieces: list[tuple[float, float, float]]) -> TrajectoryPi
     return TrajectoryPieces((x, y), joined, (vx, vy), (ax, ay))
 
 
-def _hit(event: Hit, response: ContactResponse, t_s: float, state: Array) -> TrajectoryHit:
+def _hit(event: Hit, vehicle: VehicleConfig, t_s: float, state: Array) -> TrajectoryHit:
     x, y, vx, vy, ax, ay = (float(v) for v in state)
     normal, tangential, _ = event.wall.to_collision((vx, vy, 0.0))
     pushed = event.wall.to_collision((ax, ay, 0.0))
+    coefficients = vehicle.materials[event.wall.material].coefficients(event.mode)
+    hit = collide(coefficients, vehicle.airframe.mass_kg, normal, tangential, Onset(vehicle.onset))
     return TrajectoryHit(
         event.wall.name,
         event.mode,
@@ -496,6 +500,7 @@ def _hit(event: Hit, response: ContactResponse, t_s: float, state: Array) -> Tra
         normal,
         tangential,
         (pushed[0], pushed[1]),
-        -response.peak_n_per_m_s * normal,
-        response.contact_s,
+        hit.peak_normal_force_n,
+        hit.peak_friction_force_n,
+        hit.contact_time_s,
     )

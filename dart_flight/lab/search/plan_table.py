@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -13,6 +15,7 @@ from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import ADVICE, Plan, SearchResult
 
+_FORCE = "peak (normal,\nalong) N"  # the force that limits.peak_force_n limits, and its parts
 _SHOWN_S = 0.005  # a smaller gap is not shown
 _UNITS = {
     Objective.NEAREST: "m",
@@ -28,8 +31,12 @@ def with_objective(scenario: Scenario, objective: Objective) -> Scenario:
     return msgspec.structs.replace(scenario, objective=objective)
 
 
-def plan_summary(result: SearchResult) -> dict[str, Any]:
-    """Return the object of `plan --json`: ranking, rejected candidates by reason, and time used."""
+def plan_summary(result: SearchResult, refused: Mapping[int, str] | None = None) -> dict[str, Any]:
+    """Return the object of `plan --json`: ranking, rejected candidates by reason, and time used.
+
+    `refused` contains the ranks of the plans whose missions are refused, with the reasons.
+    """
+    missions = {"mission": {"count": len(refused), "advice": "; ".join(refused.values())}} if refused else {}
     return {
         "scenario": result.scenario.name,
         "objective": result.scenario.objective.value,
@@ -40,7 +47,8 @@ def plan_summary(result: SearchResult) -> dict[str, Any]:
         "refused": {
             reason.value: {"count": count, "advice": ADVICE[reason]}
             for reason, count in result.refused.items()
-        },
+        }
+        | missions,
         "elapsed_s": result.elapsed_s,
         "free": result.free,
         "plans": result.plans,
@@ -60,7 +68,7 @@ def plan_table(result: SearchResult) -> Table:
     )
     for column in ("", "wall", "mode"):
         table.add_column(column, overflow="fold")
-    columns = ["normal\nm/s", "along\nm/s", "peak\nN", "miss\nm", "goal\ns", "score"]
+    columns = ["normal\nm/s", "along\nm/s", _FORCE, "miss\nm", "goal\ns", "score"]
     if objective is Objective.ROBUST:
         columns += ["expect.\nm", "worst\nm", "failed"]
     for column in columns:
@@ -74,7 +82,7 @@ def plan_table(result: SearchResult) -> Table:
                 c.mode.value,
                 f"{c.normal_m_s:.3f}",
                 f"{c.tangential_m_s:.3f}",
-                f"{c.peak_force_n:.1f}",
+                _force(c.peak_force_n, c.peak_friction_n),
             ]
             table.add_row(*row, *(_tail(plan) if i == 0 else []))
     table.caption = (
@@ -148,14 +156,15 @@ def quickest_table(result: QuickestResult) -> Table:
     table = Table(title=f"{result.scenario.name}: quickest", title_justify="left", box=None, pad_edge=False)
     for column in ("", "wall", "mode"):
         table.add_column(column, overflow="fold")
-    for column in ("at\ns", "normal\nm/s", "along\nm/s", "peak\nN", "goal\ns"):
+    for column in ("at\ns", "normal\nm/s", "along\nm/s", _FORCE, "goal\ns"):
         table.add_column(column, justify="right", no_wrap=True)
     for rank, plan in enumerate(_in_order(result), start=1):
         if not plan.trajectory.hits:
             table.add_row(str(rank), "no collision", "", "", "", "", "", f"{plan.time_s:.2f}")
         for i, hit in enumerate(plan.trajectory.hits):
-            figures = (hit.t_s, hit.normal_m_s, hit.tangential_m_s, hit.peak_force_n)
+            figures = (hit.t_s, hit.normal_m_s, hit.tangential_m_s)
             row = [str(rank) if i == 0 else "", hit.wall, hit.mode.value, *(f"{v:.2f}" for v in figures)]
+            row.append(_force(hit.peak_force_n, hit.peak_friction_n))
             table.add_row(*row, f"{plan.time_s:.2f}" if i == 0 else "")
     return table
 
@@ -186,6 +195,10 @@ def describe_quickest(result: QuickestResult) -> str:
     if result.most_hits is not None:
         gap += f"; sequences of more than {result.most_hits} hits were not computed"
     return f"{text}; {result.computed} sequences computed, {result.pruned} ruled out{gap}"
+
+
+def _force(normal_n: float, friction_n: float) -> str:
+    return f"{math.hypot(normal_n, friction_n):.1f} ({normal_n:.0f}, {friction_n:.0f})"
 
 
 def _tail(plan: Plan) -> list[str]:

@@ -18,7 +18,7 @@ from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
 from dart_flight.check.bringup.steps import STEPS, Bringup
 from dart_flight.check.stages import run_checks
 from dart_flight.cli import main
-from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.mission import Mission, load_empty_room, load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.sim.motion_capture import make_server
@@ -192,6 +192,15 @@ def test_passed_steps_are_stored_and_not_repeated(tmp_path: Path, capsys: pytest
     assert json.loads(dated.read_text())["steps"] == second["steps"]
     assert "needs an operator at the vehicle" in page.read_text()
     assert second["steps"][0] == first["steps"][0]  # a passed step is not repeated
+
+
+@pytest.mark.parametrize(("vehicle", "by_hand"), [("dart", 5), ("rigid_cage", 4), ("ring_guard_250g", 4)])
+def test_the_servo_step_of_a_vehicle_without_a_lock_needs_no_operator(vehicle: str, by_hand: int) -> None:
+    mission = load_empty_room(packaged("configs", f"{vehicle}.yaml"))
+    bringup = Bringup(mission, "udpin://127.0.0.1:1", ScriptedOperator())
+    assert sum(bringup.needs_operator(step) for step in STEPS) == by_hand
+    if not mission.vehicle.has_lock:
+        assert run_step(bringup, "servo").result is StepOutcome.SKIPPED
 
 
 def test_a_foreign_state_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,17 +12,18 @@ import pytest
 
 import dart_flight
 from dart_flight.base.records import Outcome, World
-from dart_flight.cli import main
+from dart_flight.cli import EXIT_INTERRUPTED, main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lab.report.figures.mission_figure import prediction_lines
 from dart_flight.lab.search import flown_plan
-from dart_flight.lab.search.flown_plan import DRAWN, FIRST_SEED, OfferedPlan, choose_flown
+from dart_flight.lab.search.flown_plan import DRAWN, FIRST_SEED, OfferedPlan, PlanChoice
 from dart_flight.lab.search.mission_writer import write_mission
 from dart_flight.lab.search.quickest import QuickestResult, plan_quickest
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.verdict import Verdict
+from dart_flight.run.many_flights import RunsInterruptedError
 from dart_flight.run.prepare import with_driver
 from tests.lab.search.test_quickest import scenario_between_walls
 from tests.mission_findings import check_mission
@@ -86,7 +87,7 @@ def planned() -> QuickestResult:
 
 def choose(result: QuickestResult, ends: Ends, free_only: bool = False) -> tuple[OfferedPlan, FakeFlights]:
     flights = FakeFlights(ends)
-    return choose_flown(result, free_only, fly=flights), flights
+    return PlanChoice(result, free_only).run(flights), flights
 
 
 def test_a_faster_plan_that_completes_is_offered_with_its_flight_record(planned: QuickestResult) -> None:
@@ -144,7 +145,8 @@ def test_a_plan_that_fails_in_simulation_is_offered_only_with_touches(
     assert offered.record is not None
     assert offered.record.saving_s == pytest.approx(2.0)
     alone = [one for one in flights.flown if one[0] == "colliding"]
-    assert len(alone) == (1 if "nominal" in fails else 1 + DRAWN), "a nominal failure skips the drawn flights"
+    expected = {"nominal": 1, "nominal uncontrolled": 1, "three": 1 + 4, "uncontrolled": 1 + 8}
+    assert len(alone) == expected[fails], "the flights end as soon as the plan has failed"
 
 
 def test_two_of_twenty_drawn_flights_may_abort(planned: QuickestResult) -> None:
@@ -191,6 +193,60 @@ def test_the_free_plan_is_flown_before_it_is_offered(planned: QuickestResult) ->
     offered, flights = choose(planned, times_by_kind(free=20.0), free_only=True)
     assert offered.plan is planned.free
     assert len(flights.flown) == 1 + DRAWN
+
+
+def test_optional_collisions_that_hardly_save_time_are_not_flown(planned: QuickestResult) -> None:
+    assert planned.colliding is not None
+    assert planned.free is not None
+    slow = msgspec.structs.replace(planned.colliding, time_s=0.991 * planned.free.time_s)
+    result = msgspec.structs.replace(planned, colliding=slow, best=slow)
+    offered, flights = choose(result, times_by_kind(free=20.0))
+    assert offered.plan is planned.free
+    assert "less than 1%" in offered.says[-2]
+    assert {kind for kind, _, _ in flights.flown} == {"free"}
+    # Without a flight that succeeds, the collisions are not optional.
+    offered, _ = choose(result, lambda mission, seed: (20.0, bool(mission.collisions), True))
+    assert offered.plan is slow
+
+
+# --- plans whose missions are refused ------------------------------------------------------------------
+
+BESIDE = {"east": {"point_m": [1.5, 1.5], "normal": [-1.0, 0.0], "length_m": 2.0, "material": "acrylic"}}
+POLE = {"pole": {"centre_m": [0.7, 0.0], "radius_m": 0.05, "material": "wood"}}
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        ({"walls": BESIDE, "visits": [{"position_m": [1.5, 1.5], "within_m": 0.1}]}, "beyond the end"),
+        ({"posts": POLE, "visits": [{"position_m": [2.0, 1.0], "within_m": 0.1}]}, "blocks the run-up"),
+    ],
+)
+@pytest.mark.parametrize("touch_m_s", [None, 0.6])
+def test_a_plan_whose_mission_is_refused_is_not_flown(
+    keys: dict[str, Any], reason: str, touch_m_s: float | None
+) -> None:
+    """A touch that misses its wall, or whose run-up is blocked, ends neither search nor choice."""
+    result = plan_quickest(scenario_between_walls(**keys, touch_m_s=touch_m_s))
+    assert result.colliding is not None
+    fails = lambda mission, seed: (20.0, kind_of(mission) != "colliding", True)  # noqa: E731
+    offered, flights = choose(result, fails)
+    assert offered.plan is result.free
+    assert "touched" not in {kind for kind, _, _ in flights.flown}
+    ((key, why),) = offered.refused.items()
+    assert key == ("touched" if touch_m_s is None else "colliding")
+    assert reason in why
+    assert any(line.endswith(f"is refused: {why}") for line in offered.says)
+    skipped = PlanChoice(result, False).skip("not flown")
+    assert skipped.plan is (result.free if touch_m_s else result.colliding)
+
+
+def test_errors_of_the_flights_are_not_refusals(planned: QuickestResult) -> None:
+    def ends(mission: Mission, seed: int) -> tuple[float, bool, bool]:
+        raise InputError("cannot write: No space left on device", source="flights")
+
+    with pytest.raises(InputError, match="No space left"):
+        choose(planned, ends)
 
 
 # --- the flight record in the mission file, and its check ----------------------------------------------
@@ -288,7 +344,7 @@ def test_the_command_flies_its_plan_and_records_it(
     assert repeated.flight_time_s == pytest.approx(mission.flown.nominal.time_s, abs=1e-3)
 
 
-def fly_here(mission: Mission, seeds: Any, log_dir: Any, done: Any, spreads: Any) -> list[Verdict]:
+def fly_here(mission: Mission, seeds: Any, log_dir: Any, done: Any, spreads: Any, _: Any) -> list[Verdict]:
     return flown_plan.fly_in_process(mission, list(seeds), spreads, done)
 
 
@@ -300,3 +356,32 @@ def test_the_command_reports_a_skipped_verification(
     assert main(["plan", str(scenario), "-o", str(target), "--no-verify"]) == 0
     assert "not flown in simulation (--no-verify)" in capsys.readouterr().out
     assert dart_flight.load_mission(target).flown is None
+
+
+def test_an_interrupted_command_prints_what_is_known_and_keeps_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly = FakeFlights(times_by_kind(free=20.0, colliding=18.0))
+
+    def interrupt(mission: Mission, seeds: Any, log_dir: Any, done: Any, spreads: Any, announce: Any) -> Any:
+        if not (mission.collisions and spreads):
+            return fly(mission, seeds, spreads, done)
+        announce(2)
+        raise RunsInterruptedError(fly(mission, seeds[:3], spreads, done))
+
+    monkeypatch.setattr(flown_plan, "fly_fast_many", interrupt)
+    scenario, target = tmp_path / "scenario.yaml", tmp_path / "mission.yaml"
+    scenario.write_text(SCENARIO)
+    target.write_text("mine")
+    assert main(["plan", str(scenario), "-o", str(target)]) == EXIT_INTERRUPTED
+    out, err = capsys.readouterr()
+    assert "colliding would save" in out
+    assert "the flight without a collision: the nominal flight completes, 20.0 s" in out
+    assert "waiting for 2 flights in progress" in err
+    assert "the plan with collisions: 3 of 3 flights in drawn worlds completed" in err
+    assert f"{target} was not written" in err
+    assert target.read_text() == "mine"
+    assert main(["plan", str(scenario), "-o", str(target), "--json"]) == EXIT_INTERRUPTED
+    known = json.loads(capsys.readouterr().out)
+    assert known["flown"]["free"]["drawn"]["completed"] == DRAWN
+    assert "colliding" not in known["flown"]

@@ -116,8 +116,8 @@ def test_free_is_refused_for_other_objectives(capsys: pytest.CaptureFixture[str]
         ({"start": {"position_m": [3.6, 0.0], "altitude_m": 1.0}}, "must be out of sight at start"),
         ({"start": {"position_m": [0.0, 2.3], "altitude_m": 1.0}}, "move start in front of the wall"),
         (
-            {"limits": {"speed_m_s": 3.7, "peak_force_n": 7.0}, "sequence": ["east"]},
-            "no feasible trajectory hits east",
+            {"limits": {"speed_m_s": 3.7, "peak_force_n": 7.0}, "sequence": ["north"]},
+            "no feasible trajectory hits north",
         ),
     ],
 )

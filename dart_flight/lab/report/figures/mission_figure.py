@@ -13,6 +13,7 @@ import numpy as np
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import transit_segments
+from dart_flight.core.mission.planned_impact import describe_force
 from dart_flight.lab.figure_style import (
     FORCE,
     GREY,
@@ -240,8 +241,8 @@ def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[l
             x, y, _ = wall.from_collision((hit.normal_n, hit.tangential_n, 0.0))
             draw_arrow(axis, at, at + LONGEST_ARROW_M / largest * np.array([x, y]), FORCE)
         speed = math.hypot(hit.normal_m_s, hit.tangential_m_s)
-        size = math.hypot(hit.normal_n, hit.tangential_n)
-        text = f"{collision.index} {collision.mode.value}\n{speed:.2f} m/s, {size:.0f} N"
+        force = describe_force(hit.normal_n, hit.tangential_n)
+        text = f"{collision.index} {collision.mode.value}\n{speed:.2f} m/s, {force}"
         labels.append(Label(text, hit.position, (-wall.normal[0], -wall.normal[1]), FORCE))
     if planned.hits and mission.standoff_m is None:
         name_hits(axis, largest)
