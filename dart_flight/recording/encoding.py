@@ -2,12 +2,15 @@
 
 JSON has no NaN and no infinity. These numbers become the strings "nan", "inf" and "-inf". Every other float
 is written as the shortest decimal number that is read back as exactly the same float.
+
+A value that is None is left out. The schema of the log cannot allow null: Foxglove refuses a topic if its
+schema has a type with alternatives.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import msgspec
 
@@ -22,11 +25,8 @@ _WORDS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 def encode(record: Record) -> bytes:
     """Return a record as JSON. Two records have equal JSON exactly if the records are equal bit for bit."""
     data = _ENCODER.encode(record)
-    nulls = data.count(b"null")
     # The fast encoder writes null for a missing value and for a number that is not finite.
-    if not nulls or nulls == sum(getattr(record, field) is None for field in record.__struct_fields__):
-        return data
-    return _ENCODER.encode(_spell(msgspec.structs.asdict(record)))
+    return _ENCODER.encode(_spell(msgspec.to_builtins(record))) if b"null" in data else data
 
 
 def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
@@ -38,16 +38,31 @@ def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
     try:
         return decoder.decode(data)
     except msgspec.ValidationError:
-        return msgspec.convert(_numbers(msgspec.json.decode(data)), decoder.type)
+        return msgspec.convert(_complete(_numbers(msgspec.json.decode(data)), decoder.type), decoder.type)
 
 
 def _spell(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return repr(value)
     if isinstance(value, dict):
-        return {key: _spell(part) for key, part in value.items()}
+        return {key: _spell(part) for key, part in value.items() if part is not None}
     if isinstance(value, tuple | list):
         return [_spell(part) for part in value]
+    return value
+
+
+def _complete(value: Any, kind: Any) -> Any:
+    """Add None for each field without a default that `encode` has left out, also in nested records."""
+    if isinstance(value, list):
+        return [_complete(part, kind) for part in value]
+    structs = [part for part in (kind, *get_args(kind)) if isinstance(part, type(msgspec.Struct))]
+    if not isinstance(value, dict) or not structs:
+        return value
+    for field in msgspec.structs.fields(structs[0]):
+        if field.name in value:
+            value[field.name] = _complete(value[field.name], field.type)
+        elif field.required:
+            value[field.name] = None
     return value
 
 
