@@ -10,6 +10,7 @@ schema has a type with alternatives.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, TypeVar, get_args
 
 import msgspec
@@ -38,7 +39,7 @@ def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
     try:
         return decoder.decode(data)
     except msgspec.ValidationError:
-        return msgspec.convert(_complete(_numbers(msgspec.json.decode(data)), decoder.type), decoder.type)
+        return msgspec.convert(_restore(msgspec.json.decode(data), decoder.type), decoder.type)
 
 
 def _spell(value: Any) -> Any:
@@ -51,26 +52,28 @@ def _spell(value: Any) -> Any:
     return value
 
 
-def _complete(value: Any, kind: Any) -> Any:
-    """Add None for each field without a default that `encode` has left out, also in nested records."""
+def _restore(value: Any, kind: Any) -> Any:
+    """Return a value of JSON with what `encode` has left out or spelled, also in nested records.
+
+    Each field without a default that is missing becomes None, and a spelled number becomes a float.
+    """
     if isinstance(value, list):
-        return [_complete(part, kind) for part in value]
-    structs = [part for part in (kind, *get_args(kind)) if isinstance(part, type(msgspec.Struct))]
-    if not isinstance(value, dict) or not structs:
-        return value
-    for field in msgspec.structs.fields(structs[0]):
-        if field.name in value:
-            value[field.name] = _complete(value[field.name], field.type)
-        elif field.required:
-            value[field.name] = None
-    return value
-
-
-def _numbers(value: Any) -> Any:
+        return [_restore(part, kind) for part in value]
+    parts = list(_parts(kind))
     if isinstance(value, str):
-        return _WORDS.get(value, value)
-    if isinstance(value, dict):
-        return {key: _numbers(part) for key, part in value.items()}
-    if isinstance(value, list):
-        return [_numbers(part) for part in value]
-    return value
+        return _WORDS.get(value, value) if float in parts and str not in parts else value
+    struct = next((part for part in parts if isinstance(part, type(msgspec.Struct))), None)
+    if struct is None or not isinstance(value, dict):
+        return value
+    fields = {field.name: field for field in msgspec.structs.fields(struct)}
+    missing = {name: None for name, field in fields.items() if field.required}
+    return missing | {
+        name: _restore(part, fields[name].type) for name, part in value.items() if name in fields
+    }
+
+
+def _parts(kind: Any) -> Iterator[Any]:
+    """Yield a type and the types that it contains."""
+    yield kind
+    for part in get_args(kind):
+        yield from _parts(part)
