@@ -50,7 +50,6 @@ LAB = (
 # Folders and files that may import an external package.
 ALLOWED = {
     "mavsdk": ("vehicle/",),
-    "natnet": ("vehicle/motion_capture/optitrack.py",),
     "qtm_rt": ("vehicle/motion_capture/qualisys.py",),
     "serial": ("lock/drivers/", "sim/px4/"),
     "pymavlink": ("sim/",),

@@ -44,7 +44,9 @@ def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFi
     if len(poses.senders) > 1:
         wrong.append(f"two sources send the body: {', '.join(poses.senders)}; stop one of them")
     growth_ms = poses.age_growth_ms or 0.0
-    if growth_ms > _GROWTH_MS:
+    if observed.pose_problem is not None:
+        wrong.append(observed.pose_problem)
+    elif growth_ms > _GROWTH_MS:
         wrong.append(f"the age of the poses grew by {growth_ms:.0f} ms: use a cable or a lower camera rate")
     elif poses.age_ms is not None and poses.age_ms > _AGE_MS:
         wrong.append(f"poses are {poses.age_ms:.0f} ms old, limit {_AGE_MS:g} ms: use a cable")
@@ -63,6 +65,12 @@ def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFi
             f"{poses.rate_hz:.0f} poses/s{age}; PX4's estimate is {apart_m:.2f} m and {apart_deg:.1f} deg off"
         )
         findings = [CheckFinding(_ITEM, True, says)]
+    if poses.age_ms is None:
+        says = (
+            "the poses have no stamps, or stamps that do not advance in fractions of a second: "
+            "their time of arrival is used, and no rule notices that they become older"
+        )
+        findings.append(CheckFinding(_ITEM, True, says, remark=True))
     answering = sorted(
         f"system {s.sender.system} component {s.sender.component}"
         for s in observed.sources

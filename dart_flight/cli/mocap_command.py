@@ -7,17 +7,17 @@ import asyncio
 import contextlib
 
 import msgspec
-from rich.live import Live
 from rich.text import Text
 
 from dart_flight.cli.options import add_mocap_option, link_of, number
-from dart_flight.cli.terminal import emit_json, styled, tables
+from dart_flight.cli.terminal import emit_json, live_screen, print_status, styled
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_empty_room
 from dart_flight.run.pose_forwarding import forward_poses
 from dart_flight.run.prepare import with_mocap
 from dart_flight.vehicle.link import LinkLease
+from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures
 
 _PERIOD_S = 0.2
@@ -37,31 +37,33 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("no motion capture: give --mocap URL, or set mocap.url (docs/motion_capture.md)")
     url = link_of(arguments, mission.vehicle.connection)
     print_vehicle(mission.flown_vehicle(), arguments)
-    newest: PoseFigures = PoseFigures()
-    problem: str | None = None
+    newest, problem, place = PoseFigures(), None, None
     with contextlib.ExitStack() as stack:
         lease = stack.enter_context(LinkLease(url, "mocap"))
-        live = None
-        if not arguments.json:
-            live = stack.enter_context(Live(console=tables(), auto_refresh=False))
+        view = None if arguments.json else stack.enter_context(live_screen())
 
-        def show(figures: PoseFigures, why: str | None) -> None:
-            nonlocal newest, problem
-            newest, problem = figures, why
-            if live is not None:
-                live.update(line(figures, why), refresh=True)
+        def show(figures: PoseFigures, bridge: MotionCaptureBridge) -> None:
+            nonlocal newest, problem, place
+            if place is None:
+                place = bridge.place
+                print_status(f"poses: {place}")
+            newest, problem = figures, bridge.problem
+            if view is not None:
+                view(shown := line(figures, problem), shown)
 
         with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(forward_poses(mission, url, show, _PERIOD_S, arguments.seconds, lease.lock_device))
     if arguments.json:
-        emit_json({**msgspec.structs.asdict(newest), "problem": problem, "vehicle": mission.flown_vehicle()})
+        found = {**msgspec.structs.asdict(newest), "problem": problem, "place": place}
+        emit_json({**found, "vehicle": mission.flown_vehicle()})
     return 0
 
 
 def line(figures: PoseFigures, problem: str | None) -> Text:
     """Return the figures as one line."""
     f = figures
-    parts = [
+    parts = [f"lost {100.0 * f.lost:.0f} %"] if f.lost > 0.0 else []
+    parts += [
         f"{f.gaps} gaps, longest {f.longest_gap_s:.2f} s",
         "age -" if f.age_ms is None else f"age {f.age_ms:.0f} ms",
     ]

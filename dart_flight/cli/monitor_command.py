@@ -10,14 +10,14 @@ from pathlib import Path
 
 import msgspec
 from rich.console import Group
-from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from dart_flight.base.records import Record
 from dart_flight.base.text import printable
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_mocap_option, link_of, number
-from dart_flight.cli.terminal import emit_json, print_status, styled, tables
+from dart_flight.cli.terminal import emit_json, live_screen, print_status, styled
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_empty_room, load_mission
@@ -57,12 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
         view = msgspec.structs.asdict(views[-1]) if views else {}
         emit_json({**view, "vehicle": mission.flown_vehicle()})
         return 0
-    with Live(console=tables(), auto_refresh=False, transient=False) as live:
-
-        def show(view: MonitorView) -> None:
-            live.update(screen(view), refresh=True)
-
-        _watch(arguments, show)
+    with live_screen() as live:
+        _watch(arguments, lambda view: live(screen(view), line(view)))
     return 0
 
 
@@ -151,6 +147,24 @@ def _follow(
     return mission
 
 
+def line(view: MonitorView) -> Text:
+    """Return the most important data of a view as one line."""
+    force = "-" if view.filtered_n is None else " ".join(f"{n:+.1f}" for n in view.filtered_n)
+    slow = [s.name for s in view.streams if s.rate_hz < s.expected_hz]
+    parts = [
+        "armed" if view.armed else "disarmed",
+        view.flight_mode,
+        view.landed,
+        f"force {force} N ({view.frame})",
+        view.detection,
+        f"phase {view.phase or '-'}",
+        f"lock {view.lock or '-'}",
+        *([f"slow: {', '.join(slow)}"] if slow else []),
+        *([f"no poses: {view.pose_problem}"] if view.pose_problem is not None else []),
+    ]
+    return styled("   ".join(parts))
+
+
 def screen(view: MonitorView) -> Group:
     """Return a view as tables."""
     return Group(_force(view), _streams(view))
@@ -206,8 +220,9 @@ def _streams(view: MonitorView) -> Table:
         colour = "green" if p.rate_hz > 0.0 else "red"
         age = "-" if p.age_ms is None else f"{p.age_ms:.0f}"
         table.add_row("motion capture", styled((f"{p.rate_hz:.0f}", colour)), "", age)
+    poses = "" if view.pose_problem is None else f"no poses: {view.pose_problem}\n"
     table.caption = (
-        f"phase {view.phase or '-'}   lock {view.lock or '-'}   "
+        f"{poses}phase {view.phase or '-'}   lock {view.lock or '-'}   "
         f"this program {view.cpu_percent:.1f} % of a core"
     )
     table.caption_justify = "left"

@@ -100,8 +100,8 @@ def add_mocap_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mocap",
         metavar="URL",
-        help="motion capture whose poses are forwarded to PX4, such as optitrack://192.168.1.10/dart "
-        "(default: mocap.url; docs/motion_capture.md)",
+        help="motion capture whose poses are forwarded to PX4, such as optitrack://192.168.1.10/dart; "
+        "none: forward no poses, as with `simulate` (default: mocap.url; docs/motion_capture.md)",
     )
 
 

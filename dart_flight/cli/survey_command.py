@@ -80,8 +80,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mocap",
         metavar="URL",
-        help="with --connection: motion capture whose poses are forwarded to PX4 (default: mocap.url); "
-        f"in simulation: emulated motion capture, {', '.join(KINDS)} (docs/motion_capture.md)",
+        help="with --connection: motion capture whose poses are forwarded to PX4, or none "
+        f"(default: mocap.url); in simulation: emulated one, {', '.join(KINDS)} (docs/motion_capture.md)",
     )
     add_set_option(parser)
     add_vary_option(parser)

@@ -10,7 +10,8 @@ import contextlib
 import errno
 import os
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
 
@@ -21,7 +22,7 @@ from dart_flight.base.text import ESCAPED, printable
 from dart_flight.config.document import report_write_errors
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
     from rich.text import Text
 
 _STANDARD = (0, 1, 2)  # descriptors of the standard streams
@@ -164,6 +165,35 @@ def tables() -> Console:
     from rich.console import Console
 
     return Console(file=_OUTPUT, highlight=False, markup=False, emoji=False)
+
+
+@contextlib.contextmanager
+def live_screen(period_s: float = 2.0) -> Iterator[Callable[[RenderableType, Text], None]]:
+    """Yield a function that shows a screen in place; without a terminal, it prints a line once per period.
+
+    The arguments of the function are the screen and the line.
+    """
+    from rich.live import Live
+
+    console = tables()
+    if console.is_terminal:
+        with Live(console=console, auto_refresh=False, transient=False) as live:
+            yield lambda screen, line: live.update(screen, refresh=True)
+        return
+    due_s, waiting = time.monotonic(), list[Any]()
+
+    def show(screen: RenderableType, line: Text) -> None:
+        nonlocal due_s
+        waiting[:] = [line]
+        if time.monotonic() >= due_s:
+            due_s = time.monotonic() + period_s
+            console.print(waiting.pop(), soft_wrap=True)
+
+    try:
+        yield show
+    finally:
+        for line in waiting:  # the last state
+            console.print(line, soft_wrap=True)
 
 
 def styled(*parts: str | tuple[str, str]) -> Text:

@@ -2,12 +2,16 @@
 
 JSON has no NaN and no infinity. These numbers become the strings "nan", "inf" and "-inf". Every other float
 is written as the shortest decimal number that is read back as exactly the same float.
+
+A value that is None is left out. The schema of the log cannot allow null: Foxglove refuses a topic if its
+schema has a type with alternatives.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from typing import Any, TypeVar, get_args
 
 import msgspec
 
@@ -22,11 +26,8 @@ _WORDS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 def encode(record: Record) -> bytes:
     """Return a record as JSON. Two records have equal JSON exactly if the records are equal bit for bit."""
     data = _ENCODER.encode(record)
-    nulls = data.count(b"null")
     # The fast encoder writes null for a missing value and for a number that is not finite.
-    if not nulls or nulls == sum(getattr(record, field) is None for field in record.__struct_fields__):
-        return data
-    return _ENCODER.encode(_spell(msgspec.structs.asdict(record)))
+    return _ENCODER.encode(_spell(msgspec.to_builtins(record))) if b"null" in data else data
 
 
 def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
@@ -38,24 +39,41 @@ def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
     try:
         return decoder.decode(data)
     except msgspec.ValidationError:
-        return msgspec.convert(_numbers(msgspec.json.decode(data)), decoder.type)
+        return msgspec.convert(_restore(msgspec.json.decode(data), decoder.type), decoder.type)
 
 
 def _spell(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return repr(value)
     if isinstance(value, dict):
-        return {key: _spell(part) for key, part in value.items()}
+        return {key: _spell(part) for key, part in value.items() if part is not None}
     if isinstance(value, tuple | list):
         return [_spell(part) for part in value]
     return value
 
 
-def _numbers(value: Any) -> Any:
-    if isinstance(value, str):
-        return _WORDS.get(value, value)
-    if isinstance(value, dict):
-        return {key: _numbers(part) for key, part in value.items()}
+def _restore(value: Any, kind: Any) -> Any:
+    """Return a value of JSON with what `encode` has left out or spelled, also in nested records.
+
+    Each field without a default that is missing becomes None, and a spelled number becomes a float.
+    """
     if isinstance(value, list):
-        return [_numbers(part) for part in value]
-    return value
+        return [_restore(part, kind) for part in value]
+    parts = list(_parts(kind))
+    if isinstance(value, str):
+        return _WORDS.get(value, value) if float in parts and str not in parts else value
+    struct = next((part for part in parts if isinstance(part, type(msgspec.Struct))), None)
+    if struct is None or not isinstance(value, dict):
+        return value
+    fields = {field.name: field for field in msgspec.structs.fields(struct)}
+    missing = {name: None for name, field in fields.items() if field.required}
+    return missing | {
+        name: _restore(part, fields[name].type) for name, part in value.items() if name in fields
+    }
+
+
+def _parts(kind: Any) -> Iterator[Any]:
+    """Yield a type and the types that it contains."""
+    yield kind
+    for part in get_args(kind):
+        yield from _parts(part)

@@ -94,7 +94,8 @@ def _comments(kind: type[Record]) -> dict[str, str]:
 def schema(kind: type[Record]) -> dict[str, Any]:
     """Return the JSON Schema of a record.
 
-    The schema has no references and no unions, because Foxglove does not follow them.
+    The schema has no references and no unions, because Foxglove refuses them. No field is required: a message
+    omits the values that are missing.
     """
     properties = {}
     for name, type_ in get_type_hints(kind).items():
@@ -112,7 +113,7 @@ def schema(kind: type[Record]) -> dict[str, Any]:
 
 
 def _plain(type_: Any) -> dict[str, Any]:
-    if get_origin(type_) in (Union, types.UnionType):  # a value that may be missing
+    if get_origin(type_) in (Union, types.UnionType):  # a value that may be missing; see `encoding`
         return _plain(next(part for part in get_args(type_) if part is not type(None)))
     if get_origin(type_) is tuple:
         return {"type": "array", "items": _plain(get_args(type_)[0])}

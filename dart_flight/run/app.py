@@ -423,10 +423,15 @@ class FlightApp:
                         self._options.progress(self._shown.popleft())
 
     async def _watch(self, session: VehicleSession) -> None:
+        said = False
         while not self._done.is_set():
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._done.wait(), _LOOK_PERIOD_S)
             await session.detect_other_autopilot()
+            problem = self._bridge.missing if self._bridge is not None else None
+            if problem is not None and not said:
+                self._warn(session, f"no poses: {problem}")
+            said = problem is not None
             if self._world is not None and self._world.died and not self._done.is_set():
                 self._core.put(OperatorRequest(self._host_us(), Request.WORLD_DIED, self._world.cause))
         await asyncio.sleep(_END_GRACE_S)
@@ -479,6 +484,10 @@ class FlightApp:
         bridge.start()
         return bridge
 
+    def _warn(self, session: VehicleSession, text: str) -> None:
+        now_us = self._host_us()
+        self.show(StatusText(session.clock.to_autopilot(now_us), now_us, "warning", text, found_here=True))
+
     async def _forward_until_disarmed(self, session: VehicleSession) -> None:
         """Forward poses until the vehicle is disarmed.
 
@@ -486,9 +495,7 @@ class FlightApp:
         """
         if not session.armed:
             return
-        now_us = self._host_us()
-        text = "forwarding poses until the vehicle is disarmed; Ctrl-C ends the forwarding"
-        self.show(StatusText(session.clock.to_autopilot(now_us), now_us, "warning", text, found_here=True))
+        self._warn(session, "forwarding poses until the vehicle is disarmed; Ctrl-C ends the forwarding")
         self._stopped.clear()
         while session.armed and not self._stopped.is_set():
             with contextlib.suppress(TimeoutError):

@@ -23,6 +23,7 @@ class _PlantPoses:
     """Pose source of simulated frames: it delivers the poses that the caller passes to `publish`."""
 
     problem: str | None = None
+    place, remedy = "the simulated world", "end the fault"
 
     def __init__(self) -> None:
         self._deliver: Callable[[RawPose], None] = lambda raw: None

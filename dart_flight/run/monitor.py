@@ -45,7 +45,7 @@ from dart_flight.lock.state_machine import status_text
 from dart_flight.recording.follow import LogFollower
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.clock import host_us
-from dart_flight.vehicle.motion_capture.pose_bridge import forwarding
+from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
@@ -111,6 +111,7 @@ class MonitorView(msgspec.Struct):
     walls: list[WallView] = msgspec.field(default_factory=list)  # only from the log of a flight
     plan: str | None = None  # result of the newest plan made in flight
     poses: PoseFigures | None = None  # of the motion capture, after the first pose
+    pose_problem: str | None = None  # reason why no usable poses arrive
 
 
 class TelemetryMonitor:
@@ -142,6 +143,7 @@ class TelemetryMonitor:
         self._plan: str | None = None
         self.mocap = mission.vehicle.mocap
         self._poses: PoseStatistics | None = None
+        self.bridge: MotionCaptureBridge | None = None  # while this monitor forwards poses
         self._began_us = host_us()
         self._cpu = (time.monotonic(), time.process_time())
 
@@ -255,6 +257,7 @@ class TelemetryMonitor:
             walls=list(self._walls.values()),
             plan=self._plan,
             poses=self._poses.figures(now) if self._poses is not None else None,
+            pose_problem=self.bridge.missing if self.bridge is not None else None,
         )
 
     def _stream(self, name: str, expected_hz: float, now: int) -> StreamView:
@@ -323,7 +326,7 @@ async def monitor_vehicle(
         poses = contextlib.ExitStack()
         try:
             if await _may_forward(watcher, session):
-                poses.enter_context(
+                watcher.bridge = poses.enter_context(
                     forwarding(watcher.mocap, session.send_message, session.clock, watcher.put)
                 )
             while end is None or time.monotonic() < end:

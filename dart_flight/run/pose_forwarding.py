@@ -18,7 +18,7 @@ _STREAMS = ("attitude", "odometry")  # PX4's own estimate, which is compared wit
 async def forward_poses(
     mission: Mission,
     url: str,
-    show: Callable[[PoseFigures, str | None], None],
+    show: Callable[[PoseFigures, MotionCaptureBridge], None],
     period_s: float,
     seconds: float | None,
     opened: Callable[[], None] = lambda: None,
@@ -28,7 +28,7 @@ async def forward_poses(
     Args:
         mission: mission with the vehicle's configuration.
         url: MAVSDK connection URL.
-        show: callback for the statistics and for the reason why no poses arrive (None if they arrive).
+        show: callback for the statistics, and for the bridge with its place and problem.
         period_s: time between two calls of `show`.
         seconds: duration, or None to run until cancelled.
         opened: callback for the moment when the link is open.
@@ -41,7 +41,7 @@ async def forward_poses(
     statistics = PoseStatistics(vehicle.mocap.room_frame(), vehicle.mocap.delay_ms)
 
     def report(bridge: MotionCaptureBridge) -> None:
-        show(statistics.figures(session.clock.host_us()), bridge.problem)
+        show(statistics.figures(session.clock.host_us()), bridge)
 
     async with connect(url, vehicle.connection.timeout_s, statistics.update, opened=opened) as session:
         session.subscribe(vehicle.estimation, len(vehicle.airframe.motors), guarded=False)

@@ -73,8 +73,13 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
+NO_MOCAP = "none"  # value of `--mocap` that switches `mocap.url` off for one command
+
+
 def with_mocap(mission: Mission, url: str | None) -> Mission:
-    """Return the mission with another source of poses. If `url` is None, return the mission unchanged.
+    """Return the mission with another source of poses, or with none if `url` is `NO_MOCAP`.
+
+    If `url` is None, return the mission unchanged.
 
     Raises:
         InputError: the URL does not name a pose source.
@@ -82,7 +87,10 @@ def with_mocap(mission: Mission, url: str | None) -> Mission:
     url = url if url is not None else mission.vehicle.mocap.url
     if url is None:
         return mission
-    parse_url(url)
+    if url == NO_MOCAP:
+        url = None
+    else:
+        parse_url(url)
     mocap = msgspec.structs.replace(mission.vehicle.mocap, url=url)
     vehicle = msgspec.structs.replace(mission.vehicle, mocap=mocap)
     return msgspec.structs.replace(mission, vehicle=vehicle)
@@ -95,12 +103,13 @@ def with_simulated_mocap(
 
     Args:
         mission: mission to fly.
-        kind: one of `sim.motion_capture.KINDS`, or None if the simulated autopilot needs no poses.
+        kind: one of `sim.motion_capture.KINDS`; None or `NO_MOCAP` if the simulated autopilot needs no poses.
         source: position source of the simulated autopilot.
 
     Raises:
         InputError: the kind is unknown, or the position comes from GPS.
     """
+    kind = None if kind == NO_MOCAP else kind
     if kind is not None and kind not in KINDS:
         known = ", ".join(KINDS)
         says = f"{kind!r}: a simulated vehicle needs an emulated motion capture: give one of {known}"

@@ -215,7 +215,7 @@ class Standby:
             if vehicle.lock is not None:
                 self._lock = held.enter_context(self._holding_lock(vehicle.lock, session))
             poses = forwarding(vehicle.mocap, session.send_message, session.clock, lambda pose: None)
-            held.enter_context(poses)
+            bridge = held.enter_context(poses)
             session.listen(messages.HEARTBEAT, lambda beat, _: self._desk.update_armed(beat.armed))
             session.listen(
                 messages.SYS_STATUS, lambda s, _: self._desk.update_sensors(s.present, time.monotonic())
@@ -227,8 +227,12 @@ class Standby:
                 session.send_text(text)
                 await asyncio.sleep(_TEXT_PAUSE_S)
             self._news.clear()
+            problem = None
             while not self._wake.is_set():
                 await self._rest(_RETRY_S)
+                before, problem = problem, bridge.missing if bridge is not None else None
+                if problem is not None and before is None:
+                    self._say("standby", f"no poses: {problem}")
             await asyncio.sleep(_LAST_WORDS_S)
 
     @contextlib.contextmanager

@@ -104,7 +104,7 @@ class Observation(msgspec.Struct):
     position_ned: Vec3 | None = None  # newest local position, metres
     q_frd_to_ned: Quaternion | None = None  # newest attitude
     poses: PoseFigures | None = None  # of the motion capture that this program forwards
-    pose_problem: str | None = None  # reason why no poses arrive
+    pose_problem: str | None = None  # reason why no usable poses arrive
 
 
 class HeartbeatMode(msgspec.Struct, frozen=True):
@@ -255,8 +255,8 @@ class GroundLink:
 
     @property
     def pose_problem(self) -> str | None:
-        """The reason why no poses arrive, or None if poses arrive or there is no motion capture."""
-        return self._bridge.problem if self._bridge is not None else None
+        """The reason why no usable pose has arrived for 3 s, or None if poses arrive or are not needed."""
+        return self._bridge.missing if self._bridge is not None else None
 
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
         """Return the newest usable value of a message within `seconds`, or None."""
@@ -421,7 +421,8 @@ class GroundLink:
         seen.sources = self._sources(before, time.monotonic() - began)
         if self._bridge is not None:
             seen.poses = self._listener.poses.figures(session.clock.host_us())
-            seen.pose_problem = self.pose_problem
+            none = seen.poses.rate_hz == 0.0
+            seen.pose_problem = self._bridge.problem if none else self._bridge.missing
         seen.rates_hz = {
             name: sum(
                 s.usable_hz

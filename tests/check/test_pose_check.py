@@ -62,6 +62,20 @@ def test_the_sources_own_reason_is_reported() -> None:
     assert "no object dart, only wand" in evaluate_poses(CONFIG, observed)[0].says
 
 
+def test_poses_without_usable_stamps_are_go_with_the_remark_that_their_delay_is_not_watched() -> None:
+    poses = msgspec.structs.replace(GOOD, age_ms=None, age_growth_ms=None)
+    good, remark = evaluate_poses(CONFIG, Observation(poses=poses))
+    assert (good.go, remark.go, remark.remark) == (True, True, True)
+    assert "no rule notices that they become older" in remark.says
+
+
+def test_stamps_that_stand_still_are_named_instead_of_an_age() -> None:
+    poses = msgspec.structs.replace(GOOD, age_ms=4_000.0, age_growth_ms=4_000.0)
+    observed = Observation(poses=poses, pose_problem="the stamps of the poses stand still for 4 s")
+    (finding,) = evaluate_poses(CONFIG, observed)
+    assert (finding.go, finding.says) == (False, "the stamps of the poses stand still for 4 s")
+
+
 def test_another_sender_of_timesync_is_a_remark() -> None:
     sources = tuple(
         Source(Sender("TIMESYNC", 1, component, 0), 10.0, 10.0, component == 1, "") for component in (1, 191)

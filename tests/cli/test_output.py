@@ -21,6 +21,7 @@ from dart_flight.cli.terminal import (
     OutputError,
     emit_json,
     keep_status,
+    live_screen,
     messages,
     print_status,
     styled,
@@ -286,6 +287,21 @@ def test_a_lost_result_is_reported_as_a_failure(tmp_path: Path) -> None:
     assert _run(["--help"], ">/dev/full", tmp_path)[0] == 1
     assert _run(PREDICT, ">/dev/null 2>/dev/full", tmp_path)[0] == 0
     assert _run(PREDICT, ">/dev/null 2>&-", tmp_path)[0] == 0
+
+
+def test_a_live_screen_without_a_terminal_prints_a_line_per_period_and_the_last_one(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr("dart_flight.cli.terminal.time.monotonic", lambda: now_s)
+    printed = []
+    with live_screen(2.0) as show:
+        for number in range(12):
+            show(styled("a screen"), styled(f"{number} " + 40 * "long "))
+            printed.append(capsys.readouterr().out[:2].strip())
+            now_s += 0.5
+    assert printed == ["0", "", "", "", "4", "", "", "", "8", "", "", ""]
+    assert capsys.readouterr().out.splitlines() == ["11 " + 40 * "long "]
 
 
 def test_tables_are_ascii_on_an_ascii_terminal(flown: SharedFlights, tmp_path: Path) -> None:

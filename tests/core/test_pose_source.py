@@ -303,7 +303,30 @@ def test_a_flight_with_latency_noise_and_occlusion_has_no_fault(data: st.DataObj
             assert feed.watch.fault(Phase.APPROACH) is None
 
 
-def posed_core_in(phase: str) -> HandFedCore:
+class PosedCore(HandFedCore):
+    """A hand-fed core that also receives poses at 250 Hz after `begin`."""
+
+    begun = lost = False
+    away: Vec3 = (0.0, 0.0, 0.0)
+    later_us = 0
+
+    def begin(self) -> None:
+        self.begun = True
+        self.q = quaternion_from_euler(0.0, 0.0, 0.0)
+
+    def run(self, seconds: float) -> list[Any]:
+        out = []
+        for _ in range(round(seconds / 0.004)):
+            out += super().run(0.004)
+            if self.begun:
+                pose = ROOM.pose_from_ned(add(self.position_ned, self.away), self.q)
+                stamp_us = self.t_us - 3_000_000 - self.later_us  # another clock
+                sample = PoseSample(self.t_us, self.t_us, "dart", not self.lost, *pose, None, stamp_us)
+                self.feed(sample)
+        return out
+
+
+def posed_core_in(phase: str) -> PosedCore:
     """Return a core with motion capture, in an approach or just after a contact."""
     c = PosedCore(rules=RULES_WITHOUT_JUMP, settings=WITH_MOCAP)
     c.fly_to_wood()
@@ -317,26 +340,6 @@ def posed_core_in(phase: str) -> HandFedCore:
     return c
 
 
-class PosedCore(HandFedCore):
-    """A hand-fed core that also receives poses at 250 Hz after `begin`."""
-
-    begun = lost = False
-    away: Vec3 = (0.0, 0.0, 0.0)
-
-    def begin(self) -> None:
-        self.begun = True
-        self.q = quaternion_from_euler(0.0, 0.0, 0.0)
-
-    def run(self, seconds: float) -> list[Any]:
-        out = []
-        for _ in range(round(seconds / 0.004)):
-            out += super().run(0.004)
-            if self.begun:
-                pose = ROOM.pose_from_ned(add(self.position_ned, self.away), self.q)
-                self.feed(PoseSample(self.t_us, self.t_us, "dart", not self.lost, *pose))
-        return out
-
-
 def events(c: HandFedCore) -> list[tuple[str, Override]]:
     fired = [o for o in c.outputs if isinstance(o, GuardEvent) and o.action is not Override.NONE]
     return [(o.rule, o.action) for o in fired]
@@ -344,7 +347,7 @@ def events(c: HandFedCore) -> list[tuple[str, Override]]:
 
 def test_a_body_lost_in_an_approach_causes_a_break_off_and_then_a_landing() -> None:
     c = posed_core_in("approach")
-    c.lost = True  # type: ignore[attr-defined]
+    c.lost = True
     c.run(0.24)
     assert not events(c)
     c.run(0.04)
@@ -355,22 +358,32 @@ def test_a_body_lost_in_an_approach_causes_a_break_off_and_then_a_landing() -> N
 
 def test_a_body_lost_in_a_contact_does_not_disturb_the_recovery() -> None:
     c = posed_core_in("contact")
-    c.lost = True  # type: ignore[attr-defined]
+    c.lost = True
     c.run(0.7)
     assert c.core.phase is Phase.RECOVERY
     assert not events(c)
 
 
-def test_another_body_in_a_contact_ends_the_recovery_before_the_next_wall() -> None:
+@pytest.mark.parametrize(
+    ("away", "later_us", "afterwards"),
+    [
+        ((1.0, 0.0, 0.0), 0, [("pose_source_blind", Override.LAND)]),
+        ((0.0, 0.0, 0.0), 150_000, []),
+        ((0.0, 0.0, 0.0), 60_000, []),
+    ],
+)
+def test_another_body_or_late_poses_in_a_contact_end_the_recovery_before_the_next_wall(
+    away: Vec3, later_us: int, afterwards: list[tuple[str, Override]]
+) -> None:
     c = posed_core_in("contact")
-    c.away = (1.0, 0.0, 0.0)  # type: ignore[attr-defined]
+    c.away, c.later_us = away, later_us
     c.run(0.44)
     assert c.core.phase is Phase.RECOVERY
     assert not events(c)
     c.run(0.1)
     assert events(c) == [("pose_source", Override.BREAK_OFF)]
     c.run(1.1)
-    assert events(c)[1:] == [("pose_source_blind", Override.LAND)]
+    assert events(c)[1:] == afterwards
 
 
 def test_poses_without_a_configured_url_have_no_effect() -> None:

@@ -35,6 +35,7 @@ class ScriptedSource:
     """A pose source that delivers the poses of a test."""
 
     problem: str | None = None
+    place, remedy = "a script", "deliver poses"
 
     def __init__(self) -> None:
         self.deliver: Callable[[RawPose], None] | None = None

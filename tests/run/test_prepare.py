@@ -6,7 +6,7 @@ from msgspec import structs
 
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.run.prepare import with_px4_delays
+from dart_flight.run.prepare import with_mocap, with_px4_delays, with_simulated_mocap
 
 MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
 
@@ -19,3 +19,11 @@ def test_px4_delays_are_the_default_unless_the_configuration_specifies_others() 
     own = structs.replace(flying, setpoint_delay_s=0.0, attitude_delay_s=0.1)
     mission = structs.replace(MISSION, vehicle=structs.replace(MISSION.vehicle, flying=own))
     assert with_px4_delays(mission) == mission
+
+
+def test_mocap_none_switches_the_motion_capture_of_the_configuration_off() -> None:
+    configured = with_mocap(MISSION, "udp://0.0.0.0:9763/dart")
+    assert configured.vehicle.mocap.url is not None
+    for without in (with_mocap(configured, "none"), with_simulated_mocap(configured, "none")):
+        assert without.vehicle.mocap.url is None
+    assert with_mocap(MISSION, "none").vehicle == MISSION.vehicle

@@ -325,10 +325,17 @@ class Bringup(CheckContext[StepFinding]):
         """Compare the poses with gyro and accelerometer while the operator moves the vehicle."""
         t, config = self._telemetry, self._mission.vehicle.mocap
         t.clear()
+        said = False
+
+        def find_tracked() -> bool | None:
+            nonlocal said
+            if not said and (problem := link.pose_problem) is not None:
+                said = True
+                self._operator.instruct(f"No poses yet: {problem}.")
+            return any(p.tracked for p in t.poses) or None
+
         with contextlib.suppress(NotDoneError):
-            self._wait(
-                f"Waiting for poses from {config.url}.", lambda: any(p.tracked for p in t.poses) or None
-            )
+            self._wait(f"Waiting for poses from {config.url}.", find_tracked)
         if not any(p.tracked for p in list(t.poses)):
             return failed(f"no poses from {config.url}: {link.pose_problem or 'the body is not tracked'}")
         t.clear()

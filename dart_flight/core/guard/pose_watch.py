@@ -145,10 +145,11 @@ class PoseWatch:
     def waits(self, phase: Phase) -> bool:
         """Return whether to finish the present contact or recovery before responding to a fault of the poses.
 
-        If poses are withheld, the guard's response to a fault waits only for the first part of a recovery.
-        Withheld poses do not return, and the vehicle must not continue to another wall without poses.
+        If poses are withheld or have become late, the guard's response waits only for the first part of a
+        recovery. Withheld poses do not return, and late poses move PX4's estimate. In both cases the vehicle
+        must not continue to another wall.
         """
-        if phase is Phase.RECOVERY and self._wrong:
+        if phase is Phase.RECOVERY and (self._wrong or self._late() is not None):
             return (self._now_us - self._not_recovering_us) * 1e-6 < _RECOVERED_S
         return phase in _FINISHED_FIRST
 
@@ -288,7 +289,8 @@ POSE_RULES: tuple[Rule, ...] = (
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
     Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
         "the poses are wrong (see `pose_source_ground`); in an approach, the rule acts at once; in a contact "
-        "or recovery, it waits for the end of the recovery",
+        f"or recovery, it waits for the end of the recovery, but for at most {_RECOVERED_S:g} s of the "
+        "recovery if the poses jumped or became late",
         f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
 )
 # fmt: on

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 import socket
 import threading
 from collections import Counter
@@ -11,6 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from dart_flight.config.document import InputError
+from dart_flight.vehicle.motion_capture.multicast import card_address, is_group, join_group
 from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose
 
 _MAX_DATAGRAM: Final = 65535
@@ -23,7 +23,8 @@ Decoder = Callable[[bytes, str, str], RawPose | str]
 class DatagramSource:
     """A source that decodes each datagram received at an address.
 
-    If the address is a multicast address, the source joins the multicast group.
+    If the address is a multicast address, the source joins the group on the card that the URL names, or on
+    every card.
 
     Args:
         address: local address and port, and the name of the body.
@@ -32,11 +33,14 @@ class DatagramSource:
 
     Attributes:
         ignored: number of ignored datagrams by reason.
-        problem: the reason why no poses arrive, or None.
+        problem: the reason why the newest datagram contains no pose of the body, or None.
+        place, remedy: see `PoseSource`.
 
     Raises:
-        InputError: the address cannot be bound.
+        InputError: the address cannot be bound, or the URL names a wrong card.
     """
+
+    remedy = "check the sender's address and port, the cable, the card and the firewall"
 
     def __init__(self, address: PoseAddress, decode: Decoder) -> None:
         self._address, self._decode = address, decode
@@ -44,27 +48,31 @@ class DatagramSource:
         self.problem: str | None = None
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
+        host, port = address.host, address.port
+        card, group = card_address(address), is_group(host)
+        if card is not None and not group:
+            raise InputError(
+                f"mocap URL {address.url}: {host} is no multicast group; without ?interface= the source "
+                "listens at this address of this computer, and at 0.0.0.0 on every card"
+            )
+        self.place = f"listening at {host}:{port}"
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._listen()
+            if group:
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                self.place += f" on {join_group(self._socket, host, card)}"
+            self._socket.bind((host, port))
         except OSError as error:
             self._socket.close()
             reason = error.strerror or str(error)
+            how = (
+                "connect a network card that accepts multicast"
+                if group
+                else "give an address of this computer, 0.0.0.0 for all, or a multicast group"
+            )
             raise InputError(
-                f"mocap URL {address.url}: cannot listen at {address.host}:{address.port}: {reason}; "
-                "give an address of this computer or 0.0.0.0 for all"
+                f"mocap URL {address.url}: cannot listen at {host}:{port}: {reason}; {how}"
             ) from None
-
-    def _listen(self) -> None:
-        host, port = self._address.host, self._address.port
-        group = None
-        with contextlib.suppress(ValueError):
-            group = ipaddress.IPv4Address(host) if ipaddress.IPv4Address(host).is_multicast else None
-        if group is not None:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            member = group.packed + socket.inet_aton("0.0.0.0")
-            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
-        self._socket.bind((host, port))
 
     @property
     def port(self) -> int:

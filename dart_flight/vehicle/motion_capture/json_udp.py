@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.vehicle.motion_capture.datagram_source import DatagramSource
-from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, checked_pose, lost_pose
+from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost_pose
 
 _MAX_S: Final = 1e11
 
@@ -41,8 +41,7 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
         return lost_pose(body, pose.frame, source_us, sender)
     if pose.position_m is None or pose.quaternion_wxyz is None:
         return "position_m or quaternion_wxyz is missing"
-    found = RawPose(body, True, pose.position_m, pose.quaternion_wxyz, pose.frame, source_us, sender)
-    return checked_pose(found)
+    return RawPose(body, True, pose.position_m, pose.quaternion_wxyz, pose.frame, source_us, sender)
 
 
 def open_source(address: PoseAddress) -> DatagramSource:

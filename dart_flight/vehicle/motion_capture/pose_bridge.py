@@ -18,7 +18,7 @@ from dart_flight.base.records import PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.vehicle.clock import Clock
 from dart_flight.vehicle.motion_capture.pose_statistics import ShortestOffset
-from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
+from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, checked_pose, open_source
 
 _LOCAL_NED: Final = 1  # MAV_FRAME
 _BODY_FRD: Final = 12  # frame of the velocities, which are not sent
@@ -28,6 +28,9 @@ _ANGLE_SD_RAD: Final = 0.01
 _EARLY: Final = 0.125  # share of a period by which a frame may be early because of jitter
 _STALE_US: Final = 300_000  # above any latency with which PX4 can fly
 _JUMPED_US: Final = 1_000_000  # a burst of waiting frames is shorter
+_FINE_US: Final = 100_000  # two frames of a usable source are closer to each other
+_DECIDE_US, _DECIDE_FRAMES, _DECIDE_NEW = 500_000, 10, 3  # frames, and those that differ from the one before
+_SILENT_US, _MISSING_US = 1_000_000, 3_000_000  # without a pose until the reason is known, and reported
 _DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # indices in the upper triangle of a 6 x 6 matrix
 
 
@@ -144,6 +147,52 @@ class StaleFrames:
         return False
 
 
+class Stamps:
+    """The rule that decides whether a source's stamps give the times of its frames.
+
+    The stamps are usable once two successive frames have stamps that differ by less than 0.1 s. Until then
+    the vehicle has not taken off. Stamps that stop later are a loss of the poses.
+
+    If that does not happen, although the source sends different frames (an empty stamp, whole seconds, the
+    number of the frame), the poses count by their time of arrival.
+
+    Attributes:
+        usable: whether the stamps are usable; None: not decided.
+        advanced_us: host time at which a frame with another stamp, or without a stamp, last arrived.
+    """
+
+    def __init__(self) -> None:
+        self.usable: bool | None = None
+        self.advanced_us = 0
+        self._last: RawPose | None = None
+        self._first_us = 0
+        self._frames = self._new = 0
+
+    def filtered(self, pose: RawPose, received_us: int) -> RawPose:
+        """Return a pose, without its stamp if the stamps are not usable."""
+        before, self._last = self._last, pose
+        if pose.source_us is None or self.usable is False:
+            self.advanced_us = received_us
+            return pose._replace(source_us=None)
+        if before is None or before.source_us != pose.source_us:
+            self.advanced_us = received_us
+        if self.usable is None:
+            self._decide(before, pose, received_us)
+        return pose
+
+    def _decide(self, before: RawPose | None, pose: RawPose, received_us: int) -> None:
+        if before is None or before.source_us is None or pose.source_us is None:
+            self._first_us = received_us
+            return
+        if 0 < pose.source_us - before.source_us < _FINE_US:
+            self.usable = True
+            return
+        self._frames += 1
+        self._new += before[1:4] != pose[1:4] or before.source_us != pose.source_us
+        if received_us - self._first_us > _DECIDE_US and self._frames >= _DECIDE_FRAMES:
+            self.usable = None if self._new < _DECIDE_NEW else False
+
+
 class MotionCaptureBridge:
     """A forwarder of one source's poses to PX4, on the source's thread.
 
@@ -168,18 +217,46 @@ class MotionCaptureBridge:
     ) -> None:
         self._source, self._send, self._clock, self._deliver = source, send, clock, deliver
         self._room = config.room_frame()
-        self._decimation, self._stale = Decimation(config.rate_hz), StaleFrames()
+        self._decimation, self._stale, self._stamps = Decimation(config.rate_hz), StaleFrames(), Stamps()
         self._lock = threading.Lock()
         self._stopped = self._withheld = self._attitude_withheld = False
+        self._invalid: str | None = None  # why the newest frame is not a pose
+        self._frame_us = self._good_us = 0  # host time of the newest frame, and of the newest usable pose
+        self._newest: RawPose | None = None
         self.sent = 0
 
     @property
+    def place(self) -> str:
+        """Where the source listens, or the server that it reads."""
+        return self._source.place
+
+    @property
     def problem(self) -> str | None:
-        """The reason why no poses arrive, or None while they arrive."""
-        return self._source.problem
+        """The reason why PX4 gets no poses, or None while it gets them."""
+        now_us, newest = self._clock.host_us(), self._newest
+        silent_us, poor_us = now_us - self._frame_us, now_us - self._good_us
+        if self._source.problem is not None:
+            return self._source.problem
+        if silent_us > _SILENT_US:
+            place, remedy = self._source.place, self._source.remedy
+            return f"no frame for {1e-6 * silent_us:.0f} s ({place}): {remedy}"
+        if self._invalid is not None or newest is None or poor_us <= _SILENT_US:
+            return self._invalid
+        if newest.tracked:
+            return (
+                f"the stamps of the poses stand still for {1e-6 * poor_us:.0f} s: "
+                "resume the recording, move the body, or send the poses without stamps"
+            )
+        return f'body "{newest.body}" not tracked for {1e-6 * poor_us:.0f} s: check markers and cameras'
+
+    @property
+    def missing(self) -> str | None:
+        """The reason why no usable pose has arrived for 3 s, or None if one has."""
+        return self.problem if self._clock.host_us() - self._good_us > _MISSING_US else None
 
     def start(self) -> None:
         """Start the source and the forwarding of its poses."""
+        self._frame_us = self._good_us = self._clock.host_us()
         self._source.start(self.forward)
 
     def withhold(self, *, attitude_only: bool) -> None:
@@ -198,10 +275,15 @@ class MotionCaptureBridge:
         """Deliver a pose; if its body is tracked and the pose is due and not stale, also send it to PX4."""
         received = self._clock.host_us()
         t_us = self._clock.to_autopilot(received)
-        stamp = raw.source_us if raw.source_us is not None else received
+        raw, self._invalid = checked_pose(raw)
         with self._lock:
             if self._stopped:
                 return
+            raw = self._stamps.filtered(raw, received)
+            self._newest, self._frame_us = raw, received
+            if raw.tracked and self._stamps.advanced_us == received:
+                self._good_us = received
+            stamp = raw.source_us if raw.source_us is not None else received
             stale = self._stale.contains(stamp, received)
             if raw.tracked and not (stale or self._withheld) and self._decimation.selects(stamp):
                 position, attitude = self._room.pose_to_ned(raw.position_room, raw.q_body_to_room)

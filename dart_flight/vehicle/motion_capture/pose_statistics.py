@@ -137,6 +137,9 @@ class PoseStatistics:
         self._pose = self._room.pose_to_ned(pose.position_room, pose.q_body_to_room)
         if pose.source_us is not None:
             self._add_age(now - pose.source_us, now)
+        elif self._late_us:  # the stamps have turned out not to be usable
+            self._late_us.clear()
+            self._first_late_ms = None
 
     def _add_age(self, offset_us: int, received_us: int) -> None:
         self._shortest.add(offset_us, received_us)

@@ -14,7 +14,7 @@ import qtm_rt
 
 from dart_flight.base.geometry import quaternion_from_matrix
 from dart_flight.config.document import InputError
-from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost_pose
+from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, in_quotes, lost_pose
 
 _TIMEOUT_S: Final = 5.0
 _RETRY_S: Final = 1.0
@@ -46,6 +46,8 @@ class QualisysSource:
 
     def __init__(self, address: PoseAddress) -> None:
         self._address, self._sender = address, f"{address.host}:{address.port}"
+        self.place = f"QTM at {self._sender}"
+        self.remedy = "start a measurement in QTM"
         self.problem: str | None = None
         self._all: list[str] = []
         self._enabled: list[str] = []
@@ -68,7 +70,7 @@ class QualisysSource:
             raise InputError(f"mocap URL {address.url}: {self._describe_missing_body()}")
 
     def _describe_missing_body(self) -> str:
-        return f"QTM has no 6DOF body {self._address.body}, only {', '.join(sorted(self._all)) or 'none'}"
+        return f'QTM has no 6DOF body "{self._address.body}", only {in_quotes(self._all)}'
 
     def _call(self, routine: Any) -> None:
         asyncio.run_coroutine_threadsafe(routine, self._loop).result(2.0 * _TIMEOUT_S)
@@ -145,6 +147,7 @@ class QualisysSource:
     def _on_packet(self, packet: Any) -> None:
         found = packet.get_6d()
         if found is None:
+            self.problem = f"QTM at {self._sender} sends frames without 6DOF bodies"
             return
         bodies, number, source_us = found[1], int(packet.framenumber), int(packet.timestamp)
         names = self._enabled if len(bodies) == len(self._enabled) else self._all

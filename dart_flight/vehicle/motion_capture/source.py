@@ -1,16 +1,17 @@
-"""The interface of a pose source, and the parser of a pose source's URL.
+"""The interface of a pose source, the check of its poses, and the parser of a pose source's URL.
 
 A source reads one body from one motion-capture system and delivers each pose as a `RawPose`, on its own
-thread. Each system has one module in this package, and only that module imports the vendor's client.
+thread. A source delivers the numbers as it reads them; the bridge calls `checked_pose` for every pose. Each
+system has one module in this package, and only that module imports the vendor's client.
 """
 
 from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple, Protocol
-from urllib.parse import unquote, urlsplit
+from urllib.parse import parse_qs, unquote, urlsplit
 
 from dart_flight.base.geometry import IDENTITY, Quaternion, Vec3, quaternion_normalise
 from dart_flight.config.document import InputError
@@ -21,6 +22,8 @@ _EXAMPLES: Final = (
     "or udp://ADDRESS:PORT/BODY"
 )
 _MAX_M: Final = 1000.0  # no room is larger; beyond this the sender's unit is not the metre
+_MAX_US: Final = 2**62  # a larger stamp is not a time, and its difference to a clock has no 64 bits
+_MAX_NAMES: Final = 5  # names listed in a message
 
 
 class RawPose(NamedTuple):
@@ -40,17 +43,39 @@ def lost_pose(body: str, frame_number: int | None, source_us: int | None, sender
     return RawPose(body, False, (0.0, 0.0, 0.0), IDENTITY, frame_number, source_us, sender)
 
 
-def checked_pose(pose: RawPose) -> RawPose | str:
-    """Return a pose with its attitude normalised, or the reason why the numbers are not a pose in metres."""
+def checked_pose(pose: RawPose) -> tuple[RawPose, str | None]:
+    """Return a pose with its attitude normalised, and None.
+
+    If the numbers are not a pose in metres, return a lost pose and the reason. A stamp that is not a time is
+    removed.
+    """
+    if pose.source_us is not None and abs(pose.source_us) > _MAX_US:
+        pose = pose._replace(source_us=None)
+    if not pose.tracked:
+        return pose, None
+    lost = lost_pose(pose.body, pose.frame_number, pose.source_us, pose.sender)
     if not all(abs(coordinate) <= _MAX_M for coordinate in pose.position_room):
-        return f"position is not within {_MAX_M:g} m"
-    if not 0.9 < math.sqrt(sum(part * part for part in pose.q_body_to_room)) < 1.1:
-        return "quaternion is not of length 1"
-    return pose._replace(q_body_to_room=quaternion_normalise(pose.q_body_to_room))
+        return lost, f"the body's position is not within {_MAX_M:g} m"
+    if not 0.9 < math.hypot(*pose.q_body_to_room) < 1.1:
+        return lost, "the body's quaternion is not of length 1"
+    return pose._replace(q_body_to_room=quaternion_normalise(pose.q_body_to_room)), None
+
+
+def in_quotes(names: Iterable[str]) -> str:
+    """Return names as text; the quotes make a space at the end of a name visible."""
+    return ", ".join(f'"{name}"' for name in sorted(names)[:_MAX_NAMES]) or "none"
 
 
 class PoseSource(Protocol):
-    """A source of poses, as returned by `open_source`."""
+    """A source of poses, as returned by `open_source`.
+
+    Attributes:
+        place: where the source listens, or the server that it reads.
+        remedy: what to do if nothing arrives.
+    """
+
+    place: str
+    remedy: str
 
     @property
     def problem(self) -> str | None:
@@ -64,12 +89,17 @@ class PoseSource(Protocol):
 
 
 class PoseAddress(NamedTuple):
-    """The parts of a pose source's URL."""
+    """The parts of a pose source's URL.
+
+    Attributes:
+        interface: name or address of the network card that receives multicast; None: the source decides.
+    """
 
     url: str
     host: str
     port: int
     body: str
+    interface: str | None = None
 
 
 # scheme: module in this package, default port
@@ -80,6 +110,7 @@ _SYSTEMS: Final = {
     "vrpn": ("vrpn", 3883),
     "udp": ("json_udp", None),
 }
+_MULTICAST: Final = ("optitrack", "vicon", "udp")
 
 
 def parse_url(url: str) -> tuple[str, PoseAddress]:
@@ -91,14 +122,21 @@ def parse_url(url: str) -> tuple[str, PoseAddress]:
     try:
         parts = urlsplit(url)
         host, port, body = parts.hostname, parts.port, unquote(parts.path).removeprefix("/")
+        options = parse_qs(parts.query, strict_parsing=True) if parts.query else {}
     except ValueError as error:
         raise InputError(f"mocap URL {url}: {error}; {_EXAMPLES}") from None
-    if parts.scheme not in _SYSTEMS or not host or not body or parts.query or parts.fragment:
+    if parts.scheme not in _SYSTEMS or not host or not body or parts.fragment:
         raise InputError(f"mocap URL {url}: {_EXAMPLES}")
+    (interface,) = options.pop("interface", [None])[-1:]
+    if options or (interface is not None and parts.scheme not in _MULTICAST):
+        raise InputError(
+            f"mocap URL {url}: the only option is ?interface=NAME_OR_ADDRESS, the network card for multicast "
+            f"of {', '.join(_MULTICAST)}; in a name, write ? as %3F"
+        )
     port = port if port is not None else _SYSTEMS[parts.scheme][1]
     if port is None:
         raise InputError(f"mocap URL {url}: add a port, such as udp://0.0.0.0:9763/{body}")
-    return parts.scheme, PoseAddress(url, host, port, body)
+    return parts.scheme, PoseAddress(url, host, port, body, interface)
 
 
 def open_source(url: str) -> PoseSource:

@@ -16,13 +16,13 @@ from typing import Final
 
 from dart_flight.base.geometry import quaternion_from_intrinsic_xyz
 from dart_flight.vehicle.motion_capture.datagram_source import DatagramSource
-from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost_pose
+from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, in_quotes, lost_pose
 
 _BLOCK: Final = struct.Struct("<IB")
 _ITEM: Final = struct.Struct("<BH")
 _OBJECT: Final = struct.Struct("<24s6d")
 _OBJECT_ID: Final = 0
-_MAX_NAMES: Final = 5  # names listed in a reason
+_NO_ATTITUDE: Final = (math.nan,) * 4
 
 
 def decode(data: bytes, body: str, sender: str) -> RawPose | str:
@@ -45,18 +45,16 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
                 return _pose(body, values, frame_number, sender)
             names.append(name)
         place += size
-    return f"no object {body}, only {', '.join(sorted(names)[:_MAX_NAMES]) or 'none'}"
+    return f'no object "{body}", only {in_quotes(names)}'
 
 
-def _pose(body: str, values: list[float], frame_number: int, sender: str) -> RawPose | str:
-    if not all(map(math.isfinite, values)):
-        return "a coordinate of the object is not a number"
+def _pose(body: str, values: list[float], frame_number: int, sender: str) -> RawPose:
     if not any(values):
         return lost_pose(body, frame_number, None, sender)
     x, y, z = (1e-3 * value for value in values[:3])
-    return RawPose(
-        body, True, (x, y, z), quaternion_from_intrinsic_xyz(*values[3:]), frame_number, None, sender
-    )
+    angles = values[3:]
+    attitude = quaternion_from_intrinsic_xyz(*angles) if all(map(math.isfinite, angles)) else _NO_ATTITUDE
+    return RawPose(body, True, (x, y, z), attitude, frame_number, None, sender)
 
 
 def open_source(address: PoseAddress) -> DatagramSource:

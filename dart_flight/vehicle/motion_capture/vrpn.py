@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from typing import BinaryIO, Final
 
 from dart_flight.config.document import InputError
-from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, checked_pose
+from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, in_quotes
 
 _VERSION: Final = b"vrpn: ver. 07."  # the minor version that follows may differ
 _COOKIE: Final = (_VERSION + b"35  0").ljust(24, b"\0")  # 0: the server writes no log
@@ -29,8 +29,8 @@ _MAX_MESSAGE: Final = 65536
 _TIMEOUT_S, _SILENT_S, _RETRY_S = 3.0, 1.0, 1.0
 
 
-def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]) -> Iterator[RawPose | str]:
-    """Yield each pose of a body, or the reason why the pose is invalid; add the senders' names to `senders`.
+def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]) -> Iterator[RawPose]:
+    """Yield each pose of a body; add the senders' names to `senders`.
 
     The iterator ends when the stream ends.
 
@@ -57,7 +57,7 @@ def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]
             sensor, px, py, pz, x, y, z, w = _POSE.unpack(payload)
             if sensor == 0:
                 stamp_us = 1_000_000 * seconds + micros
-                yield checked_pose(RawPose(body, True, (px, py, pz), (w, x, y, z), number, stamp_us, server))
+                yield RawPose(body, True, (px, py, pz), (w, x, y, z), number, stamp_us, server)
 
 
 class VrpnSource:
@@ -72,6 +72,8 @@ class VrpnSource:
 
     def __init__(self, address: PoseAddress) -> None:
         self._address, self._server = address, f"{address.host}:{address.port}"
+        self.place = f"VRPN server at {self._server}"
+        self.remedy = "start VRPN streaming; check address and port"
         self._deliver: Callable[[RawPose], None] = lambda _: None
         self._senders: dict[int, str] = {}
         self._link: socket.socket | None = None
@@ -96,9 +98,9 @@ class VrpnSource:
         body, names, error = self._address.body, self._names(), self._error
         silent_s = time.monotonic() - self._pose_s
         if error is None and silent_s > _SILENT_S:
-            error = f"no sender {body}, only {', '.join(names)}" if names else "no answer"
+            error = f'no sender "{body}", only {in_quotes(names)}' if names else "no answer"
             if body in names:
-                error = f"no pose of {body} (sensor 0) for {silent_s:.0f} s"
+                error = f'no pose of "{body}" (sensor 0) for {silent_s:.0f} s'
         return None if error is None else f"VRPN server at {self._server}: {error}"
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
@@ -136,10 +138,8 @@ class VrpnSource:
         self._error, self._senders = None, {}
         with link.makefile("rb") as stream:
             for pose in read_poses(stream, self._address.body, self._server, self._senders):
-                self._error = pose if isinstance(pose, str) else None
-                if isinstance(pose, RawPose):
-                    self._pose_s = time.monotonic()
-                    self._deliver(pose)
+                self._error, self._pose_s = None, time.monotonic()
+                self._deliver(pose)
         self._error = "connection lost"
 
 

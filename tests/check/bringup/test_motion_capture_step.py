@@ -138,6 +138,7 @@ def test_missing_poses_are_reported_with_the_sources_reason() -> None:
     bringup = FedBringup(ROOMS[0], ROOMS[0])
     bringup.hands.actions = {}
     assert bringup.measure().message == f"no poses from {URL}: no object dart, only wand"
+    assert "No poses yet: no object dart, only wand." in bringup.hands.instructions
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ class HandSource:
     """A source whose poses the test delivers."""
 
     problem: str | None = None
+    place, remedy = "listening at home", "send poses"
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
         self.deliver = deliver
@@ -160,3 +161,79 @@ def test_poses_stay_fresh_while_the_sources_clock_drifts_for_hours(drift: float)
     """Standby forwards poses all day."""
     stale = StaleFrames()
     assert not any(stale.contains(round(t * (1.0 + drift)), t) for t in range(0, 10_000_000_000, 500_000))
+
+
+def moving_pose(number: int, stamp_us: int | None) -> RawPose:
+    """Return a pose that differs from the previous one by a camera's noise."""
+    return pose(0)._replace(position_room=(1.0 + 1e-5 * (number % 7), 2.0, 3.0), source_us=stamp_us)
+
+
+# name -> stamp of the frame with this number, at 100 Hz
+USELESS_STAMPS: dict[str, Callable[[int], int | None]] = {
+    "never filled": lambda i: 0,
+    "whole seconds of the day": lambda i: 1_700_000_000_000_000 + 1_000_000 * (i // 100),
+    "tenths of a second": lambda i: 100_000 * (i // 10),
+    "the frame's number": lambda i: 1_000_000 * i,
+    "milliseconds instead of seconds": lambda i: 10_000_000 * i,
+    "a clock that runs backwards": lambda i: -10_000 * i,
+    "none": lambda i: None,
+}
+
+
+def forward_all(
+    raws: list[RawPose], config: MotionCapture | None = None
+) -> tuple[MotionCaptureBridge, list[Any], list[PoseSample]]:
+    """Return a bridge that has forwarded poses at 100 Hz, and what it sent and delivered."""
+    source, clock = HandSource(), SimulatedTime()
+    clock.receive(1_000_000, 0)
+    sent: list[Any] = []
+    delivered: list[PoseSample] = []
+    bridge = MotionCaptureBridge(config or MotionCapture(), source, sent.append, clock, delivered.append)
+    bridge.start()
+    for number, raw in enumerate(raws):
+        clock.receive(1_000_000 + 10_000 * number, 0)
+        bridge.forward(raw)
+    return bridge, sent, delivered
+
+
+@pytest.mark.parametrize("kind", USELESS_STAMPS)
+def test_poses_with_useless_stamps_count_by_their_time_of_arrival(kind: str) -> None:
+    stamps = USELESS_STAMPS[kind]
+    bridge, sent, delivered = forward_all([moving_pose(i, stamps(i)) for i in range(800)])
+    # At most 0.6 s until the decision, and 1 s until poses by another clock are not stale any more.
+    assert len(sent) >= 50 * (8.0 - 1.6)
+    assert delivered[-1].source_us is None
+    assert (bridge.problem, bridge.missing) == (None, None)
+
+
+@pytest.mark.parametrize("step_us", [4_167, 10_000, 15_625, 20_000])
+def test_good_stamps_stay_and_if_they_stop_the_poses_are_lost(step_us: int) -> None:
+    good = [moving_pose(i, 10_000 * i // step_us * step_us) for i in range(200)]
+    assert len(forward_all(good)[1]) == pytest.approx(100, abs=24)
+    bridge, sent, delivered = forward_all(good + [moving_pose(i, good[-1].source_us) for i in range(600)])
+    assert len(sent) <= 102
+    assert delivered[-1].source_us == good[-1].source_us
+    assert "the stamps of the poses stand still for 6 s" in str(bridge.missing)
+
+
+def test_a_server_that_repeats_one_frame_is_not_taken_for_a_body_at_rest() -> None:
+    bridge, sent, delivered = forward_all([pose(0)] * 800)
+    assert len(sent) == 1
+    assert delivered[-1].source_us == 0
+    assert "the stamps of the poses stand still" in str(bridge.missing)
+
+
+def test_a_source_that_sends_nothing_or_no_body_is_named_within_five_seconds() -> None:
+    bridge, source, _, _ = make_bridge(MotionCapture())
+    clock = bridge._clock
+    assert isinstance(clock, SimulatedTime)
+    assert bridge.missing is None
+    clock.receive(5_000_000 + 4_000_000, 0)
+    assert bridge.missing == "no frame for 4 s (listening at home): send poses"
+    bridge.forward(lost_pose("dart ", 1, 20_000, "a:1"))
+    assert bridge.missing == 'body "dart " not tracked for 4 s: check markers and cameras'
+    source.problem = "no object"
+    assert bridge.missing == "no object"
+    source.problem = None
+    bridge.forward(pose(40_000))
+    assert (bridge.problem, bridge.missing) == (None, None)

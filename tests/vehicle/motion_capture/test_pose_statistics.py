@@ -63,6 +63,12 @@ def test_age_is_relative_to_the_shortest_delay_and_growth_to_the_first_poses() -
     assert figures_of(poses(range(0, 100_000, 10_000), source_us=None), 100_000).age_ms is None
 
 
+def test_stamps_that_have_turned_out_useless_leave_no_age() -> None:
+    found = poses(range(0, 600_000, 10_000), 4_000) + poses(range(600_000, 2_000_000, 10_000), source_us=None)
+    figures = figures_of(found, 2_000_000, delay_ms=12.0)
+    assert (figures.age_ms, figures.age_growth_ms) == (None, None)
+
+
 def test_both_senders_are_named_while_they_send() -> None:
     found = poses(range(0, 1_000_000, 20_000)) + poses(range(1_000_000, 2_000_000, 20_000), sender="b:2")
     assert figures_of(found, 2_000_000).senders == ("a:1", "b:2")
