@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import msgspec
 
+from dart_flight.check.findings import CheckFinding
 from dart_flight.check.hitl_check import BOARD, HITL, IO_OUTPUTS, ON_A_BOARD, WITH_IO, hitl_parameters
 from dart_flight.check.px4_parameters import alternative_names, parameter_names, position_source
 from dart_flight.check.stages import EndOfStageError
@@ -20,6 +21,7 @@ from dart_flight.lock.drivers.px4_output import required_parameters
 from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode, Observation
 
 _MEASURE_S = 3.0
+_UNANSWERED = "no answer to repeated requests, so PX4's behaviour is unknown: repeat, or improve the link"
 
 
 class VehicleReading(msgspec.Struct, frozen=True):
@@ -59,7 +61,8 @@ def read_vehicle(mission: Mission, url: str) -> VehicleReading:
     """Read the parameters and telemetry that the checks of a vehicle need.
 
     Raises:
-        EndOfStageError: another autopilot answers, or the link is too slow to read the parameters.
+        EndOfStageError: another autopilot answers, the link is too slow to read the parameters, or a
+            parameter has no answer.
         VehicleError: no autopilot is found at the URL.
         NoAnswerError: the autopilot does not answer requests.
     """
@@ -77,20 +80,26 @@ def read_vehicle(mission: Mission, url: str) -> VehicleReading:
         names = [*parameter_names(parse_release(observed.version)), COUNT]
         if lock is not None and lock.driver is LockDriver.PX4:
             names += [required.name for required in required_parameters(lock)]
-        values = link.read_parameters(names)
-        values |= link.read_parameters(dict.fromkeys(alternative_names(values)))
-        values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
-        values |= _read_outputs(link, len(mission.vehicle.airframe.motors))
+        lost: set[str] = set()
+        values = link.read_parameters(names, unanswered=lost)
+        values |= link.read_parameters(dict.fromkeys(alternative_names(values)), unanswered=lost)
+        values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)), unanswered=lost)
+        values |= _read_outputs(link, len(mission.vehicle.airframe.motors), lost)
         if any(s.reason for s in observed.sources if s.is_vehicle and s.sender.message == "ODOMETRY"):
-            values |= link.read_parameters([LOOPBACK])
+            values |= link.read_parameters([LOOPBACK], unanswered=lost)
+    if lost:
+        raise EndOfStageError([CheckFinding(name, False, _UNANSWERED) for name in sorted(lost)])
     return VehicleReading(mode, values, observed, round_trip_s)
 
 
-def _read_outputs(link: GroundLink, motors: int) -> dict[str, float]:
-    """Read the parameters of the motor outputs, and return those that exist on the vehicle."""
+def _read_outputs(link: GroundLink, motors: int, unanswered: set[str]) -> dict[str, float]:
+    """Read the parameters of the motor outputs, and return those that exist on the vehicle.
+
+    `unanswered` receives the names of the parameters without an answer.
+    """
     values: dict[str, float] = {}
     while names := motor_output_names(values, motors):
-        values |= dict.fromkeys(names, math.nan) | link.read_parameters(names)
+        values |= dict.fromkeys(names, math.nan) | link.read_parameters(names, unanswered=unanswered)
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
 

@@ -141,6 +141,17 @@ class Timesync(NamedTuple):
     autopilot_us: int
 
 
+class ListedParameter(NamedTuple):
+    """Name of a parameter, its index in the list of parameters, and the number of entries in the list.
+
+    `place` is at least `entries` for a parameter that is not in the list.
+    """
+
+    name: str
+    place: int
+    entries: int
+
+
 # --- fields of the messages, as JSON; NaN arrives as null --------------------------------------------------
 
 
@@ -233,6 +244,12 @@ class _StatusTextFields(msgspec.Struct):
 class _TimesyncFields(msgspec.Struct):
     tc1: int
     ts1: int
+
+
+class _ParamValueFields(msgspec.Struct):
+    param_id: str
+    param_index: int
+    param_count: int
 
 
 class _GpsRawIntFields(msgspec.Struct):
@@ -437,6 +454,12 @@ def _timesync(m: _TimesyncFields) -> Timesync | Unusable:
     return Timesync(m.ts1 // 1000, m.tc1 // 1000)
 
 
+def _listed(m: _ParamValueFields) -> ListedParameter | Unusable:
+    if not m.param_id:
+        return Unusable("the name is empty")
+    return ListedParameter(m.param_id, m.param_index, m.param_count)
+
+
 _FIXES: Final = ("no_gps", "no_fix", "fix_2d", "fix_3d", "fix_dgps", "rtk_float", "rtk_fixed")
 
 
@@ -632,6 +655,15 @@ TIMESYNC = MessageEntry(
     "ns",
     "the message is a request (tc1 is 0), or it answers another program's request",
 )
+PARAM_VALUE = MessageEntry(
+    "PARAM_VALUE",
+    None,
+    _ParamValueFields,
+    _listed,
+    "-",
+    "index in the list of parameters; MAVSDK decodes the value",
+    "the name is empty",
+)
 GPS_RAW_INT = MessageEntry(
     "GPS_RAW_INT",
     None,
@@ -664,6 +696,7 @@ ENTRIES: Final = (
     SYS_STATUS,
     STATUSTEXT,
     TIMESYNC,
+    PARAM_VALUE,
     GPS_RAW_INT,
     RC_CHANNELS,
 )

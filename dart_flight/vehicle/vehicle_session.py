@@ -237,6 +237,10 @@ class VehicleSession:
 
         return self._direct.subscribe_message(name, handle)
 
+    def unlisten(self, handle: Any) -> None:
+        """End a subscription of `listen`."""
+        self._direct.unsubscribe_message(handle)
+
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
         """Block for `seconds` and return the newest usable value received, or None."""
         found: list[Any] = []
@@ -246,7 +250,7 @@ class VehicleSession:
 
         handle = self.listen(entry, keep)
         time.sleep(seconds)
-        self._direct.unsubscribe_message(handle)
+        self.unlisten(handle)
         return found[0] if found else None
 
     def next(self, entry: MessageEntry, timeout_s: float) -> Any:
@@ -258,7 +262,7 @@ class VehicleSession:
         except queue.Empty:
             return None
         finally:
-            self._direct.unsubscribe_message(handle)
+            self.unlisten(handle)
 
     def unusable_reason(self, entry: MessageEntry) -> str:
         """Return why the autopilot's last message of this kind was unusable, or "" if it was usable."""

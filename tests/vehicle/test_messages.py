@@ -94,6 +94,10 @@ ROWS: dict[str, Row] = {
         {"severity": 4, "text": "low battery", "id": 0, "chunk_seq": 0}, {"text": ""}, {"severity": 40}
     ),
     "TIMESYNC": Row({"tc1": 7000, "ts1": 5000}, {"tc1": 0}),
+    "PARAM_VALUE": Row(
+        {"param_id": "MPC_XY_P", "param_index": 3, "param_count": 900, "param_value": 0.95, "param_type": 9},
+        {"param_id": ""},
+    ),
     "GPS_RAW_INT": Row({"fix_type": 6}, {"fix_type": 200}),
     "RC_CHANNELS": Row({"chancount": 8, "rssi": 200}, {"chancount": 0}),
 }
