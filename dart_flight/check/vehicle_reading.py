@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import msgspec
 
@@ -18,6 +18,7 @@ from dart_flight.config.parameter_file import PositionSource, Version
 from dart_flight.config.rotors import COUNT, motors_from_parameters, rotor_names
 from dart_flight.config.vehicle import LockDriver, Motor
 from dart_flight.lock.drivers.px4_output import required_parameters
+from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode, Observation
 
 _MEASURE_S = 3.0
@@ -57,8 +58,12 @@ class VehicleReading(msgspec.Struct, frozen=True):
         return motors_from_parameters(self.values, "the flight controller")
 
 
-def read_vehicle(mission: Mission, url: str) -> VehicleReading:
+def read_vehicle(
+    mission: Mission, url: str, answer: Callable[[Press], tuple[Result, str]] | None = None
+) -> VehicleReading:
     """Read the parameters and telemetry that the checks of a vehicle need.
+
+    Meanwhile, `answer` answers the buttons of the ground station; without it, they get no answer.
 
     Raises:
         EndOfStageError: another autopilot answers, the link is too slow to read the parameters, or a
@@ -68,6 +73,8 @@ def read_vehicle(mission: Mission, url: str) -> VehicleReading:
     """
     lock = mission.vehicle.lock
     with GroundLink(url, mission.vehicle.connection.timeout_s, mocap=mission.vehicle.mocap) as link:
+        if answer is not None:
+            link.serve_operator(mission.vehicle.ground_station.system_id, answer)
         mode = link.heartbeat_mode()
         other = evaluate_autopilot(mode)
         if other:

@@ -47,6 +47,7 @@ from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
 from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
 from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarding
@@ -342,6 +343,10 @@ class GroundLink:
     def kill(self) -> None:
         """Force PX4 to disarm at once, even in the air; raise MAVSDK's exception if PX4 refuses."""
         Action(self._system).kill()
+
+    def serve_operator(self, system_id: int, answer: Callable[[Press], tuple[Result, str]]) -> None:
+        """Answer a ground station's commands while the link is open (`VehicleSession.serve_operator`)."""
+        self._session.serve_operator(system_id, answer)
 
     def set_actuator(self, index: int, value: float) -> None:
         """Command a peripheral output, -1 to 1; an acknowledgement does not prove movement."""
