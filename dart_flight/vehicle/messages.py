@@ -197,6 +197,10 @@ class _HeartbeatFields(msgspec.Struct):
     system_status: int
 
 
+class _CurrentModeFields(msgspec.Struct):
+    custom_mode: int
+
+
 class _ExtendedSysStateFields(msgspec.Struct):
     landed_state: int
 
@@ -366,15 +370,23 @@ def _heartbeat(m: _HeartbeatFields) -> Heartbeat | Unusable:
         return Unusable(f"the sender is {other}, not PX4")
     if not m.base_mode & _CUSTOM_MODE:
         return Unusable("the message has no flight mode of PX4")
-    main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
-    modes, number = (_AUTO_MODES, sub) if main == _AUTO else (_MAIN_MODES, main)
     state = m.system_status
     return Heartbeat(
         bool(m.base_mode & _ARMED),
         bool(m.base_mode & _HIL),
-        modes.get(number, FlightMode.UNKNOWN),
+        _flight_mode(m.custom_mode),
         _STATES[state] if state < len(_STATES) else SystemStatus.UNKNOWN,
     )
+
+
+def _flight_mode(custom_mode: int) -> FlightMode:
+    main, sub = custom_mode >> 16 & 255, custom_mode >> 24 & 255
+    modes, number = (_AUTO_MODES, sub) if main == _AUTO else (_MAIN_MODES, main)
+    return modes.get(number, FlightMode.UNKNOWN)
+
+
+def _current_mode(m: _CurrentModeFields) -> FlightMode | Unusable:
+    return _flight_mode(m.custom_mode) if m.custom_mode else Unusable("the mode is 0 (not supplied)")
 
 
 _LANDED: Final = {
@@ -570,6 +582,15 @@ HEARTBEAT = MessageEntry(
     "PX4's main and sub mode, MAV_STATE",
     "the autopilot is not PX4, or there is no custom mode",
 )
+CURRENT_MODE = MessageEntry(
+    "CURRENT_MODE",
+    None,
+    _CurrentModeFields,
+    _current_mode,
+    "-",
+    "PX4's main and sub mode",
+    "the mode is 0 (not supplied)",
+)
 EXTENDED_SYS_STATE = MessageEntry(
     "EXTENDED_SYS_STATE",
     "landed",
@@ -688,6 +709,7 @@ ENTRIES: Final = (
     ATTITUDE_QUATERNION,
     ODOMETRY,
     HEARTBEAT,
+    CURRENT_MODE,
     EXTENDED_SYS_STATE,
     ACTUATOR_OUTPUT_STATUS,
     ESC_STATUS,

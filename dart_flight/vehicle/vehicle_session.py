@@ -46,7 +46,7 @@ from dart_flight.base.records import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, STREAMS, Stream
+from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, MODE, STREAMS, Stream
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Estimation
 from dart_flight.vehicle import arming_problems as reasons
@@ -187,7 +187,8 @@ class VehicleSession:
             self._extra.append(ESC)
             self.listen(messages.ESC_STATUS, self._on_esc)
         if guarded:
-            self._extra.append(ESTIMATOR)
+            self._extra += (ESTIMATOR, MODE)
+            self.listen(messages.CURRENT_MODE, self._on_mode)
             self.listen(messages.ESTIMATOR_STATUS, self._on_estimator_status)
             self._subscribe_events()
 
@@ -452,6 +453,10 @@ class VehicleSession:
         for text in self._texts.overdue():
             self._deliver_text(text, received)
         self._on_status(armed=beat.armed, flight_mode=beat.flight_mode, system_status=beat.system_status)
+
+    def _on_mode(self, mode: FlightMode, _: int) -> None:
+        if mode is not self._status.flight_mode:
+            self._on_status(flight_mode=mode)
 
     def _on_landed(self, landed: LandedState, _: int) -> None:
         self._on_status(landed=landed)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import threading
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import msgspec
 
+from dart_flight.base.records import FlightMode
 from dart_flight.base.thread_context import ThreadContext
 from dart_flight.config.parameter_file import Value
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.run.prepare import load_flyable
+from dart_flight.sim.embedded_autopilot import TICK_S
 from dart_flight.sim.mavlink_endpoint import Link, MavlinkEndpoint
 from dart_flight.sim.served_world import ticks_in_real_time
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
@@ -91,6 +94,7 @@ class ParameterVehicle(ThreadContext):
 
     Attributes:
         values: parameters of the vehicle, which a test may change before the start.
+        has_shown: set after the last mode of `show_modes` has begun.
     """
 
     def __init__(self, mission: str, port: int, losses: Losses | None = None, system: int = 1) -> None:
@@ -98,6 +102,8 @@ class ParameterVehicle(ThreadContext):
         self._vehicle = SimulatedVehicle(load_flyable(mission), 1, LockDriver.PX4)
         self._endpoint = _LossyEndpoint(self._vehicle.autopilot, (port,), system=system)
         self._endpoint.losses = losses or Losses()
+        self._modes: list[FlightMode] = []
+        self.has_shown = threading.Event()
         self.values = self._vehicle.autopilot.parameters
 
     @property
@@ -105,11 +111,19 @@ class ParameterVehicle(ThreadContext):
         """Number of requests for a parameter by name."""
         return self._endpoint.requests
 
+    def show_modes(self, modes: Iterable[tuple[FlightMode, float]]) -> None:
+        """Have the autopilot report each mode for some of its time, seconds, and then the last mode."""
+        self._modes = [mode for mode, seconds in modes for _ in range(round(seconds / TICK_S))]
+
     def _run(self) -> None:
         for _ in ticks_in_real_time():
             if self._stop.is_set():
                 return
             self._vehicle.advance()
+            if self._modes:
+                self._vehicle.autopilot.mode = self._modes.pop(0)
+                if not self._modes:
+                    self.has_shown.set()
             self._endpoint.exchange()
 
     def _close(self) -> None:

@@ -68,6 +68,9 @@ ROWS: dict[str, Row] = {
         {"base_mode": 128},
         {"autopilot": 3},  # ArduPilot numbers other modes
     ),
+    "CURRENT_MODE": Row(
+        {"custom_mode": 6 << 16, "intended_custom_mode": 6 << 16, "standard_mode": 0}, {"custom_mode": 0}
+    ),
     "EXTENDED_SYS_STATE": Row({"landed_state": 1}, {"landed_state": 0}, {"landed_state": 100}),
     "ACTUATOR_OUTPUT_STATUS": Row(
         {"time_usec": 7, "active": 4, "actuator": [1500.0] * 4 + [0.0] * 28},

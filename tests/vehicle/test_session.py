@@ -32,7 +32,7 @@ from dart_flight.base.records import (
     SystemStatus,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, STREAMS
+from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, MODE, STREAMS
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import vehicle_session as module
@@ -155,7 +155,7 @@ def test_an_optional_stream_is_requested_by_its_message_id(
             "param2": round(1e6 / stream.rate_hz),
             **{f"param{i}": 0 for i in range(3, 8)},
         }
-        for stream in (ESC, ESTIMATOR)
+        for stream in (ESC, ESTIMATOR, MODE)
     ]
 
 
