@@ -43,6 +43,7 @@ from dart_flight.check.telemetry_check import (
     evaluate_rates,
     evaluate_resting_force,
     evaluate_sources,
+    evaluate_systems,
 )
 from dart_flight.check.vehicle_check import (
     evaluate_airframe,
@@ -152,6 +153,7 @@ CHECKS: tuple[FlightCheck, ...] = (
     Check("airframe", _VEHICLE, lambda c: evaluate_airframe(c.mission, c.vehicle.values)),
     Check("round_trip", _VEHICLE, lambda c: [evaluate_round_trip(c.mission, c.vehicle.round_trip_s)]),
     Check("estimator", _VEHICLE, lambda c: evaluate_observation(c.vehicle.observed)),
+    Check("system_id", _VEHICLE, lambda c: evaluate_systems(c.mission, c.vehicle.observed)),
     Check("rates", _VEHICLE, lambda c: evaluate_rates(c.vehicle.observed, c.vehicle.values)),
     Check("sources", _VEHICLE, lambda c: evaluate_sources(c.vehicle.observed)),
     Check("pose_source", _VEHICLE, lambda c: evaluate_poses(c.mission.vehicle.mocap, c.vehicle.observed)),

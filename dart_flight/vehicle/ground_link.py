@@ -52,6 +52,7 @@ from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
 from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
+from dart_flight.vehicle.own_system import send_as
 from dart_flight.vehicle.parameters import VehicleParameters
 from dart_flight.vehicle.timesync import make_request
 from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleError, VehicleSession
@@ -108,6 +109,7 @@ class Observation(msgspec.Struct):
     q_frd_to_ned: Quaternion | None = None  # newest attitude
     poses: PoseFigures | None = None  # of the motion capture that this program forwards
     pose_problem: str | None = None  # reason why no poses arrive
+    systems: tuple[int, int] | None = None  # MAVLink system ids of the vehicle and of this program
 
 
 class HeartbeatMode(msgspec.Struct, frozen=True):
@@ -230,6 +232,7 @@ class GroundLink:
             self._close()
             raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
         self._system, self._system_id = system, int(system.get_system_id())
+        self._own_system = send_as(self._mavsdk, ComponentType.COMPANION_COMPUTER, self._system_id)
         self._info = Info(system)
         self._listener = _Listener(self._mocap)
         self._session = session = VehicleSession(self._mavsdk, system, self._handle_record)
@@ -427,6 +430,7 @@ class GroundLink:
         If PX4 has no position or refuses to arm, wait up to 5 s longer until PX4 reports the reasons.
         """
         seen, session = self._listener.seen, self._session
+        seen.systems = (self._system_id, self._own_system)
 
         def store_fix(fix: str, _: int) -> None:
             seen.gps_fix = fix

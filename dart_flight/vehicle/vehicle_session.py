@@ -56,6 +56,7 @@ from dart_flight.vehicle.callback_thread import pin_thread_state
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
 from dart_flight.vehicle.command_server import CommandServer, Press, Result
 from dart_flight.vehicle.messages import AUTOPILOT, MessageEntry, Unusable
+from dart_flight.vehicle.own_system import send_as
 from dart_flight.vehicle.text_parts import TextAssembler, split_text
 from dart_flight.vehicle.timesync import make_request
 
@@ -675,6 +676,8 @@ async def connect(
     await mavsdk.__aenter__()
     try:
         system = await _first_autopilot(mavsdk, url, timeout_s)
+        if not ground:
+            send_as(mavsdk, component, int(getattr(system, "_system", system).get_system_id()))
         opened()
         yield VehicleSession(mavsdk, system, deliver, clock)
     finally:

@@ -91,16 +91,25 @@ class ParameterVehicle(ThreadContext):
         port: UDP port on this host.
         losses: defects.
         system: MAVLink system id.
+        ground_port: UDP port of a ground station, or None.
 
     Attributes:
         values: parameters of the vehicle, which a test may change before the start.
         has_shown: set after the last mode of `show_modes` has begun.
     """
 
-    def __init__(self, mission: str, port: int, losses: Losses | None = None, system: int = 1) -> None:
+    def __init__(
+        self,
+        mission: str,
+        port: int,
+        losses: Losses | None = None,
+        system: int = 1,
+        ground_port: int | None = None,
+    ) -> None:
         super().__init__()
+        ports = (port,) if ground_port is None else (port, ground_port)
         self._vehicle = SimulatedVehicle(load_flyable(mission), 1, LockDriver.PX4)
-        self._endpoint = _LossyEndpoint(self._vehicle.autopilot, (port,), system=system)
+        self._endpoint = _LossyEndpoint(self._vehicle.autopilot, ports, system=system)
         self._endpoint.losses = losses or Losses()
         self._modes: list[FlightMode] = []
         self.has_shown = threading.Event()

@@ -500,7 +500,8 @@ def test_a_connection_is_opened_and_closed_and_its_problem_is_reported(
     monkeypatch: pytest.MonkeyPatch, answers: bool, problem: Exception | None, message_part: str
 ) -> None:
     Rig(monkeypatch, {})
-    sdk, opened = Sdk(object() if answers else None, problem), list[bool]()
+    system = SimpleNamespace(get_system_id=lambda: 1)
+    sdk, opened = Sdk(system if answers else None, problem), list[bool]()
     monkeypatch.setattr(module, "Mavsdk", lambda _: sdk)
     redirected = list[bool]()  # MAVSDK's own output must not reach the terminal
     monkeypatch.setattr("dart_flight.vehicle.sdk_log.redirect", lambda: redirected.append(True))
