@@ -208,6 +208,7 @@ def _late(v: Any) -> str | None:
 SAMPLED: Final = ("imu", "attitude", "odometry", "actuator")
 _LINK: Final = ("status", "imu", "attitude", "odometry")
 _AIR, _LAND = Scope.AIR, Override.LAND
+_SLOWING: Final = frozenset({"stream_rate"})  # the rate of a stream that ends falls first
 
 # fmt: off
 STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule in (
@@ -216,11 +217,12 @@ STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule i
         _LINK, LINK_LOST_S, "no telemetry for {s:.1f} s")),
     Rule("imu_silent", _LAND, _AIR, _silence(
         "IMU stream timed out: impacts cannot be detected",
-        ("imu",), "stream_timeout_s", alone="imu_timeout_s")),
+        ("imu",), "stream_timeout_s", alone="imu_timeout_s"), explains=_SLOWING),
     Rule("attitude_silent", _LAND, _AIR, _silence(
-        "attitude stream timed out: force direction unknown", ("attitude",), "stream_timeout_s")),
+        "attitude stream timed out: force direction unknown", ("attitude",), "stream_timeout_s"),
+        explains=_SLOWING),
     Rule("odometry_silent", _LAND, _AIR, _silence(
-        "position stream timed out", ("odometry",), "stream_timeout_s")),
+        "position stream timed out", ("odometry",), "stream_timeout_s"), explains=_SLOWING),
     Rule("actuator_silent", Override.HOLD, Scope.FLYING, _silence(
         "actuator stream timed out: thrust and contact force cannot be separated",
         ("actuator",), ACTUATOR_TIMEOUT_S)),
@@ -233,6 +235,7 @@ STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule i
         "telemetry arrives too late to react in time", "guard.telemetry_late_s", _late)),
     Rule("telemetry_late", _LAND, _AIR, RuleCondition(
         "telemetry has arrived too late for several samples", "guard.telemetry_late_s", _late),
-        explains=frozenset({"imu_silent", "attitude_silent", "odometry_silent", "status_silent"})),
+        explains=frozenset({"imu_silent", "attitude_silent", "odometry_silent", "actuator_silent",
+                            "status_silent", "stream_rate"})),
 ))
 # fmt: on
