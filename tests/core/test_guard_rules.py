@@ -1705,6 +1705,21 @@ def test_a_second_vehicle_becomes_the_reason_after_an_earlier_rule() -> None:
     assert [e.rule for e in fired(c)] == ["odometry_silent", "second_vehicle"]
 
 
+def test_telemetry_that_waited_for_this_program_is_not_attributed_to_the_link() -> None:
+    c = HandFedCore()
+    c.enter_approach()
+    c.feed(RoundTrip(c.t_us, c.t_us, c.t_us))
+    c.run(0.1)
+    c.host_ahead_us += 100_000  # a pause, after which the program does not catch up
+    c.run(0.3)
+    (event,) = fired(c)
+    assert (event.rule, event.detail) == (
+        "telemetry_late",
+        "this program reads telemetry 100 ms after sampling, limit 75 ms; the computer is too busy: this "
+        "program did not run for 104 ms",
+    )
+
+
 def test_late_telemetry_becomes_the_reason_after_a_silent_stream() -> None:
     """Both rules land; each names the other system on the link, which may be the cause."""
     c = HandFedCore()
