@@ -39,11 +39,13 @@ STREAMS: tuple[Stream, ...] = (
     Stream("landed", "EXTENDED_SYS_STATE", 5.0, 1.0),
 )
 
-# Optional streams: motor speeds if the configuration uses them, and the estimator's status for the guard.
-# PX4's default of 1 Hz for the status is too slow: a drifting position is wrong by a metre after a second.
+# Optional streams: motor speeds if the configuration uses them, and the estimator's status and the flight
+# mode for the guard. PX4's default of 1 Hz for the status is too slow: a drifting position is wrong by a
+# metre after a second. The heartbeat shows the mode once a second and misses a pilot's short change.
 # MAVSDK cannot set their rates; SET_MESSAGE_INTERVAL does, by MAVLink message number.
 ESC = Stream("esc", "ESC_STATUS", 125.0, 45.0)
 ESTIMATOR = Stream("estimator", "ESTIMATOR_STATUS", 10.0, 0.0)
-MESSAGE_ID = {ESC.message: 291, ESTIMATOR.message: 230}
+MODE = Stream("mode", "CURRENT_MODE", 10.0, 0.0)  # from PX4 v1.15 on
+MESSAGE_ID = {ESC.message: 291, ESTIMATOR.message: 230, MODE.message: 436}
 
 BY_NAME = {stream.name: stream for stream in STREAMS}

@@ -43,6 +43,7 @@ from dart_flight.check.telemetry_check import (
     evaluate_rates,
     evaluate_resting_force,
     evaluate_sources,
+    evaluate_systems,
 )
 from dart_flight.check.vehicle_check import (
     evaluate_airframe,
@@ -56,6 +57,7 @@ from dart_flight.check.wall_check import check_walls
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.planning.predicted_flight import PredictedFlight
+from dart_flight.vehicle.command_server import Press, Result
 
 
 @dataclass
@@ -67,6 +69,7 @@ class FlightContext(CheckContext[CheckFinding]):
         log_dir: the folder of the flight log.
         url: MAVSDK connection URL of the vehicle, or None without a vehicle.
         position_from: the position source that the operator claims, or None to use the vehicle's parameters.
+        answer: answers the ground station's buttons while the vehicle is read, or None.
         reading: the vehicle's parameters and telemetry; None until the first check with a vehicle.
         found: the findings of the earlier checks.
     """
@@ -75,6 +78,7 @@ class FlightContext(CheckContext[CheckFinding]):
     log_dir: Path = Path()
     url: str | None = None
     position_from: PositionSource | None = None
+    answer: Callable[[Press], tuple[Result, str]] | None = None
     reading: VehicleReading | None = None
     found: list[CheckFinding] = field(default_factory=list)
 
@@ -136,7 +140,7 @@ CHECKS: tuple[FlightCheck, ...] = (
     Check("health", _COMPUTER, lambda c: check_computer()),
     Check("inherited", _DESK, lambda c: check_inherited(c.mission)),
     Check("claim", _DESK, FlightContext.check_claim),
-    Check("link", _VEHICLE, lambda c: c.read(read_vehicle)),
+    Check("link", _VEHICLE, lambda c: c.read(functools.partial(read_vehicle, answer=c.answer))),
     Check(
         "position",
         _VEHICLE,
@@ -149,6 +153,7 @@ CHECKS: tuple[FlightCheck, ...] = (
     Check("airframe", _VEHICLE, lambda c: evaluate_airframe(c.mission, c.vehicle.values)),
     Check("round_trip", _VEHICLE, lambda c: [evaluate_round_trip(c.mission, c.vehicle.round_trip_s)]),
     Check("estimator", _VEHICLE, lambda c: evaluate_observation(c.vehicle.observed)),
+    Check("system_id", _VEHICLE, lambda c: evaluate_systems(c.mission, c.vehicle.observed)),
     Check("rates", _VEHICLE, lambda c: evaluate_rates(c.vehicle.observed, c.vehicle.values)),
     Check("sources", _VEHICLE, lambda c: evaluate_sources(c.vehicle.observed)),
     Check("pose_source", _VEHICLE, lambda c: evaluate_poses(c.mission.vehicle.mocap, c.vehicle.observed)),

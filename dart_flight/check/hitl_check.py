@@ -11,7 +11,13 @@ from collections.abc import Mapping
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.px4_parameters import evaluate_parameters
 from dart_flight.config.mission import Mission
-from dart_flight.config.parameter_file import Parameter, PositionSource, differences, load_parameters
+from dart_flight.config.parameter_file import (
+    Parameter,
+    PositionSource,
+    differences,
+    load_parameters,
+    show_value,
+)
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.vehicle.ground_link import HeartbeatMode
 
@@ -32,7 +38,7 @@ def evaluate_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
     """Return a no-go for each parameter that differs from `hitl.params`."""
     wanted = hitl_parameters()
     return [
-        CheckFinding(d.name, False, f"{d.line()} (param set {d.name} {d.wanted:g}, restart)")
+        CheckFinding(d.name, False, f"{d.line()} (param set {d.name} {show_value(d.wanted)}, restart)")
         for d in differences(wanted, values)
         if d.actual is not None or not wanted[d.name].absent
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,57 +18,129 @@ from dart_flight.check.wanted_parameters import (
     RESTART_SOURCE,
     MetadataError,
     ParameterRow,
+    ParameterState,
     list_differences,
     restart_names,
+    state_of,
     wanted_parameters,
     with_lock_output,
 )
-from dart_flight.config.document import report_write_errors
+from dart_flight.config.document import InputError, report_write_errors
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import (
+    Parameter,
     PositionSource,
     Value,
-    differences,
     format_parameters,
-    load_parameters,
+    is_same_value,
+    read_parameter_file,
+    show_value,
 )
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.downloads import DownloadError
 from dart_flight.vehicle.ground_link import GroundLink
-from dart_flight.vehicle.vehicle_session import VehicleError
+from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
-_SOURCES = ("EKF2_EV_CTRL", "EKF2_GPS_CTRL")  # they determine the position source
+_MOCAP_SOURCE, _GPS_SOURCE = "EKF2_EV_CTRL", "EKF2_GPS_CTRL"  # they determine the position source
 _FIX_S = 1.5
+_SETTLE_S = 3.0  # of the vehicle's time: PX4's modules limit a new value up to two seconds after the write
+# Values of one flight controller and its sensors. PX4's start-up script keeps most of them when it resets all
+# parameters: SYS_PARAM_VER SYS_AUTOCFG_CAL CAL_* LND_FLIGHT* TC_* COM_FLIGHT*.
+_OF_ONE_BOARD = re.compile(
+    r"MAV_SYS_ID|CAL_.*|TC_.*|SENS_BOARD_[XYZ]_OFF|SENS_GPS\d_ID|SENS_DPRES_OFF|LND_FLIGHT.*|COM_FLIGHT.*"
+    r"|SYS_PARAM_VER|SYS_AUTOCFG_CAL"
+)
 
 Progress = Callable[[int, int], None]  # number of parameters read, total number
 
 
 class ParameterReading(msgspec.Struct, frozen=True):
-    """The parameters of a vehicle that differ from the wanted values.
+    """The parameters of a vehicle that do not have the wanted values.
 
     Attributes:
         rows: one row for each of these parameters.
-        position_from: the wanted position source, or None if the wanted values are those of a file.
+        position_from: the wanted position source, or None if the wanted values are those of a file or if the
+            source is unknown.
         version: PX4's version, empty if not reported.
         restart_source: source of the list of parameters that need a restart, or None if there are no rows.
+        states: what is known of each requested parameter, by name.
+        remarks: lines for the operator, such as the rows of a file that are not restored.
     """
 
     rows: list[ParameterRow]
     position_from: PositionSource | None
     version: str
     restart_source: str | None
+    states: dict[str, ParameterState] = {}
+    remarks: list[str] = []
 
     @property
     def writable(self) -> list[ParameterRow]:
         """The rows whose parameters exist on the vehicle."""
-        return [row for row in self.rows if row.vehicle is not None]
+        return [row for row in self.rows if row.state is ParameterState.PRESENT]
+
+    def names(self, state: ParameterState) -> list[str]:
+        """Return the parameters without the wanted value that are in a state."""
+        return [row.name for row in self.rows if row.state is state]
+
+
+class WriteReport(msgspec.Struct):
+    """The result of writing parameters.
+
+    Attributes:
+        written: names whose wanted value was read back; without `problem` these are all names but `refused`.
+        refused: reason by name.
+        problem: reason why the link was lost, or None. `written` then has the acknowledged names, which were
+            not read back.
+    """
+
+    written: list[str]
+    refused: dict[str, str]
+    problem: str | None = None
+
+
+class RestoredFile(msgspec.Struct, frozen=True):
+    """The parameters of a file that are restored; see `read_parameter_file`.
+
+    Attributes:
+        parameters: the parameters by name.
+        vehicles: ids of the vehicles in the file.
+        remarks: lines about the rows that are not restored.
+    """
+
+    parameters: dict[str, Parameter]
+    vehicles: frozenset[str] = frozenset()
+    remarks: list[str] = []
+
+
+def load_restored(path: Path, everything: bool = False) -> RestoredFile:
+    """Read a file to restore; without `everything`, leave out the values of one flight controller.
+
+    Raises:
+        InputError: the file is wrong, or nothing remains.
+    """
+    file, remarks = read_parameter_file(path), list[str]()
+    if file.skipped:
+        others = ", ".join(f"{count} of component {name}" for name, count in file.skipped.items())
+        remarks.append(f"rows of other components than the autopilot are skipped: {others}")
+    own = [] if everything else [name for name in file.parameters if _OF_ONE_BOARD.fullmatch(name)]
+    if own:
+        remarks.append(f"values of one flight controller are restored only with --all: {', '.join(own)}")
+    if len(own) == len(file.parameters):
+        raise InputError(remarks[-1], source=str(path))
+    kept = {
+        name: msgspec.structs.replace(p, reason=p.reason or f"as in {path.name}")
+        for name, p in file.parameters.items()
+        if name not in own
+    }
+    return RestoredFile(kept, file.vehicles, remarks)
 
 
 def read_differences(
     link: GroundLink,
     mission: Mission,
     claimed: PositionSource | None,
-    restored: Path | None,
+    restored: RestoredFile | None,
     progress: Progress = lambda done, of: None,
 ) -> ParameterReading:
     """Read a vehicle's parameters and compare them with the wanted values.
@@ -82,44 +154,71 @@ def read_differences(
         progress: receives the number of parameters read and the total number.
 
     Raises:
-        InputError: the file is wrong.
         VehicleError: another autopilot answers.
         NoAnswerError: the vehicle does not answer requests.
     """
+    wanted: dict[str, Parameter] = {}
+    remarks: list[str] = []
+    if restored is not None:
+        wanted, remarks = restored.parameters, list(restored.remarks)
+        foreign = sorted(restored.vehicles - {str(link.system_id)})
+        if foreign:
+            own = f"this vehicle has system id {link.system_id}"
+            remarks.append(f"the file is from vehicle {', '.join(foreign)}; {own}")
     wrong = evaluate_autopilot(link.heartbeat_mode())
     if wrong:
         raise VehicleError(wrong[0].says)
     version = link.version()
-    source = None
-    if restored is not None:
-        says = f"as in {restored.name}"
-        wanted = {
-            name: msgspec.structs.replace(p, reason=p.reason or says)
-            for name, p in load_parameters(restored).items()
-        }
-    else:
-        source = claimed or _source(link, mission)
-        wanted = wanted_parameters(mission, source)
     release = parse_release(version)
-    names = [p.name for p in wanted.values() if not p.is_absent_in(release)]
+    unanswered: set[str] = set()
+    source, values = None, dict[str, Value]()
+    if restored is None:
+        source, values = _source(link, mission, claimed, unanswered)
+        if unanswered:
+            remarks.append(
+                f"position source unknown, no answer for {', '.join(sorted(unanswered))}: repeat, or give "
+                "--position-from"
+            )
+        wanted = wanted_parameters(mission, source)
+    names = list(dict.fromkeys([*values, *unanswered]))
+    names += [p.name for p in wanted.values() if not p.is_absent_in(release) and p.name not in names]
     if restored is None:
         names += [name for name in with_lock_output(mission, {}, {}) if name not in names]
-    values = link.read_parameters(names, lambda done: progress(done, len(names)))
+    asked = [name for name in names if name not in values]
+    unanswered.clear()
+    values |= link.read_parameters(asked, lambda done: progress(done, len(asked)), unanswered)
     values |= link.read_parameters(
-        [p.renamed for p in wanted.values() if p.renamed is not None and p.name not in values]
+        [p.renamed for p in wanted.values() if p.renamed is not None and p.name not in values],
+        unanswered=unanswered,
     )
     if restored is None:
         wanted = with_lock_output(mission, wanted, values)
-    if not differences(wanted, values):
-        return ParameterReading([], source, version, None)
+    states = {name: state_of(name, values, unanswered) for name in names}
+    if not list_differences(wanted, values, (), unanswered):
+        return ParameterReading([], source, version, None, states, remarks)
     restart, known_from = _restart_names(link)
-    return ParameterReading(list_differences(wanted, values, restart), source, version, known_from)
+    rows = list_differences(wanted, values, restart, unanswered)
+    return ParameterReading(rows, source, version, known_from, states, remarks)
 
 
-def _source(link: GroundLink, mission: Mission) -> PositionSource | None:
+def _source(
+    link: GroundLink, mission: Mission, claimed: PositionSource | None, unanswered: set[str]
+) -> tuple[PositionSource | None, dict[str, Value]]:
+    """Return the position source, or None if it is unknown, and the parameters that were read for it.
+
+    Add to `unanswered` the parameters whose missing answer leaves the source unknown.
+    """
+    if claimed is not None:
+        return claimed, {}
     if mission.vehicle.mocap.url is not None:
-        return PositionSource.MOCAP
-    return position_source(link.read_parameters(_SOURCES), link.newest(messages.GPS_RAW_INT, _FIX_S))
+        return PositionSource.MOCAP, {}
+    lost: set[str] = set()
+    values = link.read_parameters([_MOCAP_SOURCE, _GPS_SOURCE], unanswered=lost)
+    source = position_source(values, link.newest(messages.GPS_RAW_INT, _FIX_S))
+    if _MOCAP_SOURCE in lost or (_GPS_SOURCE in lost and source is None):
+        unanswered |= lost
+        source = None
+    return source, values
 
 
 def _restart_names(link: GroundLink) -> tuple[frozenset[str], str]:
@@ -130,13 +229,16 @@ def _restart_names(link: GroundLink) -> tuple[frozenset[str], str]:
         return RESTART, RESTART_SOURCE
 
 
-def save_previous(rows: Iterable[ParameterRow], folder: Path, head: str, now: datetime | None = None) -> Path:
+def save_previous(
+    rows: Iterable[ParameterRow], folder: Path, head: str, system_id: int, now: datetime | None = None
+) -> Path:
     """Save the vehicle's present values to a dated file that QGroundControl can load; return its path.
 
     Args:
         rows: the parameters.
         folder: folder of the file.
         head: description of the vehicle, one line.
+        system_id: the vehicle's MAVLink system id.
         now: time for the file's name, or None for the present.
 
     Raises:
@@ -148,32 +250,40 @@ def save_previous(rows: Iterable[ParameterRow], folder: Path, head: str, now: da
     lines = [f"{head}: values before the write, {now:%Y-%m-%d %H:%M:%S} UTC"]
     lines.append(f"to restore these values: dart-flight parameters MISSION --restore {path.name}")
     with report_write_errors(path), open(path, "x", encoding="utf-8") as file:
-        file.write(format_parameters(values, lines))
+        file.write(format_parameters(values, lines, system_id))
     return path
 
 
 def write_rows(
     link: GroundLink, rows: Iterable[ParameterRow], progress: Progress = lambda done, of: None
-) -> dict[str, str]:
-    """Write parameters and read them back.
-
-    Returns:
-        The names of the parameters that were not accepted, each with the reason.
-
-    Raises:
-        NoAnswerError: the vehicle does not answer requests.
-    """
-    rows, refused = list(rows), {}
-    for done, row in enumerate(rows):
-        progress(done, len(rows))
-        try:
-            link.write_parameter(row.name, row.wanted)
-        except VehicleError as error:
-            refused[row.name] = str(error)
-    back = link.read_parameters([row.name for row in rows])
+) -> WriteReport:
+    """Write parameters, wait until PX4 has limited the values, and read them back."""
+    rows, failed = list(rows), dict[str, str]()
+    done = 0
+    try:
+        for done, row in enumerate(rows):
+            progress(done, len(rows))
+            try:
+                link.write_parameter(row.name, row.wanted)
+            except VehicleError as error:
+                failed[row.name] = str(error)
+        done = len(rows)
+        link.wait(_SETTLE_S)
+        unanswered: set[str] = set()
+        back = link.read_parameters([row.name for row in rows], unanswered=unanswered)
+    except NoAnswerError as error:
+        sent = [row.name for row in rows[:done] if row.name not in failed]
+        return WriteReport(sent, failed, error.one_line())
+    written, refused = [], {}
     for row in rows:
         actual = back.get(row.name)
-        if actual is None or not math.isclose(actual, row.wanted, rel_tol=1e-6, abs_tol=1e-9):
-            has = "cannot be read back" if actual is None else f"is {actual:g} after writing {row.wanted:g}"
-            refused.setdefault(row.name, f"{row.name} {has}")
-    return refused
+        if actual is not None and is_same_value(actual, row.wanted):
+            written.append(row.name)  # even if the acknowledgement was lost
+            continue
+        if actual is None:
+            says = "no answer" if row.name in unanswered else "not on this vehicle"
+            says = f"{row.name} cannot be read back: {says}"
+        else:
+            says = f"{row.name} is {show_value(actual)} after writing {show_value(row.wanted)}"
+        refused[row.name] = failed.get(row.name, says)
+    return WriteReport(written, refused)

@@ -17,6 +17,7 @@ from dart_flight.config.parameter_file import (
     PositionSource,
     Version,
     differences,
+    show_value,
     vehicle_parameters,
 )
 from dart_flight.planning.positioning import PLAIN_GPS, effective_source, frame_problem
@@ -221,7 +222,8 @@ def evaluate_parameters(
             continue
         go, says = judge(values[name], mission)
         if go and difference is not None:
-            says += f"; recommended {difference.wanted:g}, not {difference.actual:g}: {difference.reason}"
+            says += f"; recommended {show_value(difference.wanted)}, not {show_value(values[name])}: "
+            says += difference.reason
         findings.append(CheckFinding(name, go, says, remark=go and difference is not None))
     if source is PositionSource.MOCAP and POSE_DELAY in values:
         findings.append(_evaluate_pose_delay(mission, values[POSE_DELAY], different.pop(POSE_DELAY, None)))
@@ -253,14 +255,15 @@ def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[Chec
         difference = different.pop(name, None)
         if difference is None or difference.actual is None:
             continue
+        shown = show_value(difference.actual)
         if name in GAINS:
             says = (
-                f"{difference.actual:g} on the vehicle, {difference.wanted:g} in the configuration: "
+                f"{shown} on the vehicle, {show_value(difference.wanted)} in the configuration: "
                 "recoveries differ from the prediction"
             )
         else:
             says = (
-                f"{difference.actual:g} m on the vehicle, {difference.wanted:g} m in imu.position_m: PX4's "
+                f"{shown} m on the vehicle, {show_value(difference.wanted)} m in imu.position_m: PX4's "
                 "velocity or the estimated force mistakes rotation for motion; measure from the centre of "
                 "mass and set both"
             )
@@ -277,14 +280,14 @@ def _evaluate_pose_delay(
     """
     measured_ms = mission.vehicle.mocap.delay_ms
     if measured_ms is None:
-        says = f"{delay_ms:g} ms" if difference is None else difference.line()
+        says = f"{show_value(delay_ms)} ms" if difference is None else difference.line()
         says += (
             "; mocap.delay_ms is not set: measure the age of a pose on arrival at PX4, and set "
             f"mocap.delay_ms and {POSE_DELAY} to this age"
         )
         return CheckFinding(POSE_DELAY, True, says, remark=True)
     apart_ms = abs(delay_ms - measured_ms)
-    says = f"{delay_ms:g} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
+    says = f"{show_value(delay_ms)} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
     if apart_ms > _POSE_DELAY_TOLERANCE_MS:
         says += (
             f"; the difference of {apart_ms:g} ms, limit {_POSE_DELAY_TOLERANCE_MS:g} ms, makes the position "

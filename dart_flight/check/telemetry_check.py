@@ -85,6 +85,24 @@ def evaluate_sources(observed: Observation) -> list[CheckFinding]:
     return [CheckFinding("sources", True, says, remark=bool(others))]
 
 
+def evaluate_systems(mission: Mission, observed: Observation) -> list[CheckFinding]:
+    """Compare the MAVLink system ids of vehicle, program and ground station; return what is wrong."""
+    if observed.systems is None:
+        return []
+    vehicle, own = observed.systems
+    station = mission.vehicle.ground_station.system_id
+    if station == vehicle:
+        says = f"vehicle and ground station (ground_station.system_id) are both system {vehicle}: change one"
+        return [CheckFinding("system_id", False, says)]
+    if own != vehicle:
+        says = (
+            f"this program sends as system {own}, the vehicle is system {vehicle}: PX4 does not forward the "
+            f"ground station's buttons; set MAV_SYS_ID to {own}"
+        )
+        return [CheckFinding("system_id", False, says)]
+    return []
+
+
 def _is_other(source: Source) -> bool:
     if source.is_vehicle:
         return (

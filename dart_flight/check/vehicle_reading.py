@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import msgspec
 
+from dart_flight.check.findings import CheckFinding
 from dart_flight.check.hitl_check import BOARD, HITL, IO_OUTPUTS, ON_A_BOARD, WITH_IO, hitl_parameters
 from dart_flight.check.px4_parameters import alternative_names, parameter_names, position_source
 from dart_flight.check.stages import EndOfStageError
@@ -17,9 +18,11 @@ from dart_flight.config.parameter_file import PositionSource, Version
 from dart_flight.config.rotors import COUNT, motors_from_parameters, rotor_names
 from dart_flight.config.vehicle import LockDriver, Motor
 from dart_flight.lock.drivers.px4_output import required_parameters
+from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode, Observation
 
 _MEASURE_S = 3.0
+_UNANSWERED = "no answer to repeated requests, so PX4's behaviour is unknown: repeat, or improve the link"
 
 
 class VehicleReading(msgspec.Struct, frozen=True):
@@ -55,16 +58,23 @@ class VehicleReading(msgspec.Struct, frozen=True):
         return motors_from_parameters(self.values, "the flight controller")
 
 
-def read_vehicle(mission: Mission, url: str) -> VehicleReading:
+def read_vehicle(
+    mission: Mission, url: str, answer: Callable[[Press], tuple[Result, str]] | None = None
+) -> VehicleReading:
     """Read the parameters and telemetry that the checks of a vehicle need.
 
+    Meanwhile, `answer` answers the buttons of the ground station; without it, they get no answer.
+
     Raises:
-        EndOfStageError: another autopilot answers, or the link is too slow to read the parameters.
+        EndOfStageError: another autopilot answers, the link is too slow to read the parameters, or a
+            parameter has no answer.
         VehicleError: no autopilot is found at the URL.
         NoAnswerError: the autopilot does not answer requests.
     """
     lock = mission.vehicle.lock
     with GroundLink(url, mission.vehicle.connection.timeout_s, mocap=mission.vehicle.mocap) as link:
+        if answer is not None:
+            link.serve_operator(mission.vehicle.ground_station.system_id, answer)
         mode = link.heartbeat_mode()
         other = evaluate_autopilot(mode)
         if other:
@@ -77,20 +87,26 @@ def read_vehicle(mission: Mission, url: str) -> VehicleReading:
         names = [*parameter_names(parse_release(observed.version)), COUNT]
         if lock is not None and lock.driver is LockDriver.PX4:
             names += [required.name for required in required_parameters(lock)]
-        values = link.read_parameters(names)
-        values |= link.read_parameters(dict.fromkeys(alternative_names(values)))
-        values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
-        values |= _read_outputs(link, len(mission.vehicle.airframe.motors))
+        lost: set[str] = set()
+        values = link.read_parameters(names, unanswered=lost)
+        values |= link.read_parameters(dict.fromkeys(alternative_names(values)), unanswered=lost)
+        values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)), unanswered=lost)
+        values |= _read_outputs(link, len(mission.vehicle.airframe.motors), lost)
         if any(s.reason for s in observed.sources if s.is_vehicle and s.sender.message == "ODOMETRY"):
-            values |= link.read_parameters([LOOPBACK])
+            values |= link.read_parameters([LOOPBACK], unanswered=lost)
+    if lost:
+        raise EndOfStageError([CheckFinding(name, False, _UNANSWERED) for name in sorted(lost)])
     return VehicleReading(mode, values, observed, round_trip_s)
 
 
-def _read_outputs(link: GroundLink, motors: int) -> dict[str, float]:
-    """Read the parameters of the motor outputs, and return those that exist on the vehicle."""
+def _read_outputs(link: GroundLink, motors: int, unanswered: set[str]) -> dict[str, float]:
+    """Read the parameters of the motor outputs, and return those that exist on the vehicle.
+
+    `unanswered` receives the names of the parameters without an answer.
+    """
     values: dict[str, float] = {}
     while names := motor_output_names(values, motors):
-        values |= dict.fromkeys(names, math.nan) | link.read_parameters(names)
+        values |= dict.fromkeys(names, math.nan) | link.read_parameters(names, unanswered=unanswered)
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import lzma
 import math
 from collections.abc import Collection, Mapping
+from enum import StrEnum
 
 import msgspec
 
@@ -16,6 +17,7 @@ from dart_flight.base.errors import FlightError
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import (
     Parameter,
+    ParameterDifference,
     PositionSource,
     Value,
     differences,
@@ -51,18 +53,28 @@ class MetadataError(FlightError):
     """PX4's parameter metadata has an unknown format."""
 
 
+class ParameterState(StrEnum):
+    """What is known of a parameter that was requested from a vehicle."""
+
+    PRESENT = "present"
+    ABSENT = "absent"
+    NOT_ANSWERED = "not answered"  # neither the value nor the absence is known
+
+
 class ParameterRow(msgspec.Struct, frozen=True):
-    """A parameter that differs from its wanted value.
+    """A parameter that does not have its wanted value.
 
     Attributes:
         name: PX4's name of the parameter.
-        vehicle: the vehicle's value (an int is an INT32), or None if the vehicle lacks the parameter.
+        state: whether the vehicle has the parameter.
+        vehicle: the vehicle's value (an int is an INT32), or None if the parameter is not present.
         wanted: the wanted value, in the vehicle's type.
         why: the reason for the wanted value.
         restart: whether a new value takes effect only after a restart of the flight controller.
     """
 
     name: str
+    state: ParameterState
     vehicle: Value | None
     wanted: Value
     why: str
@@ -120,21 +132,41 @@ def with_lock_output(
 
 
 def list_differences(
-    wanted: Mapping[str, Parameter], values: Mapping[str, Value], restart: Collection[str]
+    wanted: Mapping[str, Parameter],
+    values: Mapping[str, Value],
+    restart: Collection[str],
+    unanswered: Collection[str] = (),
 ) -> list[ParameterRow]:
-    """Return the parameters that differ from their wanted values, in the order of the files.
+    """Return the parameters that do not have their wanted values, in the order of the files.
 
     Args:
         wanted: wanted parameters by name.
         values: the vehicle's values, in its types.
         restart: names of the parameters that need a restart.
+        unanswered: names of the parameters for which the vehicle gave no answer. A missing answer counts as a
+            difference even for a parameter that some builds lack.
     """
-    return [
-        ParameterRow(
-            d.name, values.get(d.name), _in_type_of(values.get(d.name), d.wanted), d.reason, d.name in restart
-        )
-        for d in differences(wanted, values)
+    found = differences(wanted, values)
+    listed = {d.name for d in found}
+    found += [
+        ParameterDifference(p.name, p.value, None, p.reason)
+        for p in wanted.values()
+        if p.name in unanswered and p.name not in listed and p.renamed not in values
     ]
+    rows = []
+    for d in found:
+        value = values.get(d.name)
+        wanted_value = _in_type_of(value, d.wanted)
+        state = state_of(d.name, values, unanswered)
+        rows.append(ParameterRow(d.name, state, value, wanted_value, d.reason, d.name in restart))
+    return rows
+
+
+def state_of(name: str, values: Collection[str], unanswered: Collection[str]) -> ParameterState:
+    """Return what is known of a requested parameter, from the names with a value and without an answer."""
+    if name in values:
+        return ParameterState.PRESENT
+    return ParameterState.NOT_ANSWERED if name in unanswered else ParameterState.ABSENT
 
 
 def _in_type_of(actual: Value | None, wanted: Value) -> Value:

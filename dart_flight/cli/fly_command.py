@@ -32,8 +32,10 @@ from dart_flight.recording.about import armed_span
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
+from dart_flight.run.operator_buttons import reply_before_take_off
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, with_mocap
 from dart_flight.run.px4_log_download import list_px4_logs
+from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.downloads import Px4LogEntry
 from dart_flight.vehicle.link import LinkLease
 
@@ -74,8 +76,19 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
         print_status(see)
     print_vehicle(mission.flown_vehicle(), arguments)
     console.print(_flight_summary(mission, url), soft_wrap=True)
-    context = FlightContext(mission, arguments.log_dir, url, arguments.position_from)
+    cancelled: list[Press] = []
+
+    def answer(press: Press) -> tuple[Result, str]:
+        reply = reply_before_take_off(press)
+        if reply.effect is not None:
+            cancelled.append(press)
+        return reply.result, reply.text
+
+    context = FlightContext(mission, arguments.log_dir, url, arguments.position_from, answer)
     findings = run_checks(select_checks(Stage.FILE, Stage.COMPUTER, Stage.VEHICLE), context)
+    if cancelled:
+        says = "a landing was requested during the check: the vehicle does not take off"
+        findings.append(CheckFinding("operator", False, says))
     before = _listed(mission, url) if arguments.px4_log else None
     verdict = fly_if_go(arguments, mission, url, lease, findings)
     if verdict is None:

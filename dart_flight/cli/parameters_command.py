@@ -11,16 +11,19 @@ from rich.table import Table
 
 from dart_flight.check.parameter_setting import (
     ParameterReading,
+    WriteReport,
+    load_restored,
     read_differences,
     save_previous,
     write_rows,
 )
-from dart_flight.check.wanted_parameters import ParameterRow
+from dart_flight.check.wanted_parameters import ParameterRow, ParameterState
 from dart_flight.cli.options import add_driver_option, add_position_option, add_set_option, link_of
 from dart_flight.cli.terminal import confirm, emit_json, messages, print_status, tables
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
+from dart_flight.config.parameter_file import show_value
 from dart_flight.run.prepare import with_driver
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.link import LinkLease
@@ -36,6 +39,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--restore", type=Path, metavar="FILE", help="write the values of a .params file instead"
     )
+    parser.add_argument(
+        "--all",
+        action="store_true",
+        help="with --restore, write also the values of one flight controller: MAV_SYS_ID, calibration",
+    )
     parser.add_argument("--yes", action="store_true", help="do not ask before writing")
     parser.add_argument(
         "--save-dir",
@@ -50,55 +58,67 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return 0 if no parameter differs or all differing parameters were written."""
+    """Run the command and return 0 if no parameter differs or all differing parameters were written.
+
+    A parameter without an answer gives 1, because its value is unknown.
+    """
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
     mission = with_driver(mission, arguments.driver)
     url = link_of(arguments, mission.vehicle.connection)
     if not arguments.save_dir.is_dir():
         raise InputError("not a folder", source=str(arguments.save_dir), key=("--save-dir",))
+    restored = None if arguments.restore is None else load_restored(arguments.restore, arguments.all)
     print_vehicle(mission.flown_vehicle(), arguments)
-    saved, refused, written = None, dict[str, str](), False
+    saved, report = None, None
     timeout_s = mission.vehicle.connection.timeout_s
     with LinkLease(url, "parameters") as lease, GroundLink(url, timeout_s) as link:
         lease.lock_device()
         with _shown("reading parameters") as progress:
-            found = read_differences(link, mission, arguments.position_from, arguments.restore, progress)
+            found = read_differences(link, mission, arguments.position_from, restored, progress)
         if not arguments.json:
             _show(found)
+        unanswered = found.names(ParameterState.NOT_ANSWERED)
+        if unanswered:
+            print_status(f"no answer for {', '.join(unanswered)}: repeat, or improve the link")
         rows = found.writable
         if rows and (arguments.write or arguments.restore):
             link.require_disarmed()
             if arguments.yes or confirm(f"Write {len(rows)} parameters?"):
                 link.require_disarmed()
-                saved = save_previous(rows, arguments.save_dir, f"{url}, PX4 {found.version or 'unknown'}")
+                head = f"{url}, PX4 {found.version or 'unknown'}"
+                saved = save_previous(rows, arguments.save_dir, head, link.system_id)
                 print_status(f"previous values: {saved}")
                 with _shown("writing parameters") as progress:
-                    refused = write_rows(link, rows, progress)
-                written = True
+                    report = write_rows(link, rows, progress)
             else:
                 print_status("nothing written")
-    for problem in refused.values():
-        print_status(problem)
-    if written:
-        _report_written([row for row in rows if row.name not in refused])
+    if report is not None:
+        _report_written(rows, report)
     if arguments.json:
         emit_json(
             {
                 "parameters": found.rows,
+                "states": found.states,
+                "remarks": found.remarks,
                 "position_from": found.position_from,
                 "px4_version": found.version or None,
                 "restart_source": found.restart_source,
-                "written": [row.name for row in rows if row.name not in refused] if written else [],
-                "refused": refused,
+                "written": report.written if report else [],
+                "read_back": report is not None and report.problem is None,
+                "refused": report.refused if report else {},
+                "problem": report.problem if report else None,
                 "saved": None if saved is None else str(saved),
                 "vehicle": mission.flown_vehicle(),
             }
         )
-    return 0 if not rows or (written and not refused) else 1
+    done = not rows or (report is not None and report.problem is None and not report.refused)
+    return 0 if done and not unanswered else 1
 
 
 def _show(found: ParameterReading) -> None:
     """Print the parameters that differ, or a message if none does."""
+    for remark in found.remarks:
+        print_status(remark)
     if found.position_from is not None:
         print_status(f"position from {found.position_from} (--position-from)")
     if not found.rows:
@@ -111,18 +131,26 @@ def _show(found: ParameterReading) -> None:
     table.add_column("restart", no_wrap=True)
     table.add_column("why", overflow="fold")
     for row in found.rows:
-        has = "skipped" if row.vehicle is None else f"{row.vehicle:g}"
-        table.add_row(row.name, has, f"{row.wanted:g}", "yes" if row.restart else "", row.why)
+        has = row.state.value if row.vehicle is None else show_value(row.vehicle)
+        table.add_row(row.name, has, show_value(row.wanted), "yes" if row.restart else "", row.why)
     tables().print(table)
-    missing = [row.name for row in found.rows if row.vehicle is None]
-    if missing:
-        print_status(f"not on this vehicle, skipped: {', '.join(missing)}")
+    absent = found.names(ParameterState.ABSENT)
+    if absent:
+        print_status(f"not on this vehicle, skipped: {', '.join(absent)}")
     print_status(f"restart: according to {found.restart_source}")
 
 
-def _report_written(rows: list[ParameterRow]) -> None:
-    later = [row.name for row in rows if row.restart]
-    print_status(f"{len(rows)} parameters written and read back")
+def _report_written(rows: list[ParameterRow], report: WriteReport) -> None:
+    for problem in report.refused.values():
+        print_status(problem)
+    if report.problem is not None:
+        rest = [row.name for row in rows if row.name not in report.written and row.name not in report.refused]
+        print_status(report.problem)
+        print_status(f"written but not read back: {', '.join(report.written) or 'none'}")
+        print_status(f"not written: {', '.join(rest) or 'none'}")
+        return
+    later = [row.name for row in rows if row.restart and row.name in report.written]
+    print_status(f"{len(report.written)} parameters written and read back")
     if later:
         print_status(
             f"restart the flight controller; without a restart these have no effect: {', '.join(later)}"

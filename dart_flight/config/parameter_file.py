@@ -17,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
+import struct
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -31,8 +32,10 @@ Version = tuple[int, int]  # of PX4: major, minor
 
 _TYPES = {"6": int, "9": float}
 PX4_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
+AUTOPILOT_COMPONENT = "1"  # component id, as written in a file
 _INT32 = 1 << 31
 _LISTED = re.compile(r"^\s*[x ] [ *+](?: [ l])? (?P<name>[A-Z][A-Z0-9_]*) \[.*\] : (?P<value>\S+)\s*$")
+_COLUMNS = re.compile(r"#\s*vehicle-id\s+component-id\s+name\s+value\b", re.IGNORECASE)
 _VERSIONS = re.compile(
     r"#\?\s*(absent|renamed\s+(?P<name>[A-Z][A-Z0-9_]{0,15}))"
     r"\s+(?P<where>(?:before|after) v\d+\.\d+|without [a-z][a-z0-9_]*)$"
@@ -86,6 +89,20 @@ class Parameter(msgspec.Struct, frozen=True):
         return version < (int(major), int(minor)) if when == "before" else version > (int(major), int(minor))
 
 
+class ParameterFile(msgspec.Struct, frozen=True):
+    """A parameter file.
+
+    Attributes:
+        parameters: the autopilot's parameters by name, in the file's order.
+        skipped: number of rows of each other component, by component id.
+        vehicles: ids of the vehicles in the file.
+    """
+
+    parameters: dict[str, Parameter]
+    skipped: dict[str, int] = {}
+    vehicles: frozenset[str] = frozenset()
+
+
 class ParameterDifference(msgspec.Struct, frozen=True):
     """A parameter of the vehicle that differs from the file; `actual` is None if the vehicle lacks it."""
 
@@ -96,8 +113,39 @@ class ParameterDifference(msgspec.Struct, frozen=True):
 
     def line(self) -> str:
         """Return the difference as one line."""
-        shown = "not on this vehicle" if self.actual is None else f"{self.actual:g}"
-        return f"{self.name} is {shown}, wanted {self.wanted:g}: {self.reason}"
+        shown = "not on this vehicle" if self.actual is None else show_value(self.actual)
+        return f"{self.name} is {shown}, wanted {show_value(self.wanted)}: {self.reason}"
+
+
+def to_float32(value: float) -> float:
+    """Return a number rounded to a REAL32; infinity if the number is out of range."""
+    try:
+        return float(struct.unpack("<f", struct.pack("<f", value))[0])
+    except OverflowError:
+        return math.copysign(math.inf, value)
+
+
+def is_storable(value: Value) -> bool:
+    """Return whether a parameter of the value's type, INT32 or REAL32, can hold the value."""
+    return -_INT32 <= value < _INT32 if isinstance(value, int) else math.isfinite(to_float32(value))
+
+
+def is_same_value(a: float, b: float, tolerance: float = 0.0) -> bool:
+    """Return whether a parameter with value `a` needs no change to `b`.
+
+    An INT32 must be equal, and a REAL32 must be equal after rounding; otherwise the values may differ by at
+    most `tolerance`.
+    """
+    whole = isinstance(a, int) or isinstance(b, int)
+    return abs(a - b) <= tolerance or (not whole and to_float32(a) == to_float32(b))
+
+
+def show_value(value: float) -> str:
+    """Return an INT32 in full, and any other number with the fewest digits that identify it as REAL32."""
+    if isinstance(value, int):
+        return str(value)
+    texts = (f"{value:.{digits}g}" for digits in range(6, 10))
+    return next((text for text in texts if to_float32(float(text)) == to_float32(value)), f"{value:.9g}")
 
 
 def vehicle_files(position_from: PositionSource | None) -> list[Path]:
@@ -118,16 +166,21 @@ def vehicle_parameters(position_from: PositionSource | None) -> dict[str, Parame
 
 
 def load_parameters(path: str | Path) -> dict[str, Parameter]:
+    """Return the autopilot's parameters of a file by name, in the file's order; see `read_parameter_file`."""
+    return read_parameter_file(path).parameters
+
+
+def read_parameter_file(path: str | Path) -> ParameterFile:
     """Read a parameter file.
 
-    Returns:
-        The parameters by name, in the file's order.
-
     Raises:
-        InputError: the file cannot be read, or a line is a duplicate, is out of range or is not a parameter.
+        InputError: the file cannot be read or has no parameter of the autopilot, or a line is a duplicate, is
+            out of range or is not a parameter.
     """
     text = read_text(path)
     parameters: dict[str, Parameter] = {}
+    skipped: dict[str, int] = {}
+    vehicles: set[str] = set()
     reason: list[str] = []
     versions: tuple[str, str | None] = ("", None)
     for number, raw in enumerate(text.splitlines(), start=1):
@@ -145,19 +198,32 @@ def load_parameters(path: str | Path) -> dict[str, Parameter]:
                     line=number,
                 )
             versions = (found["where"], found["name"])
+        elif _COLUMNS.match(line):
+            reason.clear()  # the head is no parameter's reason
         elif line.startswith("#"):
             reason.append(line.lstrip("# "))
         else:
             try:
-                parameter = _parse(line, " ".join(reason), versions)
-                if parameter.name in parameters:
-                    raise ValueError(f"{parameter.name} appears twice")
+                vehicle, component, *fields = _fields(line)
+                if component == AUTOPILOT_COMPONENT:
+                    parameter = _parse(fields, " ".join(reason), versions)
+                    if parameter.name in parameters:
+                        raise ValueError(f"{parameter.name} appears twice")
+                    parameters[parameter.name] = parameter
+                    vehicles.add(vehicle)
+                else:
+                    skipped[component] = skipped.get(component, 0) + 1
             except ValueError as error:
                 raise InputError(str(error), source=str(path), line=number) from None
-            parameters[parameter.name] = parameter
             reason.clear()
             versions = ("", None)
-    return parameters
+    if not parameters:
+        others = f"; its rows belong to component {', '.join(skipped)}" if skipped else ""
+        raise InputError(
+            f"no parameter of the autopilot (component {AUTOPILOT_COMPONENT}) in this file{others}",
+            source=str(path),
+        )
+    return ParameterFile(parameters, skipped, frozenset(vehicles))
 
 
 def parse_listing(listing: str) -> dict[str, float]:
@@ -171,25 +237,32 @@ def parse_listing(listing: str) -> dict[str, float]:
     return found
 
 
-def format_parameters(values: Mapping[str, Value], head: Iterable[str]) -> str:
-    """Return one vehicle's values as a parameter file for QGroundControl; an int is written as INT32."""
+def format_parameters(values: Mapping[str, Value], head: Iterable[str], vehicle: int = 1) -> str:
+    """Return one vehicle's values as a parameter file for QGroundControl; an int is written as INT32.
+
+    `vehicle` is the vehicle's MAVLink system id.
+    """
     lines = [
         f"# {line}" for line in (*head, "vehicle-id\tcomponent-id\tname\tvalue\ttype (6 INT32, 9 REAL32)")
     ]
     lines.append("")  # the head is no parameter's reason
     for name, value in values.items():
-        text, kind = (str(value), 6) if isinstance(value, int) else (f"{value:.9g}", 9)
-        lines.append(f"1\t1\t{name}\t{text}\t{kind}")
+        kind = 6 if isinstance(value, int) else 9
+        lines.append(f"{vehicle}\t{AUTOPILOT_COMPONENT}\t{name}\t{show_value(value)}\t{kind}")
     return "\n".join(lines) + "\n"
 
 
-def _parse(line: str, reason: str, versions: tuple[str, str | None]) -> Parameter:
+def _fields(line: str) -> list[str]:
     fields = line.split("\t") if "\t" in line else line.split()
     if len(fields) != 5:
         raise ValueError(
             f"{len(fields)} fields, a parameter line has 5: vehicle id, component id, name, value, type"
         )
-    _, _, name, text, kind = (field.strip() for field in fields)
+    return [field.strip() for field in fields]
+
+
+def _parse(fields: Iterable[str], reason: str, versions: tuple[str, str | None]) -> Parameter:
+    name, text, kind = fields
     if not PX4_NAME.match(name):
         raise ValueError(f"{name!r} is not a PX4 parameter name")
     if kind not in _TYPES:
@@ -198,8 +271,8 @@ def _parse(line: str, reason: str, versions: tuple[str, str | None]) -> Paramete
         value: Value = _TYPES[kind](text)
     except ValueError:
         raise ValueError(f"{name}: {text!r} is not a number of type {kind}") from None
-    if not math.isfinite(value) or (kind == "6" and not -_INT32 <= value < _INT32):
-        raise ValueError(f"{name}: {text} is out of range")
+    if not is_storable(value):
+        raise ValueError(f"{name}: {text} is out of range for {'INT32' if kind == '6' else 'REAL32'}")
     return Parameter(name, value, reason, *versions)
 
 
@@ -219,8 +292,6 @@ def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) ->
             if parameter.renamed in actual:
                 name = parameter.renamed
         value = actual.get(name)
-        # A REAL32 has seven significant digits.
-        near = max(1e-9, parameter.tolerance)
-        if value is None or not math.isclose(value, parameter.value, rel_tol=1e-6, abs_tol=near):
+        if value is None or not is_same_value(value, parameter.value, parameter.tolerance):
             found.append(ParameterDifference(name, parameter.value, value, parameter.reason))
     return found

@@ -55,6 +55,16 @@ def button_of(press: Press) -> Button | None:
     return Button(press.button) if press.button in tuple(Button) else None
 
 
+CANCELLED: Final = "take-off cancelled"
+
+
+def reply_before_take_off(press: Press) -> Reply:
+    """Return the answer to a button while a flight that was requested checks the vehicle."""
+    if button_of(press) is Button.LAND:
+        return Reply(Result.ACCEPTED, CANCELLED, Request.LAND)
+    return Reply(Result.TEMPORARILY_REJECTED, "checking before the flight: only Land has an effect")
+
+
 def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
     """Return the answer to a button while a mission flies.
 
@@ -125,6 +135,8 @@ class StandbyButtons:
             return _denied(f"there is no button {press.button}")
         if button in _MODES:
             return _reply_lock(_MODES[button], state)
+        if button is Button.LAND and asked is not None:
+            return Reply(Result.ACCEPTED, CANCELLED)
         if button in (Button.CONTINUE, Button.LAND):
             return _denied("no mission is flying")
         if not state.missions:

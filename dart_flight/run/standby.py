@@ -27,7 +27,16 @@ from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwn
 from dart_flight.lock.state_machine import describe, status_text
 from dart_flight.run.app import LockThread
 from dart_flight.run.deadman import SystemdNotice
-from dart_flight.run.operator_buttons import Errand, RcSwitch, Reply, StandbyButtons, StandbyState
+from dart_flight.run.operator_buttons import (
+    CANCELLED,
+    Button,
+    Errand,
+    RcSwitch,
+    Reply,
+    StandbyButtons,
+    StandbyState,
+    button_of,
+)
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.link import LinkInUseError, LinkLease
@@ -273,7 +282,11 @@ class Standby:
     def _answer(self, press: Press) -> tuple[Result, str]:
         """Answer a button, on MAVSDK's thread."""
         if self._errand is not None:
-            return Result.TEMPORARILY_REJECTED, "the link is being passed to another command"
+            if not self._errand.fly or button_of(press) is not Button.LAND:
+                return Result.TEMPORARILY_REJECTED, "the link is being passed to another command"
+            self._errand = None
+            self._say("standby", CANCELLED)
+            return Result.ACCEPTED, CANCELLED
         reply = self._desk.press(press, time.monotonic())
         if isinstance(reply.effect, Mode):
             self._move(reply.effect)

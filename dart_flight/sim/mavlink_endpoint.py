@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from dart_flight.base.geometry import distance2
 from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, LandedState, SystemStatus
 from dart_flight.config.rotors import MAV_TYPES
-from dart_flight.sim import esc_status
+from dart_flight.sim import current_mode, esc_status
 from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.datagrams import receive_datagram, send_datagram
 from dart_flight.sim.embedded_autopilot import TICK_US, Autopilot
@@ -430,10 +430,15 @@ class MavlinkEndpoint:
             base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
         if a.mode is not FlightMode.MANUAL:
             base |= mavlink.MAV_MODE_FLAG_AUTO_ENABLED
-        main, sub = _MODES[a.mode]
         status = _STATES[a.system_status]
-        custom = main << 16 | sub << 24
-        return mavlink.MAVLink_heartbeat_message(self._type, _PX4, base, custom, status, 3)
+        return mavlink.MAVLink_heartbeat_message(self._type, _PX4, base, self._custom_mode(), status, 3)
+
+    def _custom_mode(self) -> int:
+        main, sub = _MODES[self.autopilot.mode]
+        return main << 16 | sub << 24
+
+    def _current_mode(self) -> Any:
+        return current_mode.CurrentModeMessage(self._custom_mode())
 
     def _sys_status(self) -> Any:
         a = self.autopilot
@@ -590,6 +595,7 @@ class MavlinkEndpoint:
 # message -> default rate on PX4's onboard link (Hz, 0 for a message on request only) and builder
 MESSAGES: dict[int, tuple[float, Callable[[MavlinkEndpoint], Any]]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: (1.0, MavlinkEndpoint._heartbeat),
+    current_mode.MESSAGE_ID: (0.5, MavlinkEndpoint._current_mode),
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: (5.0, MavlinkEndpoint._sys_status),
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (5.0, MavlinkEndpoint._extended_sys_state),
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (0.5, MavlinkEndpoint._battery_status),

@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Callable, Iterable
-from functools import partial
 from types import TracebackType
 from typing import Any
 
@@ -20,7 +19,7 @@ from mavsdk.exceptions import MavsdkError
 from mavsdk.mavsdk import Configuration, Mavsdk
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.info import Info
-from mavsdk.plugins.param import Param, ParamResult
+from mavsdk.plugins.param import Param
 
 from dart_flight.base.geometry import Quaternion, Vec3, norm
 from dart_flight.base.motor_outputs import OutputScale
@@ -47,10 +46,15 @@ from dart_flight.core.guard.second_vehicle import (
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
+from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
 from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
+from dart_flight.vehicle.own_system import send_as
+from dart_flight.vehicle.parameters import VehicleParameters
+from dart_flight.vehicle.timesync import make_request
 from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleError, VehicleSession
 
 
@@ -105,6 +109,7 @@ class Observation(msgspec.Struct):
     q_frd_to_ned: Quaternion | None = None  # newest attitude
     poses: PoseFigures | None = None  # of the motion capture that this program forwards
     pose_problem: str | None = None  # reason why no usable poses arrive
+    systems: tuple[int, int] | None = None  # MAVLink system ids of the vehicle and of this program
 
 
 class HeartbeatMode(msgspec.Struct, frozen=True):
@@ -125,7 +130,7 @@ _HEARTBEAT_S = 3.0
 _REPORT_S = 5.0  # additional wait for PX4's reasons, whose texts MAVSDK must fetch first
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
 _MAX_UNANSWERED = 2  # unanswered requests before giving up; MAVSDK repeats each for seconds
-_PARAMETERS_S = 90.0  # timeout of all parameters; each one that a build lacks takes 3 s
+_WAIT_POLL_S = 0.1  # interval of the requests for the vehicle's time while waiting
 _FUSION_S = 10.0  # timeout until PX4 has a position from the forwarded poses
 _RATED = ("imu", "attitude", "odometry", "actuator")  # streams whose rates are reported
 
@@ -226,10 +231,12 @@ class GroundLink:
         if system is None:
             self._close()
             raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
-        self._system, self._system_id = system, system.get_system_id()
-        self._param, self._info = Param(system), Info(system)
+        self._system, self._system_id = system, int(system.get_system_id())
+        self._own_system = send_as(self._mavsdk, ComponentType.COMPANION_COMPUTER, self._system_id)
+        self._info = Info(system)
         self._listener = _Listener(self._mocap)
         self._session = session = VehicleSession(self._mavsdk, system, self._handle_record)
+        self._parameters = VehicleParameters(session, Param(system), self._system_id, self._perform)
         try:
             self._bridge = self._forwarding.enter_context(
                 forwarding(self._mocap, session.send_message, session.clock, self._handle_record)
@@ -252,6 +259,11 @@ class GroundLink:
     def _handle_record(self, record: Input) -> None:
         self._listener.update(record)
         self._viewer(record)
+
+    @property
+    def system_id(self) -> int:
+        """The vehicle's MAVLink system id."""
+        return self._system_id
 
     @property
     def pose_problem(self) -> str | None:
@@ -335,39 +347,38 @@ class GroundLink:
         """Force PX4 to disarm at once, even in the air; raise MAVSDK's exception if PX4 refuses."""
         Action(self._system).kill()
 
+    def serve_operator(self, system_id: int, answer: Callable[[Press], tuple[Result, str]]) -> None:
+        """Answer a ground station's commands while the link is open (`VehicleSession.serve_operator`)."""
+        self._session.serve_operator(system_id, answer)
+
     def set_actuator(self, index: int, value: float) -> None:
         """Command a peripheral output, -1 to 1; an acknowledgement does not prove movement."""
         self._session.set_actuator(index, value)
 
     def read_parameters(
-        self, names: Iterable[str], progress: Callable[[int], None] = lambda done: None
+        self,
+        names: Iterable[str],
+        progress: Callable[[int], None] = lambda done: None,
+        unanswered: set[str] | None = None,
     ) -> dict[str, Value]:
         """Return the values of the parameters that the vehicle has; INT32 values are of type int.
 
-        `progress` receives the number of parameters requested so far.
+        Args:
+            names: names of the parameters; those that the vehicle lacks are missing from the result.
+            progress: receives the number of parameters requested so far.
+            unanswered: receives the names of the parameters of which neither the value nor the absence is
+                known. If None, such a parameter is an error.
 
         Raises:
-            NoAnswerError: the vehicle does not answer, or the parameters take more than 90 s.
+            NoAnswerError: the vehicle answers no requests.
+            VehicleError: a parameter was not answered, and `unanswered` is None.
         """
-        values: dict[str, Value] = {}
-        end_s = time.monotonic() + _PARAMETERS_S
-        for done, name in enumerate(names):
-            progress(done)
-            if time.monotonic() > end_s:
-                says = (
-                    f"the vehicle did not send all parameters within {_PARAMETERS_S:g} s: {name} is missing"
-                )
-                raise NoAnswerError(says, source=self._url)
-            for read in (self._param.get_param_int, self._param.get_param_float):
-                try:
-                    values[name] = self._perform(f"parameter {name}", partial(read, name))
-                except NoAnswerError:
-                    raise
-                except MavsdkError as error:
-                    if getattr(error, "result", None) in (ParamResult.WRONG_TYPE, ParamResult.TYPE_MISMATCH):
-                        continue
-                    break  # the vehicle lacks the parameter
-                break
+        lost: set[str] = set()
+        values = self._parameters.read(names, progress, lost)
+        if unanswered is not None:
+            unanswered |= lost
+        elif lost:
+            raise VehicleError(f"no answer for {', '.join(sorted(lost))}: repeat, or improve the link")
         return values
 
     def write_parameter(self, name: str, value: Value) -> None:
@@ -375,14 +386,28 @@ class GroundLink:
 
         Raises:
             NoAnswerError: the vehicle does not answer requests.
-            VehicleError: the vehicle refuses the value.
+            VehicleError: the vehicle refuses the value or does not answer, or its type cannot hold the value.
         """
-        write = self._param.set_param_int if isinstance(value, int) else self._param.set_param_float
+        self._parameters.write(name, value)
+
+    def wait(self, seconds: float) -> None:
+        """Block until some of the vehicle's time has passed; without its time, use this computer's."""
+        times_us: list[int] = []
+        handle = self._session.listen(
+            messages.TIMESYNC, lambda answer, _: times_us.append(answer.autopilot_us)
+        )
+        began_s = moved_s = time.monotonic()
         try:
-            self._perform(f"parameter {name}", partial(write, name, value))
-        except MavsdkError as error:
-            refusal = getattr(getattr(error, "result", None), "name", str(error)).lower().replace("_", " ")
-            raise VehicleError(f"{name} was not set to {value:g}: {refusal}") from None
+            while not times_us or times_us[-1] - times_us[0] < 1e6 * seconds:
+                before = len(times_us)
+                self._session.send_message(make_request(host_us()))
+                time.sleep(_WAIT_POLL_S)
+                if len(times_us) > before:
+                    moved_s = time.monotonic()
+                if time.monotonic() - moved_s > seconds and time.monotonic() - began_s > seconds:
+                    return
+        finally:
+            self._session.unlisten(handle)
 
     def read_file(self, path: str) -> bytes:
         """Return the content of a small file on the flight controller.
@@ -405,6 +430,7 @@ class GroundLink:
         If PX4 has no position or refuses to arm, wait up to 5 s longer until PX4 reports the reasons.
         """
         seen, session = self._listener.seen, self._session
+        seen.systems = (self._system_id, self._own_system)
 
         def store_fix(fix: str, _: int) -> None:
             seen.gps_fix = fix

@@ -141,6 +141,17 @@ class Timesync(NamedTuple):
     autopilot_us: int
 
 
+class ListedParameter(NamedTuple):
+    """Name of a parameter, its index in the list of parameters, and the number of entries in the list.
+
+    `place` is at least `entries` for a parameter that is not in the list.
+    """
+
+    name: str
+    place: int
+    entries: int
+
+
 # --- fields of the messages, as JSON; NaN arrives as null --------------------------------------------------
 
 
@@ -184,6 +195,10 @@ class _HeartbeatFields(msgspec.Struct):
     base_mode: int
     custom_mode: int
     system_status: int
+
+
+class _CurrentModeFields(msgspec.Struct):
+    custom_mode: int
 
 
 class _ExtendedSysStateFields(msgspec.Struct):
@@ -233,6 +248,12 @@ class _StatusTextFields(msgspec.Struct):
 class _TimesyncFields(msgspec.Struct):
     tc1: int
     ts1: int
+
+
+class _ParamValueFields(msgspec.Struct):
+    param_id: str
+    param_index: int
+    param_count: int
 
 
 class _GpsRawIntFields(msgspec.Struct):
@@ -349,15 +370,23 @@ def _heartbeat(m: _HeartbeatFields) -> Heartbeat | Unusable:
         return Unusable(f"the sender is {other}, not PX4")
     if not m.base_mode & _CUSTOM_MODE:
         return Unusable("the message has no flight mode of PX4")
-    main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
-    modes, number = (_AUTO_MODES, sub) if main == _AUTO else (_MAIN_MODES, main)
     state = m.system_status
     return Heartbeat(
         bool(m.base_mode & _ARMED),
         bool(m.base_mode & _HIL),
-        modes.get(number, FlightMode.UNKNOWN),
+        _flight_mode(m.custom_mode),
         _STATES[state] if state < len(_STATES) else SystemStatus.UNKNOWN,
     )
+
+
+def _flight_mode(custom_mode: int) -> FlightMode:
+    main, sub = custom_mode >> 16 & 255, custom_mode >> 24 & 255
+    modes, number = (_AUTO_MODES, sub) if main == _AUTO else (_MAIN_MODES, main)
+    return modes.get(number, FlightMode.UNKNOWN)
+
+
+def _current_mode(m: _CurrentModeFields) -> FlightMode | Unusable:
+    return _flight_mode(m.custom_mode) if m.custom_mode else Unusable("the mode is 0 (not supplied)")
 
 
 _LANDED: Final = {
@@ -435,6 +464,12 @@ def _timesync(m: _TimesyncFields) -> Timesync | Unusable:
     if m.tc1 <= 0:
         return Unusable("the message is a request")  # PX4 sends requests too
     return Timesync(m.ts1 // 1000, m.tc1 // 1000)
+
+
+def _listed(m: _ParamValueFields) -> ListedParameter | Unusable:
+    if not m.param_id:
+        return Unusable("the name is empty")
+    return ListedParameter(m.param_id, m.param_index, m.param_count)
 
 
 _FIXES: Final = ("no_gps", "no_fix", "fix_2d", "fix_3d", "fix_dgps", "rtk_float", "rtk_fixed")
@@ -547,6 +582,15 @@ HEARTBEAT = MessageEntry(
     "PX4's main and sub mode, MAV_STATE",
     "the autopilot is not PX4, or there is no custom mode",
 )
+CURRENT_MODE = MessageEntry(
+    "CURRENT_MODE",
+    None,
+    _CurrentModeFields,
+    _current_mode,
+    "-",
+    "PX4's main and sub mode",
+    "the mode is 0 (not supplied)",
+)
 EXTENDED_SYS_STATE = MessageEntry(
     "EXTENDED_SYS_STATE",
     "landed",
@@ -632,6 +676,15 @@ TIMESYNC = MessageEntry(
     "ns",
     "the message is a request (tc1 is 0), or it answers another program's request",
 )
+PARAM_VALUE = MessageEntry(
+    "PARAM_VALUE",
+    None,
+    _ParamValueFields,
+    _listed,
+    "-",
+    "index in the list of parameters; MAVSDK decodes the value",
+    "the name is empty",
+)
 GPS_RAW_INT = MessageEntry(
     "GPS_RAW_INT",
     None,
@@ -656,6 +709,7 @@ ENTRIES: Final = (
     ATTITUDE_QUATERNION,
     ODOMETRY,
     HEARTBEAT,
+    CURRENT_MODE,
     EXTENDED_SYS_STATE,
     ACTUATOR_OUTPUT_STATUS,
     ESC_STATUS,
@@ -664,6 +718,7 @@ ENTRIES: Final = (
     SYS_STATUS,
     STATUSTEXT,
     TIMESYNC,
+    PARAM_VALUE,
     GPS_RAW_INT,
     RC_CHANNELS,
 )

@@ -46,7 +46,7 @@ from dart_flight.base.records import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, STREAMS, Stream
+from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, MODE, STREAMS, Stream
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Estimation
 from dart_flight.vehicle import arming_problems as reasons
@@ -56,6 +56,7 @@ from dart_flight.vehicle.callback_thread import pin_thread_state
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
 from dart_flight.vehicle.command_server import CommandServer, Press, Result
 from dart_flight.vehicle.messages import AUTOPILOT, MessageEntry, Unusable
+from dart_flight.vehicle.own_system import send_as
 from dart_flight.vehicle.text_parts import TextAssembler, split_text
 from dart_flight.vehicle.timesync import make_request
 
@@ -187,7 +188,8 @@ class VehicleSession:
             self._extra.append(ESC)
             self.listen(messages.ESC_STATUS, self._on_esc)
         if guarded:
-            self._extra.append(ESTIMATOR)
+            self._extra += (ESTIMATOR, MODE)
+            self.listen(messages.CURRENT_MODE, self._on_mode)
             self.listen(messages.ESTIMATOR_STATUS, self._on_estimator_status)
             self._subscribe_events()
 
@@ -237,6 +239,10 @@ class VehicleSession:
 
         return self._direct.subscribe_message(name, handle)
 
+    def unlisten(self, handle: Any) -> None:
+        """End a subscription of `listen`."""
+        self._direct.unsubscribe_message(handle)
+
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
         """Block for `seconds` and return the newest usable value received, or None."""
         found: list[Any] = []
@@ -246,7 +252,7 @@ class VehicleSession:
 
         handle = self.listen(entry, keep)
         time.sleep(seconds)
-        self._direct.unsubscribe_message(handle)
+        self.unlisten(handle)
         return found[0] if found else None
 
     def next(self, entry: MessageEntry, timeout_s: float) -> Any:
@@ -258,7 +264,7 @@ class VehicleSession:
         except queue.Empty:
             return None
         finally:
-            self._direct.unsubscribe_message(handle)
+            self.unlisten(handle)
 
     def unusable_reason(self, entry: MessageEntry) -> str:
         """Return why the autopilot's last message of this kind was unusable, or "" if it was usable."""
@@ -448,6 +454,10 @@ class VehicleSession:
         for text in self._texts.overdue():
             self._deliver_text(text, received)
         self._on_status(armed=beat.armed, flight_mode=beat.flight_mode, system_status=beat.system_status)
+
+    def _on_mode(self, mode: FlightMode, _: int) -> None:
+        if mode is not self._status.flight_mode:
+            self._on_status(flight_mode=mode)
 
     def _on_landed(self, landed: LandedState, _: int) -> None:
         self._on_status(landed=landed)
@@ -666,6 +676,8 @@ async def connect(
     await mavsdk.__aenter__()
     try:
         system = await _first_autopilot(mavsdk, url, timeout_s)
+        if not ground:
+            send_as(mavsdk, component, int(getattr(system, "_system", system).get_system_id()))
         opened()
         yield VehicleSession(mavsdk, system, deliver, clock)
     finally:

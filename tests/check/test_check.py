@@ -30,6 +30,7 @@ from dart_flight.check.telemetry_check import (
     evaluate_rates,
     evaluate_resting_force,
     evaluate_sources,
+    evaluate_systems,
     motor_output_names,
 )
 from dart_flight.check.vehicle_check import evaluate_lock, evaluate_mode, evaluate_observation
@@ -393,6 +394,26 @@ def telemetry_findings(observed: Observation, **values: float) -> dict[str, Chec
         *evaluate_motor_outputs(mission(), observed, values),
     ]
     return {finding.item: finding for finding in findings}
+
+
+@pytest.mark.parametrize(
+    ("systems", "station", "says"),
+    [
+        (None, 255, None),
+        ((1, 1), 255, None),
+        ((7, 7), 255, None),
+        ((2, 1), 255, "sends as system 1, the vehicle is system 2"),
+        ((7, 7), 7, "both system 7"),
+    ],
+)
+def test_the_system_ids_must_let_the_buttons_through(
+    systems: tuple[int, int] | None, station: int, says: str | None
+) -> None:
+    plain = load_flyable(ROOT / "missions/square.yaml")
+    vehicle = plain.vehicle.replace({"ground_station.system_id": station})
+    found = evaluate_systems(msgspec.structs.replace(plain, vehicle=vehicle), Observation(systems=systems))
+    assert [(f.item, f.go) for f in found] == ([] if says is None else [("system_id", False)])
+    assert says is None or says in found[0].says
 
 
 def test_the_programs_own_findings_are_not_attributed_to_px4() -> None:

@@ -18,6 +18,7 @@ from dart_flight.check.wanted_parameters import (
     RESTART,
     MetadataError,
     ParameterRow,
+    ParameterState,
     list_differences,
     restart_names,
     wanted_parameters,
@@ -32,13 +33,15 @@ from dart_flight.config.parameter_file import (
     differences,
     format_parameters,
     load_parameters,
+    to_float32,
 )
 from dart_flight.config.vehicle import packaged
 from dart_flight.vehicle.downloads import DownloadError
 from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode
-from dart_flight.vehicle.vehicle_session import VehicleError
+from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
 MOCAP = PositionSource.MOCAP
+PRESENT = ParameterState.PRESENT
 NOW = datetime(2026, 11, 26, 5, 0, 0, tzinfo=UTC)
 
 
@@ -53,8 +56,13 @@ class FakeLink(GroundLink):
 
     def __init__(self, values: dict[str, Value], *, armed: bool = False, metadata: bytes = b"") -> None:
         self.values, self.armed, self.metadata = values, armed, metadata
+        self._system_id = 1
         self.stubborn: set[str] = set()
         self.refusing: set[str] = set()
+        self.mute: set[str] = set()
+        self.limits: dict[str, Value] = {}  # values after a while
+        self.lost_after: int | None = None  # number of writes
+        self.writes = 0
 
     def heartbeat_mode(self) -> HeartbeatMode | None:
         return HeartbeatMode(armed=self.armed, hil=False)
@@ -65,10 +73,21 @@ class FakeLink(GroundLink):
     def newest(self, entry: object, seconds: float) -> str:
         return "rtk_fixed"
 
-    def read_parameters(self, names: Iterable[str], progress: object = None) -> dict[str, Value]:
-        return {name: self.values[name] for name in names if name in self.values}
+    def read_parameters(
+        self, names: Iterable[str], progress: object = None, unanswered: set[str] | None = None
+    ) -> dict[str, Value]:
+        names = list(names)
+        if unanswered is not None:
+            unanswered |= self.mute.intersection(names)
+        return {name: self.values[name] for name in names if name in self.values and name not in self.mute}
+
+    def wait(self, seconds: float) -> None:
+        self.values |= {name: value for name, value in self.limits.items() if name in self.values}
 
     def write_parameter(self, name: str, value: Value) -> None:
+        if self.writes == self.lost_after:
+            raise NoAnswerError("the vehicle stopped responding", source="udpin://test")
+        self.writes += 1
         assert type(self.values[name]) is type(value), name
         if name in self.refusing:
             raise VehicleError(f"{name} was not set")
@@ -92,7 +111,7 @@ def default_vehicle() -> dict[str, Value]:
 
 
 def read_vehicle(
-    link: GroundLink, configured: Mission | None = None, restored: Path | None = None
+    link: GroundLink, configured: Mission | None = None, restored: setting.RestoredFile | None = None
 ) -> setting.ParameterReading:
     return setting.read_differences(link, configured or mission(), MOCAP, restored)
 
@@ -145,9 +164,9 @@ def test_rows_have_the_vehicles_type_and_the_files_reason() -> None:
     }
     rows = list_differences(wanted, {"A": 0.0, "B": 3, "D": 1.05}, {"B"})
     assert rows == [
-        ParameterRow("A", 0.0, 4.0, "why a", False),
-        ParameterRow("B", 3, 2, "why b", True),
-        ParameterRow("C", None, 1, "why c", False),
+        ParameterRow("A", PRESENT, 0.0, 4.0, "why a", False),
+        ParameterRow("B", PRESENT, 3, 2, "why b", True),
+        ParameterRow("C", ParameterState.ABSENT, None, 1, "why c", False),
     ]
     assert [type(row.wanted) for row in rows] == [float, int, int]
 
@@ -172,26 +191,82 @@ def test_written_parameters_are_read_back_and_can_be_restored(tmp_path: Path) ->
     link = FakeLink(dict(before))
     found = read_vehicle(link)
     assert {row.name for row in found.writable} == set(before)
-    saved = setting.save_previous(found.writable, tmp_path, "a vehicle", NOW)
+    saved = setting.save_previous(found.writable, tmp_path, "a vehicle", 1, NOW)
     assert saved.name == "px4_before_2026-11-26_050000.params"
-    assert setting.write_rows(link, found.writable) == {}
+    assert setting.write_rows(link, found.writable).refused == {}
     assert read_vehicle(link).writable == []
-    restoring = read_vehicle(link, restored=saved)
+    restoring = read_vehicle(link, restored=setting.load_restored(saved))
     assert {row.why for row in restoring.rows} == {f"as in {saved.name}"}
-    assert setting.write_rows(link, restoring.writable) == {}
-    assert link.values == pytest.approx(before, rel=1e-8)
+    assert setting.write_rows(link, restoring.writable).written == [row.name for row in restoring.rows]
+    assert link.values == pytest.approx(before, rel=1e-7)
     with pytest.raises(InputError, match="exists"):
-        setting.save_previous(found.writable, tmp_path, "a vehicle", NOW)  # a saved file is never overwritten
+        setting.save_previous(
+            found.writable, tmp_path, "a vehicle", 1, NOW
+        )  # a saved file is never overwritten
 
 
 def test_a_parameter_that_the_vehicle_rejects_is_named() -> None:
     link = FakeLink(default_vehicle())
     link.stubborn, link.refusing = {"NAV_RCL_ACT"}, {"FD_FAIL_P"}
     refused = setting.write_rows(link, read_vehicle(link).writable)
-    assert refused == {
+    assert refused.refused == {
         "FD_FAIL_P": "FD_FAIL_P was not set",
         "NAV_RCL_ACT": "NAV_RCL_ACT is 10 after writing 3",
     }
+
+
+def test_a_missing_answer_is_neither_a_value_nor_an_absence() -> None:
+    link = FakeLink(default_vehicle())
+    link.mute = {"FD_FAIL_P", "MAN_OVERRIDE_SPD"}  # older builds lack the second
+    found = read_vehicle(link)
+    assert set(found.names(ParameterState.NOT_ANSWERED)) == link.mute
+    assert link.mute.isdisjoint(row.name for row in found.writable)
+    link.mute = {"EKF2_EV_CTRL"}
+    unknown = setting.read_differences(link, mission(), None, None)
+    assert unknown.position_from is None
+    assert unknown.states["EKF2_EV_CTRL"] is ParameterState.NOT_ANSWERED
+    assert "position source unknown" in unknown.remarks[0]
+
+
+def test_a_value_that_px4_limits_later_is_not_written() -> None:
+    link = FakeLink(default_vehicle())
+    link.limits = {"MPC_XY_P": 2.0}
+    report = setting.write_rows(link, read_vehicle(link).writable)
+    assert report.refused == {"MPC_XY_P": "MPC_XY_P is 2 after writing 0.95"}
+    assert "MPC_XY_P" not in report.written
+
+
+@pytest.mark.parametrize("writes", [0, 6])
+def test_a_lost_link_reports_what_was_written(writes: int) -> None:
+    link = FakeLink(default_vehicle())
+    link.lost_after = writes
+    rows = read_vehicle(link).writable
+    report = setting.write_rows(link, rows)
+    assert report.written == [row.name for row in rows[:writes]]
+    assert "stopped responding" in str(report.problem)
+
+
+def test_values_of_one_flight_controller_are_restored_only_on_request(tmp_path: Path) -> None:
+    path = tmp_path / "of_seven.params"
+    own: dict[str, Value] = {
+        "MAV_SYS_ID": 7,
+        "CAL_ACC0_ID": 2490378,
+        "CAL_MAG1_XOFF": 0.75,
+        "TC_A0_X3_0": 1.0e-10,
+        "SENS_BOARD_X_OFF": 1.5,
+        "SENS_GPS0_ID": 2490379,
+        "LND_FLIGHT_T_LO": 77,
+    }
+    path.write_text(format_parameters({**own, "CAL": 1, "SENS_BOARD_ROT": 8, "MPC_XY_P": 0.95}, [], 7))
+    part = setting.load_restored(path)
+    assert list(part.parameters) == ["CAL", "SENS_BOARD_ROT", "MPC_XY_P"]
+    assert all(name in part.remarks[0] for name in own)
+    assert set(setting.load_restored(path, everything=True).parameters) == {*own, *part.parameters}
+    remarks = read_vehicle(FakeLink({"CAL": 1}), restored=part).remarks
+    assert remarks[-1] == "the file is from vehicle 7; this vehicle has system id 1"
+    path.write_text(format_parameters(own, []))
+    with pytest.raises(InputError, match="--all"):
+        setting.load_restored(path)
 
 
 def test_writing_to_an_armed_vehicle_is_refused() -> None:
@@ -229,4 +304,4 @@ def test_a_written_parameter_file_is_read_back_unchanged(
     found = load_parameters(path)
     assert {name: type(p.value) for name, p in found.items()} == {n: type(v) for n, v in values.items()}
     assert differences(found, values) == []
-    assert all(p.value == pytest.approx(values[name], rel=1e-8) for name, p in found.items())
+    assert all(to_float32(p.value) == values[name] or p.value == values[name] for name, p in found.items())

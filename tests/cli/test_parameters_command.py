@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from dart_flight.cli import main
+from dart_flight.config.parameter_file import Value, format_parameters, load_parameters
+from tests.doubles.parameter_vehicle import Losses, ParameterVehicle
+from tests.doubles.ports import free_udp_port
 from tests.flights.test_embedded_flights import SINGLE, simulated_vehicle
 
 
@@ -47,3 +51,81 @@ def test_a_missing_save_folder_is_refused(tmp_path: Path, capsys: pytest.Capture
     url = ("--connection", "udpin://127.0.0.1:14999")
     assert main(["parameters", SINGLE, *url, "--save-dir", str(tmp_path / "none")]) == 2
     assert "--save-dir" in capsys.readouterr().err
+
+
+def run_json(
+    capsys: pytest.CaptureFixture[str], port: int, folder: Path, *options: str
+) -> tuple[int, dict[str, Any], str]:
+    url = ("--connection", f"udpin://127.0.0.1:{port}")
+    status = main(["parameters", SINGLE, *url, "--save-dir", str(folder), "--json", *options])
+    out, err = capsys.readouterr()
+    return status, json.loads(out), err
+
+
+# Whether the list of parameters is damaged or not: only a name that the vehicle lacks is absent.
+@pytest.mark.mavlink
+@pytest.mark.parametrize(
+    ("losses", "states", "status"),
+    [
+        (Losses(share=0.4), {"OLD_GONE_01": "absent", "MPC_XY_P": "present"}, 0),
+        (Losses(mute={"MPC_XY_P", "MAV_TYPE"}), {"OLD_GONE_01": "absent", "MPC_XY_P": "not answered"}, 1),
+        (Losses(broken_index=3), {"OLD_GONE_01": "not answered", "MPC_XY_P": "present"}, 1),
+        (Losses(unlisted={"MPC_XY_P", "SYS_HITL"}), {"OLD_GONE_44": "absent", "MPC_XY_P": "present"}, 0),
+    ],
+    ids=["entries lost once", "values lost", "an entry lost for ever", "not in the list"],
+)
+def test_absent_means_missing_from_the_complete_list(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    losses: Losses,
+    states: dict[str, str],
+    status: int,
+) -> None:
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    port = free_udp_port()
+    with ParameterVehicle(SINGLE, port, losses) as vehicle:
+        wanted: dict[str, Value] = {f"OLD_GONE_{k:02d}": k for k in range(45)}
+        wanted |= {name: vehicle.values[name] for name in ("MPC_XY_P", "SYS_HITL", "MPC_Z_P")}
+        file = tmp_path / "other_version.params"
+        file.write_text(format_parameters(wanted, []))
+        found, listed, messages = run_json(capsys, port, tmp_path, "--restore", str(file))
+        assert vehicle.requests < 4 * len(wanted)
+    assert found == status
+    assert {name: listed["states"][name] for name in states} == states
+    assert {row["name"]: row["state"] for row in listed["parameters"]} == {
+        name: state for name, state in listed["states"].items() if state != "present"
+    }
+    assert listed["states"]["MPC_Z_P"] == "present"
+    assert messages.count("Traceback") == 0
+
+
+@pytest.mark.mavlink
+@pytest.mark.parametrize("dies_after", [None, 2])
+def test_written_means_read_back_after_px4_has_limited_the_values(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    dies_after: int | None,
+) -> None:
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    port = free_udp_port()
+    file = tmp_path / "some.params"
+    names = ["MPC_XY_P", "MPC_Z_P", "COM_OF_LOSS_T", "SYS_AUTOSTART"]
+    with ParameterVehicle(SINGLE, port, Losses(limits={"MPC_Z_P": 1.5}, dies_after=dies_after)) as vehicle:
+        before = dict(vehicle.values)
+        wanted: dict[str, Value] = {"MPC_XY_P": 1.3, "MPC_Z_P": 9.0, "COM_OF_LOSS_T": 0.7}
+        file.write_text(format_parameters({**wanted, "SYS_AUTOSTART": 16777217}, []))
+        status, report, messages = run_json(capsys, port, tmp_path, "--restore", str(file), "--yes")
+    assert status == 1
+    if dies_after is None:
+        assert report["written"] == [names[0], *names[2:]]
+        assert report["refused"] == {"MPC_Z_P": "MPC_Z_P is 1.5 after writing 9"}
+        assert (report["read_back"], report["problem"]) == (True, None)
+        assert vehicle.values["SYS_AUTOSTART"] == 16777217
+    else:
+        assert report["written"] == names[:dies_after]
+        assert report["read_back"] is False
+        assert "the vehicle stopped responding" in report["problem"]
+        assert f"not written: {', '.join(names[dies_after:])}" in messages
+        assert load_parameters(report["saved"])["MPC_XY_P"].value == pytest.approx(before["MPC_XY_P"])

@@ -681,6 +681,75 @@ def test_a_further_fault_is_recorded_once_while_the_guard_holds(
     assert c.core.override is Override.HOLD
 
 
+def climb_out(c: HandFedCore) -> None:
+    north, east, _ = c.position_ned
+    c.position_ned = (north, east, -2.4)
+
+
+def empty_battery(c: HandFedCore) -> None:
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+
+
+def switch_to(mode: FlightMode, text: str = "") -> Callable[[HandFedCore], None]:
+    def switch(c: HandFedCore) -> None:
+        if text:
+            c.feed(StatusText(c.t_us, c.t_us, "critical", text))
+        c.set_status(flight_mode=mode)
+
+    return switch
+
+
+def slow_down_odometry(c: HandFedCore) -> None:
+    c.odometry_every = 14
+    c.run(2.2)
+
+
+def end_odometry(c: HandFedCore) -> None:
+    c.odometry_every = 10_000
+    c.run(0.7)
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "reason", "others"),
+    [
+        (tilt_over, climb_out, "tilt", {"altitude"}),
+        (CAUSES["position_delayed"], jump_position, "position_delayed", {"estimator_jump"}),
+        (jump_position, empty_battery, "estimator_jump", {"battery"}),
+        (CAUSES["heading_reset"], climb_out, "heading_reset", {"altitude"}),
+        # A later rule that explains the first one.
+        (slow_down_odometry, end_odometry, "odometry_silent", {"stream_rate"}),
+        (slow_down_odometry, delay_telemetry, "telemetry_late", {"stream_rate"}),
+        # A release.
+        (tilt_over, switch_to(FlightMode.MANUAL), "pilot", {"tilt"}),
+        (tilt_over, switch_to(FlightMode.LAND, "Failsafe activated"), "px4_failsafe", {"tilt"}),
+        (empty_battery, request_by_operator(Request.RELEASE), "operator_release", {"battery"}),
+    ],
+)
+def test_the_reason_is_the_first_rule_or_the_one_that_explains_it(
+    first: Callable[[HandFedCore], None],
+    then: Callable[[HandFedCore], None],
+    reason: str,
+    others: set[str],
+) -> None:
+    c = HandFedCore()
+    if first in CAUSES.values():
+        first(c)
+        c.use_rules(RULES)
+    else:
+        c.enter_approach()
+        c.run(1.0)
+        c.use_rules(RULES)
+        first(c)
+    c.run(0.2)
+    (before,) = {event.rule for event in fired(c) if event.action is not Override.NONE}
+    then(c)
+    c.run(0.3)
+    assert c.core._guard.reason is not None
+    assert c.core._guard.reason.partition(":")[0] == reason
+    assert {before, *(event.rule for event in fired(c))} >= {reason, *others}
+
+
 def test_every_rule_has_a_cause_here() -> None:
     assert set(CAUSES) == {rule.name for rule in RULES}
 
@@ -1670,6 +1739,21 @@ def test_a_second_vehicle_becomes_the_reason_after_an_earlier_rule() -> None:
     c.silent = set()
     alternate_vehicles(c, 238_000_000, 0.0, 0.1)
     assert [e.rule for e in fired(c)] == ["odometry_silent", "second_vehicle"]
+
+
+def test_telemetry_that_waited_for_this_program_is_not_attributed_to_the_link() -> None:
+    c = HandFedCore()
+    c.enter_approach()
+    c.feed(RoundTrip(c.t_us, c.t_us, c.t_us))
+    c.run(0.1)
+    c.host_ahead_us += 100_000  # a pause, after which the program does not catch up
+    c.run(0.3)
+    (event,) = fired(c)
+    assert (event.rule, event.detail) == (
+        "telemetry_late",
+        "this program reads telemetry 100 ms after sampling, limit 75 ms; the computer is too busy: this "
+        "program did not run for 104 ms",
+    )
 
 
 def test_late_telemetry_becomes_the_reason_after_a_silent_stream() -> None:

@@ -86,6 +86,28 @@ def test_a_burst_after_a_pause_is_no_delay() -> None:
     assert not feed(delay, 1.0, lambda t: 0.003, from_s=1.4)
 
 
+@pytest.mark.parametrize("pause_s", [0.3, 0.8])
+def test_the_words_name_the_late_samples_and_a_pause_of_the_program(pause_s: float) -> None:
+    """The program pauses again and again, and reads the samples of each pause at once after it."""
+    delay, now_s = TelemetryDelay(0.075), 1.0
+    feed(delay, 1.0, lambda t: 0.003)
+    while not delay.late:
+        end_s = now_s + pause_s
+        feed(delay, pause_s, lambda t, e=end_s: e - t, from_s=now_s, round_trips=False)  # type: ignore[misc]
+        # Samples taken just before the round trip may seem to arrive before they were taken.
+        feed(delay, 0.06, lambda t: -0.014, from_s=end_s, round_trips=False)
+        now_s = end_s + 0.06
+    assert delay.age_us < 75_000
+    read_ms = round(1e3 * pause_s)
+    assert delay.describe(has_paused=True) == (
+        f"this program reads telemetry {read_ms} ms after sampling, limit 75 ms"
+    )
+    assert delay.describe() == f"telemetry arrives {read_ms} ms after sampling, limit 75 ms"
+    feed(delay, 30.0, lambda t: 0.003, from_s=now_s, round_trips=False)
+    feed(delay, 0.3, lambda t: 0.1, from_s=now_s + 30.0, round_trips=False)
+    assert delay.describe() == "telemetry arrives 100 ms after sampling, limit 75 ms"
+
+
 def test_jitter_counts_as_a_delay_if_too_many_samples_are_late() -> None:
     rng = random.Random(1)
     assert not feed(TelemetryDelay(0.075), 60.0, lambda t: 0.075 * rng.random())

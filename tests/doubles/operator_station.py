@@ -28,6 +28,7 @@ class OperatorStation:
         beats: number of the program's heartbeats.
         poses: number of poses that the program has sent to the vehicle.
         armed: whether the vehicle is armed.
+        was_armed: whether the vehicle has been armed.
     """
 
     def __init__(self, port: int, system: int = 255, vehicle_port: int | None = None) -> None:
@@ -42,7 +43,7 @@ class OperatorStation:
         self._parts: dict[int, str] = {}
         self.texts: list[str] = []
         self.beats = self.poses = 0
-        self._vehicle_system, self.armed = 1, False
+        self._vehicle_system, self.armed, self.was_armed = 1, False, False
         self._transmits = False
         self._stop = threading.Event()
         self._threads = [
@@ -141,6 +142,7 @@ class OperatorStation:
         if kind == "HEARTBEAT" and message.get_srcComponent() == 1:
             self._vehicle_system = message.get_srcSystem()
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+            self.was_armed |= self.armed
         if message.get_srcComponent() != PROGRAM:
             return
         if kind == "HEARTBEAT":

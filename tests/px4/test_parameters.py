@@ -12,8 +12,11 @@ from dart_flight.config.document import InputError
 from dart_flight.config.parameter_file import (
     PositionSource,
     differences,
+    is_same_value,
     load_parameters,
     parse_listing,
+    read_parameter_file,
+    show_value,
     vehicle_files,
 )
 from dart_flight.config.vehicle import Px4Parameters, load_vehicle, packaged
@@ -81,6 +84,8 @@ def test_values_types_and_reasons_are_read_from_a_file(tmp_path: Path) -> None:
         ("1\t1\tCOM_OBL_RC_ACT\t4.5\t6", "not a number of type 6"),
         ("1\t1\tCOM_OBL_RC_ACT\t4294967296\t6", "out of range"),
         ("1\t1\tEKF2_EV_DELAY\tnan\t9", "out of range"),
+        ("1\t1\tMPC_XY_P\t1e39\t9", "1e39 is out of range for REAL32"),
+        ("1\t1\tMPC_XY_P\t-3.4028236e38\t9", "out of range for REAL32"),
     ],
 )
 def test_a_wrong_line_is_reported_with_its_number(tmp_path: Path, line: str, message: str) -> None:
@@ -90,6 +95,69 @@ def test_a_wrong_line_is_reported_with_its_number(tmp_path: Path, line: str, mes
         load_parameters(path)
     assert message in str(caught.value)
     assert caught.value.line == 2
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("", "no parameter of the autopilot"),
+        ("# Vehicle-Id Component-Id Name Value Type\n", "no parameter of the autopilot"),
+        ("1\t154\tGMB_YAW\t1\t6\n1\t100\tCAM_X\t1\t6\n", "belong to component 154, 100"),
+    ],
+)
+def test_a_file_without_a_parameter_of_the_autopilot_is_refused(
+    tmp_path: Path, rows: str, message: str
+) -> None:
+    path = tmp_path / "empty.params"
+    path.write_text(rows)
+    with pytest.raises(InputError, match=message):
+        load_parameters(path)
+
+
+def test_rows_of_other_components_and_the_head_are_no_parameters(tmp_path: Path) -> None:
+    path = tmp_path / "qgc.params"
+    head = "# Onboard parameters for Vehicle 7\n#\n# Vehicle-Id Component-Id Name Value Type\n"
+    path.write_text(f"{head}7\t1\tA\t4\t6\n7\t154\tA\t9\t6\n7\t154\tGMB_YAW\tnan\t9\n")
+    found = read_parameter_file(path)
+    assert [(p.name, p.value, p.reason) for p in found.parameters.values()] == [("A", 4, "")]
+    assert found.skipped == {"154": 2}
+    assert found.vehicles == {"7"}
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "wanted", "same"),
+    [
+        (2490378, 2490379, False),  # one part in a million of an INT32 is another device
+        (-(2**31), -(2**31), True),
+        (16777217, 16777216, False),
+        (0.30000001192092896, 0.3, True),
+        (1.00000011920929, 1.0, False),  # the next REAL32
+        (1.0e-10, 0.0, False),
+        (3.4028234663852886e38, 3.4028234e38, True),
+        (5.0, 5, True),
+        (5.1, 5, False),
+    ],
+)
+def test_values_are_compared_in_the_parameters_type(vehicle: float, wanted: float, same: bool) -> None:
+    assert is_same_value(vehicle, wanted) is same
+    assert is_same_value(wanted, vehicle) is same
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1310988, "1310988"),
+        (-(2**31), "-2147483648"),
+        (0.09120000153779984, "0.0912"),
+        (16777216.0, "16777216"),
+        (1.00000011920929, "1.0000001"),
+        (3.4028234663852886e38, "3.4028235e+38"),
+        (30.0, "30"),
+    ],
+)
+def test_a_value_is_shown_with_the_digits_that_identify_it(value: float, text: str) -> None:
+    assert show_value(value) == text
+    assert is_same_value(type(value)(text), value)
 
 
 def test_a_duplicate_parameter_and_a_missing_file_are_refused(tmp_path: Path) -> None:

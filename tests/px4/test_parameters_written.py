@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from dart_flight.check.checks import FlightContext, select_checks
-from dart_flight.check.parameter_setting import read_differences, save_previous, write_rows
+from dart_flight.check.parameter_setting import load_restored, read_differences, save_previous, write_rows
 from dart_flight.check.stages import Stage, run_checks
 from dart_flight.check.wanted_parameters import METADATA, RESTART, restart_names, wanted_parameters
 from dart_flight.config.mission import Mission
@@ -80,8 +80,8 @@ def test_written_parameters_make_the_vehicle_go_and_can_be_restored(px4_dir: Pat
         found = read_differences(link, mission, MOCAP, None)
         named = restart_names(link.read_file(METADATA))
         former = {row.name: row.vehicle for row in found.writable}
-        saved = save_previous(found.writable, tmp_path, url)
-        assert write_rows(link, found.writable) == {}
+        saved = save_previous(found.writable, tmp_path, url, 1)
+        assert write_rows(link, found.writable).refused == {}
         keep_saved(work, kept)
     assert {row.name for row in found.rows if row.restart} >= {"EKF2_EV_DELAY", "EKF2_HGT_REF"}
     assert found.restart_source == "the parameter metadata of this PX4"
@@ -98,6 +98,6 @@ def test_written_parameters_make_the_vehicle_go_and_can_be_restored(px4_dir: Pat
         assert {f.item for f in findings if not f.go} == {"lock_driver"}  # the mission's lock is the mock
         with GroundLink(url, 30.0) as link:
             assert read_differences(link, mission, None, None).writable == []
-            restoring = read_differences(link, mission, None, saved)
-            assert write_rows(link, restoring.writable) == {}
+            restoring = read_differences(link, mission, None, load_restored(saved))
+            assert write_rows(link, restoring.writable).refused == {}
             assert {name: link.read_parameters([name])[name] for name in former} == former

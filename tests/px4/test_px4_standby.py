@@ -16,7 +16,8 @@ from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.run.operator_buttons import Button
 from dart_flight.run.prepare import load_flyable, with_driver
-from dart_flight.vehicle.command_server import Result
+from dart_flight.vehicle.command_server import Press, Result
+from dart_flight.vehicle.ground_link import GroundLink
 from tests.doubles.ground_station import PORT
 from tests.doubles.operator_station import OperatorStation
 from tests.doubles.ports import free_udp_port
@@ -95,3 +96,26 @@ def test_every_button_is_answered_in_standby_and_in_flight(px4_dir: Path, tmp_pa
             station.wait_for("phase pause", 2, timeout_s=180.0)
             assert station.press(Button.LAND) == OK
             assert "landing requested" in station.wait_for("two: aborted", timeout_s=180.0)
+
+
+@pytest.mark.parametrize("system", [2, 77])
+def test_the_buttons_reach_a_program_on_a_vehicle_with_another_system_id(
+    px4_dir: Path, tmp_path: Path, system: int
+) -> None:
+    mission = load_flyable(ROOT / "missions" / "square.yaml")
+    presses: list[Press] = []
+
+    def answer(press: Press) -> tuple[Result, str]:
+        presses.append(press)
+        return OK, "pressed"
+
+    with (
+        waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"MAV_SYS_ID": system}) as url,
+        OperatorStation(free_udp_port(), vehicle_port=PORT) as station,
+        GroundLink(url, 30.0) as link,
+    ):
+        assert link.system_id == system
+        link.serve_operator(255, answer)
+        station.wait_for_program()
+        assert station.press(Button.CONTINUE, 4) == OK
+    assert set(presses) == {Press(Button.CONTINUE, 4)}

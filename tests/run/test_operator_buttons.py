@@ -16,6 +16,7 @@ from dart_flight.run.operator_buttons import (
     RcSwitch,
     StandbyButtons,
     StandbyState,
+    reply_before_take_off,
     reply_in_flight,
 )
 from dart_flight.vehicle.command_server import Press, Result
@@ -123,6 +124,21 @@ def test_two_presses_that_do_not_match_start_no_flight(between: list[tuple[Press
         assert not isinstance(buttons.reply(press, READY, now_s).effect, Errand) or press.button == 5
     late_s = 102.0 if between else 100.0 + AGAIN_S + 0.1
     assert buttons.reply(Press(6, 2), READY, late_s).effect is None
+
+
+@pytest.mark.parametrize("button", range(8))
+def test_before_take_off_only_land_has_an_effect(button: int) -> None:
+    reply = reply_before_take_off(Press(button, 1))
+    lands = button == Button.LAND
+    assert (reply.effect, reply.result) == ((Request.LAND, OK) if lands else (None, LATER))
+
+
+def test_land_cancels_the_first_press_of_fly() -> None:
+    buttons = StandbyButtons()
+    assert buttons.reply(Press(Button.LAND), READY, 99.0).result == NO
+    buttons.reply(Press(6, 2), READY, 100.0)
+    assert buttons.reply(Press(Button.LAND), READY, 101.0).text == "take-off cancelled"
+    assert buttons.reply(Press(6, 2), READY, 102.0).effect is None
 
 
 @given(st.lists(st.floats(3.0, 3.5), min_size=1, max_size=3), st.booleans())

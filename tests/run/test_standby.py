@@ -220,6 +220,24 @@ def test_a_missing_vehicle_is_reported_once_and_retried(monkeypatch: pytest.Monk
     assert standby.commands == [["check", "one.yaml"]]
 
 
+@pytest.mark.parametrize(
+    ("errand", "button", "result", "remains"),
+    [
+        (Errand(True, (1,)), Button.LAND, OK, False),
+        (Errand(True, (1,)), Button.LOCK_RIGID, LATER, True),
+        (Errand(True, (1,)), Button.FLY, LATER, True),
+        (Errand(False, (1, 2)), Button.LAND, LATER, True),
+    ],
+)
+def test_land_cancels_a_flight_while_the_link_is_being_passed(
+    errand: Errand, button: Button, result: Result, remains: bool
+) -> None:
+    standby = ScriptedStandby([], [])
+    standby._errand = errand
+    assert standby._answer(Press(button, 1))[0] == result
+    assert standby._errand == (errand if remains else None)
+
+
 def test_a_real_process_reports_why_it_cannot_fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "systemd"))
     printed: list[tuple[str, str]] = []

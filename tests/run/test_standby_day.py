@@ -82,6 +82,12 @@ class Laboratory:
         (pid,) = children.read_text().split()
         return int(pid)
 
+    def wait_for_flight_process(self) -> None:
+        """Wait until standby has passed the link to `fly`."""
+        while not any("passing the link to dart-flight fly" in line for line in self.printed_lines()):
+            assert self.standby.poll() is None
+            time.sleep(0.1)
+
     def wait_for_standby(self, times: int) -> None:
         """Wait until standby holds the link for the nth time, and check that it answers."""
         self.station.wait_for("standby", times, timeout_s=120.0)
@@ -168,6 +174,19 @@ def test_ending_standby_lands_its_flight(laboratory: Laboratory) -> None:
     assert laboratory.standby.wait(60.0) == 0
     (end,) = (line for line in laboratory.printed_lines() if line.startswith("two: aborted"))
     assert "landing requested" in end
+
+
+def test_landing_during_the_check_cancels_the_take_off(laboratory: Laboratory) -> None:
+    station = laboratory.station
+    laboratory.wait_for_standby(1)
+    laboratory.fly(1)
+    laboratory.wait_for_flight_process()
+    while station.press(Button.LAND) != OK:
+        assert not station.armed
+    station.wait_for("take-off cancelled")
+    station.wait_for("one: no-go", timeout_s=60.0)
+    station.wait_for("operator: a landing was requested during the check")
+    assert not station.was_armed
 
 
 @pytest.mark.parametrize("laboratory", ["poses"], indirect=True)

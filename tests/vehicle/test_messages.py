@@ -68,6 +68,9 @@ ROWS: dict[str, Row] = {
         {"base_mode": 128},
         {"autopilot": 3},  # ArduPilot numbers other modes
     ),
+    "CURRENT_MODE": Row(
+        {"custom_mode": 6 << 16, "intended_custom_mode": 6 << 16, "standard_mode": 0}, {"custom_mode": 0}
+    ),
     "EXTENDED_SYS_STATE": Row({"landed_state": 1}, {"landed_state": 0}, {"landed_state": 100}),
     "ACTUATOR_OUTPUT_STATUS": Row(
         {"time_usec": 7, "active": 4, "actuator": [1500.0] * 4 + [0.0] * 28},
@@ -94,6 +97,10 @@ ROWS: dict[str, Row] = {
         {"severity": 4, "text": "low battery", "id": 0, "chunk_seq": 0}, {"text": ""}, {"severity": 40}
     ),
     "TIMESYNC": Row({"tc1": 7000, "ts1": 5000}, {"tc1": 0}),
+    "PARAM_VALUE": Row(
+        {"param_id": "MPC_XY_P", "param_index": 3, "param_count": 900, "param_value": 0.95, "param_type": 9},
+        {"param_id": ""},
+    ),
     "GPS_RAW_INT": Row({"fix_type": 6}, {"fix_type": 200}),
     "RC_CHANNELS": Row({"chancount": 8, "rssi": 200}, {"chancount": 0}),
 }

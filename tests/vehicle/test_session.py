@@ -32,7 +32,7 @@ from dart_flight.base.records import (
     SystemStatus,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, STREAMS
+from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, MODE, STREAMS
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import vehicle_session as module
@@ -155,7 +155,7 @@ def test_an_optional_stream_is_requested_by_its_message_id(
             "param2": round(1e6 / stream.rate_hz),
             **{f"param{i}": 0 for i in range(3, 8)},
         }
-        for stream in (ESC, ESTIMATOR)
+        for stream in (ESC, ESTIMATOR, MODE)
     ]
 
 
@@ -500,7 +500,8 @@ def test_a_connection_is_opened_and_closed_and_its_problem_is_reported(
     monkeypatch: pytest.MonkeyPatch, answers: bool, problem: Exception | None, message_part: str
 ) -> None:
     Rig(monkeypatch, {})
-    sdk, opened = Sdk(object() if answers else None, problem), list[bool]()
+    system = SimpleNamespace(get_system_id=lambda: 1)
+    sdk, opened = Sdk(system if answers else None, problem), list[bool]()
     monkeypatch.setattr(module, "Mavsdk", lambda _: sdk)
     redirected = list[bool]()  # MAVSDK's own output must not reach the terminal
     monkeypatch.setattr("dart_flight.vehicle.sdk_log.redirect", lambda: redirected.append(True))

@@ -147,11 +147,16 @@ class FlightConditions:
         """Possible causes of a stream's failure, as text to append: another vehicle, a pause, or nothing."""
         other = self.others.other_system
         known = f"; {other}" if other is not None else ""
-        if self._pause_us and self.state.host_us - self._paused_us < _PAUSE_MEMORY_US:
+        if self.has_paused:
             known += (
                 f"; the computer is too busy: this program did not run for {self._pause_us * 1e-3:.0f} ms"
             )
         return known
+
+    @property
+    def has_paused(self) -> bool:
+        """Whether this program has paused within the last seconds."""
+        return bool(self._pause_us) and self.state.host_us - self._paused_us < _PAUSE_MEMORY_US
 
     @property
     def just_after_impact(self) -> bool:

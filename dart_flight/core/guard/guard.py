@@ -88,7 +88,8 @@ class Guard:
         self.overrules = False  # whether a rule has fired, so that the mission is ignored
         self._rank = self.action.rank
         self.reason: str | None = None
-        self._rule: Rule | None = None
+        self._rule: Rule | None = None  # in force
+        self._cause = ""  # rule of the reason: the first that decided, or one that explains it
         self._noted: set[str] = set()  # rules recorded while an equally strong action was active
         self.end: MissionEnd | None = None
         self._since_us = 0
@@ -190,12 +191,22 @@ class Guard:
     def _apply_explanation(
         self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
     ) -> None:
-        """Put `rule` in force, with the reason `detail`, if it explains why the present rule fired."""
-        if detail is not None and self._rule is not None and self._rule.name in rule.explains:
+        """Put `rule` in force, with the reason `detail`, if it explains why the first rule fired."""
+        if detail is not None and self._cause in rule.explains:
             if rule.of_streams:
                 detail += self._watch.circumstances
             events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
-            self._rule, self.reason = rule, f"{rule.name}: {detail}"
+            self._rule = rule
+            self._apply_reason(rule, detail)
+
+    def _apply_reason(self, rule: Rule, detail: str) -> None:
+        """Give `rule` as the reason, unless an earlier rule decided that `rule` does not explain.
+
+        A release ends the program's control, so it always has its own reason.
+        """
+        if not self._cause or self._cause in rule.explains or rule.action is Override.RELEASE:
+            self._cause = rule.name
+            self.reason = f"{rule.name}: {detail}" if detail else rule.name
 
     def _fire(
         self, name: str, detail: str, state: FlightState, events: list[Output], noted: bool = False
@@ -226,10 +237,7 @@ class Guard:
                 events.append(VehicleCommand(state.now_us, VehicleAction.DISARM))
             self.end = MissionEnd(state.now_us, Outcome.ABORTED, f"{rule.name}: {detail}", None)
             return
-        if (
-            rule.action is not Override.KILL or self.reason is None
-        ):  # otherwise keep the reason of the landing
-            self.reason = f"{rule.name}: {detail}" if detail else rule.name
+        self._apply_reason(rule, detail)
         self.action, self._rule, self._rank = rule.action, rule, rule.action.rank
         self.overrules = True
         self._hold = None  # the new action selects another place

@@ -63,8 +63,8 @@ class Rule(NamedTuple):
             some other conditions hold during a single sample only.
         by_person: whether the rule means that a person took over. The flight then counts as released, not as
             aborted.
-        explains: rules that may fire earlier for the same cause. If one of them is in force, this rule
-            replaces it and gives the reason.
+        explains: rules that may fire earlier for the same cause. If one of them is the reason, this rule
+            replaces it as the reason.
         of_streams: whether the rule concerns failing telemetry. The rule's detail then also describes the
             state of link and computer.
         noted: whether log and verdict record the rule, once per flight, even if an equally strong action is

@@ -281,7 +281,8 @@ _LAND, _KILL, _RELEASE = Override.LAND, Override.KILL, Override.RELEASE
 _MODE = (StatusSample, StatusText)  # PX4's texts identify the cause of a mode change
 _MOTORS, _REQUEST, _POSITION = (StatusSample, ActuatorSample), (OperatorRequest,), (OdometrySample,)
 _SILENT = ("odometry_silent", "attitude_silent", "imu_silent", "status_silent")
-_BY_TWO = frozenset((*_SILENT, "stamps_backwards", "estimator_flags", "altitude"))
+_STEPS = ("estimator_jump", "estimator_reset", "heading_reset", "position_delayed", "tilt", "bounds", "speed")
+_BY_TWO = frozenset((*_SILENT, *_STEPS, "stamps_backwards", "estimator_flags", "altitude", "stream_rate"))
 
 # fmt: off
 RULES: tuple[Rule, ...] = (

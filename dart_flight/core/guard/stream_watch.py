@@ -37,6 +37,7 @@ _RATE_WINDOW_US: Final = 1_000_000
 _LEAP_US: Final = 1_000_000
 _SHARE: Final = 0.15  # of the last second or so; a batch after a pause counts as no time
 _SHARE_US: Final = 1_000_000
+_FORGOTTEN: Final = 0.01  # share below which earlier late samples no longer matter
 _STEP_MAX_US: Final = 20_000  # a sample stands for the time since the previous one, up to this limit
 _DRIFT: Final = 2e-4  # largest drift of two clocks, seconds per second
 _LAST: Final = 3  # number of round trips; the shortest counts if the clocks cannot be compared
@@ -64,6 +65,7 @@ class TelemetryDelay:
         self._received_us = 0
         self._share = 0.0
         self.age_us = 0.0  # age of the newest sample
+        self._oldest_us = 0.0  # largest age of the samples that were late recently
         self.late = False
 
     def add_round_trip(self, trip: RoundTrip) -> None:
@@ -93,15 +95,19 @@ class TelemetryDelay:
         step_us = min(max(received_us - self._received_us, 0), _STEP_MAX_US)
         self._received_us = received_us
         kept = decay_factor(step_us, _SHARE_US)
+        if self.age_us > self._limit_us:
+            self._oldest_us = max(self.age_us, self._oldest_us if self._share > _FORGOTTEN else 0.0)
         self._share = kept * self._share + (1.0 - kept if self.age_us > self._limit_us else 0.0)
         self.late = self._share > _SHARE
 
-    def describe(self) -> str:
-        """Return the delay as text."""
+    def describe(self, has_paused: bool = False) -> str:
+        """Return the delay as text; after a pause of this program, the link is not the likely cause."""
         shortest_us = min(self._last, default=0)
-        also = f", round trip {shortest_us * 1e-3:.0f} ms" if shortest_us > self._limit_us else ""
-        limit_ms = self._limit_us * 1e-3
-        return f"telemetry arrives {self.age_us * 1e-3:.0f} ms after sampling, limit {limit_ms:.0f} ms{also}"
+        slow_link = shortest_us > self._limit_us
+        also = f", round trip {shortest_us * 1e-3:.0f} ms" if slow_link else ""
+        what = "this program reads telemetry" if has_paused and not slow_link else "telemetry arrives"
+        oldest_ms, limit_ms = self._oldest_us * 1e-3, self._limit_us * 1e-3
+        return f"{what} {oldest_ms:.0f} ms after sampling, limit {limit_ms:.0f} ms{also}"
 
 
 class StreamWatch:
@@ -202,12 +208,13 @@ def _slow(v: Any) -> str | None:
 
 
 def _late(v: Any) -> str | None:
-    return v.streams.delay.describe() if v.streams.delay.late else None
+    return v.streams.delay.describe(v.has_paused) if v.streams.delay.late else None
 
 
 SAMPLED: Final = ("imu", "attitude", "odometry", "actuator")
 _LINK: Final = ("status", "imu", "attitude", "odometry")
 _AIR, _LAND = Scope.AIR, Override.LAND
+_SLOWING: Final = frozenset({"stream_rate"})  # the rate of a stream that ends falls first
 
 # fmt: off
 STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule in (
@@ -216,11 +223,12 @@ STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule i
         _LINK, LINK_LOST_S, "no telemetry for {s:.1f} s")),
     Rule("imu_silent", _LAND, _AIR, _silence(
         "IMU stream timed out: impacts cannot be detected",
-        ("imu",), "stream_timeout_s", alone="imu_timeout_s")),
+        ("imu",), "stream_timeout_s", alone="imu_timeout_s"), explains=_SLOWING),
     Rule("attitude_silent", _LAND, _AIR, _silence(
-        "attitude stream timed out: force direction unknown", ("attitude",), "stream_timeout_s")),
+        "attitude stream timed out: force direction unknown", ("attitude",), "stream_timeout_s"),
+        explains=_SLOWING),
     Rule("odometry_silent", _LAND, _AIR, _silence(
-        "position stream timed out", ("odometry",), "stream_timeout_s")),
+        "position stream timed out", ("odometry",), "stream_timeout_s"), explains=_SLOWING),
     Rule("actuator_silent", Override.HOLD, Scope.FLYING, _silence(
         "actuator stream timed out: thrust and contact force cannot be separated",
         ("actuator",), ACTUATOR_TIMEOUT_S)),
@@ -233,6 +241,7 @@ STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule i
         "telemetry arrives too late to react in time", "guard.telemetry_late_s", _late)),
     Rule("telemetry_late", _LAND, _AIR, RuleCondition(
         "telemetry has arrived too late for several samples", "guard.telemetry_late_s", _late),
-        explains=frozenset({"imu_silent", "attitude_silent", "odometry_silent", "status_silent"})),
+        explains=frozenset({"imu_silent", "attitude_silent", "odometry_silent", "actuator_silent",
+                            "status_silent", "stream_rate"})),
 ))
 # fmt: on

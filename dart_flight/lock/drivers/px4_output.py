@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 import msgspec
 
 from dart_flight.base.errors import FlightError
+from dart_flight.config.parameter_file import show_value
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock.drivers import DriverError
 from dart_flight.lock.state_machine import DriverReading
@@ -86,7 +87,7 @@ def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[
         if required.name not in actual:
             shown = "not on this vehicle"
         elif not required.is_satisfied_by(actual[required.name]):
-            shown = f"{actual[required.name]:g}"
+            shown = show_value(actual[required.name])
         else:
             continue
         wanted = f"be {required.value}" if required.mask is None else f"have bit {required.mask:#x} clear"

@@ -13,7 +13,6 @@ import contextlib
 import ctypes
 import errno
 import fcntl
-import math
 import os
 import re
 import shutil
@@ -32,8 +31,10 @@ from dart_flight.config.parameter_file import (
     Parameter,
     PositionSource,
     Value,
+    is_same_value,
     load_parameters,
     parse_listing,
+    show_value,
     vehicle_files,
 )
 from dart_flight.config.rotors import COUNT, MAV_TYPES, motors_from_parameters, rotor_parameters
@@ -181,8 +182,8 @@ def describe_mismatch(wanted: Mapping[str, Value], actual: Mapping[str, float]) 
     for name, value in wanted.items():
         has = actual.get(name)
         near = _DIGITS if isinstance(value, float) else 0.0
-        if has is None or not math.isclose(has, value, rel_tol=1e-6, abs_tol=near):
-            return f"{name}: set to {value:g}, PX4 has {'none' if has is None else format(has, 'g')}"
+        if has is None or not is_same_value(has, value, near):
+            return f"{name}: set to {show_value(value)}, PX4 has {'none' if has is None else show_value(has)}"
     return None
 
 
