@@ -78,6 +78,7 @@ def check_places(mission: Mission) -> list[CheckFinding]:
             for wall in mission.walls
             if wall.spans(point)
             and abs(wall.signed_distance(point)) < _CLEARANCE_M + position_margin_m(wall, point)
+            and wall.signed_distance(point) >= -wall.behind_m
         ]
         for distance, wall_name in near:
             says = f"{name} is {distance:.2f} m from wall {wall_name}, minimum {_CLEARANCE_M:g} m"
