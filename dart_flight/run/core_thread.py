@@ -117,8 +117,7 @@ class CoreThread:
                 self._called.clear()
             if self._fault is not None:
                 raise self._fault
-            # In lockstep this thread must not own the core: an input that arrives meanwhile would stay queued,
-            # and the world would wait for it.
+            # In lockstep this thread must not own the core: an input that arrives then would stay queued.
             if self._lockstep is None:
                 with self._owner:
                     self._step_queued()

@@ -11,8 +11,8 @@ A busy computer therefore makes a simulated flight slower but never different.
 
 If a datagram is lost, time waits for `_LOST_S` and then advances by one tick. The next message replaces the
 lost message: if the core has processed a message, all older messages of the same stream count as processed.
-A setpoint or a pose of the application that does not arrive also counts as lost: MAVSDK repeats setpoints only
-while it believes that PX4 is in offboard mode.
+A setpoint or a pose of the application that does not arrive also counts as lost, because MAVSDK repeats
+setpoints only in offboard mode.
 
 Whenever time waits for `_LOST_S`, the world's log names what is missing.
 """
