@@ -14,6 +14,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 from dart_flight.core.mission.position_loop import stop_share
+from dart_flight.lab.api import plan
 from dart_flight.run.fast import fly_fast
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.plant import Plant
@@ -219,3 +220,23 @@ def test_check_names_opposite_walls_that_leave_no_room(change: dict[str, Any], s
     tree["walls"]["other"] = tree["walls"]["board"] | change
     found = no_goes(load_mission(tree)).get("opposite_walls")
     assert found is None if says is None else found is not None and says in found
+
+
+@pytest.mark.parametrize("side", ["front", "back"])
+def test_a_partition_is_planned_like_one_wall(side: str) -> None:
+    """The other face is within half a metre behind the vehicle, but it is no obstacle."""
+    tree = {key: value for key, value in written().items() if key != "collisions"}
+    grid = {"min": -1.2, "max": -0.8, "step": 0.2}, {"min": 0.0, "max": 0.5, "step": 0.25}
+    tree |= {
+        "sequence": ["board"],
+        "objective": "gentlest",
+        "search": {"normal_m_s": grid[0], "tangential_m_s": grid[1]},
+        "alpha_wall_m_per_n": {"board": [0.02, 0.02]},
+    }
+    if side == "back":
+        tree["walls"]["board"] |= {"point_m": [1.812, 0.5], "normal": [1.0, 0.0]}
+    face = tree | {"sequence": [f"board.{side}"], "alpha_wall_m_per_n": {f"board.{side}": [0.02, 0.02]}}
+    single = {"point_m": [1.8, 0.5], "normal": [-1.0, 0.0], "thickness_m": None}
+    tree = tree | {"walls": {"board": tree["walls"]["board"] | single}}
+    force = [plan(one).plans[0].peak_force_n for one in (tree, face)]
+    assert force[0] == pytest.approx(force[1], rel=1e-6)
