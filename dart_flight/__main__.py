@@ -1,7 +1,5 @@
 """`python -m dart_flight`."""
 
-import sys
+from dart_flight.cli import run
 
-from dart_flight.cli import main
-
-sys.exit(main())
+run()

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import IO
+from typing import IO, NoReturn
 
 _WATCHING_NICE = 19
 _PIPE_BYTES = 1 << 19
@@ -38,6 +39,30 @@ def measure_lateness_s() -> float:
         time.sleep(_NAP_S)
         worst_s = max(worst_s, time.monotonic() - now_s - _NAP_S)
     return worst_s
+
+
+def exit_within(status: int, patience_s: float) -> NoReturn:
+    """Exit with a status; end the process after `patience_s` if anything keeps it from exiting.
+
+    Threads, exit functions and the threads and destructors of libraries such as MAVSDK may block. Until the
+    interpreter is gone, a thread ends the process; one second later, SIGALRM does.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+
+    def end() -> None:
+        time.sleep(patience_s)
+        names = [one.name for one in threading.enumerate() if not one.daemon and one.is_alive()]
+        with contextlib.suppress(OSError):
+            os.write(2, f"ended by force, kept by: {', '.join(names)}\n".encode())
+        os._exit(status)
+
+    threading.Thread(target=end, name="exit", daemon=True).start()
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_REAL, patience_s + 1.0)
+    sys.exit(status)
 
 
 class ChildProcess(subprocess.Popen[bytes]):

@@ -13,6 +13,8 @@ import msgspec
 
 from dart_flight.base.geometry import Vec2, Vec3, distance_to_segment, wrap_angle
 
+FRONT, BACK = ".front", ".back"  # ends of the names of a partition's faces
+
 
 class Post(msgspec.Struct, frozen=True):
     """An upright, free-standing cylinder.
@@ -55,6 +57,8 @@ class Wall(msgspec.Struct, frozen=True):
             the plane is assumed at the end of the probe's path.
         material_known: whether the material is given. If not, `material` is the vehicle's stiffest material
             until a contact identifies the wall's material.
+        thickness_m: thickness of the partition, if the wall is one of a partition's two faces; otherwise
+            None.
     """
 
     name: str
@@ -68,6 +72,31 @@ class Wall(msgspec.Struct, frozen=True):
     post_radius_m: float = 0.0
     sought: bool = False
     material_known: bool = True
+    thickness_m: float | None = None
+
+    @property
+    def behind_m(self) -> float:
+        """Distance behind the plane at which a vehicle is in the middle of a partition, metres.
+
+        Further behind, the vehicle is on the partition's other side. The distance is infinite for a wall that
+        is not a face of a partition.
+        """
+        return math.inf if self.thickness_m is None else self.half_vehicle_m + 0.5 * self.thickness_m
+
+    @property
+    def is_back(self) -> bool:
+        """Whether the wall is the back of a partition."""
+        return self.thickness_m is not None and self.name.endswith(BACK)
+
+    def back(self) -> Wall:
+        """Return the back of the partition whose front this wall is."""
+        (x, y), (nx, ny), apart_m = self.point, self.normal, 2.0 * self.behind_m
+        return msgspec.structs.replace(
+            self,
+            name=self.name.removesuffix(FRONT) + BACK,
+            point=(x - apart_m * nx, y - apart_m * ny),
+            normal=(0.0 - nx, 0.0 - ny),
+        )
 
     @property
     def tangent(self) -> Vec2:

@@ -32,6 +32,7 @@ from dart_flight.planning.envelope import (
     clipping_warning,
     full_scale_n,
     height_warning,
+    incidence_deg,
     incidence_warning,
     speed_warning,
 )
@@ -42,6 +43,7 @@ from dart_flight.planning.predicted_flight import (
     predicted_segments,
 )
 
+_FLAT_DEG = 10.0  # beyond this incidence, one guard carries most of the force
 _CLEARANCE_M = 0.15  # required distance of start and goal from a wall's plane
 _WEAK = 1.3  # multiple of the detection threshold; a weaker impact may be missed
 _SAME_M = 1e-6
@@ -78,6 +80,7 @@ def check_places(mission: Mission) -> list[CheckFinding]:
             for wall in mission.walls
             if wall.spans(point)
             and abs(wall.signed_distance(point)) < _CLEARANCE_M + position_margin_m(wall, point)
+            and wall.signed_distance(point) >= -wall.behind_m
         ]
         for distance, wall_name in near:
             says = f"{name} is {distance:.2f} m from wall {wall_name}, minimum {_CLEARANCE_M:g} m"
@@ -146,7 +149,7 @@ def check_collisions(mission: Mission, planned: PredictedFlight | None) -> Itera
             yield from check_located_wall(collision)
             yield from _check_force(mission, collision)
             continue
-        yield from _check_approach(mission, collision)
+        yield from _check_approach(mission, collision, planned)
         if collision.probe is not None:
             yield from check_probe(mission, collision, collision.probe)
             continue
@@ -157,12 +160,12 @@ def check_collisions(mission: Mission, planned: PredictedFlight | None) -> Itera
         yield from _check_servo(mission, collision)
 
 
-def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding]:
+def _check_approach(
+    mission: Mission, collision: Collision, planned: PredictedFlight | None
+) -> list[CheckFinding]:
     item = f"approach_{collision.index}"
     if collision.approach_m_s is None:
-        way = "recovery" if collision.trajectory is None else "trajectory"
-        says = f"the {way} from the previous collision reaches wall {collision.wall.name}"
-        return [CheckFinding(item, True, says)]
+        return [_describe_arrival(mission, collision, planned)]
     try:
         approach = plan_approach(mission, collision)
     except NoApproachError as error:
@@ -184,6 +187,27 @@ def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding
         f"{approach.duration_s:.1f} s"
     )
     return [CheckFinding(item, True, says)]
+
+
+def _describe_arrival(
+    mission: Mission, collision: Collision, planned: PredictedFlight | None
+) -> CheckFinding:
+    """Describe the predicted impact to which the previous recovery leads; the heading stays meanwhile."""
+    way = "recovery" if collision.trajectory is None else "trajectory"
+    says = f"the {way} from the previous collision reaches wall {collision.wall.name}"
+    incidence = incidence_deg(mission, collision)
+    figures = {"incidence_deg": incidence}
+    hit = None if planned is None else planned.hits.get(collision.index)
+    if hit is not None:
+        says += (
+            f" near ({hit.position[0]:.2f}, {hit.position[1]:.2f}) at {-hit.normal_m_s:.2f} m/s, "
+            f"{abs(hit.tangential_m_s):.2f} m/s along the wall"
+        )
+        figures |= {"normal_m_s": hit.normal_m_s, "tangential_m_s": hit.tangential_m_s}
+    says += f", incidence {incidence:.0f} degrees"
+    if incidence > _FLAT_DEG:
+        says += ": one guard touches first, so the force may be half of the predicted force"
+    return CheckFinding(f"approach_{collision.index}", True, says, figures=figures)
 
 
 def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:

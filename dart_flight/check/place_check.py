@@ -116,7 +116,7 @@ def _walls_facing_away(mission: Mission, place: Vec2) -> Iterator[str]:
     """
     later = {collision.wall.name for collision in mission.collisions[1:]}
     for wall in mission.walls:
-        if wall.name not in later and wall.spans(place) and wall.signed_distance(place) < 0.0:
+        if wall.name not in later and wall.spans(place) and -wall.behind_m <= wall.signed_distance(place) < 0:
             yield wall.name
 
 

@@ -16,6 +16,8 @@ from dart_flight.planning.envelope import incidence_deg, max_incidence_deg
 from dart_flight.planning.predicted_flight import PredictedFlight, PredictedImpact, impact_place
 
 _INCIDENCE_SD = 2.0
+_OPPOSITE = -0.9  # product of the normals of two opposite walls: up to 26 degrees from antiparallel
+_SAME_PLACE_M = 0.005  # a gap that nobody measures: the walls are back to back
 
 
 def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
@@ -28,7 +30,49 @@ def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[Check
     hits = {} if planned is None else planned.hits
     known = [c for c in mission.collisions if c.probe is None and not c.wall.sought]
     found = [finding for c in known for finding in _check_collision(mission, c, hits)]
-    return [*_check_ends(mission, hits), *found]
+    return [*_check_opposite_faces(mission), *_check_ends(mission, hits), *found]
+
+
+def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
+    """Return a finding for each two opposite walls that no vehicle fits between, or that are one partition.
+
+    Walls of a corner are not opposite, and the two faces of one partition are meant to be close.
+    """
+    contact_m = mission.vehicle.airframe.contact_distance_m
+    surfaces = [mission.vehicle.airframe.wall_surface(wall) for wall in mission.flat_walls]
+    for one, other in itertools.combinations(surfaces, 2):
+        (ax, ay), (bx, by) = one.normal, other.normal
+        same = one.thickness_m is not None and other.name == one.back().name
+        gaps = [one.signed_distance(place) for place in _places_before(one, other)]
+        if same or not gaps or ax * bx + ay * by > _OPPOSITE:
+            continue
+        names = f"walls {one.name} and {other.name}"
+        figures = {"gap_m": min(gaps, key=abs)}
+        if _SAME_PLACE_M < min(gaps) < 2.0 * contact_m:
+            says = (
+                f"{names} face each other at {min(gaps):.3f} m, minimum {2.0 * contact_m:.2f} m for the "
+                "vehicle: check their places; if they are one partition, their normals must point apart, and "
+                "one entry with thickness_m gives both"
+            )
+            yield CheckFinding("opposite_walls", False, says, figures=figures)
+        elif -contact_m < max(gaps) <= _SAME_PLACE_M:
+            says = (
+                f"{names} are back to back at {max(0.0, -max(gaps)):.3f} m, less than the contact distance "
+                f"{contact_m:.2f} m: enter the partition as one wall with thickness_m"
+            )
+            yield CheckFinding("opposite_walls", False, says, figures=figures)
+
+
+def _places_before(one: Wall, other: Wall) -> list[Vec2]:
+    """Return the ends of the part of another wall that lies in front of or behind a wall."""
+    left, right = (one.along(end) for end in other.ends)
+    reach = 0.5 * one.length_m
+    low, high = max(-reach, min(left, right)), min(reach, max(left, right))
+    if not low < high:
+        return []
+    (lx, ly), (rx, ry) = other.ends
+    shares = [(along - left) / (right - left) for along in (low, high)]
+    return [(lx + share * (rx - lx), ly + share * (ry - ly)) for share in shares]
 
 
 def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:

@@ -17,11 +17,11 @@ import traceback
 import warnings
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from dart_flight import __version__
 from dart_flight.base.errors import FlightError
-from dart_flight.base.processes import use_idle_priority
+from dart_flight.base.processes import exit_within, use_idle_priority
 from dart_flight.cli.terminal import OutputError, open_closed_streams, print_status, write_output
 from dart_flight.config.document import InputError, did_you_mean, suggest_known
 from dart_flight.config.retired_keys import RetiredKeyWarning
@@ -60,6 +60,7 @@ COMMANDS = {
 RENAMED = {"feel": "inspect"}
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
+_EXIT_S = 4.0  # a forced end takes at most one second longer
 EXIT_INTERRUPTED = 130  # a shell's status for SIGINT
 
 
@@ -193,6 +194,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print_status(_system_error(error))
         return EXIT_INCOMPLETE
+
+
+def run() -> NoReturn:
+    """Run `dart-flight` as a program, which ends at most 5 s after its command."""
+    exit_within(main(), _EXIT_S)
 
 
 def _show_warning(

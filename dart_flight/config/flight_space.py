@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import msgspec
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
-from dart_flight.base.walls import Post, Wall
+from dart_flight.base.walls import FRONT, Post, Wall
 from dart_flight.config.document import Document, Key, unknown_name
 from dart_flight.config.mission_file import BoundsSpec, GoalSpec, Limits, PostSpec, StartSpec, WallSpec
 from dart_flight.config.vehicle import VehicleConfig
@@ -68,9 +69,10 @@ def resolve_walls(
     `section` is the key of the walls in the file.
 
     Raises:
-        InputError: a normal has length zero, or a material is not in the vehicle's table.
+        InputError: a normal has length zero, a material is not in the vehicle's table, or a face of a
+            partition has the name of another wall.
     """
-    walls = {}
+    walls: dict[str, Wall] = {}
     for name, spec in specs.items():
         key: Key = (section, name)
         length = math.hypot(*spec.normal)
@@ -85,9 +87,11 @@ def resolve_walls(
         point = (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1])
         yaw_sd_rad = None if spec.yaw_sd_deg is None else math.radians(spec.yaw_sd_deg)
         half_m = vehicle.airframe.contact_distance_m
-        walls[name] = Wall(
-            name, point, normal, spec.length_m, spec.material, spec.position_sd_m, yaw_sd_rad, half_m
-        )
+        wall = Wall(name, point, normal, spec.length_m, spec.material, spec.position_sd_m, yaw_sd_rad, half_m)
+        for face in (wall,) if spec.thickness_m is None else _faces(wall, spec.thickness_m):
+            if face.name in walls:
+                raise document.error(key, f"another wall already has the name {face.name}")
+            walls[face.name] = face
     return walls
 
 
@@ -99,6 +103,12 @@ def hint_at_surface(off_m: float, contact_distance_m: float) -> str:
         f"; airframe.contact_distance_m is {contact_distance_m:g} m: if point_m is on the wall itself, give "
         "given_at: surface"
     )
+
+
+def _faces(wall: Wall, thickness_m: float) -> tuple[Wall, Wall]:
+    """Return front and back of a partition."""
+    front = msgspec.structs.replace(wall, name=wall.name + FRONT, thickness_m=thickness_m)
+    return front, front.back()
 
 
 def resolve_posts(
@@ -156,8 +166,16 @@ def check_clear_of_posts(
             raise document.error((*key, "position_m"), f"is in or at post {post.name}")
 
 
-def wall_as_written(wall: Wall) -> WallSpec:
-    """Return a resolved wall in the form of a mission file."""
+def walls_as_written(walls: Iterable[Wall]) -> dict[str, WallSpec]:
+    """Return resolved walls in the form of a mission file: one entry for both faces of a partition."""
+    return {_name_of_entry(wall): _wall_as_written(wall) for wall in walls if not wall.is_back}
+
+
+def _name_of_entry(wall: Wall) -> str:
+    return wall.name if wall.thickness_m is None else wall.name.removesuffix(FRONT)
+
+
+def _wall_as_written(wall: Wall) -> WallSpec:
     # Rounding restores the angle as written.
     yaw_sd_deg = None if wall.yaw_sd_rad is None else round(math.degrees(wall.yaw_sd_rad), 12)
     return WallSpec(
@@ -167,6 +185,7 @@ def wall_as_written(wall: Wall) -> WallSpec:
         material=wall.material,
         position_sd_m=wall.position_sd_m,
         yaw_sd_deg=yaw_sd_deg,
+        thickness_m=wall.thickness_m,
     )
 
 
@@ -194,7 +213,7 @@ def check_place(
             (*key, "altitude_m"), f"must be within bounds_m z [{bounds.z[0]:g}, {bounds.z[1]:g}]"
         )
     for name, wall in walls.items():
-        if wall.spans(point) and -0.5 < wall.signed_distance(point) <= 0.0:
+        if wall.spans(point) and -min(0.5, wall.behind_m) <= wall.signed_distance(point) <= 0.0:
             raise document.error((*key, "position_m"), f"is in or behind wall {name}")
 
 

@@ -32,7 +32,7 @@ from dart_flight.config.flight_space import (
     resolve_space,
     resolve_walls,
     tangent_wall,
-    wall_as_written,
+    walls_as_written,
 )
 from dart_flight.config.mission_file import (
     ApproachSpec,
@@ -282,8 +282,8 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
             version=1,
             start=StartSpec(self.start, self.altitude_m),
             bounds_m=self.bounds,
-            walls={wall.name: wall_as_written(wall) for wall in self.flat_walls},
-            simulated_walls={wall.name: wall_as_written(wall) for wall in self.simulated_walls},
+            walls=walls_as_written(self.flat_walls),
+            simulated_walls=walls_as_written(self.simulated_walls),
             posts={post.name: PostSpec(post.centre, post.radius_m, post.material) for post in self.posts},
             collisions=[collision.as_written(self.start) for collision in self.collisions],
             waypoints=list(_waypoints_as_written(self)),

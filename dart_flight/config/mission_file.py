@@ -104,8 +104,8 @@ class WallSpec(Section, frozen=True):
 
     Attributes:
         point_m: [x, y] of the wall's middle, mission frame; given_at defines whether this point is on the
-            wall itself.
-        normal: [x, y], points into free space; any length.
+            wall itself. For a partition, the point belongs to the front.
+        normal: [x, y], points into free space; any length. For a partition, it points out of the front.
         length_m: length along the wall, half of it to each side of the middle.
         material: a key of materials in the vehicle configuration.
         given_at: centre: point_m is the position of the vehicle's centre at first touch, as in the paper;
@@ -114,6 +114,8 @@ class WallSpec(Section, frozen=True):
             few centimetres, and the guard thresholds of the vehicle configuration cover this error.
         yaw_sd_deg: standard deviation of the wall's direction, as a rotation about the wall's middle; null:
             the guard thresholds of the vehicle configuration cover the error.
+        thickness_m: thickness of a partition: the entry NAME then gives two walls, NAME.front and NAME.back,
+            and the vehicle may hit both; null: a wall with one face.
     """
 
     point_m: Point2
@@ -123,6 +125,7 @@ class WallSpec(Section, frozen=True):
     given_at: Literal["centre", "surface"] = "centre"
     position_sd_m: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     yaw_sd_deg: Annotated[float, Meta(ge=0.0, le=30.0)] | None = None
+    thickness_m: Annotated[float, Meta(ge=0.0, le=10.0)] | None = None
 
 
 class PostSpec(Section, frozen=True):
@@ -358,7 +361,8 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
     """One planned collision.
 
     Attributes:
-        wall: a key of walls or posts. With a probe, the name of an unknown wall is also allowed.
+        wall: a key of walls or posts, or a face of a partition, such as board.front. With a probe, the name
+            of an unknown wall is also allowed.
         approach: velocity at the impact; required for the first collision. Without an approach, the recovery
             of the previous collision leads to this wall.
         probe: search for the wall; a collision with a probe has neither an approach nor gains.

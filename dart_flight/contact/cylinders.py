@@ -17,15 +17,19 @@ A surface presses only points that reach the surface from outside; otherwise it 
 move past the wall's end and then behind the surface. This guard touches nothing until it is in front of the
 surface again. While the surface presses one of a bar's guards, this guard carries the load, and the bar
 touches no edge.
+
+The same holds for several walls. A guard that is deeper in a face than a partition is thick has not passed
+through the partition: the other face cannot press this guard. A bar that already rests on one wall touches
+no edge of another.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, NamedTuple
 
-from dart_flight.base.geometry import Quaternion, Vec3, rotate, rotate_back
+from dart_flight.base.geometry import Quaternion, Vec3, add, rotate, rotate_back
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.law import Onset, normal_force
 from dart_flight.contact.propeller_guards import (
@@ -227,19 +231,23 @@ class WallWithEnds:
         plane: the surface.
         edges: edges at the left and the right end, looking along the normal.
         beside: indices of the guards that are behind the surface but did not pass through it.
+        bearing: indices of the guards that the wall pressed at the last call of `touch`.
         depths: deflection of each guard at the last call of `touch`, metres.
     """
 
-    def __init__(self, plane: Plane, guards: Sequence[PropellerGuard]) -> None:
+    def __init__(
+        self, plane: Plane, guards: Sequence[PropellerGuard], edge_radius_m: float = EDGE_RADIUS_M
+    ) -> None:
         self.plane, self._guards = plane, guards
         self._corners = outline(guards)
         (px, py, pz), (nx, ny, nz), (tx, ty, tz) = plane.point, plane.normal, plane.tangent
-        r = EDGE_RADIUS_M
+        self._edge_radius_m = r = edge_radius_m
         self.edges = tuple(
             CylinderContact(Cylinder((px - r * nx + a * tx, py - r * ny + a * ty, pz - r * nz + a * tz), r))
             for a in (-plane.half_length_m, plane.half_length_m)
         )
         self.beside: set[int] = set()
+        self.bearing: set[int] = set()
         self.depths = [0.0] * len(guards)
 
     @property
@@ -256,31 +264,46 @@ class WallWithEnds:
         """Return the wall displaced along its normal, without contact state."""
         p, n = self.plane.point, self.plane.normal
         point = (p[0] + away_m * n[0], p[1] + away_m * n[1], p[2] + away_m * n[2])
-        return WallWithEnds(self.plane._replace(point=point), self._guards)
+        return WallWithEnds(self.plane._replace(point=point), self._guards, self._edge_radius_m)
 
     def reset_contacts(self, q: Quaternion, position: Vec3) -> None:
         """Reset the contact state; assume that guards behind the surface have not passed through it."""
         self.beside = {i for i, h, _ in self._foot_points(q, position) if h < 0.0}
+        self.bearing = set()
         for edge, near in self.nearest(q, position):
             edge.share, edge.stood_in = None, near.x_m < 0.0
 
-    def may_touch(self, q: Quaternion, position: Vec3, within_m: float) -> bool:
+    def holds(self, number: int, q: Quaternion, position: Vec3) -> bool:
+        """Return whether a guard is in the wall from the front, or bears a force of the wall."""
+        if number in self.bearing or number in self.beside:
+            return number in self.bearing
+        height, along = self._foot_point(number, q, position)
+        return height < 0.0 and abs(along) <= self.plane.half_length_m
+
+    def may_touch(
+        self, q: Quaternion, position: Vec3, within_m: float, faces: Sequence[WallWithEnds] = ()
+    ) -> bool:
         """Return whether the wall can press a point of the vehicle that moves by at most `within_m`.
 
-        If the wall can press no point, update the stored contact state as `touch` would.
+        If the wall can press no point, update the stored contact state as `touch` would, with the same
+        `faces`.
         """
+
+        def held(number: int) -> bool:
+            return any(face is not self and face.holds(number, q, position) for face in faces)
+
         end = self.plane.half_length_m + within_m
         feet = list(self._foot_points(q, position))
         if any(
-            abs(along) <= end and height <= within_m and not (i in self.beside and height < -within_m)
+            abs(along) <= end
+            and height <= within_m
+            and not (i in self.beside and (height < -within_m or held(i)))
             for i, height, along in feet
         ) or any(near.x_m <= within_m for _, near in self.nearest(q, position)):
             return True
         for i, height, along in feet:
-            if height > 0.0:
-                self.beside.discard(i)
-            elif abs(along) > self.plane.half_length_m:
-                self.beside.add(i)
+            self._note_side(i, height, along, held)
+        self.bearing = set()
         for edge in self.edges:
             edge.share, edge.stood_in = None, False
         return False
@@ -290,24 +313,40 @@ class WallWithEnds:
         for edge in self.edges:
             yield edge, nearest_point(self._corners, q, position, edge.cylinder)
 
-    def touch(self, c: Coefficients, motion: BodyMotion, law: GuardLaw) -> Touch:
+    def _note_side(self, i: int, height: float, along: float, held: Callable[[int], bool]) -> None:
+        """Update `beside` for a guard; a guard that another face holds has not come to the front."""
+        if height > 0.0:
+            if i in self.beside and not held(i):
+                self.beside.discard(i)
+        elif abs(along) > self.plane.half_length_m:
+            self.beside.add(i)
+
+    def touch(
+        self, c: Coefficients, motion: BodyMotion, law: GuardLaw, faces: Sequence[WallWithEnds] = ()
+    ) -> Touch:
         """Return force and torque on the vehicle.
 
         If every guard is in front of the finite surface, the result equals `propeller_guards.touch`, except
-        for rounding. `c` holds for the surface; an edge has its own coefficients.
+        for rounding.
+
+        Args:
+            c: coefficients for the surface; an edge has its own.
+            motion: motion of the vehicle, NED.
+            law: the rest of the law.
+            faces: the walls near the vehicle; this wall may be one of them.
         """
         plane, n = self.plane, self.plane.normal
+
+        def held(number: int) -> bool:
+            return any(face is not self and face.holds(number, motion.q, motion.position) for face in faces)
+
         half = _scaled(c, 0.5)
         points: list[ContactPoint] = []
         pressed: set[int] = set()
         self.depths = [0.0] * len(self._guards)
         for i, height, along in self._foot_points(motion.q, motion.position):
-            beyond = abs(along) > plane.half_length_m
-            if height > 0.0:
-                self.beside.discard(i)
-            elif beyond:
-                self.beside.add(i)
-            if beyond or height > NEAR_M or i in self.beside:
+            self._note_side(i, height, along, held)
+            if abs(along) > plane.half_length_m or height > NEAR_M or i in self.beside:
                 continue
             point = ContactPoint(self._guards[i], n, plane.tangent, height, half)
             if _force(point, motion, law.onset) > 0.0:
@@ -319,7 +358,8 @@ class WallWithEnds:
             self.nearest(motion.q, motion.position), key=lambda one: one[0].share is None
         ):
             numbers = {number for number, _ in near.deflections}
-            edge_point = edge.point(near, edge.coefficients or c, not pressed.isdisjoint(numbers))
+            borne = not pressed.isdisjoint(numbers) or (near.x_m <= NEAR_M and any(map(held, numbers)))
+            edge_point = edge.point(near, edge.coefficients or c, borne)
             if edge_point is None:
                 continue
             force = _force(edge_point, motion, law.onset)
@@ -328,6 +368,7 @@ class WallWithEnds:
                 points.append(edge_point)
                 pressed |= numbers  # one edge per bar: at a narrower wall the first edge carries it
                 loaded.append((near, force))
+        self.bearing = pressed
         for near, force in loaded:
             _update_deflections(self.depths, near, force)
         if not points:
@@ -342,6 +383,13 @@ class WallWithEnds:
         height, along = _dot(self.plane.normal, offset), _dot(self.plane.tangent, offset)
         for i, guard in enumerate(self._guards):
             yield i, height + _dot(n, guard.at), along + _dot(t, guard.at)
+
+    def _foot_point(self, number: int, q: Quaternion, position: Vec3) -> tuple[float, float]:
+        """Return one guard's distance in front of the surface, and its offset from the wall's middle."""
+        x, y, z = add(position, rotate(q, self._guards[number].at))
+        px, py, pz = self.plane.point
+        offset = (x - px, y - py, z - pz)
+        return _dot(self.plane.normal, offset), _dot(self.plane.tangent, offset)
 
 
 def _force(point: ContactPoint, motion: BodyMotion, onset: Onset) -> float:

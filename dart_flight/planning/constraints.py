@@ -195,7 +195,7 @@ class Constraints:
             place = (w.x, w.y)
             # A place behind a wall is not inside it: only a passage through the front counts.
             before = wall.end_distance_m(place) >= -end_margin_m(wall, place)
-            touched = _touches_wall(wall, w) & before & (depth > -_THICK_M)
+            touched = _touches_wall(wall, w) & before & (depth > -min(_THICK_M, wall.behind_m))
             self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
         for post in posts:
             self.mark(codes, (_hits_post(post, self._corner_m, w) & alive).any(axis=1), Refusal.OBSTACLE)
@@ -233,7 +233,7 @@ class Constraints:
             (nx, ny), (px, py) = wall.normal, wall.point
             here, there = nx * (x - px) + ny * (y - py), wall.signed_distance(goal)
             # Just after the release the vehicle may still be slightly behind the plane.
-            crosses = (here > 0.0) if there < 0.0 else (here < -_THICK_M)
+            crosses = (here > 0.0) if there < 0.0 else (here < -min(_THICK_M, wall.behind_m))
             share = np.where(crosses, here / np.where(crosses, here - there, 1.0), 0.0)
             crossing = (x + share * (goal[0] - x), y + share * (goal[1] - y))
             blocks = crosses & (wall.end_distance_m(crossing) >= -end_margin_m(wall, crossing))

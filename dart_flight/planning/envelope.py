@@ -94,8 +94,8 @@ def speed_warning(collision: Collision, velocity: tuple[float, float] | None = N
     )
 
 
-def incidence_deg(mission: Mission, collision: Collision) -> float:
-    """Return the planned angle of incidence of a collision, degrees, 0 to 45.
+def impact_yaw(mission: Mission, collision: Collision) -> float:
+    """Return the planned heading at a collision, mission frame, radians.
 
     An approach turns the vehicle parallel to the wall that it approaches; a recovery keeps the heading.
     """
@@ -103,7 +103,12 @@ def incidence_deg(mission: Mission, collision: Collision) -> float:
     for one in mission.collisions[: collision.index]:
         if one.approach_m_s is not None:
             yaw = one.wall.parallel_yaw(yaw)
-    return math.degrees(collision.wall.incidence(yaw))
+    return yaw
+
+
+def incidence_deg(mission: Mission, collision: Collision) -> float:
+    """Return the planned angle of incidence of a collision, degrees, 0 to 45."""
+    return math.degrees(collision.wall.incidence(impact_yaw(mission, collision)))
 
 
 def max_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:

@@ -79,9 +79,9 @@ class CoreThread:
 
         If a step is due at once, the calling thread steps the core with the queued inputs.
         """
-        now = self._lockstep is None or self._lockstep.completes_batch(item)
+        # Queue first: another thread may end the batch meanwhile, and would not step an item it cannot see.
         self._queue.put(item)
-        if now:
+        if self._lockstep is None or self._lockstep.completes_batch(item):
             self._step_now()
 
     def _step_now(self) -> None:
@@ -115,12 +115,14 @@ class CoreThread:
             self._alive()
             if self._called.wait(BATCH_S):
                 self._called.clear()
-            with self._owner:
-                if self._fault is not None:
-                    raise self._fault
-                if self._lockstep is None:
+            if self._fault is not None:
+                raise self._fault
+            # In lockstep this thread must not own the core: an input that arrives then would stay queued.
+            if self._lockstep is None:
+                with self._owner:
                     self._step_queued()
                     self._tick()
+                self._step_now()
 
     def _tick(self) -> None:
         now_us = self._host_us()

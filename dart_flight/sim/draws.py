@@ -133,7 +133,7 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     mission = world.mission
     materials, drawn = dict(mission.vehicle.materials), Drawn()
     renamed: dict[str, Wall] = {}
-    for wall in mission.standing_walls:
+    for wall in _independent_walls(mission):
         old, name = materials[wall.material], f"{wall.material} of {wall.name}"
         per_mode = {}
         for mode in mission.vehicle.modes:
@@ -149,13 +149,21 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     return _with_vehicle(world, vehicle, **drawn)
 
 
+def _independent_walls(mission: Mission) -> list[Wall]:
+    """Return the walls in simulation, except the backs of partitions, which follow from the fronts."""
+    return [wall for wall in mission.standing_walls if not wall.is_back]
+
+
 def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
     """Return the world with other walls.
 
-    `walls` must contain every wall of the world; its keys are the walls' names. If a wall is the tangent
-    plane of a post, the post moves with the wall.
+    `walls` must contain every wall of the world, except the backs of partitions, which follow from the
+    fronts; its keys are the walls' names. If a wall is the tangent plane of a post, the post moves with the
+    wall.
     """
     mission = world.mission
+    fronts = [wall for wall in walls.values() if wall.thickness_m is not None and not wall.is_back]
+    walls = {**walls, **{back.name: back for back in (front.back() for front in fronts)}}
     collisions = tuple(
         msgspec.structs.replace(c, wall=walls.get(c.wall.name, c.wall)) for c in mission.collisions
     )
@@ -181,7 +189,7 @@ def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
 def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     """Move every wall along its normal; a wall's own `position_sd_m` overrides `sd`."""
     walls, drawn = {}, Drawn()
-    for wall in world.mission.standing_walls:
+    for wall in _independent_walls(world.mission):
         own = wall.position_sd_m
         away = (sd if own is None else own) * rng.gauss(0.0, 1.0)
         walls[wall.name] = wall.displaced(away)
@@ -192,7 +200,7 @@ def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld
 def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     """Rotate every wall about its middle (seen from above); a wall's own `yaw_sd_deg` overrides `sd`."""
     walls, drawn = {}, Drawn()
-    for wall in world.mission.standing_walls:
+    for wall in _independent_walls(world.mission):
         own = wall.yaw_sd_rad
         angle_deg = (sd if own is None else math.degrees(own)) * rng.gauss(0.0, 1.0)
         walls[wall.name] = wall.rotated(math.radians(angle_deg))

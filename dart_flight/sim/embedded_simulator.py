@@ -59,7 +59,12 @@ class EmbeddedSimulator:
         writer.put(Ready(self._autopilot.time_us, mocap_url=self._mocap.url if self._mocap else None))
         lockstep = None
         if self._spec.lockstep:
-            lockstep = Lockstep(self._endpoint, answers_at_rest=True, waits_at_first=True)
+            lockstep = Lockstep(
+                self._endpoint,
+                answers_at_rest=True,
+                waits_at_first=True,
+                log=lambda text: self._log.write(self._autopilot.now_s, text),
+            )
         try:
             serve(self, writer, commands, self._spec.speed, lockstep, self._endpoint.sockets)
         except FlightError as error:

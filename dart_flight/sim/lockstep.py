@@ -11,6 +11,10 @@ A busy computer therefore makes a simulated flight slower but never different.
 
 If a datagram is lost, time waits for `_LOST_S` and then advances by one tick. The next message replaces the
 lost message: if the core has processed a message, all older messages of the same stream count as processed.
+A setpoint or a pose of the application that does not arrive also counts as lost, because MAVSDK repeats
+setpoints only in offboard mode.
+
+Whenever time waits for `_LOST_S`, the world's log names what is missing.
 """
 
 from __future__ import annotations
@@ -26,12 +30,14 @@ from dart_flight.sim.embedded_autopilot import TICK_US
 from dart_flight.sim.pipe import Stepped
 
 _SILENT_S: Final = 10.0  # host time without an answer until the flight ends
-_LOST_S: Final = 1.0  # host time until an unanswered message is considered lost
+_LOST_S: Final = 1.0  # host time until an unanswered message is considered lost and the log names it
 _POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
 _STEP_MAX_S: Final = 0.2  # longest counted host time between two polls; beyond it, this process did not run
 _SENDER_S: Final = 0.2  # host time for a sender to catch up
 _SENDER: Final = "the autopilot to send its telemetry"
 _TELEMETRY: Final = "the application to process its telemetry"
+_SENT: Final = {kind: f"a {kind} of the application" for kind in ("setpoint", "pose")}
+_MAY_BE_LOST: Final = (_TELEMETRY, *_SENT.values())
 _SETPOINT_TOLERANCE: Final = 1e-5  # relative; MAVLink carries single precision
 
 
@@ -65,13 +71,22 @@ class Lockstep:
         waits_at_first: whether time stands still until the application's first report.
         sender_lag_us: largest delay of the autopilot's telemetry, microseconds of simulated time; 0 unless
             the autopilot sends in a separate thread.
+        log: writer of the world's log.
     """
 
     def __init__(
-        self, autopilot: LinkEnd, *, answers_at_rest: bool, waits_at_first: bool, sender_lag_us: int = 0
+        self,
+        autopilot: LinkEnd,
+        *,
+        answers_at_rest: bool,
+        waits_at_first: bool,
+        sender_lag_us: int = 0,
+        log: Callable[[str], None] = lambda text: None,
     ) -> None:
         self._autopilot, self._answers_at_rest = autopilot, answers_at_rest
         self._waits_at_first, self._sender_lag_us = waits_at_first, sender_lag_us
+        self._log, self._named = log, False
+        self._lost: dict[str, tuple[float | None, ...]] = {}  # values that time no longer waits for
         self._report: Stepped | None = None
         self._unanswered_s = 0.0  # host time waited since the last report
         self._from_us: dict[str, int] = {}
@@ -117,8 +132,8 @@ class Lockstep:
         # MAVSDK may hold a setpoint back until a command has its result.
         if not report.commands:
             for kind, values in report.sent.items():
-                if not self._has_arrived(kind, values):
-                    return f"a {kind} of the application"
+                if values != self._lost.get(kind) and not self._has_arrived(kind, values):
+                    return _SENT[kind]
         if (
             self._sender_lag_us
             and self._autopilot.sent_us.get("imu", next_us) < next_us - self._sender_lag_us
@@ -150,6 +165,7 @@ class Lockstep:
             self._autopilot.answer_requests()
             missing = self.outstanding(next_us)
             if missing is None:
+                self._name(None, waited_s)
                 return
             now_s = time.monotonic()
             # Do not count time in which this process did not run.
@@ -157,13 +173,41 @@ class Lockstep:
             waited_s += step_s
             if self._report is not None:
                 self._unanswered_s += step_s
+                if waited_s > _LOST_S:
+                    self._name(missing, waited_s)
                 if max(self._unanswered_s, waited_s) > _SILENT_S:
-                    raise SilentParticipantError(f"the simulation waited {_SILENT_S:g} s for {missing}")
-                if missing is _TELEMETRY and waited_s > _LOST_S:
+                    text = f"the simulation waited {_SILENT_S:g} s for {missing}{self._difference(missing)}"
+                    raise SilentParticipantError(text)
+                if missing in _MAY_BE_LOST and waited_s > _LOST_S:
+                    self._lost = dict(self._report.sent)
                     return
                 if missing is _SENDER and waited_s > _SENDER_S:
                     return
             select.select(wake, [], [], _POLL_S)
+
+    def _name(self, missing: str | None, waited_s: float) -> None:
+        """Write to the log what has been missing for a long time, once, and when time advances again."""
+        if missing is not None and not self._named:
+            self._log(f"the simulation has waited {waited_s:.1f} s for {missing}{self._difference(missing)}")
+        elif missing is None and self._named:
+            self._log("the simulation continues")
+        self._named = missing is not None
+
+    def _difference(self, missing: str) -> str:
+        """Return the values that were sent and those that arrived, as the end of a message."""
+        if missing is _TELEMETRY and self._report is not None:
+            processed = self._report.streams
+            return "".join(
+                f", {stream} {processed.get(stream, 0)} of {sent}"
+                for stream, sent in self._sent().items()
+                if sent > processed.get(stream, 0)
+            )
+        kind = next((kind for kind, text in _SENT.items() if text == missing), None)
+        if kind is None or self._report is None:
+            return ""
+        sent = self._report.sent.get(kind, ())
+        arrived = self._autopilot.arrived.get(kind, ())
+        return f": sent {_in_words(sent)}, arrived {_in_words(arrived)}"
 
     def _has_arrived(self, kind: str, wanted: Sequence[float | None]) -> bool:
         arrived = self._autopilot.arrived.get(kind, ())
@@ -172,3 +216,7 @@ class Lockstep:
             or math.isclose(value, here, rel_tol=_SETPOINT_TOLERANCE, abs_tol=_SETPOINT_TOLERANCE)
             for value, here in zip(wanted, arrived, strict=True)
         )
+
+
+def _in_words(values: Sequence[float | None]) -> str:
+    return " ".join("-" if value is None else f"{value:.3f}" for value in values) or "nothing"

@@ -45,6 +45,7 @@ from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import BodyModel, Coefficients, VehicleConfig
 from dart_flight.contact.cylinders import (
+    EDGE_RADIUS_M,
     Cylinder,
     CylinderContact,
     NearestPoint,
@@ -232,6 +233,7 @@ class Plant:
         self.finished: list[TruthContact] = []
         self.time_offset_us = 0
         self._open: dict[str, _OpenContact] = {}
+        self._faces: tuple[WallWithEnds, ...] = ()  # of the walls near the vehicle
         vibration = vehicle.simulation.arm_vibration
         self._arm = _AT_REST
         # Cache the constants of every step: a nested attribute costs as much as a product.
@@ -294,6 +296,7 @@ class Plant:
         obstacles = self._obstacles_near() if near else []
         near_ground = self.position[2] > self.ground_down - _GROUND_M
         if obstacles:
+            self._faces = tuple(one.ends for one, _ in obstacles if isinstance(one, _WallPlane))
             touchable = [one for one in obstacles if self._may_touch(*one)]
             contact = self._collide(pushed, torque, touchable, near_ground)
             self._folded = self._fold()
@@ -405,7 +408,8 @@ class Plant:
         if isinstance(obstacle, _WallPlane) and obstacle.near_end:
             edges = (edge.coefficients for edge in obstacle.ends.edges)
             within_s = STEP_S + max(c.lead_s, *(one.lead_s for one in edges if one is not None))
-            return obstacle.ends.may_touch(self.q, self.position, within_s * (norm(v) + turning + _GAIN_M_S))
+            within_m = within_s * (norm(v) + turning + _GAIN_M_S)
+            return obstacle.ends.may_touch(self.q, self.position, within_m, self._faces)
         if isinstance(obstacle, _WallPlane):
             n = obstacle.normal
             x = clearance_m(self._guards, self.q, obstacle.ends.plane, self.position)
@@ -509,7 +513,7 @@ class Plant:
             if not isinstance(obstacle, _WallPlane):
                 one = obstacle.contact.touch(c, motion, self._law)
             elif obstacle.near_end:
-                one = obstacle.ends.touch(c, motion, self._law)
+                one = obstacle.ends.touch(c, motion, self._law, self._faces)
             else:
                 one = touch(self._guards, c, obstacle.ends.plane, motion, self._law)
             touches.append(one)
@@ -581,7 +585,9 @@ class Plant:
         plane.near_end = inside_m < reach_m or not plane.ends.is_plain
         yaw = self.frame.yaw_from_ned(yaw_ned_of(self.q))
         c = self._coefficients(plane, wall.incidence(yaw))
-        if plane.near_end:
+        if not plane.near_end:
+            plane.ends.bearing.clear()  # `touch` of the surface alone does not update it
+        else:
             for edge, nearest in plane.ends.nearest(self.q, self.position):
                 self._coefficients_of_cylinder(plane, edge, nearest)
         return c
@@ -818,7 +824,8 @@ def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[Prope
         point[2] - out_m * normal[2],
     )
     surface = Plane(on_surface, normal, tangent, down, 0.5 * wall.length_m)
-    return _WallPlane(wall, point, normal, tangent, WallWithEnds(surface, guards))
+    edge_m = max(0.0, min(EDGE_RADIUS_M, wall.behind_m - out_m))  # round across a thin partition
+    return _WallPlane(wall, point, normal, tangent, WallWithEnds(surface, guards, edge_m))
 
 
 def _standing_post(

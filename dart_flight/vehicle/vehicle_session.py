@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import math
 import queue
 import re
+import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Collection, Iterable
@@ -61,6 +63,8 @@ from dart_flight.vehicle.text_parts import TextAssembler, split_text
 from dart_flight.vehicle.timesync import make_request
 
 _ACTION_TIMEOUT_S = 5.0
+_CLOSE_S = 3.0
+_logger = logging.getLogger("dart_flight.mavsdk")
 _SYSTEM_STATUS = re.compile(r'"system_status":\s*(\d+)')
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
@@ -682,7 +686,16 @@ async def connect(
         yield VehicleSession(mavsdk, system, deliver, clock)
     finally:
         with sdk_log.closing():
-            await mavsdk.__aexit__(None, None, None)
+            _close(mavsdk)
+
+
+def _close(mavsdk: Any) -> None:
+    """Close the connection, but do not wait longer than `_CLOSE_S` for a callback that never returns."""
+    closing = threading.Thread(target=mavsdk.destroy, name="MAVSDK close", daemon=True)
+    closing.start()
+    closing.join(_CLOSE_S)
+    if closing.is_alive():
+        _logger.error("MAVSDK did not close within %g s; it ends with this program", _CLOSE_S)
 
 
 async def _first_autopilot(mavsdk: Any, url: str, timeout_s: float) -> Any:

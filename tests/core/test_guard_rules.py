@@ -1916,6 +1916,19 @@ def test_the_retreat_from_an_unknown_wall_follows_the_measured_push() -> None:
     assert retreat_target() == pytest.approx((0.3, -0.3), abs=0.01)
 
 
+def test_the_retreat_from_one_face_of_a_partition_does_not_lead_through_it() -> None:
+    """The vehicle is 0.45 m behind the front, less than the retreat, but on the other side."""
+    board = {"point_m": [-0.15, 0.8], "normal": [-1.0, 0.0], "length_m": 0.2, "material": "wood"}
+    c = HandFedCore(settings={"walls.board": board | {"thickness_m": 0.012}})
+    c.finish_climb()
+    c.position_ned = (0.3, -0.8, -1.0)
+    c.run(0.02)
+    c.pulse((20.0, 0.0))
+    assert [e.rule for e in fired(c)] == ["unplanned_hit"]
+    held = next(o for o in reversed(c.outputs) if isinstance(o, Setpoint)).position_ned
+    assert held[:2] == pytest.approx((-0.15 + 0.412 + 0.5, -0.8), abs=0.01)
+
+
 def test_one_report_of_landed_and_disarmed_does_not_end_a_guard_landing() -> None:
     """It may come from a second vehicle on the same link, before the first sample of that vehicle."""
     c = HandFedCore()

@@ -1,5 +1,9 @@
 """The stepwise simulation and its Gymnasium environment."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -106,3 +110,20 @@ def test_an_episode_ends_with_a_penalty_outside_of_the_room() -> None:
             break
     assert terminated
     assert reward < -9.0
+
+
+def test_other_processes_make_the_environment_by_the_name_of_its_module(tmp_path: Path) -> None:
+    """A process of a vector environment has not imported the module that registers the task."""
+    pytest.importorskip("gymnasium")
+    script = tmp_path / "vector.py"
+    script.write_text(
+        "import gymnasium\n"
+        "if __name__ == '__main__':\n"
+        "    name = 'dart_flight.lab.gym_shuttle:DartShuttle-v0'\n"
+        "    made = gymnasium.make_vec(name, num_envs=2, vectorization_mode='async',\n"
+        "                              vector_kwargs={'context': 'spawn'})\n"
+        "    print(made.reset(seed=1)[0].shape)\n"
+        "    made.close()\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout == "(2, 10)\n", done.stderr

@@ -250,6 +250,21 @@ def test_an_input_put_by_another_thread_is_stepped_at_once_with_its_backlog(item
     assert reports.last.streams == {"imu": 8_000}
 
 
+@pytest.mark.parametrize("deliver", ["arrive", "put"])
+def test_no_input_stays_queued_because_the_core_thread_turns_its_rounds(deliver: str) -> None:
+    """A world in lockstep sends nothing more until it has the answer: 10 s later the flight ended."""
+    flight = Thread(Pace.IMMEDIATE)
+    flight.thread._alive = flight.thread._called.set  # the rounds follow each other without rests
+    flight.thread.thread.start()
+    try:
+        for t_us in range(4_000, 4_000 * 3_000, 4_000):
+            flight.reporter.clock.receive(t_us, t_us)
+            getattr(flight.thread, deliver)(imu(t_us))
+            assert flight.core.stepped[-1] == imu(t_us)
+    finally:
+        flight.thread.stop()
+
+
 def test_a_batch_is_stepped_whole_when_its_last_imu_sample_arrives() -> None:
     reports = Thread(Pace.BATCHED)
     for t_us in range(4_000, 4_000 + BATCH_US, 4_000):

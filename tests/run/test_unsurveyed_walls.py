@@ -309,16 +309,16 @@ def test_check_reports_another_wall_that_may_block_the_approach() -> None:
     assert "wall side may block the run-up to wall acrylic" in beside["survey_1"]
 
 
-@pytest.mark.parametrize(("north_sd_m", "go"), [(0.01, True), (0.1, False)])
-def test_check_reports_a_wall_that_may_block_a_planned_trajectory(north_sd_m: float, go: bool) -> None:
+@pytest.mark.parametrize(("sd_m", "go"), [(0.01, True), (0.1, False)])
+def test_check_reports_a_wall_that_may_block_a_planned_trajectory(sd_m: float, go: bool) -> None:
     """The trajectory bends round a partition's end, so a straight run-up would not describe it."""
     tree = load_mission(ROOT / "missions/hairpin.yaml").to_dict()
     tree["collisions"] = [hit for hit in tree["collisions"] if hit.get("trajectory")]
     tree["waypoints"] = []
-    tree["walls"]["left"]["position_sd_m"] = north_sd_m
+    tree["walls"]["partition"]["position_sd_m"] = sd_m
     found = no_goes(check_mission(load_mission(tree)))
     assert ("survey_1" not in found) == go
-    assert go or "wall left may block the trajectory to wall end" in found["survey_1"]
+    assert go or "wall partition.front may block the trajectory to wall end" in found["survey_1"]
 
 
 def test_small_standard_deviations_are_a_go() -> None:

@@ -185,9 +185,51 @@ def test_a_lost_datagram_delays_the_world_by_one_second(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
+    ("report", "named"),
+    [
+        (Stepped({"imu": 4_000}), "process its telemetry, imu 4000 of 8000"),
+        (
+            Stepped({"imu": 8_000}, {"setpoint": SETPOINT}),
+            "a setpoint of the application: sent 1.000 2.000 -1.000 0.500 - - - - -, arrived nothing",
+        ),
+        (
+            Stepped({"imu": 8_000}, {"pose": (1.0, 2.0, 3.0)}),
+            "a pose of the application: sent 1.000 2.000 3.000, arrived nothing",
+        ),
+    ],
+)
+def test_a_message_that_is_lost_on_either_way_is_named_and_time_goes_on(
+    monkeypatch: pytest.MonkeyPatch, wake: int, report: Stepped, named: str
+) -> None:
+    host, sender, log = Host(monkeypatch), Sender(), list[str]()
+    world = make_lockstep(sender, log=log.append)
+    world.update(report)
+    sender.sent_us = {"imu": 8_000}
+    began_s = host.now_s
+    world.wait(12_000, [wake], lambda: True)
+    assert host.now_s - began_s == pytest.approx(1.0, abs=0.2)
+    assert len(log) == 1
+    assert log[0].startswith("the simulation has waited 1.")
+    assert log[0].endswith(named)
+    world.update(Stepped({"imu": 8_000}))
+    world.wait(12_000, [wake], lambda: True)
+    assert log[1:] == ["the simulation continues"]
+
+
+def test_a_lost_setpoint_delays_the_world_only_once(monkeypatch: pytest.MonkeyPatch, wake: int) -> None:
+    """The application sends an unchanged setpoint again only after 0.1 s of simulated time."""
+    host = Host(monkeypatch)
+    world = make_lockstep(Sender())
+    began_s = host.now_s
+    for tick in range(25):
+        world.update(Stepped({}, {"setpoint": SETPOINT}))
+        world.wait(4_000 * tick, [wake], lambda: True)
+    assert host.now_s - began_s == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
     ("report", "missing"),
     [
-        (Stepped({"imu": 4_000}, {"setpoint": SETPOINT}), "a setpoint of the application"),
         (Stepped({"imu": 4_000}, plan_due_us=3_000), "the planner"),
         (Stepped({"imu": 4_000}, commands=1), "the result of a command"),
     ],

@@ -50,3 +50,42 @@ def test_thread_local_data_persists_between_callbacks() -> None:
                 assert max(counts.values()) >= _ENOUGH
         finally:
             simulator.terminate()
+
+
+BLOCKED = """
+import asyncio, sys, threading
+from dart_flight.base.processes import exit_within
+from dart_flight.config.mission import load_mission
+from dart_flight.vehicle.vehicle_session import connect
+
+async def listen():
+    vehicle = load_mission(sys.argv[1]).vehicle
+    blocked = threading.Event()
+    def deliver(_):
+        blocked.set()
+        threading.Event().wait()
+    async with connect(sys.argv[2], 20.0, deliver) as session:
+        session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
+        while not blocked.is_set():
+            await asyncio.sleep(0.05)
+
+asyncio.run(listen())
+print("verdict")
+exit_within(3, 0.5)
+"""
+
+
+@pytest.mark.realtime
+@pytest.mark.mavlink
+def test_a_callback_that_never_returns_keeps_neither_the_verdict_nor_the_program() -> None:
+    """MAVSDK waits for a running callback when it closes; without a limit the program stays for ever."""
+    port = free_udp_port()
+    command = [sys.executable, "-m", "dart_flight", "simulate", str(MISSION), "--port", str(port)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as simulator:
+        try:
+            program = [sys.executable, "-c", BLOCKED, str(MISSION), f"udpin://127.0.0.1:{port}"]
+            done = subprocess.run(program, capture_output=True, text=True, timeout=60, check=False)
+        finally:
+            simulator.terminate()
+    assert done.stdout == "verdict\n", done.stderr
+    assert done.returncode in (3, -14)

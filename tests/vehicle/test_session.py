@@ -477,7 +477,7 @@ class Sdk:
     async def __aenter__(self) -> Sdk:
         return self
 
-    async def __aexit__(self, *_: object) -> None:
+    def destroy(self) -> None:
         self.exits += 1
 
     async def add_any_connection(self, url: str) -> None:

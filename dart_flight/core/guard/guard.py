@@ -360,7 +360,8 @@ class Guard:
                 closing = max(0.0, -(velocity[0] * nx + velocity[1] * ny))
                 # Keep the retreat distance, and if approaching brake harder than by holding still.
                 push = max(away_m - distance, STOP_TIME_S * closing)
-                if wall.spans((x, y)) and -away_m < distance and push > 0.0 and distance < 1.0:
+                behind_m = min(away_m, wall.behind_m)
+                if wall.spans((x, y)) and -behind_m < distance < 1.0 and push > 0.0:
                     x, y = x + push * nx, y + push * ny
         return (x, y, max(z, min(self._altitude_m, self._mission.bounds.z[1])))
 
@@ -371,7 +372,8 @@ class Guard:
         (px, py, _), (fx, fy, _) = impact.position_mission, impact.force_mission
         size, place = math.hypot(fx, fy), (px, py)
         known = any(
-            wall.spans(place) and wall.signed_distance(place) <= early_m(self._config, wall, place)
+            wall.spans(place)
+            and -wall.behind_m <= wall.signed_distance(place) <= early_m(self._config, wall, place)
             for wall in self._mission.walls
         )
         if known or size == 0.0:

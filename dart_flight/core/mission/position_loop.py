@@ -46,6 +46,8 @@ def stop_share(
         there = wall.signed_distance((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy))
         within = abs(wall.along(position)) <= 0.5 * wall.length_m
         behind_m = _BEHIND_M + position_margin_m(wall, position) if wall.is_uncertain else _BEHIND_M
+        if wall.thickness_m is not None:
+            behind_m = minimum(behind_m, wall.behind_m)
         stops = (here > there) & (there < 0.0) & (here > -behind_m) & within
         way = where(stops, here - there, 1.0)
         share = where(stops, minimum(share, maximum(here / way, 0.0)), share)

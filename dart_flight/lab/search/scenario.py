@@ -281,7 +281,7 @@ def resolve_scenario(
     posts = resolve_posts(spec.posts, walls, vehicle, document)
     check_clear_of_posts(posts, spec.start.position_m, vehicle, ("start",), document)
     check_clear_of_posts(posts, spec.goal.position_m, vehicle, ("goal",), document)
-    sequences = _sequences(spec, document)
+    sequences = _sequences(spec, list(walls), document)
     modes = vehicle.modes
     normal: tuple[float, ...] = ()
     tangential: tuple[float, ...] = ()
@@ -368,16 +368,16 @@ def _name_from(source: str) -> str:
     return name if name[:1].isascii() and name[:1].isalnum() else "plan"
 
 
-def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...], ...]:
+def _sequences(spec: ScenarioFile, walls: list[str], document: Document) -> tuple[tuple[str, ...], ...]:
     key: Key = ("sequence",)
-    if not spec.walls:
+    if not walls:
         raise document.error(("walls",), "a plan needs at least one wall")
     if spec.sequence == "any":
-        found: list[tuple[str, ...]] = [(name,) for name in spec.walls]
+        found: list[tuple[str, ...]] = [(name,) for name in walls]
         frontier = found
         # Use each wall at most once, because the recovery leads away from it.
-        for _ in range(min(len(spec.walls), _MAX_COLLISIONS) - 1):
-            frontier = [(*s, name) for s in frontier for name in spec.walls if name not in s]
+        for _ in range(min(len(walls), _MAX_COLLISIONS) - 1):
+            frontier = [(*s, name) for s in frontier for name in walls if name not in s]
             found = [*found, *frontier]
         return tuple(found)
     sequence = tuple(spec.sequence)
@@ -387,8 +387,8 @@ def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...],
             key, f"expected a list of 1 to {most} walls or the word `any`, not {len(sequence)} walls"
         )
     for i, name in enumerate(sequence):
-        if name not in spec.walls:
-            raise document.error((*key, i), unknown_name(name, list(spec.walls)))
+        if name not in walls:
+            raise document.error((*key, i), unknown_name(name, walls))
         if i and name == sequence[i - 1]:
             raise document.error(
                 (*key, i), "a wall cannot be hit twice in a row: the recovery leads away from the wall"

@@ -158,7 +158,11 @@ class Px4Simulator:
             relay = Relay(port, app_port)
             port, wake = app_port, [relay.wake]
             lockstep = Lockstep(
-                relay, answers_at_rest=False, waits_at_first=False, sender_lag_us=SENDER_LAG_US
+                relay,
+                answers_at_rest=False,
+                waits_at_first=False,
+                sender_lag_us=SENDER_LAG_US,
+                log=self._report,
             )
         mocap_url = self._mocap.url if self._mocap is not None else None
         writer.put(Ready(self._vehicle.time_us, port, text, px4.pid, mocap_url))

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
+from dart_flight.check.mission_check import check_collisions
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.packages import install_command
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.figure_style import as_svg
+from dart_flight.lab.report.figures.map_drawing import along
 from dart_flight.lab.report.figures.mission_figure import mission_figure, prediction_lines
 from dart_flight.lab.search.drawn import predict_with_draws
 from dart_flight.planning.predicted_flight import predict_mission
@@ -134,3 +139,82 @@ def test_a_mission_of_waypoints_shows_its_trajectories() -> None:
             assert x0 < x < x1
             assert y0 < y < y1
             assert z < z1
+
+
+def oblique(mission: Mission) -> Mission:
+    """Return the mission with the second wall turned by 20 degrees; its recovery keeps the heading."""
+    angle = math.radians(20.0)
+    return mission.replace({"walls.acrylic.normal": [-math.cos(angle), -math.sin(angle)]})
+
+
+def with_waypoints(mission: Mission) -> Mission:
+    """Return the mission with two waypoints after the last recovery."""
+    places = ([0.5, 0.9], [-0.5, 0.3])
+    return mission.replace({"waypoints": [{"after": 2, "position_m": place} for place in places]})
+
+
+def plain(mission: Mission) -> Mission:
+    return mission
+
+
+PICTURES = [
+    ("dual_collision", with_waypoints),
+    ("dual_collision_replan", oblique),
+    ("hairpin", plain),
+    ("touch_and_return", plain),
+]
+
+
+@pytest.mark.parametrize(("name", "changed"), PICTURES)
+def test_no_label_lies_on_a_line_and_the_bounds_are_shown(
+    name: str, changed: Callable[[Mission], Mission]
+) -> None:
+    mission = changed(load_mission(packaged("missions", f"{name}.yaml")))
+    figure = mission_figure(mission, predict_mission(mission))
+    plan = figure.axes[0]
+    figure.canvas.draw()
+    bounds, (x0, x1), (y0, y1) = mission.bounds, plan.get_xlim(), plan.get_ylim()
+    assert x0 <= bounds.x[0] < bounds.x[1] <= x1
+    assert y0 <= bounds.y[0] < bounds.y[1] <= y1
+    for text in plan.texts:
+        if not text.get_text() or text.get_text() == "N":
+            continue
+        low, high = Text.get_window_extent(text).get_points()
+        for line in plan.lines:
+            if line.get_linestyle() == "None" or " draws" in line.get_label() or not len(line.get_xydata()):
+                continue
+            points = plan.transData.transform(along(np.array(line.get_xydata(), dtype=float)))
+            inside = (points > low + 1.0) & (points < high - 1.0)
+            assert not inside.all(axis=1).any(), f"{text.get_text()!r} lies on {line.get_label()!r}"
+
+
+@pytest.mark.parametrize(
+    ("name", "changed", "begin", "end"),
+    [
+        ("dual_collision", with_waypoints, "hit", "setpoint"),
+        ("dual_collision_replan", oblique, "hit", "goal"),
+        ("touch_and_return", plain, "first hit", "setpoint"),
+    ],
+)
+def test_the_leg_after_each_recovery_is_drawn(
+    name: str, changed: Callable[[Mission], Mission], begin: str, end: str
+) -> None:
+    mission = changed(load_mission(packaged("missions", f"{name}.yaml")))
+    planned = predict_mission(mission)
+    hit = planned.hits[1 if begin == "first hit" else len(mission.collisions)]
+    wanted = [hit.position, mission.goal.position_m if end == "goal" else hit.setpoint]
+    plan = mission_figure(mission, planned).axes[0]
+    drawn = [line.get_xydata() for line in plan.lines if line.get_label() == "predicted trajectory"]
+    assert any(path.shape == (2, 2) and np.allclose(path, wanted) for path in drawn)
+
+
+def test_an_oblique_second_impact_is_shown_with_its_incidence() -> None:
+    mission = oblique(load_mission(packaged("missions", "dual_collision_replan.yaml")))
+    planned = predict_mission(mission)
+    assert "incidence 20°" in " ".join(texts_of(as_svg(mission_figure(mission, planned))))
+    found = {f.item: f for f in check_collisions(mission, planned)}["approach_2"]
+    hit = planned.hits[2]
+    assert found.figures["incidence_deg"] == pytest.approx(20.0)
+    assert found.figures["normal_m_s"] == hit.normal_m_s
+    assert f"at {-hit.normal_m_s:.2f} m/s, {abs(hit.tangential_m_s):.2f} m/s along the wall" in found.says
+    assert "incidence 20 degrees: one guard touches first" in found.says

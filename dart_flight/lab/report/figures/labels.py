@@ -12,7 +12,7 @@ from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.report.figures.map_drawing import points_per_unit
 
 _DIRECTIONS = 16
-_REACHES_PT = (13.0, 21.0, 31.0, 43.0, 57.0, 75.0)
+_REACHES_PT = (13.0, 21.0, 31.0, 43.0, 57.0, 75.0, 95.0)
 _PER_LETTER, _LINE = 0.6, 1.25  # width of a letter and height of a line, in font sizes
 _PAD_PT = 1.5
 
@@ -135,4 +135,4 @@ def _cost(
     box = _around(place[0], half)
     outside = 4.0 * half[0] * half[1] - box.overlap(page)
     common = sum(box.overlap(other) for other in written)
-    return 3.0 * (common + outside) + 4.0 * box.holds(covered) + place[2]
+    return 3.0 * (common + outside) + 12.0 * box.holds(covered) + place[2]

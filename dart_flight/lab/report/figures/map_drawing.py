@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,8 +30,9 @@ def draw_room(axis: Any, mission: Mission) -> None:
     """Draw bounds, walls, waypoints, start and goal from above."""
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     axis.plot(
-        [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#999999", linewidth=0.8, linestyle=(0, (1, 2))
-    )
+        [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#666666", linewidth=1.0, linestyle=(0, (1, 2)),
+        label="bounds_m",
+    )  # fmt: skip
     for wall in mission.flat_walls:
         draw_wall(axis, wall, mission.vehicle.airframe, _thickness_m(mission, wall))
     around = np.linspace(0.0, 2.0 * math.pi, 49)
@@ -81,6 +83,23 @@ def draw_north(axis: Any, mission: Mission) -> None:
     )  # fmt: skip
 
 
+def room_lines(mission: Mission) -> list[Array]:
+    """Return the lines of `draw_room` that labels should not cover, each (n, 2) in metres."""
+    (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
+    found = [np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])]
+    for wall in mission.flat_walls:
+        surface = mission.vehicle.airframe.wall_surface(wall)
+        back_m = _thickness_m(mission, wall)
+        found += [np.array(wall.ends), *(
+            np.array(surface.displaced(-share * back_m).ends) for share in (0.0, 0.5, 1.0)
+        )]  # fmt: skip
+    angle = np.linspace(0.0, 2.0 * math.pi, 25)
+    circles = [(mission.goal.position_m, mission.goal.capture_radius_m)]
+    circles += [(post.centre, post.radius_m) for post in mission.posts]
+    found += [np.array(at) + r * np.stack([np.cos(angle), np.sin(angle)], axis=1) for at, r in circles]
+    return [along(line) for line in found]
+
+
 def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = THICKNESS_M) -> None:
     """Draw a wall, and a thin line through the positions of the vehicle's centre at the first touch."""
     plane, surface = np.array(wall.ends), np.array(airframe.wall_surface(wall).ends)
@@ -119,8 +138,10 @@ def _thickness_m(mission: Mission, wall: Wall) -> float:
     return min(THICKNESS_M, 0.5 * _gap_behind_m(mission, wall))
 
 
-def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
+def name_walls(axis: Any, mission: Mission, font_pt: float, lines: Sequence[Array] = ()) -> list[Array]:
     """Write names and materials behind the visible parts of walls, or in front of thin partitions.
+
+    A name is in the middle of the visible part, or at the nearest place where it covers none of the lines.
 
     Returns:
         The areas of the names, each [[low x, low y], [high x, high y]] in metres.
@@ -141,14 +162,21 @@ def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
         visible = (place[:, 0] > x0) & (place[:, 0] < x1) & (place[:, 1] > y0) & (place[:, 1] < y1)
         if not visible.any():
             continue
-        middle = place[visible].mean(axis=0)
         slope = math.degrees(math.atan2(tangent[1], tangent[0]))
         text = wall.name if wall.name == wall.material else f"{wall.name} ({wall.material})"
+        half = 0.5 * font_pt / unit * (np.abs(tangent) * 0.6 * len(text) + np.abs(normal) * 1.2)
+        shunned = np.vstack([np.empty((0, 2)), *lines])
+        middle = min(
+            place[visible],
+            key=lambda at: (
+                int((np.abs(shunned - at) < half).all(axis=1).sum()),
+                float(np.linalg.norm(at - place[visible].mean(axis=0))),
+            ),
+        )
         axis.annotate(
             text, middle, ha="center", va="center", color="#333333", fontsize=font_pt,
             rotation=(slope + 90.0) % 180.0 - 90.0, rotation_mode="anchor",
         )  # fmt: skip
-        half = 0.5 * font_pt / unit * (np.abs(tangent) * 0.6 * len(text) + np.abs(normal) * 1.2)
         covered.append(np.stack([middle - half, middle + half]))
     return covered
 

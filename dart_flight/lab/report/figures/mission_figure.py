@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dart_flight.base.geometry import Vec2
+from dart_flight.base.records import AfterImpact
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import transit_segments
 from dart_flight.core.mission.planned_impact import describe_force
@@ -36,10 +37,12 @@ from dart_flight.lab.report.figures.map_drawing import (
     fit_map,
     name_hits,
     name_walls,
+    room_lines,
     set_view,
     view_of,
 )
 from dart_flight.lab.search.drawn import predict_with_draws
+from dart_flight.planning.envelope import impact_yaw, incidence_deg
 from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal_miss, predicted_segments
 
 SHEET = Look(7.2, 9.0)
@@ -47,6 +50,8 @@ _NOTE_WIDTH = 96  # characters below the picture
 _ABOVE_M, _BELOW_M = 0.35, 0.05  # margins of the side view above the flight and below the ground
 _SAME_M = 0.12  # distance below which hits share a label in the side view
 _DRAWN = "#8db4e2"
+_DRAWS_SHUNNED = 8  # labels avoid every eighth draw, which stand for all of them
+_ROOM_M, _ROOM_SHARE = 12.0, 2.5  # larger bounds are shown whole only around a flight of a similar size
 _EDGE_ON = 0.26  # sine of 15 degrees, the largest angle of a wall in side view
 
 
@@ -89,14 +94,16 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
     plan.set_title(mission.name, fontsize=look.font_pt + 1.0, loc="left")
     words = "\n".join(textwrap.fill(line, _NOTE_WIDTH) for line in prediction_lines(mission, planned, drawn))
     fit_map(figure, plan, below=side, note=words)
-    names = name_walls(plan, mission, look.small_pt)
     labels += [label for label, _ in probes if planned is None]
     lines += [along(path) for _, path in probes]
     labels += [Label(text, place, (1.0, 1.0), "#000000") for text, place in _stops(mission)]
+    lines += room_lines(mission)
+    lines += [along(leg[:, :2]) for flight in drawn[::_DRAWS_SHUNNED] for leg in flight.legs.values()]
     if planned is not None:
         lines += [along(np.array(line)) for line in planned.approaches.values()]
-        lines += [along(leg[:, :2]) for leg in planned.legs.values()]
+        lines += [along(leg[:, :2]) for leg in _legs(mission, planned).values()]
         lines += [along(path[:, :2]) for path in _from_rest(mission, planned)]
+    names = name_walls(plan, mission, look.small_pt, lines)
     place_labels(plan, labels, lines, names, look.small_pt)
     return figure
 
@@ -155,21 +162,28 @@ def _flown_line(mission: Mission) -> str:
 
 
 def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
-    """Return the points that the plan view must include, without setpoints outside of the bounds."""
+    """Return the points that the plan view must include, without setpoints outside of the bounds.
+
+    The view includes the bounds, unless the flight would become small in it.
+    """
+    b = mission.bounds
+    corners = np.array([[b.x[0], b.y[0]], [b.x[1], b.y[1]]])
     points = [np.array([mission.start, mission.goal.position_m])]
     if planned is None:
-        b = mission.bounds
-        return np.array([[b.x[0], b.y[0]], [b.x[1], b.y[1]]])
+        return corners
     points += [np.array(line) for line in planned.approaches.values()]
     points += [path[:, :2] for path in _from_rest(mission, planned)]
-    points += [leg[:, :2] for leg in planned.legs.values()]
+    points += [leg[:, :2] for leg in _legs(mission, planned).values()]
     points += [np.array([hit.position]) for hit in planned.hits.values()]
     points += [
         np.array([hit.setpoint])
         for hit in planned.hits.values()
         if mission.bounds.excess2(hit.setpoint) <= 0.0
     ]
-    return np.vstack(points)
+    flown = np.vstack(points)
+    size = (flown.max(axis=0) - flown.min(axis=0)).max()
+    shown = (corners[1] - corners[0]).max() <= max(_ROOM_M, _ROOM_SHARE * size)
+    return np.vstack([flown, corners]) if shown else flown
 
 
 def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
@@ -189,9 +203,30 @@ def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
 
 
 def _from_rest(mission: Mission, planned: PredictedFlight) -> list[Array]:
-    """Return the two ends (2, 3), m, of each straight segment from rest to rest, also after recoveries."""
+    """Return the two ends (2, 3), m, of each straight segment from rest to rest, also after recoveries.
+
+    A recovery that ends at rest leads straight from the hit to the setpoint. With `after_impact: replan`, the
+    last recovery leads to the goal instead of the setpoint.
+    """
     segments = predicted_segments(mission, planned.hits)
-    return [np.array([segment.begin or segment.end, segment.end]) for segment in segments]
+    found = [np.array([segment.begin or segment.end, segment.end]) for segment in segments]
+    for index, hit in planned.hits.items():
+        if index not in _legs(mission, planned) and mission.standoff_m is None:
+            z, to_goal = mission.altitude_at(index - 1), index == _replanned_to_goal(mission)
+            ends = mission.goal.position_m if to_goal else hit.setpoint
+            found.append(np.array([(*hit.position, z), (*ends, z)]))
+    return found
+
+
+def _replanned_to_goal(mission: Mission) -> int | None:
+    """Return the index of the collision after which the vehicle plans a trajectory to the goal, or None."""
+    replans = mission.after_impact is AfterImpact.REPLAN and mission.goal_trajectory is None
+    return len(mission.collisions) if replans and mission.recovers_to_goal else None
+
+
+def _legs(mission: Mission, planned: PredictedFlight) -> dict[int, Array]:
+    """Return the predicted legs, without the leg that the flight replaces by a trajectory to the goal."""
+    return {index: leg for index, leg in planned.legs.items() if index != _replanned_to_goal(mission)}
 
 
 def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -> None:
@@ -216,7 +251,7 @@ def _draw_trajectory(axis: Any, mission: Mission, planned: PredictedFlight) -> N
         )  # fmt: skip
         middle = path[-2] + 0.55 * (path[-1] - path[-2])
         draw_arrow(axis, middle, middle + 0.06 * (path[-1] - path[-2]), "#000000", linewidth=0.0)
-    for leg in planned.legs.values():
+    for leg in _legs(mission, planned).values():
         axis.plot(leg[:, 0], leg[:, 1], label="predicted trajectory", **PREDICTED)
 
 
@@ -232,17 +267,21 @@ def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[l
             continue
         stops = hit is None or mission.standoff_m is not None
         set_point = None if hit is None or stops else hit.setpoint
-        lines += draw_hit(
-            axis, mission.vehicle.airframe, at, wall.parallel_yaw(0.0), collision.mode, set_point
-        )
+        yaw = impact_yaw(mission, collision)
+        lines += draw_hit(axis, mission.vehicle.airframe, at, yaw, collision.mode, set_point)
         if hit is None:
             continue
         if not stops:
             x, y, _ = wall.from_collision((hit.normal_n, hit.tangential_n, 0.0))
-            draw_arrow(axis, at, at + LONGEST_ARROW_M / largest * np.array([x, y]), FORCE)
+            tip = at + LONGEST_ARROW_M / largest * np.array([x, y])
+            draw_arrow(axis, at, tip, FORCE)
+            lines.append(along(np.array([at, tip])))
         speed = math.hypot(hit.normal_m_s, hit.tangential_m_s)
         force = describe_force(hit.normal_n, hit.tangential_n)
         text = f"{collision.index} {collision.mode.value}\n{speed:.2f} m/s, {force}"
+        incidence = incidence_deg(mission, collision)
+        if incidence >= 1.0:
+            text += f"\nincidence {incidence:.0f}°"
         labels.append(Label(text, hit.position, (-wall.normal[0], -wall.normal[1]), FORCE))
     if planned.hits and mission.standoff_m is None:
         name_hits(axis, largest)
@@ -272,7 +311,7 @@ def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top
     start = mission.start
     axis.plot([start[0]] * 2, [0.0, mission.altitude_m], **PREDICTED)
     if planned is not None:
-        for index, line in [*planned.approaches.items(), *planned.legs.items()]:
+        for index, line in [*planned.approaches.items(), *_legs(mission, planned).items()]:
             path = np.array(line)
             axis.plot(path[:, 0], np.full(len(path), mission.altitude_at(index - 1)), **PREDICTED)
         for path in _from_rest(mission, planned):
