@@ -21,7 +21,7 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -55,10 +55,11 @@ from dart_flight.base.records import (
     VehicleCommand,
     WallEstimate,
 )
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.lock.drivers import Driver, make_driver
+from dart_flight.lock.drivers import ActuatorLink, Driver, DriverError, owned_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.drivers.modelled_horn import DriverWithModelledHorn
 from dart_flight.lock.lock_session import LockSession
@@ -293,16 +294,18 @@ class FlightApp:
         Raises:
             VehicleError: there is no autopilot at the URL.
             NoAnswerError: the autopilot does not answer requests.
-            InputError: the motion capture does not answer, or does not know the configured body.
+            InputError: the motion capture does not answer, or does not know the configured body; or the servo
+                is in use or missing.
         """
-        source = None if self._mocap_url is None else open_source(self._mocap_url)
-        try:
-            await self._fly(source)
-        finally:
-            if source is not None and self._bridge is None:  # otherwise the bridge has stopped the source
-                source.stop()
+        with self._owned_driver() as driver:
+            source = None if self._mocap_url is None else open_source(self._mocap_url)
+            try:
+                await self._fly(source, driver)
+            finally:
+                if source is not None and self._bridge is None:  # otherwise the bridge has stopped the source
+                    source.stop()
 
-    async def _fly(self, source: PoseSource | None) -> None:
+    async def _fly(self, source: PoseSource | None, driver: Driver | None) -> None:
         self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
         async with connect(
@@ -313,8 +316,8 @@ class FlightApp:
             if unanswered:
                 says = f"the vehicle sends telemetry but does not answer requests: {', '.join(unanswered)}"
                 raise NoAnswerError(says, source=self._url)
-            if self._mission.vehicle.lock is not None:
-                self._lock = self._make_lock(session, self._mission.vehicle.lock)
+            if driver is not None and self._mission.vehicle.lock is not None:
+                self._lock = self._make_lock(driver, self._mission.vehicle.lock)
             kinds = list[type[PlanRequest | ContactRequest]]()
             if self._mission.walls:
                 kinds.append(ContactRequest)
@@ -496,17 +499,38 @@ class FlightApp:
 
     # -- lock --
 
-    def _make_lock(self, session: VehicleSession, config: LockConfig) -> LockThread:
-        def clock_us() -> int:
-            return session.clock.to_autopilot(self._host_us())
+    @contextlib.contextmanager
+    def _owned_driver(self) -> Iterator[Driver | None]:
+        """Within the context, own the servo and return its driver, or None if there is no lock.
+
+        Raises:
+            InputError: another process owns the servo, or the hardware of the servo is missing.
+        """
+        config = self._mission.vehicle.lock
+        if config is None:
+            yield None
+            return
 
         def set_actuator(index: int, value: float) -> None:
+            assert self._session is not None
             with contextlib.nullcontext() if self._lockstep is None else self._lockstep.command():
-                session.set_actuator(index, value)
+                self._session.set_actuator(index, value)
 
-        driver: Driver = make_driver(
-            config, clock_us=clock_us, set_actuator=set_actuator, faults=self._lock_faults
-        )
+        link = ActuatorLink(set_actuator, self._url)
+        owned = owned_driver(config, clock_us=self._autopilot_us, link=link, faults=self._lock_faults)
+        with contextlib.ExitStack() as held:
+            try:
+                driver = held.enter_context(owned)
+            except DriverError as error:
+                raise InputError(str(error), source=self._mission.source, key=("lock", *error.key)) from None
+            yield driver
+
+    def _autopilot_us(self) -> int:
+        assert self._session is not None
+        return self._session.clock.to_autopilot(self._host_us())
+
+    def _make_lock(self, driver: Driver, config: LockConfig) -> LockThread:
+        clock_us = self._autopilot_us
         self.mock = driver if isinstance(driver, MockDriver) else None
         if self._world is not None and self.mock is None and config.driver is not LockDriver.PX4:
             # With a real servo and a simulated vehicle, a modelled horn moves the simulated arms.
@@ -523,7 +547,7 @@ class FlightApp:
 
         return LockThread(
             lambda keep: LockSession(config, driver, clock_us, keep),
-            lambda: session.clock.offset_us is not None,
+            lambda: self._session is not None and self._session.clock.offset_us is not None,
             self._handle_lock_state,
             after_poll,
             self._lockstep,

@@ -19,11 +19,12 @@ from typing import Final, NamedTuple
 import msgspec
 
 from dart_flight.base.records import LockCommand, LockPhase, LockState, Mode
+from dart_flight.config.held_files import pass_kept
 from dart_flight.config.vehicle import LockConfig, VehicleConfig
-from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.drivers import ActuatorLink, DriverError
 from dart_flight.lock.ground import GroundLock, clock_us, ground_driver
 from dart_flight.lock.lock_session import LockSession
-from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, load_last
+from dart_flight.lock.persistence import CommandStore, ServoInUseError, load_last
 from dart_flight.lock.state_machine import describe, status_text
 from dart_flight.run.app import LockThread
 from dart_flight.run.deadman import SystemdNotice
@@ -233,7 +234,9 @@ class Standby:
 
     @contextlib.contextmanager
     def _holding_lock(self, config: LockConfig, session: VehicleSession) -> Iterator[LockThread]:
-        """Within the context, own the servo and run the lock; the servo does not move without a command.
+        """Within the context, run the lock; the servo does not move without a command.
+
+        Standby owns the servo from now on until its process ends. A flight takes the servo over from standby.
 
         Raises:
             ServoInUseError: another process moves the servo.
@@ -254,8 +257,8 @@ class Standby:
                 session.send_text(status_text(state))
                 self._say("standby", f"lock {describe(state)}")
 
-        with ServoOwnership():
-            driver = ground_driver(config, load_last(), session.set_actuator)
+        link = ActuatorLink(session.set_actuator, self._url)
+        with ground_driver(config, load_last(), link, lasting=True) as driver:
             lock = LockThread(make_session, lambda: True, handle, lambda: None)
             lock.thread.start()
             try:
@@ -263,8 +266,6 @@ class Standby:
             finally:
                 self._lock = None
                 lock.stop()
-                with contextlib.suppress(DriverError):
-                    driver.close()
 
     def _answer(self, press: Press) -> tuple[Result, str]:
         """Answer a button, on MAVSDK's thread."""
@@ -309,6 +310,7 @@ class Standby:
     async def _run_child(self, command: Sequence[str]) -> Ended:
         """Run a `dart-flight` command on the link, and pass on all messages of the command."""
         # In a new session, so that only standby gets Ctrl-C and passes it on once.
+        descriptors, kept = pass_kept()  # the servo
         inherited = {name: value for name, value in os.environ.items() if name not in _SYSTEMD}
         child = self._child = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "dart_flight", *command, "--json", "--connection", self._url),
@@ -316,7 +318,8 @@ class Standby:
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
-            env=inherited,
+            env=inherited | kept,
+            pass_fds=descriptors,
             start_new_session=True,
         )
         assert child.stdout is not None

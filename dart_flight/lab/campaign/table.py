@@ -16,7 +16,7 @@ from types import TracebackType
 
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError, open_file
-from dart_flight.config.state_folder import lock_file
+from dart_flight.config.held_files import lock_file
 from dart_flight.lab.campaign.campaign_spec import Item, Point
 from dart_flight.lab.campaign.flight_job import line_of
 
