@@ -55,6 +55,7 @@ from dart_flight.base.records import (
     VehicleCommand,
     WallEstimate,
 )
+from dart_flight.base.signals import StopSignals, describe_repeat
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockConfig, LockDriver
@@ -297,15 +298,18 @@ class FlightApp:
             InputError: the motion capture does not answer, or does not know the configured body; or the servo
                 is in use or missing.
         """
-        with self._owned_driver() as driver:
+        with contextlib.ExitStack() as held:
+            driver = held.enter_context(self._owned_driver())
             source = None if self._mocap_url is None else open_source(self._mocap_url)
             try:
-                await self._fly(source, driver)
+                await self._fly(source, driver, held)
             finally:
                 if source is not None and self._bridge is None:  # otherwise the bridge has stopped the source
                     source.stop()
 
-    async def _fly(self, source: PoseSource | None, driver: Driver | None) -> None:
+    async def _fly(
+        self, source: PoseSource | None, driver: Driver | None, held: contextlib.ExitStack
+    ) -> None:
         self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
         async with connect(
@@ -338,7 +342,7 @@ class FlightApp:
             motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
             session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
             session.serve_operator(vehicle.ground_station.system_id, self._answer_button)
-            self._listen_for_signals()
+            held.enter_context(self._listening_for_operator())
             if source is not None:
                 self._bridge = self._open_bridge(session, source)
             keeper = asyncio.create_task(self._keep_alive())
@@ -434,14 +438,26 @@ class FlightApp:
                 self._core.put(OperatorRequest(self._host_us(), Request.WORLD_DIED, self._world.cause))
         await asyncio.sleep(_END_GRACE_S)
 
-    def _listen_for_signals(self) -> None:
-        assert self.loop is not None
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # not the main thread
-                self.loop.add_signal_handler(number, self.stop)
-        with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
-            self.loop.add_signal_handler(signal.SIGUSR1, self.resume)
+    @contextlib.contextmanager
+    def _listening_for_operator(self) -> Iterator[None]:
+        """Within the context, obey signals and the operator's keys."""
+        loop = self.loop
+        assert loop is not None
+        with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # not the main thread
+            loop.add_signal_handler(signal.SIGUSR1, self.resume)
         self._listen_for_key()
+        with StopSignals(
+            lambda number: loop.call_soon_threadsafe(self.stop),
+            lambda number: loop.call_soon_threadsafe(self._report, "info", describe_repeat(number)),
+        ):
+            yield
+
+    def _report(self, severity: str, text: str) -> None:
+        """Add a text of this program to the flight's log."""
+        assert self._session is not None
+        now_us = self._host_us()
+        t_us = self._session.clock.to_autopilot(now_us)
+        self._core.put(StatusText(t_us, now_us, severity, text, found_here=True))
 
     def _listen_for_key(self) -> None:
         if self.loop is not None and sys.stdin is not None and sys.stdin.isatty():
@@ -592,12 +608,9 @@ class FlightApp:
             self._lockstep.sent(setpoint)
 
     def _report_unsent(self, text: str) -> None:
-        assert self._session is not None
         if text not in self._unsent:
             self._unsent.add(text)
-            now_us = self._host_us()
-            t_us = self._session.clock.to_autopilot(now_us)
-            self._core.put(StatusText(t_us, now_us, "critical", text, found_here=True))
+            self._report("critical", text)
 
     def execute(self, output: Output) -> None:
         """Start a command that is not a setpoint, without waiting for its completion."""

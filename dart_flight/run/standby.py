@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 import msgspec
 
 from dart_flight.base.records import LockCommand, LockPhase, LockState, Mode
+from dart_flight.base.signals import StopSignals, describe_repeat
 from dart_flight.config.held_files import pass_kept
 from dart_flight.config.vehicle import LockConfig, VehicleConfig
 from dart_flight.lock.drivers import ActuatorLink, DriverError
@@ -159,44 +160,48 @@ class Standby:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     async def run(self) -> None:
-        """Stand by until SIGINT, SIGTERM or SIGHUP; a flight in progress lands first.
+        """Stand by until SIGINT, SIGTERM or SIGHUP (`StopSignals`); a flight in progress lands first.
 
         Raises:
             InputError: the motion capture or the state folder cannot be used.
         """
         self._loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            self._loop.add_signal_handler(number, self._stop)
         systemd = SystemdNotice()
         systemd.ready("standby")
         alive = asyncio.create_task(_keep_alive(systemd))
         problem = ""
         try:
-            while not self._stops:
-                try:
-                    await self._hold()
-                    problem = ""
-                except (LinkInUseError, VehicleError, ServoInUseError, DriverError) as error:
-                    if str(error) != problem:  # report it once
-                        problem = str(error)
-                        self._say("problem", f"{problem}; retrying")
-                    await self._rest(_RETRY_S)
-                errand, self._errand = self._errand, None
-                if errand is not None and not self._stops:
-                    await self._run_errand(errand)
+            with StopSignals(self._receive_stop, lambda n: self._say("standby", describe_repeat(n))):
+                while not self._stops:
+                    try:
+                        await self._hold()
+                        problem = ""
+                    except (LinkInUseError, VehicleError, ServoInUseError, DriverError) as error:
+                        if str(error) != problem:  # report it once
+                            problem = str(error)
+                            self._say("problem", f"{problem}; retrying")
+                        await self._rest(_RETRY_S)
+                    errand, self._errand = self._errand, None
+                    if errand is not None and not self._stops:
+                        await self._run_errand(errand)
         finally:
             alive.cancel()
             systemd.stopping()
+
+    def _receive_stop(self, number: signal.Signals) -> None:
+        assert self._loop is not None
+        self._loop.call_soon_threadsafe(self._stop)
 
     def _stop(self) -> None:
         """End standby, and pass each signal to a flight in progress.
 
         After the first signal the vehicle lands. After the second signal the flight sends no more setpoints.
+        The flight receives two different signals, so that the second signal is not a repeat.
         """
         self._stops += 1
         self._wake.set()
         if self._child is not None and self._child.returncode is None:
-            self._child.send_signal(signal.SIGTERM)
+            self._child.send_signal(signal.SIGTERM if self._stops % 2 else signal.SIGINT)
 
     async def _rest(self, seconds: float) -> None:
         with contextlib.suppress(TimeoutError):
