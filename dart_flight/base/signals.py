@@ -43,8 +43,8 @@ class StopSignals:
 
     def __init__(
         self,
-        handle: Callable[[signal.Signals], None],
-        repeated: Callable[[signal.Signals], None] = log_repeat,
+        handle: Callable[[signal.Signals], object],
+        repeated: Callable[[signal.Signals], object] = log_repeat,
         numbers: Sequence[signal.Signals] = STOP_SIGNALS,
     ) -> None:
         self._handle, self._repeated, self._numbers = handle, repeated, numbers

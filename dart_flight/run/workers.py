@@ -6,6 +6,7 @@ inherit a mutex that a thread of the parent holds, such as the mutex of a progre
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import pickle
@@ -110,7 +111,15 @@ class _Pool(Generic[I, R]):
                 forkserver.ensure_running()
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        return ProcessPoolExecutor(self._processes, context, initializer=_begin, initargs=(self._fly,))
+        try:
+            return ProcessPoolExecutor(self._processes, context, initializer=_begin, initargs=(self._fly,))
+        except OSError as error:
+            if error.errno in (errno.EMFILE, errno.ENFILE):
+                raise
+            raise FlightError(
+                f"cannot start processes for the flights: {error.strerror}; they need a writable /dev/shm "
+                "(in a container: --tmpfs /dev/shm)"
+            ) from None
 
     def submit(self, item: I) -> Future[R | Failure]:
         """Submit an item; if the pool is broken, the future has a `BrokenProcessPool` error."""
@@ -184,7 +193,7 @@ def work(
             progress are completed. After the second interrupt, the items in progress are abandoned.
 
     Raises:
-        FlightError: new processes end before their first flight.
+        FlightError: the processes cannot be started, or end before their first flight.
     """
     waiting, suspects = iter(items), deque[I]()
     deaths: dict[I, int] = {}

@@ -43,7 +43,7 @@ def test_the_same_signal_within_300_ms_counts_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     times = iter([time_s for time_s, _ in arrivals])
-    monkeypatch.setattr(signals.time, "monotonic", lambda: next(times))
+    monkeypatch.setattr("dart_flight.base.signals.time.monotonic", lambda: next(times))
     handled: list[signal.Signals] = []
     repeats: list[signal.Signals] = []
     with StopSignals(handled.append, repeats.append):

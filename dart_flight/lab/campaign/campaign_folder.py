@@ -11,7 +11,7 @@ from typing import NamedTuple
 import msgspec
 
 from dart_flight.base.errors import FlightError
-from dart_flight.config.document import InputError, read_text
+from dart_flight.config.document import InputError, read_text, write_problem
 from dart_flight.lab.campaign.campaign_spec import (
     Campaign,
     CampaignSpec,
@@ -127,7 +127,7 @@ def write_atomically(path: Path, data: bytes) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             part.unlink()
-        raise FlightError(f"cannot write {path}: {error.strerror}") from None
+        raise FlightError(f"cannot write {path}: {write_problem(path, error)}") from None
 
 
 def read_rows(opened: CampaignFolder) -> list[JudgedRow]:
