@@ -114,7 +114,8 @@ def write_problem(path: str | Path, error: OSError) -> str:
     if os.access(theirs.parent, os.W_OK, effective_ids=True):
         heir = account_name(theirs.parent.stat().st_uid)
         remedy = f"sudo chown -R {heir} {shlex.quote(str(theirs))}"
-    return f"{reason}: {near} belongs to {account_name(owner)}; {remedy}"
+    what = "it" if near == Path(path).absolute() else near
+    return f"{reason}: {what} belongs to {account_name(owner)}; {remedy}"
 
 
 def account_name(number: int) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -186,3 +187,20 @@ def test_a_signal_to_the_whole_group_leaves_the_items_in_progress(
     assert count == f"interrupts: {counted}"
     assert process.wait() == 0
     assert len(results) + 1 == flown or (flown is None and 2 <= len(results) + 1 <= 4)
+
+
+@pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("unshare"), reason="needs a mount namespace")
+def test_a_missing_dev_shm_is_named(tmp_path: Path) -> None:
+    program = (
+        "from dart_flight.run.workers import Interrupt, work; from tests.run.test_workers import square;"
+        "list(work(square, range(2), 2, Interrupt()))"
+    )
+    script = f"mount -t tmpfs -o ro none /dev/shm || exit 9; exec {sys.executable} -c '{program}'"
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", script],
+        capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    if done.returncode == 9:
+        pytest.skip("mounting is not permitted here")
+    assert "FlightError: cannot start processes for the flights: Read-only file system; " in done.stderr
+    assert "/dev/shm" in done.stderr
