@@ -137,7 +137,7 @@ def test_a_missing_gpiod_package_is_reported_with_the_install_command(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "gpiod", None)
-    with pytest.raises(DriverError, match="pip install gpiod"):
+    with pytest.raises(DriverError, match="-m pip install 'gpiod>=2'"):
         GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))
 
 
