@@ -23,7 +23,7 @@ python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
     { echo "needs Python 3.11 or newer, here is $(python3 --version)" >&2; exit 2; }
 
 python3 -m venv "$venv"
-"$venv/bin/python" -m pip install --disable-pip-version-check -c "$here/constraints.txt" "$here[sim,identify,report,live]"
+"$venv/bin/python" -m pip install --disable-pip-version-check -c "$here/constraints.txt" "$here[sim,identify,report,live,mocap]"
 ln -sf "$venv/bin/dart-flight" /usr/local/bin/dart-flight
 
 # The account that flies: serial ports and GPIO, nothing else. Its group may edit missions.

@@ -77,7 +77,7 @@ def test_the_unit_permits_only_what_a_flight_needs() -> None:
         "ttyAMA", "ttyS", "ttyUSB", "ttyACM", "gpiochip",
     }  # fmt: skip
     assert {"AF_UNIX", "AF_INET"} <= set(service["RestrictAddressFamilies"].split())
-    assert service["ReadWritePaths"] == service["WorkingDirectory"]
+    assert service["ReadWritePaths"].split() == [service["WorkingDirectory"], "-/run/lock"]
     assert "PrivateDevices" not in service
     assert "ProtectKernelTunables" not in service, "the PWM driver's files are in /sys"
 

@@ -23,7 +23,7 @@ from dart_flight import __version__
 from dart_flight.base.errors import FlightError
 from dart_flight.base.processes import exit_within, use_idle_priority
 from dart_flight.cli.terminal import OutputError, open_closed_streams, print_status, write_output
-from dart_flight.config.document import InputError, did_you_mean, suggest_known
+from dart_flight.config.document import InputError, did_you_mean, suggest_known, write_problem
 from dart_flight.config.retired_keys import RetiredKeyWarning
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 from dart_flight.lab_entries import load_entry
@@ -223,5 +223,6 @@ def _system_error(error: OSError) -> str:
     """Return a system error in one line, with the source file and line that raised it."""
     place = traceback.extract_tb(error.__traceback__)[-1]
     names = [os.fsdecode(n) for n in (error.filename, error.filename2) if isinstance(n, str | bytes)]
-    what = ": ".join([*names, error.strerror or str(error)])
+    why = write_problem(names[0], error) if names else error.strerror or str(error)
+    what = ": ".join([*names, why])
     return f"{what} ({Path(place.filename).name}:{place.lineno}; -vv shows the whole trace)"

@@ -19,12 +19,12 @@ from dart_flight.cli.check_command import show
 from dart_flight.cli.options import link_of
 from dart_flight.cli.terminal import messages, print_status
 from dart_flight.config.document import InputError
-from dart_flight.config.link_url import usable_link
+from dart_flight.config.link_url import endpoint_of, usable_link
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.hitl_flight import fly_hitl
-from dart_flight.vehicle.link import LinkLease, endpoint_of
+from dart_flight.vehicle.link import LinkLease
 
 _WORD = "propellers off"
 

@@ -20,10 +20,10 @@ from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.config.vehicle.configuration import default_config_path
 from dart_flight.lock.calibration import HELP, Calibration, CalibrationError
-from dart_flight.lock.drivers import DRIVERS, Driver, DriverError, SetActuator, driver_names
+from dart_flight.lock.drivers import DRIVERS, ActuatorLink, Driver, DriverError, driver_names
 from dart_flight.lock.drivers.px4_output import parameter_problems, required_parameters
 from dart_flight.lock.ground import GroundLock, calibration, ground_driver
-from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, delete_last, load_last
+from dart_flight.lock.persistence import CommandStore, LastCommand, ServoInUseError, delete_last, load_last
 from dart_flight.lock.state_machine import describe
 from dart_flight.vehicle.link import LinkLease
 
@@ -64,18 +64,28 @@ def run(arguments: argparse.Namespace) -> int:
             print_status(f"PX4 cannot move the servo: {problem}")
         if problems and arguments.action != "status":
             return EXIT_INCOMPLETE
-        return _owned(arguments, config, path, link.set_actuator)
+        return _owned(arguments, config, path, ActuatorLink(link.set_actuator, url))
 
 
-def _owned(
-    arguments: argparse.Namespace, config: LockConfig, path: Path, set_actuator: SetActuator | None
-) -> int:
-    owner = ServoOwnership()
+def _owned(arguments: argparse.Namespace, config: LockConfig, path: Path, link: ActuatorLink | None) -> int:
+    """Own the servo and carry out the action.
+
+    Raises:
+        ServoInUseError: another process owns the servo; `status` reports this and the last command.
+    """
+    last = load_last()
     try:
-        with owner:
-            return _with_servo(arguments, config, path, set_actuator)
+        with ground_driver(config, last, link) as driver:
+            return _with_servo(arguments, config, path, driver, last)
     except ServoInUseError as error:
-        return _taken(arguments, config, error)
+        status = arguments.action == "status"
+        if status:
+            print_status(error)
+        if status or arguments.json:
+            _report(arguments, config, None, ok=status, owner_pid=error.pid)
+        if not status:
+            raise
+        return EXIT_OK
     except DriverError as error:
         if error.key:
             raise Document.load(path).error(("lock", *error.key), str(error)) from None
@@ -93,38 +103,33 @@ def _with_driver(config: LockConfig, driver: LockDriver | None, path: Path) -> L
 
 
 def _with_servo(
-    arguments: argparse.Namespace, config: LockConfig, path: Path, set_actuator: SetActuator | None
+    arguments: argparse.Namespace, config: LockConfig, path: Path, driver: Driver, last: LastCommand | None
 ) -> int:
-    last = load_last()
-    driver = ground_driver(config, last, set_actuator)
     driver.open()
     if not DRIVERS[config.driver].moves and arguments.action != "status":
         real = driver_names(lambda entry: entry.moves)
         print_status(f"lock.driver is {config.driver.value}: no real servo moves; choose {real} (--driver)")
-    try:
-        if arguments.action == "calibrate":
-            return _calibrate(arguments, config, path, driver)
-        store = CommandStore(config.driver)
-        lock = GroundLock(config, driver, store.store)
-        state = lock.read_state()
-        wanted = None
-        if arguments.action != "status":
-            if arguments.action != "toggle":
-                wanted = Mode(arguments.action)
-            elif state.mode is not None:
-                wanted = state.mode.other
-            elif last is not None and last.driver is config.driver:
-                wanted = last.mode.other
-            else:
-                raise InputError(
-                    f"toggle: the position is unknown ({describe(state)}) and no command is on record; "
-                    "specify rigid or flexible"
-                )
-            state = lock.move(wanted, release=arguments.release)
-            if store.problem is not None:
-                print_status(store.problem)
-    finally:
-        driver.close()
+    if arguments.action == "calibrate":
+        return _calibrate(arguments, config, path, driver)
+    store = CommandStore(config.driver)
+    lock = GroundLock(config, driver, store.store)
+    state = lock.read_state()
+    wanted = None
+    if arguments.action != "status":
+        if arguments.action != "toggle":
+            wanted = Mode(arguments.action)
+        elif state.mode is not None:
+            wanted = state.mode.other
+        elif last is not None and last.driver is config.driver:
+            wanted = last.mode.other
+        else:
+            raise InputError(
+                f"toggle: the position is unknown ({describe(state)}) and no command is on record; "
+                "specify rigid or flexible"
+            )
+        state = lock.move(wanted, release=arguments.release)
+        if store.problem is not None:
+            print_status(store.problem)
     reached = wanted is None or (state.phase is LockPhase.SETTLED and state.mode is wanted)
     _report(arguments, config, state, ok=reached)
     return EXIT_OK if reached else EXIT_INCOMPLETE
@@ -161,15 +166,6 @@ def _report(
         tables().print(f"{config.driver}: {describe(state)}", soft_wrap=True)
     if last is not None and arguments.action == "status":
         tables().print(f"last command: {last.describe()}", soft_wrap=True)
-
-
-def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoInUseError) -> int:
-    """Report that another process owns the servo; `status` adds the last command, other actions fail."""
-    print_status(f"lock: {error}")
-    status = arguments.action == "status"
-    if status or arguments.json:
-        _report(arguments, config, None, ok=status, owner_pid=error.pid)
-    return EXIT_OK if status else EXIT_INCOMPLETE
 
 
 # --- calibrate -----------------------------------------------------------------------------------------

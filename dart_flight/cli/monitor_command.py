@@ -20,12 +20,13 @@ from dart_flight.cli.options import add_mocap_option, link_of, number
 from dart_flight.cli.terminal import emit_json, live_screen, print_status, styled
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
+from dart_flight.config.link_url import endpoint_of
 from dart_flight.config.mission import Mission, load_empty_room, load_mission
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.follow import LogFollower
 from dart_flight.run.monitor import MonitorView, TelemetryMonitor, monitor_log, monitor_vehicle
 from dart_flight.run.prepare import with_mocap
-from dart_flight.vehicle.link import Holder, LinkInUseError, LinkLease, endpoint_of, find_holder, held_links
+from dart_flight.vehicle.link import Holder, LinkInUseError, LinkLease, find_holder, held_links
 
 _PERIOD_S = 0.2
 _BAR_N, _BAR_WIDTH = 40.0, 24

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, write_problem
 from dart_flight.config.link_url import usable_link
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -138,9 +139,8 @@ def refuse_unwritable(arguments: argparse.Namespace, path: Path) -> None:
             source=str(path),
         )
     if not os.access(path, os.W_OK):
-        raise InputError(
-            "the calibration must be written to this file, but the file is not writable", source=str(path)
-        )
+        why = write_problem(path, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+        raise InputError(f"the calibration must be written to this file: {why}", source=str(path))
 
 
 def whole_number(low: int, high: int) -> Callable[[str], int]:

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
+import itertools
 import math
 import os
+import pwd
 import re
+import shlex
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from enum import Enum
@@ -88,7 +92,38 @@ def report_write_errors(path: str | Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
+        raise InputError(f"cannot write: {write_problem(path, error)}", source=str(path)) from None
+
+
+def write_problem(path: str | Path, error: OSError) -> str:
+    """Return why a path cannot be written, in one line.
+
+    If a file or folder of another account is the reason, the text names it, its owner and the remedy. An
+    example is a folder that one `sudo` has left behind.
+    """
+    reason = error.strerror or str(error)
+    place = Path(error.filename if isinstance(error.filename, str) else path).absolute()
+    near = next((p for p in (place, *place.parents) if os.path.exists(p)), place)
+    if error.errno not in (errno.EACCES, errno.EPERM) or os.access(near, os.W_OK, effective_ids=True):
+        return reason
+    owner = near.stat().st_uid
+    if owner == os.geteuid():
+        return f"{reason}: the mode of {near} forbids it; chmod u+w {shlex.quote(str(near))}"
+    *_, theirs = itertools.takewhile(lambda p: p.stat().st_uid == owner, (near, *near.parents))
+    remedy = "choose a folder that you can write"
+    if os.access(theirs.parent, os.W_OK, effective_ids=True):
+        heir = account_name(theirs.parent.stat().st_uid)
+        remedy = f"sudo chown -R {heir} {shlex.quote(str(theirs))}"
+    what = "it" if near == Path(path).absolute() else near
+    return f"{reason}: {what} belongs to {account_name(owner)}; {remedy}"
+
+
+def account_name(number: int) -> str:
+    """Return the name of an account, or its number if the account has no entry."""
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:
+        return str(number)
 
 
 def replace_file(path: Path, data: bytes) -> None:

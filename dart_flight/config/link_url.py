@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
 from pathlib import Path
 from typing import NamedTuple
+
+import msgspec
 
 from dart_flight.config.document import InputError
 
@@ -12,7 +16,8 @@ FORMS = (
     "serial:///dev/ttyAMA0:921600, udpin://0.0.0.0:14540 (listens), udpout://192.168.1.2:14540, "
     "tcpout://192.168.1.2:5760, tcpin://0.0.0.0:5760"
 )
-_SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>/[^:\s]+):(?P<baud>\d+)")
+# The names in /dev/serial/by-path contain colons: the baud rate follows the last colon.
+_SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>/\S+):(?P<baud>\d+)")
 # MAVSDK's older schemes udp:// and tcp:// may omit the host.
 _NETWORK = re.compile(
     r"(?P<kind>udp|tcp|(?:udp|tcp)(?:in|out)(?!://:))://(?P<host>\[[\da-fA-F:.]+\]|[\w.-]*):(?P<port>\d+)"
@@ -34,6 +39,61 @@ def parse_link(url: str) -> LinkAddress | None:
     if serial is not None:
         return LinkAddress("serial", serial["device"], int(serial["baud"]))
     return None if network is None else LinkAddress(network["kind"], network["host"], int(network["port"]))
+
+
+class LinkEndpoint(msgspec.Struct, frozen=True):
+    """The resource that a URL uses; only one program at a time may use URLs with the same `key`.
+
+    Attributes:
+        key: part of the names of the files that reserve the link, or a servo on the link.
+        udp_port: UDP port that this program binds, or None.
+        host: local address of `udp_port`.
+        device: path of the serial device, or None.
+    """
+
+    key: str
+    udp_port: int | None = None
+    host: str = ""
+    device: Path | None = None
+
+
+def endpoint_of(url: str) -> LinkEndpoint:
+    """Return the resource that a MAVSDK connection URL uses.
+
+    An invalid URL also gets a key: the URL is not refused here but later, by MAVSDK.
+    """
+    link = parse_link(url)
+    if link is not None and link.kind == "serial":
+        return LinkEndpoint(f"serial-{device_key(link.place)}", device=Path(os.path.realpath(link.place)))
+    if link is None:
+        key, udp_port = "url-" + re.sub(r"[^A-Za-z0-9.]+", "-", url)[:80], None
+    else:
+        kind, host, port = link
+        bound = kind == "udpin" or (kind == "udp" and host in ("", "0.0.0.0", "127.0.0.1", "localhost"))
+        udp_port = port if bound else None
+        key = f"udp-{port}" if bound else f"{kind[:3]}-{'in' if kind.endswith('in') else 'out'}-{host}-{port}"
+    host = "" if udp_port is None or link is None else link.place
+    return LinkEndpoint(f"{key}@{_network()}", udp_port=udp_port, host=host)
+
+
+def mavsdk_url(url: str) -> str:
+    """Return a URL that MAVSDK understands: it ends the name of a serial device at the first colon."""
+    link = parse_link(url)
+    if link is None or link.kind != "serial" or ":" not in link.place:
+        return url
+    return f"{url.partition(':')[0]}://{os.path.realpath(link.place)}:{link.number}"
+
+
+def device_key(path: str | Path) -> str:
+    """Return the key of a device; all links to the device, such as /dev/serial0, give the same key."""
+    return os.path.realpath(path).strip("/").replace("/", "-")
+
+
+def _network() -> str:
+    """Return the number of the network namespace: containers may share a folder but have separate ports."""
+    with contextlib.suppress(OSError):
+        return str(os.stat("/proc/self/ns/net").st_ino)
+    return ""
 
 
 def link_problem(url: str) -> str | None:

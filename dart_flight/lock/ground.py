@@ -6,15 +6,16 @@ lock adopts its present position and is not homed.
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import msgspec
 
 from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LockConfig, LockDriver, LockStartup
 from dart_flight.lock.calibration import Calibration
-from dart_flight.lock.drivers import Driver, SetActuator, make_driver
+from dart_flight.lock.drivers import ActuatorLink, Driver, owned_driver
 from dart_flight.lock.drivers.mock import MockDriver
 from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.persistence import LastCommand
@@ -28,22 +29,25 @@ def clock_us() -> int:
     return time.monotonic_ns() // 1000
 
 
+@contextlib.contextmanager
 def ground_driver(
-    config: LockConfig, last: LastCommand | None, set_actuator: SetActuator | None = None
-) -> Driver:
-    """Return the configured driver.
+    config: LockConfig, last: LastCommand | None, link: ActuatorLink | None = None, *, lasting: bool = False
+) -> Iterator[Driver]:
+    """Within the context, own the servo and return the configured driver.
 
     If the last command went to the mock, the mock's horn starts at the commanded end.
 
     Raises:
-        DriverError: as in `make_driver`.
+        ServoInUseError, DriverError, InputError: as in `owned_driver`.
     """
     if config.driver is LockDriver.MOCK:
         known = last is not None and last.driver is LockDriver.MOCK
-        return MockDriver(
+        yield MockDriver(
             config, clock_us, pulse_us=config.servo.pulse_us(last.mode) if known and last else None
         )
-    return make_driver(config, clock_us=clock_us, set_actuator=set_actuator)
+        return
+    with owned_driver(config, clock_us=clock_us, link=link, lasting=lasting) as driver:
+        yield driver
 
 
 class GroundLock:

@@ -1,7 +1,8 @@
 """Persistent state of the lock: the last command to the servo, and the process that owns the servo.
 
-Both are files in the state folder. After a restart the last command shows what was requested of the servo. It
-does not show the position of the horn.
+The last command is a file in the state folder. After a restart it shows what was requested of the servo, but
+not the position of the horn. The owner holds a file in a folder that all accounts share, because the service
+and an operator over SSH have different state folders.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ import os
 import tempfile
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
 from dart_flight.base.records import LockPhase, LockState, Mode
-from dart_flight.config.document import InputError
-from dart_flight.config.state_folder import REMEDY, HeldError, HeldFile, Lease, ensure_folder, state_dir
+from dart_flight.config.document import InputError, write_problem
+from dart_flight.config.held_files import HeldError, HeldFile, Lease, program_name, shared_file
+from dart_flight.config.state_folder import cannot, ensure_folder, state_dir
 from dart_flight.config.vehicle import LockDriver
 
 # --- the last command --------------------------------------------------------------------------------
@@ -84,7 +87,8 @@ class CommandStore:
         try:
             self._write(msgspec.json.encode(last))
         except OSError as error:
-            self.problem = f"cannot write the last command to {self._folder}: {error.strerror}"
+            why = write_problem(self._folder, error)
+            self.problem = f"cannot write the last command to {self._folder}: {why}"
         else:
             self.problem = None
 
@@ -111,7 +115,7 @@ def load_last(folder: Path | None = None) -> LastCommand | None:
     except (FileNotFoundError, msgspec.DecodeError):
         return None
     except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}; {REMEDY}", source=str(path)) from None
+        raise cannot("read", path, error) from None
 
 
 def delete_last(folder: Path | None = None) -> None:
@@ -122,44 +126,72 @@ def delete_last(folder: Path | None = None) -> None:
 # --- the owner ---------------------------------------------------------------------------------------
 
 
-class ServoInUseError(Exception):
+class ServoOwner(msgspec.Struct, frozen=True):
+    """The process that owns a servo, and its program."""
+
+    pid: int
+    program: str
+
+
+class ServoInUseError(InputError):
     """Another process owns the servo.
 
     Attributes:
         pid: process number of the other process, or None if unknown.
     """
 
-    def __init__(self, pid: int | None) -> None:
-        owner = "another process" if pid is None else f"process {pid}"
-        super().__init__(f"the lock's servo is in use by {owner}")
-        self.pid = pid
+    def __init__(self, device: str, owner: ServoOwner | None) -> None:
+        by = "another process" if owner is None else f"{owner.program}, process {owner.pid}"
+        super().__init__(f"the lock's servo ({device}) is in use by {by}")
+        self.pid = None if owner is None else owner.pid
+
+
+class ServoDevice(NamedTuple):
+    """The hardware that only one process at a time may use to move a servo.
+
+    Attributes:
+        key: the same text for every name of the same hardware, and different for other hardware.
+        words: name of the hardware for people.
+    """
+
+    key: str
+    words: str
 
 
 class ServoOwnership(Lease):
-    """The right to move the servo: the owner holds `lock.pid`, which contains the owner's process number."""
+    """The right to move a servo.
 
-    def __init__(self, folder: Path | None = None) -> None:
-        self._file = HeldFile((folder or state_dir()) / "lock.pid")
+    Args:
+        device: hardware of the servo.
+        lasting: whether this process owns the servo until it ends, and passes it to its child processes
+            (`held_files.pass_kept`).
+    """
+
+    def __init__(self, device: ServoDevice, *, lasting: bool = False) -> None:
+        self._device, self._lasting = device, lasting
+        self._file = HeldFile(shared_file(f"servo-{device.key}"))
 
     def acquire(self) -> None:
-        """Acquire the servo.
+        """Acquire the servo, or take it over from the parent process.
 
         Raises:
             ServoInUseError: another process, or another object in this process, owns the servo.
-            InputError: the state folder cannot be used.
+            InputError: the folder of the file cannot be used.
         """
         try:
-            self._file.acquire(f"{os.getpid()}\n".encode())
+            self._file.acquire(msgspec.json.encode(ServoOwner(os.getpid(), program_name())))
         except HeldError as error:
-            raise ServoInUseError(_pid_in(error.content)) from None
+            raise ServoInUseError(self._device.words, _owner_in(error.content)) from None
+        if self._lasting:
+            self._file.keep()
 
     def release(self) -> None:
         """Release the servo, if this object owns the servo."""
         self._file.release()
 
 
-def _pid_in(content: bytes) -> int | None:
+def _owner_in(content: bytes) -> ServoOwner | None:
     try:
-        return int(content)
-    except ValueError:
+        return msgspec.json.decode(content, type=ServoOwner)
+    except msgspec.DecodeError:
         return None

@@ -21,7 +21,7 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -55,10 +55,12 @@ from dart_flight.base.records import (
     VehicleCommand,
     WallEstimate,
 )
+from dart_flight.base.signals import StopSignals, describe_repeat
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.lock.drivers import Driver, make_driver
+from dart_flight.lock.drivers import ActuatorLink, Driver, DriverError, owned_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.drivers.modelled_horn import DriverWithModelledHorn
 from dart_flight.lock.lock_session import LockSession
@@ -293,16 +295,21 @@ class FlightApp:
         Raises:
             VehicleError: there is no autopilot at the URL.
             NoAnswerError: the autopilot does not answer requests.
-            InputError: the motion capture does not answer, or does not know the configured body.
+            InputError: the motion capture does not answer, or does not know the configured body; or the servo
+                is in use or missing.
         """
-        source = None if self._mocap_url is None else open_source(self._mocap_url)
-        try:
-            await self._fly(source)
-        finally:
-            if source is not None and self._bridge is None:  # otherwise the bridge has stopped the source
-                source.stop()
+        with contextlib.ExitStack() as held:
+            driver = held.enter_context(self._owned_driver())
+            source = None if self._mocap_url is None else open_source(self._mocap_url)
+            try:
+                await self._fly(source, driver, held)
+            finally:
+                if source is not None and self._bridge is None:  # otherwise the bridge has stopped the source
+                    source.stop()
 
-    async def _fly(self, source: PoseSource | None) -> None:
+    async def _fly(
+        self, source: PoseSource | None, driver: Driver | None, held: contextlib.ExitStack
+    ) -> None:
         self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
         async with connect(
@@ -313,8 +320,8 @@ class FlightApp:
             if unanswered:
                 says = f"the vehicle sends telemetry but does not answer requests: {', '.join(unanswered)}"
                 raise NoAnswerError(says, source=self._url)
-            if self._mission.vehicle.lock is not None:
-                self._lock = self._make_lock(session, self._mission.vehicle.lock)
+            if driver is not None and self._mission.vehicle.lock is not None:
+                self._lock = self._make_lock(driver, self._mission.vehicle.lock)
             kinds = list[type[PlanRequest | ContactRequest]]()
             if self._mission.walls:
                 kinds.append(ContactRequest)
@@ -335,7 +342,7 @@ class FlightApp:
             motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
             session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
             session.serve_operator(vehicle.ground_station.system_id, self._answer_button)
-            self._listen_for_signals()
+            held.enter_context(self._listening_for_operator())
             if source is not None:
                 self._bridge = self._open_bridge(session, source)
             keeper = asyncio.create_task(self._keep_alive())
@@ -436,14 +443,26 @@ class FlightApp:
                 self._core.put(OperatorRequest(self._host_us(), Request.WORLD_DIED, self._world.cause))
         await asyncio.sleep(_END_GRACE_S)
 
-    def _listen_for_signals(self) -> None:
-        assert self.loop is not None
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # not the main thread
-                self.loop.add_signal_handler(number, self.stop)
-        with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
-            self.loop.add_signal_handler(signal.SIGUSR1, self.resume)
+    @contextlib.contextmanager
+    def _listening_for_operator(self) -> Iterator[None]:
+        """Within the context, obey signals and the operator's keys."""
+        loop = self.loop
+        assert loop is not None
+        with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # not the main thread
+            loop.add_signal_handler(signal.SIGUSR1, self.resume)
         self._listen_for_key()
+        with StopSignals(
+            lambda number: loop.call_soon_threadsafe(self.stop),
+            lambda number: loop.call_soon_threadsafe(self._report, "info", describe_repeat(number)),
+        ):
+            yield
+
+    def _report(self, severity: str, text: str) -> None:
+        """Add a text of this program to the flight's log."""
+        assert self._session is not None
+        now_us = self._host_us()
+        t_us = self._session.clock.to_autopilot(now_us)
+        self._core.put(StatusText(t_us, now_us, severity, text, found_here=True))
 
     def _listen_for_key(self) -> None:
         if self.loop is not None and sys.stdin is not None and sys.stdin.isatty():
@@ -503,17 +522,38 @@ class FlightApp:
 
     # -- lock --
 
-    def _make_lock(self, session: VehicleSession, config: LockConfig) -> LockThread:
-        def clock_us() -> int:
-            return session.clock.to_autopilot(self._host_us())
+    @contextlib.contextmanager
+    def _owned_driver(self) -> Iterator[Driver | None]:
+        """Within the context, own the servo and return its driver, or None if there is no lock.
+
+        Raises:
+            InputError: another process owns the servo, or the hardware of the servo is missing.
+        """
+        config = self._mission.vehicle.lock
+        if config is None:
+            yield None
+            return
 
         def set_actuator(index: int, value: float) -> None:
+            assert self._session is not None
             with contextlib.nullcontext() if self._lockstep is None else self._lockstep.command():
-                session.set_actuator(index, value)
+                self._session.set_actuator(index, value)
 
-        driver: Driver = make_driver(
-            config, clock_us=clock_us, set_actuator=set_actuator, faults=self._lock_faults
-        )
+        link = ActuatorLink(set_actuator, self._url)
+        owned = owned_driver(config, clock_us=self._autopilot_us, link=link, faults=self._lock_faults)
+        with contextlib.ExitStack() as held:
+            try:
+                driver = held.enter_context(owned)
+            except DriverError as error:
+                raise InputError(str(error), source=self._mission.source, key=("lock", *error.key)) from None
+            yield driver
+
+    def _autopilot_us(self) -> int:
+        assert self._session is not None
+        return self._session.clock.to_autopilot(self._host_us())
+
+    def _make_lock(self, driver: Driver, config: LockConfig) -> LockThread:
+        clock_us = self._autopilot_us
         self.mock = driver if isinstance(driver, MockDriver) else None
         if self._world is not None and self.mock is None and config.driver is not LockDriver.PX4:
             # With a real servo and a simulated vehicle, a modelled horn moves the simulated arms.
@@ -530,7 +570,7 @@ class FlightApp:
 
         return LockThread(
             lambda keep: LockSession(config, driver, clock_us, keep),
-            lambda: session.clock.offset_us is not None,
+            lambda: self._session is not None and self._session.clock.offset_us is not None,
             self._handle_lock_state,
             after_poll,
             self._lockstep,
@@ -575,12 +615,9 @@ class FlightApp:
             self._lockstep.sent(setpoint)
 
     def _report_unsent(self, text: str) -> None:
-        assert self._session is not None
         if text not in self._unsent:
             self._unsent.add(text)
-            now_us = self._host_us()
-            t_us = self._session.clock.to_autopilot(now_us)
-            self._core.put(StatusText(t_us, now_us, "critical", text, found_here=True))
+            self._report("critical", text)
 
     def execute(self, output: Output) -> None:
         """Start a command that is not a setpoint, without waiting for its completion."""

@@ -52,7 +52,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.lock.drivers import DRIVERS, driver_names, make_driver
+from dart_flight.lock.drivers import DRIVERS, ActuatorLink, driver_names, make_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.lock_session import LockSession
 from dart_flight.planning.contact_fit import FIT_US, ContactFitter
@@ -215,7 +215,7 @@ class FastFlight:
 
         actuator = self.autopilot.set_actuator
         hardware = make_driver(
-            lock, driver, clock_us=clock_us, set_actuator=actuator, faults=faults, gpio=False
+            lock, driver, clock_us=clock_us, link=ActuatorLink(actuator, None), faults=faults, gpio=False
         )
         self.mock = hardware if isinstance(hardware, MockDriver) else None
         return LockSession(lock, hardware, clock_us, self._lock_states.append)

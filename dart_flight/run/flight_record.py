@@ -10,7 +10,7 @@ from typing import Literal
 import msgspec
 
 from dart_flight.base.records import LogFailure, Record, TruthSample, World
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, write_problem
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import display_path
 from dart_flight.recording.about import describe_flight
@@ -174,4 +174,5 @@ def _open_log(name: str, log_dir: Path, about: dict[str, str]) -> FlightLog:
     try:
         return FlightLog(new_flight_folder(log_dir, name) / LOG_NAME, about)
     except OSError as error:
-        raise InputError(f"cannot write the flight log: {error.strerror}", source=str(log_dir)) from None
+        why = write_problem(log_dir, error)
+        raise InputError(f"cannot write the flight log: {why}", source=str(log_dir)) from None

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import msgspec
 
 from dart_flight.base.errors import FlightError
 from dart_flight.base.records import OperatorRequest, Outcome, Record, Request
+from dart_flight.base.signals import StopSignals
 from dart_flight.config.mission import Mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
@@ -60,21 +60,8 @@ class RunsInterruptedError(Exception):
         self.verdicts = verdicts
 
 
-@contextlib.contextmanager
-def _interruptible() -> Iterator[None]:
-    """Handle SIGTERM and SIGHUP (a dropped session) like Ctrl-C within the context."""
-
-    def interrupt(signum: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _interrupt(number: signal.Signals) -> None:
+    raise KeyboardInterrupt
 
 
 def fly_fast_many(
@@ -139,7 +126,7 @@ def fly_one_by_one(
         if isinstance(record, OperatorRequest) and record.request is not Request.WORLD_DIED:
             asked.append(record)
 
-    with _interruptible():
+    with StopSignals(_interrupt, numbers=(signal.SIGTERM, signal.SIGHUP)):  # like Ctrl-C
         try:
             for seed in seeds:
                 verdicts.append(fly(seed, look))

@@ -19,11 +19,13 @@ from typing import Final, NamedTuple
 import msgspec
 
 from dart_flight.base.records import LockCommand, LockPhase, LockState, Mode
+from dart_flight.base.signals import StopSignals, describe_repeat
+from dart_flight.config.held_files import pass_kept
 from dart_flight.config.vehicle import LockConfig, VehicleConfig
-from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.drivers import ActuatorLink, DriverError
 from dart_flight.lock.ground import GroundLock, clock_us, ground_driver
 from dart_flight.lock.lock_session import LockSession
-from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, load_last
+from dart_flight.lock.persistence import CommandStore, ServoInUseError, load_last
 from dart_flight.lock.state_machine import describe, status_text
 from dart_flight.run.app import LockThread
 from dart_flight.run.deadman import SystemdNotice
@@ -167,44 +169,48 @@ class Standby:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     async def run(self) -> None:
-        """Stand by until SIGINT, SIGTERM or SIGHUP; a flight in progress lands first.
+        """Stand by until SIGINT, SIGTERM or SIGHUP (`StopSignals`); a flight in progress lands first.
 
         Raises:
             InputError: the motion capture or the state folder cannot be used.
         """
         self._loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            self._loop.add_signal_handler(number, self._stop)
         systemd = SystemdNotice()
         systemd.ready("standby")
         alive = asyncio.create_task(_keep_alive(systemd))
         problem = ""
         try:
-            while not self._stops:
-                try:
-                    await self._hold()
-                    problem = ""
-                except (LinkInUseError, VehicleError, ServoInUseError, DriverError) as error:
-                    if str(error) != problem:  # report it once
-                        problem = str(error)
-                        self._say("problem", f"{problem}; retrying")
-                    await self._rest(_RETRY_S)
-                errand, self._errand = self._errand, None
-                if errand is not None and not self._stops:
-                    await self._run_errand(errand)
+            with StopSignals(self._receive_stop, lambda n: self._say("standby", describe_repeat(n))):
+                while not self._stops:
+                    try:
+                        await self._hold()
+                        problem = ""
+                    except (LinkInUseError, VehicleError, ServoInUseError, DriverError) as error:
+                        if str(error) != problem:  # report it once
+                            problem = str(error)
+                            self._say("problem", f"{problem}; retrying")
+                        await self._rest(_RETRY_S)
+                    errand, self._errand = self._errand, None
+                    if errand is not None and not self._stops:
+                        await self._run_errand(errand)
         finally:
             alive.cancel()
             systemd.stopping()
+
+    def _receive_stop(self, number: signal.Signals) -> None:
+        assert self._loop is not None
+        self._loop.call_soon_threadsafe(self._stop)
 
     def _stop(self) -> None:
         """End standby, and pass each signal to a flight in progress.
 
         After the first signal the vehicle lands. After the second signal the flight sends no more setpoints.
+        The flight receives two different signals, so that the second signal is not a repeat.
         """
         self._stops += 1
         self._wake.set()
         if self._child is not None and self._child.returncode is None:
-            self._child.send_signal(signal.SIGTERM)
+            self._child.send_signal(signal.SIGTERM if self._stops % 2 else signal.SIGINT)
 
     async def _rest(self, seconds: float) -> None:
         with contextlib.suppress(TimeoutError):
@@ -246,7 +252,9 @@ class Standby:
 
     @contextlib.contextmanager
     def _holding_lock(self, config: LockConfig, session: VehicleSession) -> Iterator[LockThread]:
-        """Within the context, own the servo and run the lock; the servo does not move without a command.
+        """Within the context, run the lock; the servo does not move without a command.
+
+        Standby owns the servo from now on until its process ends. A flight takes the servo over from standby.
 
         Raises:
             ServoInUseError: another process moves the servo.
@@ -267,8 +275,8 @@ class Standby:
                 session.send_text(status_text(state))
                 self._say("standby", f"lock {describe(state)}")
 
-        with ServoOwnership():
-            driver = ground_driver(config, load_last(), session.set_actuator)
+        link = ActuatorLink(session.set_actuator, self._url)
+        with ground_driver(config, load_last(), link, lasting=True) as driver:
             lock = LockThread(make_session, lambda: True, handle, lambda: None)
             lock.thread.start()
             try:
@@ -276,8 +284,6 @@ class Standby:
             finally:
                 self._lock = None
                 lock.stop()
-                with contextlib.suppress(DriverError):
-                    driver.close()
 
     def _answer(self, press: Press) -> tuple[Result, str]:
         """Answer a button, on MAVSDK's thread."""
@@ -326,6 +332,7 @@ class Standby:
     async def _run_child(self, command: Sequence[str]) -> Ended:
         """Run a `dart-flight` command on the link, and pass on all messages of the command."""
         # In a new session, so that only standby gets Ctrl-C and passes it on once.
+        descriptors, kept = pass_kept()  # the servo
         inherited = {name: value for name, value in os.environ.items() if name not in _SYSTEMD}
         child = self._child = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "dart_flight", *command, "--json", "--connection", self._url),
@@ -333,7 +340,8 @@ class Standby:
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
-            env=inherited,
+            env=inherited | kept,
+            pass_fds=descriptors,
             start_new_session=True,
         )
         assert child.stdout is not None

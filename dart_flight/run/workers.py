@@ -6,6 +6,7 @@ inherit a mutex that a thread of the parent holds, such as the mutex of a progre
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import pickle
@@ -17,11 +18,12 @@ from collections import deque
 from collections.abc import Callable, Generator, Hashable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
-from types import FrameType, TracebackType
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from dart_flight.base.errors import FlightError
+from dart_flight.base.signals import StopSignals
 
 I = TypeVar("I", bound=Hashable)  # noqa: E741
 R = TypeVar("R")
@@ -29,6 +31,7 @@ R = TypeVar("R")
 _POLL_S = 0.2  # for an interrupt
 _RETRIES = 1
 _RENEWALS = 3
+_GROUP_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
 # Modules that a flight imports, loaded once for all processes.
 _PRELOADED = ["dart_flight.run.fast", "dart_flight.recording.verdict"]
 
@@ -40,7 +43,7 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-class Interrupt:
+class Interrupt(StopSignals):
     """Context that counts Ctrl-C, SIGTERM and SIGHUP (a dropped session) instead of ending the program.
 
     The context has an effect only in the main thread; in other threads the count stays 0.
@@ -50,21 +53,9 @@ class Interrupt:
     """
 
     def __init__(self, announce: Callable[[int], None] = lambda under_way: None) -> None:
+        super().__init__(self._count)
         self.count = 0
         self._announce: Callable[[int], None] | None = announce
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> Interrupt:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                self._before[number] = signal.signal(number, self._count)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
 
     def report(self, under_way: int) -> None:
         """Announce the first interrupt, if it is new; an engine calls this method several times a second."""
@@ -72,7 +63,7 @@ class Interrupt:
             announce, self._announce = self._announce, None
             announce(under_way)
 
-    def _count(self, signum: int, frame: FrameType | None) -> None:
+    def _count(self, number: signal.Signals) -> None:
         self.count += 1
 
 
@@ -122,7 +113,23 @@ class _Pool(Generic[I, R]):
         context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
         if "forkserver" in methods:
             context.set_forkserver_preload(_PRELOADED)
-        return ProcessPoolExecutor(self._processes, context, initializer=_begin, initargs=(self._fly,))
+            # The fork server inherits the blocked signals: a signal to the whole group must not end it. The
+            # resource tracker, which the fork server needs, would unblock them at its start.
+            resource_tracker.ensure_running()
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, _GROUP_SIGNALS)
+            try:
+                forkserver.ensure_running()
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        try:
+            return ProcessPoolExecutor(self._processes, context, initializer=_begin, initargs=(self._fly,))
+        except OSError as error:
+            if error.errno in (errno.EMFILE, errno.ENFILE):
+                raise
+            raise FlightError(
+                f"cannot start processes for the flights: {error.strerror}; they need a writable /dev/shm "
+                "(in a container: --tmpfs /dev/shm)"
+            ) from None
 
     def submit(self, item: I) -> Future[R | Failure]:
         """Submit an item; if the pool is broken, the future has a `BrokenProcessPool` error."""
@@ -163,8 +170,8 @@ def _begin(fly: Callable[[Any], Any]) -> None:
     global _fly  # noqa: PLW0603  a pool hands its processes nothing else for good
     _fly = fly
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
+    os.setpgid(0, 0)  # also for a signal to its whole group; a SIGHUP that the parent ignores stays ignored
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _GROUP_SIGNALS)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 
 
@@ -196,7 +203,7 @@ def work(
             progress are completed. After the second interrupt, the items in progress are abandoned.
 
     Raises:
-        FlightError: new processes end before their first flight.
+        FlightError: the processes cannot be started, or end before their first flight.
     """
     waiting, suspects = iter(items), deque[I]()
     deaths: dict[I, int] = {}

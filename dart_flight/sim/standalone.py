@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.base.records import Record
+from dart_flight.base.signals import StopSignals
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
@@ -105,7 +106,7 @@ def run_vehicle(
     own_port: int = 0,
     viewer: Callable[[Record], None] = lambda record: None,
 ) -> None:
-    """Simulate in real time until SIGINT or SIGTERM; `print_line` prints a line in the terminal.
+    """Simulate in real time until SIGINT, SIGTERM or SIGHUP; `print_line` prints a line in the terminal.
 
     The vehicle sends to each of the UDP ports `ports`. To the first of them it sends from the local UDP port
     `own_port`; 0 selects any local port. `viewer` receives the true motion of the vehicle.
@@ -113,7 +114,7 @@ def run_vehicle(
     vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)
     to_link = vehicle.autopilot.send_text
-    stopped: list[int] = []
+    stopped: list[signal.Signals] = []
 
     def report(severity: str, text: str) -> None:
         to_link(severity, text)
@@ -134,12 +135,10 @@ def run_vehicle(
             )
 
     vehicle.autopilot.send_text = report
-    for number in (signal.SIGINT, signal.SIGTERM):
-        with contextlib.suppress(ValueError):  # not the main thread
-            signal.signal(number, lambda signum, _frame: stopped.append(signum))
     gc.freeze()
-    for _ in ticks_in_real_time():
-        step()
-        if stopped:
-            break
+    with StopSignals(stopped.append):
+        for _ in ticks_in_real_time():
+            step()
+            if stopped:
+                break
     endpoint.close()

@@ -35,6 +35,7 @@ from dart_flight.base.records import (
     StatusText,
 )
 from dart_flight.config.document import InputError
+from dart_flight.config.link_url import mavsdk_url
 from dart_flight.config.parameter_file import Value
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.mocap import MotionCapture
@@ -223,7 +224,7 @@ class GroundLink:
         sdk_log.redirect()
         self._mavsdk = Mavsdk(Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER))
         try:
-            self._mavsdk.add_any_connection_with_handle(self._url)
+            self._mavsdk.add_any_connection_with_handle(mavsdk_url(self._url))
             system = self._mavsdk.first_autopilot(self._timeout_s)
         except Exception as error:
             self._close()

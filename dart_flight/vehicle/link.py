@@ -13,7 +13,6 @@ import contextlib
 import errno
 import fcntl
 import os
-import re
 import socket
 import termios
 import time
@@ -24,8 +23,9 @@ import msgspec
 
 from dart_flight.base.text import printable
 from dart_flight.config.document import InputError
-from dart_flight.config.link_url import parse_link
-from dart_flight.config.state_folder import HeldError, HeldFile, Lease, lock_file, read_held, state_dir
+from dart_flight.config.held_files import HeldError, HeldFile, Lease, lock_file, read_held
+from dart_flight.config.link_url import endpoint_of
+from dart_flight.config.state_folder import ensure_folder, state_dir
 
 _PAUSE_S = 0.02
 _STARTING_S = 2.0
@@ -54,40 +54,6 @@ class Holder(msgspec.Struct, frozen=True):
     def describe(self) -> str:
         """Return text such as "fly, process 1234"."""
         return f"{self.command}, process {self.pid}"
-
-
-class LinkEndpoint(msgspec.Struct, frozen=True):
-    """The resource that a URL uses; only one program at a time may use URLs with the same `key`.
-
-    Attributes:
-        key: part of the file name of the link's lease (`LinkLease`).
-        udp_port: UDP port that this program binds, or None.
-        host: local address of `udp_port`.
-        device: path of the serial device, or None.
-    """
-
-    key: str
-    udp_port: int | None = None
-    host: str = ""
-    device: Path | None = None
-
-
-def endpoint_of(url: str) -> LinkEndpoint:
-    """Return the resource that a MAVSDK connection URL uses.
-
-    An invalid URL also gets a key: the URL is not refused here but later, by MAVSDK.
-    """
-    link = parse_link(url)
-    if link is None:
-        return LinkEndpoint("url-" + re.sub(r"[^A-Za-z0-9.]+", "-", url)[:80])
-    if link.kind == "serial":
-        # /dev/serial0, /dev/ttyAMA0 and /dev/serial/by-id/... may be the same device.
-        device = Path(os.path.realpath(link.place))
-        return LinkEndpoint("serial-" + str(device).strip("/").replace("/", "-"), device=device)
-    kind, host, port = link
-    if kind == "udpin" or (kind == "udp" and host in ("", "0.0.0.0", "127.0.0.1", "localhost")):
-        return LinkEndpoint(f"udp-{port}", udp_port=port, host=host)
-    return LinkEndpoint(f"{kind[:3]}-{'in' if kind.endswith('in') else 'out'}-{host}-{port}")
 
 
 def feed_name(port: int) -> str:
@@ -131,6 +97,7 @@ class LinkLease(Lease):
             LinkInUseError: another program has the link; the message names that program.
             InputError: the state folder or the serial device cannot be used.
         """
+        ensure_folder(link_folder())
         try:
             self._file.acquire(self._content())
         except HeldError as error:
@@ -231,15 +198,15 @@ def find_holder(url: str) -> Holder | None:
 
 
 def held_links() -> Iterator[Holder]:
-    """Yield the processes of this software that hold a link."""
-    for path in sorted(link_folder().glob(f"*{_network()}.json")):
+    """Yield the processes of this software that hold a link of this network namespace, or a device."""
+    for path in sorted(link_folder().glob("*.json")):
         holder = _holder_in(path)
-        if holder is not None:
+        if holder is not None and _file_of(holder.url) == path:
             yield holder
 
 
 def _file_of(url: str) -> Path:
-    return link_folder() / f"{endpoint_of(url).key}{_network()}.json"
+    return link_folder() / f"{endpoint_of(url).key}.json"
 
 
 def _holder_in(path: Path) -> Holder | None:
@@ -255,16 +222,6 @@ def _decoded(content: bytes) -> Holder | None:
     with contextlib.suppress(msgspec.DecodeError):
         return msgspec.json.decode(content, type=Holder)
     return None
-
-
-def _network() -> str:
-    """Return a suffix that names the network namespace.
-
-    Containers may share a home folder but have separate ports.
-    """
-    with contextlib.suppress(OSError):
-        return f"@{os.stat('/proc/self/ns/net').st_ino}"
-    return "@"
 
 
 # --- ports and devices -------------------------------------------------------------------------------

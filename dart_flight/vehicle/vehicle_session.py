@@ -50,6 +50,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, MODE, STREAMS, Stream
 from dart_flight.config.document import InputError
+from dart_flight.config.link_url import mavsdk_url
 from dart_flight.config.vehicle import Estimation
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
@@ -705,7 +706,7 @@ async def _first_autopilot(mavsdk: Any, url: str, timeout_s: float) -> Any:
         VehicleError: the URL cannot be opened, or no autopilot answers.
     """
     try:
-        await mavsdk.add_any_connection(url)
+        await mavsdk.add_any_connection(mavsdk_url(url))
         system = await mavsdk.first_autopilot(timeout_s=timeout_s)
     except Exception as error:
         raise VehicleError(f"cannot open {url}: {error}") from error

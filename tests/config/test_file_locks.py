@@ -12,7 +12,7 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
-from dart_flight.config.state_folder import HeldError, HeldFile, read_held
+from dart_flight.config.held_files import HeldError, HeldFile, read_held
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.table import Table
 from dart_flight.vehicle import link
@@ -104,7 +104,6 @@ def test_a_campaign_table_that_cannot_be_locked_is_refused_with_the_reason(
 
 COMMANDS = {
     "dry-run": ["dry-run", MISSION, "--log-dir", "flights"],
-    "lock": ["lock", "rigid", "--driver", "mock"],
     "campaign": ["campaign", MISSION, "--runs", "1", "--out", "campaign"],
     "simulate": ["simulate", MISSION],
     "check": ["check", MISSION, "--connection", "udpin://127.0.0.1:24540"],
@@ -133,12 +132,12 @@ def test_a_state_folder_on_a_full_disk_is_reported_in_one_line(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "pwrite", full)
-    assert main(COMMANDS["lock"]) == 2
+    assert main(COMMANDS["check"]) == 2
     last = capsys.readouterr().err.strip().splitlines()[-1]
-    problem = "cannot write: No space left on device; set DART_FLIGHT_STATE_DIR to a local disk"
-    assert last == f"{state}/lock.pid: {problem}"
+    assert last.startswith(f"{state}/links/udp-24540@")
+    assert last.endswith(": cannot write: No space left on device; set DART_FLIGHT_STATE_DIR to a local disk")
     monkeypatch.undo()
-    assert read_held(state / "lock.pid") is None
+    assert list((state / "links").iterdir()) == []
 
 
 def test_a_lock_file_that_cannot_be_removed_does_not_end_a_flight(

@@ -8,7 +8,7 @@ import pytest
 
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock import drivers
-from dart_flight.lock.drivers import DRIVERS, Driver, DriverError, driver_names, make_driver
+from dart_flight.lock.drivers import DRIVERS, ActuatorLink, Driver, DriverError, driver_names, make_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 
 Vary = Callable[..., LockConfig]
@@ -17,7 +17,9 @@ Vary = Callable[..., LockConfig]
 @pytest.mark.parametrize("kind", list(LockDriver))
 def test_every_kind_creates_its_own_driver(kind: LockDriver, lock_config: LockConfig) -> None:
     module, _, name = DRIVERS[kind].path.partition(":")
-    driver = make_driver(lock_config, kind, clock_us=lambda: 0, set_actuator=lambda index, value: None)
+    driver = make_driver(
+        lock_config, kind, clock_us=lambda: 0, link=ActuatorLink(lambda index, value: None, None)
+    )
     assert isinstance(driver, Driver)
     assert (type(driver).__module__, type(driver).__name__) == (f"{drivers.__name__}.{module}", name)
 

@@ -13,7 +13,7 @@ from unittest.mock import Mock, call
 import pytest
 
 from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver
-from dart_flight.lock.drivers import DriverError, make_driver
+from dart_flight.lock.drivers import ActuatorLink, DriverError, make_driver
 from dart_flight.lock.drivers.limit_switch import DriverWithLimitSwitch, GpioLimitSwitch
 
 Vary = Callable[..., LockConfig]
@@ -96,7 +96,7 @@ def test_a_failed_line_raises_a_driver_error_and_is_requested_again(gpiod: Any) 
 @pytest.mark.usefixtures("gpiod")
 def test_a_drivers_reading_includes_the_switches(vary: Vary) -> None:
     config = vary(limit_switch=LimitSwitch("/dev/gpiochip0", rigid_line=23))
-    driver = make_driver(config, LockDriver.PX4, set_actuator=lambda index, value: None)
+    driver = make_driver(config, LockDriver.PX4, link=ActuatorLink(lambda index, value: None, None))
     assert isinstance(driver, DriverWithLimitSwitch)
     driver.open()
     driver.set_pulse(1980.0)
@@ -110,7 +110,7 @@ def test_a_drivers_reading_includes_the_switches(vary: Vary) -> None:
 def test_a_missing_chip_is_reported_when_the_driver_is_opened(gpiod: Any, vary: Vary) -> None:
     """The error must not wait for the first reading in flight."""
     config = vary(limit_switch=LimitSwitch("/dev/gpiochip7", rigid_line=23))
-    driver = make_driver(config, LockDriver.PX4, set_actuator=lambda index, value: None)
+    driver = make_driver(config, LockDriver.PX4, link=ActuatorLink(lambda index, value: None, None))
     with pytest.raises(DriverError, match="limit switch on /dev/gpiochip7"):
         driver.open()
     assert gpiod.requests == []
@@ -137,7 +137,7 @@ def test_a_missing_gpiod_package_is_reported_with_the_install_command(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "gpiod", None)
-    with pytest.raises(DriverError, match="pip install gpiod"):
+    with pytest.raises(DriverError, match="-m pip install 'gpiod>=2'"):
         GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))
 
 

@@ -207,24 +207,25 @@ def wait_for_travel() -> int:
 
 
 def test_a_second_process_is_refused_until_the_first_one_dies(
-    world: World, capsys: pytest.CaptureFixture[str]
+    world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
 ) -> None:
     world.set("travel_s: 0.05", "travel_s: 1.4")  # long enough to kill the process during the travel
     first = world.start("rigid")
     try:
         assert wait_for_travel() == first.pid
-        assert main(world.command("flexible")) == 1
-        assert capsys.readouterr().err == f"lock: the lock's servo is in use by process {first.pid}\n"
+        assert main(world.command("flexible")) == 2
+        who = f"in use by dart-flight lock, process {first.pid}"
+        assert capsys.readouterr().err == f"the lock's servo ({world.folder}/maestro) is {who}\n"
         status, result = report(world, capsys, "status")
         assert (status, result["owner_pid"], result["state"]) == (0, first.pid, None)
         assert result["last_command"]["phase"] == "travelling"
     finally:
         first.send_signal(signal.SIGKILL)
         first.communicate(timeout=10)
-    # The process died during the travel: nobody owns the servo, and its position is unknown.
+    # The process died during the travel: nobody owns the servo, whose pulses are still on.
     assert main(world.command("status")) == 0
-    unknown, last = capsys.readouterr().out.splitlines()
-    assert unknown.startswith("mock: unknown")
+    state, last = capsys.readouterr().out.splitlines()
+    assert state == "maestro: rigid: settled (no feedback)"
     assert last.endswith("arrival not confirmed")
 
 

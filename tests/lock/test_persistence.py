@@ -1,12 +1,8 @@
-"""The stored last command and the ownership of the servo, also after a crash."""
+"""The stored last command of the lock, also after a crash."""
 
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,38 +13,15 @@ from dart_flight.config.state_folder import state_dir
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.persistence import (
     CommandStore,
-    ServoInUseError,
-    ServoOwnership,
     delete_last,
     load_last,
 )
-
-HOLD = """
-import os, sys, time
-from dart_flight.lock.persistence import ServoOwnership
-ServoOwnership().acquire()
-if sys.argv[1] == "fork" and os.fork() == 0:
-    time.sleep(60)
-print("held", flush=True)
-time.sleep(60)
-"""
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
     return tmp_path / "state"
-
-
-@pytest.fixture
-def holder() -> Iterator[subprocess.Popen[str]]:
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLD, "fork"], stdout=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "held\n"
-        yield process
-        os.killpg(process.pid, signal.SIGKILL)
 
 
 def state(phase: LockPhase, mode: Mode | None, feedback: bool = False) -> LockState:
@@ -129,31 +102,8 @@ def test_a_full_disk_is_reported_without_stopping_the_lock(
     assert store.problem is None
 
 
-def test_a_second_process_is_refused_with_the_owners_pid(holder: subprocess.Popen[str]) -> None:
-    with pytest.raises(ServoInUseError, match=f"in use by process {holder.pid}") as caught:
-        ServoOwnership().acquire()
-    assert caught.value.pid == holder.pid
-
-
-def test_a_crash_frees_the_servo_even_if_a_child_process_survives(holder: subprocess.Popen[str]) -> None:
-    holder.send_signal(signal.SIGKILL)
-    holder.wait()
-    with ServoOwnership():
-        pass
-
-
-def test_only_one_owner_is_allowed_within_a_process() -> None:
-    with ServoOwnership():
-        with pytest.raises(ServoInUseError) as caught:
-            ServoOwnership().acquire()
-        assert caught.value.pid == os.getpid()
-    with ServoOwnership():
-        pass
-
-
 def test_an_unusable_state_folder_is_an_input_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "file" / "below"))
-    for call in (lambda: ServoOwnership().acquire(), lambda: CommandStore(LockDriver.PWM)):
-        with pytest.raises(InputError, match="DART_FLIGHT_STATE_DIR"):
-            call()
+    with pytest.raises(InputError, match="DART_FLIGHT_STATE_DIR"):
+        CommandStore(LockDriver.PWM)

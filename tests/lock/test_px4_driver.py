@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.config.vehicle import LockConfig, LockDriver
-from dart_flight.lock.drivers import Driver, DriverError, make_driver
+from dart_flight.lock.drivers import ActuatorLink, Driver, DriverError, make_driver
 from dart_flight.lock.drivers.px4_output import (
     Px4Driver,
     actuator_pulse_us,
@@ -24,7 +24,7 @@ Vary = Callable[..., LockConfig]
 def test_a_pulse_is_sent_as_an_actuator_value(vary: Vary) -> None:
     sent: list[tuple[int, float]] = []
     config = vary(px4={"actuator_index": 3})
-    driver = make_driver(config, LockDriver.PX4, set_actuator=lambda i, v: sent.append((i, v)))
+    driver = make_driver(config, LockDriver.PX4, link=ActuatorLink(lambda i, v: sent.append((i, v)), None))
     assert isinstance(driver, Driver)
     driver.open()
     assert driver.read().pulse_us is None
@@ -33,7 +33,7 @@ def test_a_pulse_is_sent_as_an_actuator_value(vary: Vary) -> None:
         raise TypeError("no session")
 
     with pytest.raises(DriverError, match="PX4 actuator 1: the command was not sent: TypeError: no session"):
-        Px4Driver(vary(), faulty).set_pulse(1500.0)
+        Px4Driver(vary(), ActuatorLink(faulty, None)).set_pulse(1500.0)
     driver.set_pulse(1980.0)
     driver.set_pulse(1020.0)
     assert [index for index, _ in sent] == [3, 3]
@@ -52,7 +52,7 @@ def test_a_failed_or_impossible_command_is_a_driver_error(vary: Vary) -> None:
     def no_link(index: int, value: float) -> None:
         raise TimeoutError("no answer")
 
-    driver = Px4Driver(vary(), no_link)
+    driver = Px4Driver(vary(), ActuatorLink(no_link, None))
     with pytest.raises(DriverError, match="PX4 actuator 1: no answer"):
         driver.set_pulse(1500.0)
     assert driver.read().pulse_us is None

@@ -10,7 +10,8 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -117,28 +118,63 @@ def test_the_land_button_does_not_count_as_a_first_ctrl_c(monkeypatch: pytest.Mo
     assert operator_requests(inputs)[3:] == [Request.CONTINUE]
 
 
+async def send_signals(app: FlightApp, inputs: list[Input], numbers: Sequence[signal.Signals]) -> None:
+    """Raise signals; wait for the input of the app's core that the last signal must cause."""
+    app.loop = asyncio.get_running_loop()
+    with app._listening_for_operator():
+        for number in numbers:
+            before = len(inputs)
+            signal.raise_signal(number)
+            for _ in range(100 if number is numbers[-1] else 2):  # until the loop has handled the signal
+                await asyncio.sleep(0.01)
+                if len(inputs) > before:
+                    break
+        app.loop.remove_signal_handler(signal.SIGUSR1)
+
+
+@pytest.fixture
+def hangup() -> Iterator[Callable[[Any], object]]:
+    """Set what the process does at SIGHUP; restore this after the test."""
+    before = signal.getsignal(signal.SIGHUP)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield partial(signal.signal, signal.SIGHUP)
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hangup")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_terminating_signals_land_the_vehicle_and_sigusr1_continues(
     monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     app, inputs = make_app(monkeypatch)
-
-    async def signalled() -> None:
-        monkeypatch.setattr(app, "loop", asyncio.get_running_loop())
-        app._listen_for_signals()
-        signal.raise_signal(number)
-        for _ in range(100):  # until the loop has handled the signal
-            if inputs:
-                break
-            await asyncio.sleep(0.01)
-        signal.raise_signal(signal.SIGUSR1)
-        for _ in range(100):
-            if len(inputs) == 2:
-                break
-            await asyncio.sleep(0.01)
-
-    asyncio.run(signalled())
+    asyncio.run(send_signals(app, inputs, [number, signal.SIGUSR1]))
     assert operator_requests(inputs) == [Request.LAND, Request.CONTINUE]
+
+
+@pytest.mark.usefixtures("hangup")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_repeated_signal_is_logged_and_does_not_release_the_vehicle(
+    monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    """GNU timeout signals the program and then its group."""
+    app, inputs = make_app(monkeypatch, Session())
+    asyncio.run(send_signals(app, inputs, [number, number]))
+    assert operator_requests(inputs) == [Request.LAND]
+    (text,) = (item.text for item in inputs if isinstance(item, StatusText))
+    assert text == f"{number.name} again within 0.3 s: counted once"
+    other = signal.SIGTERM if number is signal.SIGINT else signal.SIGINT
+    asyncio.run(send_signals(app, inputs, [other]))
+    assert operator_requests(inputs) == [Request.LAND, Request.RELEASE]
+
+
+def test_an_ignored_hangup_does_not_land_the_vehicle(
+    monkeypatch: pytest.MonkeyPatch, hangup: Callable[[Any], object]
+) -> None:
+    app, inputs = make_app(monkeypatch)
+    hangup(signal.SIG_IGN)
+    asyncio.run(send_signals(app, inputs, [signal.SIGHUP, signal.SIGUSR1]))
+    assert operator_requests(inputs) == [Request.CONTINUE]
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 
 def execute_outputs(app: FlightApp, monkeypatch: pytest.MonkeyPatch, *outputs: Output) -> None:
@@ -512,7 +548,12 @@ def test_the_app_moves_the_simulated_arms_unless_the_driver_does(
     assert config is not None
     monkeypatch.setattr(app, "_world", world if simulated else None)
     session.clock.update(5_000_000, host_us())
-    lock = app._make_lock(session, msgspec.structs.replace(config, driver=driver))  # type: ignore[arg-type]
+    config = msgspec.structs.replace(config, driver=driver)
+    vehicle = msgspec.structs.replace(app._mission.vehicle, lock=config)
+    monkeypatch.setattr(app, "_mission", msgspec.structs.replace(app._mission, vehicle=vehicle))
+    with app._owned_driver() as made:
+        assert made is not None
+        lock = app._make_lock(made, config)
     for _ in range(3):
         lock._after_poll()
     assert world.horns == [config.servo.pulse_us(Mode.FLEXIBLE)] * moves_arms

@@ -29,14 +29,13 @@ def inputs_after(app: FlightApp, trigger: Callable[[], object], wanted: int) -> 
 
     async def listen() -> None:
         app.loop = asyncio.get_running_loop()
-        app._listen_for_signals()
-        trigger()
-        for _ in range(50):
-            if inputs.qsize() >= max(wanted, 1):
-                break
-            await asyncio.sleep(0.01)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
-            app.loop.remove_signal_handler(number)
+        with app._listening_for_operator():
+            trigger()
+            for _ in range(50):
+                if inputs.qsize() >= max(wanted, 1):
+                    break
+                await asyncio.sleep(0.01)
+        app.loop.remove_signal_handler(signal.SIGUSR1)
 
     asyncio.run(listen())
     return [inputs.get() for _ in range(inputs.qsize())]

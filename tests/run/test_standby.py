@@ -260,6 +260,8 @@ def test_a_signal_lands_the_flight_and_ends_standby() -> None:
     standby._child = flight
     standby._stop()
     flight.send_signal.assert_called_once_with(signal.SIGTERM)
+    standby._stop()  # another signal, which the flight does not take for a repeat
+    flight.send_signal.assert_called_with(signal.SIGINT)
     asyncio.run(standby.run())
     assert standby.commands == []
 

@@ -13,8 +13,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.lock.drivers import ActuatorLink, owned_driver
+from dart_flight.lock.persistence import ServoInUseError
 from dart_flight.run.operator_buttons import Button
 from dart_flight.vehicle.command_server import Result
 from tests.doubles.operator_station import OperatorStation
@@ -71,6 +76,15 @@ class Laboratory:
     def printed_lines(self) -> list[str]:
         lines = (self._folder / "standby.jsonl").read_text().splitlines()
         return [json.loads(line)["text"] for line in lines]
+
+    def own_servo(self) -> None:
+        """Own the servo of the vehicle, as `dart-flight lock` does."""
+        lock = load_vehicle(self._folder / "dart.yaml").lock
+        assert lock is not None
+        lock = msgspec.structs.replace(lock, driver=LockDriver.PX4)
+        link = ActuatorLink(lambda index, value: None, f"udpin://127.0.0.1:{self._port}")
+        with owned_driver(lock, clock_us=lambda: 0, link=link):
+            pass
 
     def fly(self, number: int) -> None:
         assert self.station.press(Button.FLY, number) == OK
@@ -140,6 +154,8 @@ def test_a_day_of_checks_and_flights_completes_from_standby(laboratory: Laborato
     assert station.press(Button.CHECK, 1) == OK
     station.wait_for("one: go", timeout_s=120.0)
     laboratory.wait_for_standby(2)
+    with pytest.raises(ServoInUseError, match=f"by dart-flight standby, process {laboratory.standby.pid}$"):
+        laboratory.own_servo()
     assert station.press(Button.FLY, 9) == NO
     laboratory.fly(3)
     station.wait_for("three: no-go", timeout_s=120.0)
@@ -170,6 +186,8 @@ def test_ending_standby_lands_its_flight(laboratory: Laboratory) -> None:
     laboratory.wait_for_standby(1)
     laboratory.fly(2)
     laboratory.station.wait_for("phase waypoint", timeout_s=120.0)
+    with pytest.raises(ServoInUseError, match=f"by dart-flight fly, process {laboratory.flight_process()}$"):
+        laboratory.own_servo()
     laboratory.standby.send_signal(signal.SIGTERM)
     assert laboratory.standby.wait(60.0) == 0
     (end,) = (line for line in laboratory.printed_lines() if line.startswith("two: aborted"))

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import signal
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -134,7 +138,71 @@ def test_a_second_interrupt_abandons_running_items() -> None:
         results = work(square, range(1000), 2, interrupt)
         next(results)
         os.kill(os.getpid(), signal.SIGTERM)
-        os.kill(os.getpid(), signal.SIGHUP)
+        os.kill(os.getpid(), signal.SIGINT)
         assert not list(results)
     with pytest.raises(KeyboardInterrupt):  # the previous handler is restored
         os.kill(os.getpid(), signal.SIGINT)
+
+
+GROUP = """
+import signal, sys, time
+from pathlib import Path
+from dart_flight.run.workers import Interrupt, work
+from tests.run.test_workers import slow_square
+if __name__ == "__main__":
+    signal.signal(signal.SIGHUP, signal.SIG_IGN if "nohup" in sys.argv else signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    with Interrupt() as interrupt:
+        for n, done in enumerate(work(slow_square, range(6), 2, interrupt)):
+            print(done.result, flush=True)
+    print("interrupts:", interrupt.count, flush=True)
+"""
+
+
+def slow_square(n: int) -> int:
+    time.sleep(0.4)
+    return n * n
+
+
+@pytest.mark.parametrize(
+    ("signals", "arguments", "flown", "counted"),
+    [
+        ([signal.SIGHUP], ["nohup"], 6, 0),
+        ([signal.SIGHUP, signal.SIGHUP], [], None, 1),
+        ([signal.SIGTERM, signal.SIGTERM], [], None, 1),  # as GNU timeout
+    ],
+)
+def test_a_signal_to_the_whole_group_leaves_the_items_in_progress(
+    tmp_path: Path, signals: list[signal.Signals], arguments: list[str], flown: int | None, counted: int
+) -> None:
+    (tmp_path / "program.py").write_text(GROUP)
+    command = [sys.executable, str(tmp_path / "program.py"), *arguments]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, start_new_session=True, env=environment
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() in ("0\n", "1\n")
+    for number in signals:
+        os.killpg(process.pid, number)
+    *results, count = process.stdout.read().splitlines()
+    assert count == f"interrupts: {counted}"
+    assert process.wait() == 0
+    assert len(results) + 1 == flown or (flown is None and 2 <= len(results) + 1 <= 4)
+
+
+@pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("unshare"), reason="needs a mount namespace")
+def test_a_missing_dev_shm_is_named(tmp_path: Path) -> None:
+    program = (
+        "from dart_flight.run.workers import Interrupt, work; from tests.run.test_workers import square;"
+        "list(work(square, range(2), 2, Interrupt()))"
+    )
+    script = f"mount -t tmpfs -o ro none /dev/shm || exit 9; exec {sys.executable} -c '{program}'"
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", script],
+        capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    if done.returncode == 9:
+        pytest.skip("mounting is not permitted here")
+    assert "FlightError: cannot start processes for the flights: Read-only file system; " in done.stderr
+    assert "/dev/shm" in done.stderr

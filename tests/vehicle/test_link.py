@@ -17,12 +17,12 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
+from dart_flight.config.link_url import endpoint_of
 from dart_flight.config.vehicle import packaged
 from dart_flight.vehicle.link import (
     LinkInUseError,
     LinkLease,
     acquire_free_link,
-    endpoint_of,
     find_holder,
     held_links,
     udp_port_is_free,

@@ -44,9 +44,9 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
-from dart_flight.lock.drivers import DRIVERS, DriverError
+from dart_flight.lock.drivers import DRIVERS, ActuatorLink, DriverError
 from dart_flight.lock.ground import GroundLock, ground_driver
-from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, load_last
+from dart_flight.lock.persistence import CommandStore, load_last
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.baud_rate import listen_for_mavlink
 from dart_flight.vehicle.ground_link import GroundLink, unusable_streams
@@ -266,14 +266,18 @@ class Bringup(CheckContext[StepFinding]):
         return judgements.evaluate_push(push.acceleration_m_s2, force)
 
     def evaluate_servo(self) -> StepFinding:
-        """Move the lock to both ends and judge the moves."""
+        """Move the lock to both ends and judge the moves.
+
+        Raises:
+            ServoInUseError: another process owns the servo.
+        """
         config = self._mission.vehicle.lock
         if config is None:
             return StepFinding(StepOutcome.SKIPPED, "this vehicle has no lock")
         kind = config.driver
         if not DRIVERS[kind].moves:
             return failed(f"lock.driver is {kind.value}: no real servo moves; choose another driver")
-        set_actuator = self._connect().set_actuator if kind is LockDriver.PX4 else None
+        link = ActuatorLink(self._connect().set_actuator, self._url) if kind is LockDriver.PX4 else None
         if not self._operator.confirm(
             "The servo is about to move. Are the propellers off and your fingers clear?"
         ):
@@ -281,16 +285,12 @@ class Bringup(CheckContext[StepFinding]):
                 StepOutcome.NEEDS_OPERATOR, "the operator did not confirm: the servo was not moved"
             )
         try:
-            with ServoOwnership():
-                driver = ground_driver(config, load_last(), set_actuator)
+            with ground_driver(config, load_last(), link) as driver:
                 driver.open()
-                try:
-                    lock = GroundLock(config, driver, CommandStore(kind).store)
-                    lock.read_state()
-                    moves = [self._move(lock, mode) for mode in (Mode.FLEXIBLE, Mode.RIGID, Mode.FLEXIBLE)]
-                finally:
-                    driver.close()
-        except (DriverError, ServoInUseError) as error:
+                lock = GroundLock(config, driver, CommandStore(kind).store)
+                lock.read_state()
+                moves = [self._move(lock, mode) for mode in (Mode.FLEXIBLE, Mode.RIGID, Mode.FLEXIBLE)]
+        except DriverError as error:
             return failed(f"{error}")
         return judgements.evaluate_servo(config, moves[1:])  # the first move starts from an unknown position
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 
 from dart_flight.base.errors import FlightError
-from dart_flight.config.document import InputError, read_text, replace_file
+from dart_flight.config.document import InputError, read_text, replace_file, write_problem
 from dart_flight.lab.campaign.campaign_spec import (
     Campaign,
     CampaignSpec,
@@ -119,7 +119,7 @@ def write_atomically(path: Path, data: bytes) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, data)
     except OSError as error:
-        raise FlightError(f"cannot write {path}: {error.strerror}") from None
+        raise FlightError(f"cannot write {path}: {write_problem(path, error)}") from None
 
 
 def read_rows(opened: CampaignFolder) -> list[JudgedRow]:

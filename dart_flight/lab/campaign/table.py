@@ -15,8 +15,8 @@ from pathlib import Path
 from types import TracebackType
 
 from dart_flight.base.errors import FlightError
-from dart_flight.config.document import InputError, open_file
-from dart_flight.config.state_folder import lock_file
+from dart_flight.config.document import InputError, open_file, write_problem
+from dart_flight.config.held_files import lock_file
 from dart_flight.lab.campaign.campaign_spec import Item, Point
 from dart_flight.lab.campaign.flight_job import line_of
 
@@ -42,7 +42,7 @@ class Table:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
         except OSError as error:
-            raise FlightError(f"cannot write {path}: {error.strerror}") from None
+            raise FlightError(f"cannot write {path}: {write_problem(path, error)}") from None
         try:
             self._lock()
             self._length = _complete_length(path)

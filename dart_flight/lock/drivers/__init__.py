@@ -8,18 +8,33 @@ add a driver.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, cast, runtime_checkable
 
 from dart_flight.config.document import Key
 from dart_flight.config.vehicle import LockConfig, LockDriver
+from dart_flight.lock.persistence import ServoDevice, ServoOwnership
 from dart_flight.lock.state_machine import DriverReading
 
 if TYPE_CHECKING:
     from dart_flight.lock.drivers.mock import MockFaults
 
 SetActuator = Callable[[int, float], None]
+
+
+class ActuatorLink(NamedTuple):
+    """The connection to PX4, for the px4 driver.
+
+    Attributes:
+        set_actuator: function `set_actuator(index, value)` with value from -1 to 1. It blocks until the value
+            is sent, and may raise any exception.
+        url: URL of the connection, or None for an autopilot that this process simulates.
+    """
+
+    set_actuator: SetActuator
+    url: str | None
 
 
 class DriverError(Exception):
@@ -54,6 +69,16 @@ class Driver(Protocol):
         """Release the hardware; the pulses stay as they are."""
 
 
+class HardwareDriver(Driver, Protocol):
+    """A driver that moves real hardware."""
+
+    def device(self) -> ServoDevice | None:
+        """Return the hardware that only one process at a time may use, or None if this process simulates it.
+
+        Nothing is opened or moved.
+        """
+
+
 class DriverEntry(NamedTuple):
     """One kind of driver.
 
@@ -81,9 +106,7 @@ class DriverEntry(NamedTuple):
 DRIVERS: Final[Mapping[LockDriver, DriverEntry]] = {
     LockDriver.MAESTRO: DriverEntry("maestro:MaestroDriver", "a Pololu Maestro on a serial port"),
     LockDriver.PWM: DriverEntry("pwm:PwmDriver", "the Raspberry Pi's own PWM"),
-    LockDriver.PX4: DriverEntry(
-        "px4_output:Px4Driver", "an output of PX4", needs=("set_actuator",), simulated=True
-    ),
+    LockDriver.PX4: DriverEntry("px4_output:Px4Driver", "an output of PX4", needs=("link",), simulated=True),
     LockDriver.MOCK: DriverEntry(
         "mock:MockDriver",
         "a modelled servo",
@@ -109,19 +132,19 @@ def make_driver(
     kind: LockDriver | None = None,
     *,
     clock_us: Callable[[], int] | None = None,
-    set_actuator: SetActuator | None = None,
+    link: ActuatorLink | None = None,
     faults: MockFaults | None = None,
     gpio: bool = True,
 ) -> Driver:
-    """Return a driver of the lock's servo. If a limit switch is configured, the driver also reads the switch.
+    """Return a driver of the lock's servo, for simulated time; for real hardware, use `owned_driver`.
+
+    If a limit switch is configured, the driver also reads the switch.
 
     Args:
         config: the lock's configuration.
         kind: kind of driver; by default the configured kind.
         clock_us: time base of the mock, microseconds; required for the mock only.
-        set_actuator: function `set_actuator(index, value)` with value from -1 to 1, for the px4 driver. The
-            shell supplies this function, because the shell has the connection to PX4. The function blocks
-            until the value is sent, and may raise any exception.
+        link: connection to PX4, for the px4 driver only.
         faults: initial faults of the mock's servo.
         gpio: whether GPIO limit switches are read; False without hardware.
 
@@ -131,14 +154,57 @@ def make_driver(
     """
     kind = config.driver if kind is None else kind
     entry = DRIVERS[kind]
-    offered = {"clock_us": clock_us, "set_actuator": set_actuator, "faults": faults}
+    offered = {"clock_us": clock_us, "link": link, "faults": faults}
     for name in entry.needs:
         if offered[name] is None:
             raise ValueError(f"the {kind.value} driver needs {name}")
     module, _, name = entry.path.partition(":")
     make = getattr(importlib.import_module(f"{__name__}.{module}"), name)
     driver: Driver = make(config, **{name: offered[name] for name in entry.needs + entry.takes})
-    if config.limit_switch is None or entry.reads_switches or not gpio:
+    return _with_switches(driver, config, entry) if gpio else driver
+
+
+@contextlib.contextmanager
+def owned_driver(
+    config: LockConfig,
+    *,
+    clock_us: Callable[[], int],
+    link: ActuatorLink | None = None,
+    faults: MockFaults | None = None,
+    lasting: bool = False,
+) -> Iterator[Driver]:
+    """Within the context, own the servo and return its driver; at the end close the driver.
+
+    A modelled servo has no owner.
+
+    Args:
+        config: the lock's configuration.
+        clock_us: time base of the mock, microseconds.
+        link: connection to PX4, for the px4 driver only.
+        faults: initial faults of the mock's servo.
+        lasting: whether this process owns the servo until it ends (`ServoOwnership`).
+
+    Raises:
+        ServoInUseError: another process owns the servo.
+        DriverError: the hardware of the driver, or a configured limit switch, is not available.
+        InputError: the owner's file cannot be written.
+    """
+    driver = make_driver(config, clock_us=clock_us, link=link, faults=faults, gpio=False)
+    entry = DRIVERS[config.driver]
+    with contextlib.ExitStack() as held:
+        device = cast(HardwareDriver, driver).device() if entry.moves else None
+        if device is not None:
+            held.enter_context(ServoOwnership(device, lasting=lasting))
+        driver = _with_switches(driver, config, entry)
+        try:
+            yield driver
+        finally:
+            with contextlib.suppress(DriverError):
+                driver.close()
+
+
+def _with_switches(driver: Driver, config: LockConfig, entry: DriverEntry) -> Driver:
+    if config.limit_switch is None or entry.reads_switches:
         return driver
     from dart_flight.lock.drivers.limit_switch import DriverWithLimitSwitch, GpioLimitSwitch  # noqa: PLC0415
 

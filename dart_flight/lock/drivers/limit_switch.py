@@ -6,13 +6,16 @@ A switch closes to ground. Unless configured otherwise, the line is therefore pu
 from __future__ import annotations
 
 import importlib
-from typing import Any, Protocol
+import sys
+from typing import Any, Final, Protocol
 
 import msgspec
 
 from dart_flight.config.vehicle import LimitSwitch
 from dart_flight.lock.drivers import Driver, DriverError
 from dart_flight.lock.state_machine import DriverReading
+
+_INSTALL: Final = f"{sys.executable} -m pip install 'gpiod>=2'"
 
 
 class SwitchReader(Protocol):
@@ -44,13 +47,13 @@ class GpioLimitSwitch:
             self._gpiod: Any = importlib.import_module("gpiod")
         except ModuleNotFoundError:
             raise DriverError(
-                "a limit switch needs libgpiod's Python package: pip install gpiod", ("limit_switch",)
+                f"a limit switch needs libgpiod's Python package: {_INSTALL}", ("limit_switch",)
             ) from None
         except ImportError as error:
             raise DriverError(f"cannot load the gpiod package: {error}", ("limit_switch",)) from None
         if not hasattr(self._gpiod, "request_lines"):
             raise DriverError(
-                "a limit switch needs version 2 of the gpiod package: pip install 'gpiod>=2'",
+                f"a limit switch needs version 2 of the gpiod package: {_INSTALL}",
                 ("limit_switch",),
             )
 

@@ -17,8 +17,10 @@ import termios
 
 import serial
 
+from dart_flight.config.link_url import device_key
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.persistence import ServoDevice
 from dart_flight.lock.state_machine import DriverReading
 
 SET_TARGET, SET_SPEED, GET_POSITION, GET_ERRORS = 0x84, 0x87, 0x90, 0xA1
@@ -54,6 +56,10 @@ class MaestroDriver:
     def __init__(self, config: LockConfig) -> None:
         self._config = config.maestro
         self._port: serial.Serial | None = None
+
+    def device(self) -> ServoDevice:
+        """Return the serial port: only one process can open it, whichever channel that process uses."""
+        return ServoDevice(device_key(self._config.port), self._config.port)
 
     def open(self) -> None:
         """Open the port and set the channel's speed limit.

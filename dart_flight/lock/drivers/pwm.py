@@ -20,8 +20,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from dart_flight.config.link_url import device_key
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.persistence import ServoDevice
 from dart_flight.lock.state_machine import DriverReading
 
 
@@ -62,6 +64,16 @@ class PwmDriver:
         self._chip = self._channel = self._sysfs  # replaced by `_find`
         self._period_ns = round(config.pwm.period_us * 1000.0)
 
+    def device(self) -> ServoDevice:
+        """Return the channel of the chip.
+
+        Raises:
+            DriverError: as in `open`.
+        """
+        self._find()
+        chip, channel = self._chip, self._channel.name.removeprefix("pwm")
+        return ServoDevice(f"{device_key(chip)}-{channel}", f"{chip.name}, channel {channel}")
+
     def open(self) -> None:
         """Export the channel, and correct the period and the polarity if they differ from the wanted values.
 
@@ -71,6 +83,8 @@ class PwmDriver:
         """
         if not (self._channel / "enable").exists():
             self._find()
+            if not self._channel.is_dir():
+                self._write(self._chip / "export", self._channel.name.removeprefix("pwm"))
         self._wait_until_writable()
         if self._number(self._channel / "period") != self._period_ns:
             # Older kernels reject every write while the period is 0 or shorter than the pulse.
@@ -105,7 +119,7 @@ class PwmDriver:
         """Do nothing: no file is held open, and the pulses stay."""
 
     def _find(self) -> None:
-        """Find chip and channel, and export the channel."""
+        """Find chip and channel; write nothing."""
         self._chip = self._find_chip()
         board = _BOARDS.get(_device(self._chip))
         channel = self._config.channel
@@ -125,8 +139,6 @@ class PwmDriver:
         if channel >= has:
             raise DriverError(f"{self._chip.name} has {has} channels, numbered from 0", ("pwm", "channel"))
         self._channel = self._chip / f"pwm{channel}"
-        if not self._channel.is_dir():
-            self._write(self._chip / "export", str(channel))
 
     def _find_chip(self) -> Path:
         hint = "check dtoverlay=pwm-2chan in config.txt"

@@ -7,14 +7,16 @@ COM_PREARM_MODE permits this. `required_parameters` lists the parameters and val
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import msgspec
 
 from dart_flight.base.errors import FlightError
+from dart_flight.config.link_url import endpoint_of
 from dart_flight.config.parameter_file import show_value
 from dart_flight.config.vehicle import LockConfig
-from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.drivers import ActuatorLink, DriverError
+from dart_flight.lock.persistence import ServoDevice
 from dart_flight.lock.state_machine import DriverReading
 
 ACTUATOR_SET_1 = 301  # PX4's output function "Peripheral via Actuator Set 1"
@@ -116,10 +118,15 @@ def actuator_pulse_us(config: LockConfig, value: float) -> float:
 class Px4Driver:
     """The lock's servo on an output of PX4. PX4 reports no position: a reading is the last command."""
 
-    def __init__(self, config: LockConfig, set_actuator: Callable[[int, float], None]) -> None:
-        self._config = config
-        self._set_actuator = set_actuator
+    def __init__(self, config: LockConfig, link: ActuatorLink) -> None:
+        self._config, self._link = config, link
         self._sent_us: float | None = None
+
+    def device(self) -> ServoDevice | None:
+        """Return the link to the autopilot, or None for a simulated autopilot in this process."""
+        url = self._link.url
+        key = None if url is None else f"px4-{endpoint_of(url).key}"
+        return None if key is None else ServoDevice(key, f"an output of PX4 on {url}")
 
     def open(self) -> None:
         """Do nothing: the shell has the connection."""
@@ -128,7 +135,7 @@ class Px4Driver:
         """Send the actuator value of this pulse width in us."""
         try:
             value = actuator_value(self._config, pulse_us)
-            self._set_actuator(self._config.px4.actuator_index, value)
+            self._link.set_actuator(self._config.px4.actuator_index, value)
         except Exception as error:
             # The shell's callable may raise anything; after any exception the lock has not moved.
             expected = isinstance(error, FlightError | OSError | ValueError)

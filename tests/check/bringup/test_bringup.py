@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import queue
 import statistics
 import threading
@@ -21,6 +22,8 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_empty_room, load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.config.vehicle.mocap import MotionCapture
+from dart_flight.lock.drivers import owned_driver
+from dart_flight.lock.persistence import ServoInUseError
 from dart_flight.sim.motion_capture import make_server
 from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.vehicle_session import NoAnswerError
@@ -165,6 +168,16 @@ def test_the_operator_confirms_the_direction_of_the_servo(
     assert message in found.message
     if result is StepOutcome.PASS:
         assert 0.05 < float(found.measured["rigid_travel_s"] or 0.0) < 2.0
+
+
+def test_a_servo_in_use_ends_the_bring_up(maestro: Mission) -> None:
+    assert maestro.vehicle.lock is not None
+    bringup = Bringup(maestro, "udpin://127.0.0.1:1", ScriptedOperator())
+    with (
+        owned_driver(maestro.vehicle.lock, clock_us=host_us),
+        pytest.raises(ServoInUseError, match=f"process {os.getpid()}$"),
+    ):
+        run_step(bringup, "servo")
 
 
 def test_an_unplugged_servo_controller_is_named() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import report_write_errors
 from dart_flight.lab.figure_style import COLUMN, save_figure, save_pages
 from dart_flight.lab.report.figures import forces, motion
 from dart_flight.lab.report.figures import lock_timeline as lock
@@ -41,10 +41,8 @@ def write_svgs(flights: Sequence[RecordedFlight], folder: Path) -> list[Path]:
     Raises:
         InputError: the folder cannot be made or written to, or matplotlib is missing.
     """
-    try:
+    with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot create the folder: {error.strerror}", source=str(folder)) from None
     written = []
     for name, figure in figures_of(flights):
         path = folder / f"{name}.svg"

@@ -1,0 +1,323 @@
+"""Files that mark which process holds a resource, such as a link or a servo.
+
+A servo's file is in a folder that all accounts of the computer share. A link's file is in the state folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import os
+import re
+import stat
+import sys
+import time
+from abc import ABC, abstractmethod
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from dart_flight.config.document import InputError
+from dart_flight.config.state_folder import REMEDY, cannot
+
+_ATTEMPTS, _PAUSE_S = 3, 0.02
+_LONGEST = 65536
+_LONGEST_NAME = 180
+_SHARED: Final = (Path("/run/lock"), Path("/dev/shm"))
+_FOR_ALL: Final = stat.S_ISVTX | stat.S_IWOTH
+_KEPT: Final = "DART_FLIGHT_KEPT_FILES"  # descriptor=path of every kept file, one a line
+
+
+def shared_file(name: str) -> Path:
+    """Return the path of a file in the folder that all accounts of this computer share.
+
+    The choice depends only on the folder's mode, not on the account, so that all programs choose the same
+    folder.
+
+    Raises:
+        InputError: no folder is writable for every account.
+    """
+    name = re.sub(r"[^A-Za-z0-9.@_-]+", "-", name)
+    if len(name) > _LONGEST_NAME:
+        name = f"{name[:_LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:16]}"
+    for folder in _SHARED:
+        with contextlib.suppress(OSError):
+            if folder.stat().st_mode & _FOR_ALL == _FOR_ALL:
+                return folder / f"dart-flight-{name}"
+    places = " nor ".join(str(folder) for folder in _SHARED)
+    raise InputError(
+        f"cannot reserve the servo: neither {places} is writable for every account; "
+        f"sudo install -d -m 1777 {_SHARED[0]}"
+    )
+
+
+def lock_file(descriptor: int, path: Path, remedy: str, *, shared: bool = False) -> bool:
+    """Try to lock an open file without waiting; return whether the lock was acquired.
+
+    Args:
+        descriptor: descriptor of the open file; closing it ends the lock.
+        path: path of the file, for the error.
+        remedy: advice to the operator if the file system cannot lock files.
+        shared: whether the lock tolerates other shared locks.
+
+    Raises:
+        InputError: the file system cannot lock files; an example is NFS without a lock daemon.
+    """
+    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        raise InputError(f"cannot lock {path}: {error.strerror}; {remedy}") from None
+    return True
+
+
+class HeldError(Exception):
+    """Another process, or another part of this process, holds the file.
+
+    Attributes:
+        content: content that the holder has written; empty if the holder has not written anything yet.
+    """
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__("in use")
+        self.content = content
+
+
+class HeldFile:
+    """An advisory lock on a file that contains a description of its holder.
+
+    The kernel releases the lock when the process ends for any reason. Two parts of one process exclude each
+    other as well. A forked child does not inherit the locks of its parent. A process that has called `keep`
+    holds the file until it ends, and passes it to a child process with `pass_kept`; both then hold the file.
+
+    Every account can hold the file, whichever account has created it.
+
+    Args:
+        path: the file; created by `acquire`, removed by `release`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._descriptor: int | None = None
+
+    def acquire(self, content: bytes) -> None:
+        """Acquire the lock and write the description of the holder.
+
+        Args:
+            content: description to write.
+
+        Raises:
+            HeldError: another holder has the lock.
+            InputError: the file cannot be used.
+        """
+        if any(held._path == self._path for held in _held):
+            raise HeldError(read_held(self._path) or b"")
+        kept = _kept_files().get(self._path)
+        self._descriptor = self._lock() if kept is None else os.dup(kept)
+        _held.add(self)
+        try:
+            self.write(content)
+        except InputError:
+            self.release()
+            raise
+
+    def write(self, content: bytes) -> None:
+        """Replace the file's content, unless another account permits only reading.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        assert self._descriptor is not None
+        if fcntl.fcntl(self._descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+            return
+        try:
+            os.pwrite(self._descriptor, content, 0)
+            os.ftruncate(self._descriptor, len(content))
+        except OSError as error:
+            raise _cannot("write", self._path, error) from None
+
+    def keep(self) -> None:
+        """Hold the file until this process ends, although the file is released and acquired again."""
+        assert self._descriptor is not None
+        if self._path not in _kept_files():
+            _kept_files()[self._path] = os.dup(self._descriptor)
+
+    def release(self) -> None:
+        """Unlock and remove the file, if it is held; if the file cannot be removed, only unlock it."""
+        if self._descriptor is not None:
+            if self._path not in _kept_files():
+                with contextlib.suppress(OSError):
+                    self._path.unlink()
+            self.drop()
+
+    def drop(self) -> None:
+        """Close the file without releasing the lock, as in a forked child."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+            _held.discard(self)
+
+    def _lock(self) -> int:
+        """Return the descriptor of the locked file.
+
+        Raises:
+            HeldError: another holder has the lock.
+            InputError: the file cannot be used.
+        """
+        other = b""
+        for attempt in range(_ATTEMPTS):
+            if attempt:  # the holder may only be checking the lock
+                time.sleep(_PAUSE_S)
+            descriptor = self._open(last=attempt == _ATTEMPTS - 1)
+            if descriptor is None:
+                continue
+            locked = False
+            try:
+                if not lock_file(descriptor, self._path, REMEDY):
+                    other = os.pread(descriptor, _LONGEST, 0)
+                elif _is_at(descriptor, self._path):  # otherwise the previous holder has removed the file
+                    locked = True
+                    return descriptor
+            finally:
+                if not locked:
+                    os.close(descriptor)
+        raise HeldError(other)
+
+    def _open(self, *, last: bool) -> int | None:
+        """Return the descriptor of the open file, or None if another attempt may succeed.
+
+        The file is created and opened in two steps: with fs.protected_regular, the kernel refuses O_CREAT on
+        a file of another account in a folder such as /run/lock.
+        """
+        flags = os.O_CLOEXEC | os.O_NOFOLLOW
+        try:
+            descriptor = os.open(self._path, flags | os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        except FileExistsError:
+            pass
+        except OSError as error:
+            raise _cannot("create", self._path, error) from None
+        else:
+            os.fchmod(descriptor, 0o666)  # regardless of the umask
+            return descriptor
+        for access in (os.O_RDWR, os.O_RDONLY):  # reading suffices for the lock, but not for the content
+            try:
+                return os.open(self._path, flags | access)
+            except FileNotFoundError:
+                return None  # the previous holder has just removed it
+            except OSError as error:
+                problem = error
+        if last:
+            raise _cannot("open", self._path, problem)
+        return None  # another program may have created the file and not yet set its mode
+
+
+def pass_kept() -> tuple[list[int], dict[str, str]]:
+    """Return the kept files for a child process: the descriptors to pass, and an environment variable."""
+    kept = _kept_files()
+    lines = "\n".join(f"{descriptor}={path}" for path, descriptor in kept.items())
+    return list(kept.values()), {_KEPT: lines} if kept else {}
+
+
+def _kept_files() -> dict[Path, int]:
+    """Return the descriptors of the kept files, which may come from the parent process."""
+    global _kept  # noqa: PLW0603
+    if _kept is None:
+        _kept = {}
+        for line in os.environ.pop(_KEPT, "").splitlines():
+            number, _, name = line.partition("=")
+            with contextlib.suppress(OSError, ValueError, InputError):
+                if _is_at(int(number), Path(name)):
+                    os.set_inheritable(int(number), False)
+                    _kept[Path(name)] = int(number)
+    return _kept
+
+
+class Lease(ABC):
+    """An exclusive right, as a context manager that acquires and releases it."""
+
+    @abstractmethod
+    def acquire(self) -> None:
+        """Acquire the right."""
+
+    @abstractmethod
+    def release(self) -> None:
+        """Release the right; has no effect if it is not held."""
+
+    def __enter__(self) -> Self:
+        self.acquire()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+
+def read_held(path: Path) -> bytes | None:
+    """Return the content that the holder of a file wrote, or None if the file is not held.
+
+    Raises:
+        InputError: the file cannot be read or locked.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise _cannot("read", path, error) from None
+    try:
+        free = lock_file(descriptor, path, REMEDY, shared=True)
+        return None if free else os.pread(descriptor, _LONGEST, 0)
+    finally:
+        os.close(descriptor)
+
+
+def program_name() -> str:
+    """Return the name of this program and its command, such as `dart-flight standby`."""
+    program, *arguments = sys.argv or [""]
+    path = Path(program)
+    if path.name != "dart-flight" and path.parent.name != "dart_flight":
+        return path.name if path.suffix == ".py" else "a Python program"
+    return " ".join(["dart-flight", *arguments[:1]])
+
+
+def _cannot(do: str, path: Path, error: OSError) -> InputError:
+    if path.parent not in _SHARED:
+        return cannot(do, path, error)
+    remedy = f"make {path.parent} writable (in a systemd unit: ReadWritePaths={path.parent})"
+    if error.errno in (errno.EACCES, errno.EPERM):
+        remedy = f"sudo chmod 666 {path}"
+    return InputError(f"cannot {do}: {error.strerror}; {remedy}", source=str(path))
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    """Return whether a path still names the file that is open as `descriptor`.
+
+    Raises:
+        InputError: the path cannot be read.
+    """
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise _cannot("read", path, error) from None
+
+
+_held: set[HeldFile] = set()
+_kept: dict[Path, int] | None = None
+
+
+def _drop_all() -> None:
+    for held in list(_held):
+        held.drop()
+    while _kept:
+        os.close(_kept.popitem()[1])
+
+
+# A forked child shares the open file and its flock, which would otherwise outlive the parent.
+os.register_at_fork(after_in_child=_drop_all)
