@@ -797,6 +797,16 @@ def test_only_a_vehicle_that_lies_on_the_ground_is_disarmed(
     assert (VehicleAction.KILL in sent) is kills
 
 
+def test_motors_that_the_guard_has_stopped_are_no_further_fault() -> None:
+    c = core_for("lying")
+    c.enter_approach()
+    lie_down(c, LYING_TILT_DEG + 20.0, 0.1, LYING_S + 0.1)
+    c.motors, c.falling = (0.0,) * 4, True
+    c.run(0.3)
+    assert "disarmed" not in [event.rule for event in fired(c)]
+    assert c.core.override is Override.KILL
+
+
 def test_a_delayed_position_is_reported_with_its_value_and_a_remedy() -> None:
     c = HandFedCore()
     CAUSES["position_delayed"](c)

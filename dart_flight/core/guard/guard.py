@@ -270,6 +270,7 @@ class Guard:
             self.end = MissionEnd(state.now_us, Outcome.ABORTED, self.reason, None)
             return
         if killed:
+            self._watch.kill_asked = True
             self._send_action(VehicleAction.KILL, state, out)
             return
         if self.action is Override.LAND:

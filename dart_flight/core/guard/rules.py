@@ -77,6 +77,8 @@ def _by_px4(v: FlightConditions) -> bool:
 @condition("PX4 reports that it disarmed in the air, or the motors stand still and the vehicle falls")
 def _disarmed(v: FlightConditions) -> str | None:
     # A kill switch stops the motors at once; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
+    if v.kill_asked:
+        return None  # the guard has stopped the motors
     falling_s = v.duration_s(v.falling_since_us)
     if falling_s > _FALL_S and v.was_armed and not v.state.on_ground:
         return f"PX4 stopped the motors in the air, the vehicle has been falling for {falling_s * 1e3:.0f} ms"
