@@ -117,6 +117,11 @@ class HeldFile:
         if any(held._path == self._path for held in _held):
             raise HeldError(read_held(self._path) or b"")
         kept = _kept_files().get(self._path)
+        if kept is not None and not _is_at(
+            kept, self._path
+        ):  # the file was deleted: others may lock a new one
+            os.close(_kept_files().pop(self._path))
+            kept = None
         self._descriptor = self._lock() if kept is None else os.dup(kept)
         _held.add(self)
         try:

@@ -180,7 +180,7 @@ class Standby:
         alive = asyncio.create_task(_keep_alive(systemd))
         problem = ""
         try:
-            with StopSignals(self._receive_stop, lambda n: self._say("standby", describe_repeat(n))):
+            with StopSignals(self._receive_stop, self._receive_repeat):
                 while not self._stops:
                     try:
                         await self._hold()
@@ -200,6 +200,10 @@ class Standby:
     def _receive_stop(self, number: signal.Signals) -> None:
         assert self._loop is not None
         self._loop.call_soon_threadsafe(self._stop)
+
+    def _receive_repeat(self, number: signal.Signals) -> None:
+        assert self._loop is not None
+        self._loop.call_soon_threadsafe(self._say, "standby", describe_repeat(number))
 
     def _stop(self) -> None:
         """End standby, and pass each signal to a flight in progress.

@@ -23,8 +23,9 @@ from dart_flight.lab.campaign.table import Table
 from dart_flight.lock.persistence import CommandStore
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.vehicle.link import LinkLease
+from tests.accounts import NOBODY, open_to_all
 
-NOBODY, UNKNOWN = 65534, 12345
+UNKNOWN = 12345
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs a second account")
 
 
@@ -36,8 +37,7 @@ def mission() -> Mission:
 @pytest.fixture
 def account(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The folder of an account, as which the test runs; `sudo` has left the folder `left` in it."""
-    for folder in (tmp_path, *tmp_path.parents[:2]):
-        folder.chmod(0o755)
+    open_to_all(tmp_path)
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "left" / "state"))
     (tmp_path / "left" / "state" / "links").mkdir(parents=True)
     (tmp_path / "left" / "file").write_text("version: 1\n")

@@ -21,12 +21,17 @@ from dart_flight.base.records import (
     EstimatorSample,
     GuardEvent,
     ImuSample,
+    Mode,
     OdometrySample,
+    OperatorRequest,
     Output,
+    Override,
+    Request,
     Setpoint,
     Tick,
     VehicleCommand,
 )
+from dart_flight.core.guard.estimator_resets import EstimatorResets
 from tests.core.conftest import HandFedCore
 
 _DT_S, _LAG_S = 0.004, 0.15
@@ -152,3 +157,38 @@ def test_the_guard_keeps_the_true_heading_if_px4_never_corrects_its_own() -> Non
     vehicle = misled(60.0, until_s=math.inf)
     vehicle.fly(2.5)
     assert abs(math.degrees(wrap_angle(vehicle.yaw_rad))) < 10.0
+
+
+@pytest.mark.parametrize("phase", ["on the ground", "in the climb"])
+def test_an_alignment_of_the_heading_before_the_mission_leaves_no_error(phase: str) -> None:
+    """PX4 may find its heading late; the heading before that is not the true one."""
+    c = HandFedCore()
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
+    if phase == "in the climb":
+        c.enter_climb()
+    else:
+        c.set_lock(Mode.RIGID)
+        c.run(0.2)
+    c.q = quaternion_from_euler(0.0, 0.0, math.radians(90.0))
+    c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=2))
+    c.run(0.1)
+    c.position_ned = (0.0, 0.0, -1.0)
+    c.run(1.5)
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
+    held = [o for o in c.run(0.2) if isinstance(o, Setpoint)]
+    assert c.core.override is Override.BREAK_OFF or phase == "on the ground"
+    assert all(setpoint.acceleration_ned is None for setpoint in held)
+
+
+def test_the_drift_of_the_gyro_after_a_harmless_reset_is_no_error_of_the_heading() -> None:
+    resets = EstimatorResets()
+    resets.update_counter(0, 0)
+    for tick in range(1, 2500):
+        t_us = 4000 * tick
+        resets.add_imu(ImuSample(t_us, t_us, (0.0, 0.0, -9.81), (0.0, 0.0, 0.02)))  # the vehicle stands still
+        resets.add_attitude(AttitudeSample(t_us, t_us, quaternion_from_euler(0.0, 0.0, 0.0)))
+        resets.add_odometry(OdometrySample(t_us, t_us, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        if tick == 50:
+            assert resets.update_counter(1, t_us)
+    assert resets.heading_error_rad == 0.0
+    assert resets.reckoned is None

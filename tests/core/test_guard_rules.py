@@ -572,10 +572,15 @@ CAUSES |= {
 
 
 def lie_down(c: HandFedCore, tilt_deg: float, height_m: float, seconds: float) -> None:
-    """Lie still with this tilt and height above the place of take-off."""
-    north, east, _ = c.position_ned
-    c.position_ned, c.velocity_ned = (north, east, -height_m), (0.0, 0.0, 0.0)
+    """Fall, then lie still with this tilt and height above the place of take-off."""
+    (north, east, down), steps = c.position_ned, 50
     c.q = quaternion_from_euler(math.radians(tilt_deg), 0.0, 0.0)
+    fallen_m = -height_m - down
+    for step in range(1, steps + 1):
+        c.position_ned = (north, east, down + fallen_m * step / steps)
+        c.velocity_ned = (0.0, 0.0, fallen_m / (steps * 0.008))
+        c.run(0.008)
+    c.velocity_ned = (0.0, 0.0, 0.0)
     c.run(seconds)
 
 
@@ -795,6 +800,16 @@ def test_only_a_vehicle_that_lies_on_the_ground_is_disarmed(
     lie_down(c, tilt_deg, height_m, seconds)
     sent = [o.action for o in c.outputs if isinstance(o, VehicleCommand)]
     assert (VehicleAction.KILL in sent) is kills
+
+
+def test_a_tilt_that_is_no_longer_reported_disarms_nothing() -> None:
+    c = core_for("lying")
+    c.enter_approach()
+    c.q = quaternion_from_euler(math.radians(LYING_TILT_DEG + 20.0), 0.0, 0.0)
+    c.run(0.02)
+    c.silent.add("attitude")
+    lie_down(c, LYING_TILT_DEG + 20.0, 0.1, LYING_S + 1.0)
+    assert "lying" not in [event.rule for event in fired(c)]
 
 
 def test_motors_that_the_guard_has_stopped_are_no_further_fault() -> None:

@@ -24,9 +24,9 @@ from dart_flight.lock.drivers import ActuatorLink, DriverError, owned_driver
 from dart_flight.lock.drivers.pwm import PwmDriver
 from dart_flight.lock.persistence import ServoInUseError
 from dart_flight.run.app import FlightApp
+from tests.accounts import NOBODY, open_to_all
 
 ROOT = Path(__file__).parents[2]
-NOBODY = 65534
 URL = "udpin://127.0.0.1:24871"
 # A process that owns the servo of a configuration, and with "pass" starts a child that takes the servo over.
 HOLD = f"""
@@ -181,8 +181,7 @@ def test_accounts_exclude_each_other(
     first: int, mode: int | None, pwm: LockConfig, tmp_path: Path, holders: list[Holder]
 ) -> None:
     """Another program may have created the file, and other accounts may only read it, or not even that."""
-    for folder in (tmp_path, *tmp_path.parents[:2]):  # pytest's folders are closed to other accounts
-        folder.chmod(0o755)
+    open_to_all(tmp_path)
     if mode is not None:
         path = shared_file(f"servo-{PwmDriver(pwm).device().key}")
         path.touch()

@@ -84,7 +84,7 @@ def test_arm_lengths_define_the_motors_of_px4s_quadrotor_in_x() -> None:
             "{x_m: -0.1, y_m: 0.1, yaw_torque_per_thrust_m: 0.01}]}",
             "cannot control roll, pitch, yaw and lift independently",
         ),
-        ("thrust: {full_n: 2.0}", "to hover 1.6 kg, limit 80 %"),
+        ("thrust: {full_n: 2.0}", "to hover 1.6 kg (airframe.mass_kg), limit 80 %"),
         ("thrust: {table: [[0.5, 3.0], [1.0, 6.0]]}", "full_n and model_factor and table both define"),
         ("thrust: {full_n: null}", "missing key full_n; alternatively, give the measured thrust as `table`"),
         (

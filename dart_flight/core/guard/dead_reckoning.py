@@ -26,7 +26,7 @@ from dart_flight.base.geometry import (
 from dart_flight.base.records import ImuSample, OdometrySample
 from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
 
-WRONG_RAD: Final = math.radians(HEADING_STEP_DEG)
+WRONG_RAD = math.radians(HEADING_STEP_DEG)
 _DETECTED_S: Final = 0.2  # a step of the heading is detected within this time after the reset
 # PX4 subtracts its estimate of the biases from the IMU, and a wrong heading disturbs this estimate: on PX4
 # the velocity is wrong by up to 0.5 m/s after 2 s.
@@ -61,10 +61,10 @@ class DeadReckoning:
         self.velocity_ned = add(self.velocity_ned, gained)
 
     def is_finished(self, odometry: OdometrySample, error_rad: float, step_m: float) -> bool:
-        """Return whether PX4's estimate needs no replacement.
+        """Return whether the guard can use PX4's estimate again.
 
-        It needs one from the first large error of the heading. The heading recovers first. Then PX4's motion
-        approaches the integral, or motion capture resets PX4's position.
+        After a large error PX4's heading recovers first. Then PX4's motion approaches the integral, or motion
+        capture resets PX4's position.
 
         Args:
             odometry: newest sample.

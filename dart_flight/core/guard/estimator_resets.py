@@ -72,6 +72,8 @@ class EstimatorResets:
             return 0.0, 0.0
         away_m = math.dist(item.position_ned, _extrapolate(before, item))
         if self._reckoned is not None and self._reckoned.is_finished(item, self.heading_error_rad, away_m):
+            if not self._reckoned.heading_was_wrong:
+                self._rotation = None  # later, the gyro's drift would look like an error of the heading
             self._reckoned = None
         faster_m_s = math.dist(item.velocity_ned, before.velocity_ned)
         self._steps.append((item.t_us, away_m, faster_m_s))
@@ -79,14 +81,19 @@ class EstimatorResets:
             self._add_step(self.newest, *self._steps[-1])
         return away_m, faster_m_s
 
-    def update_counter(self, counter: int, now_us: int) -> bool:
-        """Return whether the reset counter has changed since the last call."""
+    def update_counter(self, counter: int, now_us: int, aligning: bool = False) -> bool:
+        """Return whether the reset counter has changed since the last call.
+
+        If PX4 may be `aligning` its heading, the heading before the reset is not taken for the true one.
+        """
         before, self._counter = self._counter, counter
         if before is None or counter == before:
             return False
         self.newest = EstimatorReset(now_us)
         self._before = self._heading.before
-        if self._reckoned is None and abs(self.heading_error_rad) <= WRONG_RAD:
+        if aligning:
+            self._rotation = self._reckoned = None
+        elif self._reckoned is None and abs(self.heading_error_rad) <= WRONG_RAD:
             self._rotation = self._before
             if self._before is not None and self._odometry is not None:
                 self._reckoned = DeadReckoning(self._odometry, self._before)
@@ -99,7 +106,8 @@ class EstimatorResets:
     def heading_error_rad(self) -> float:
         """Estimated heading minus the heading that the gyro continues from before a reset.
 
-        The error is 0 if the integral of the gyro was interrupted since the reset.
+        The error is 0 if the heading did not step in the reset, or if the integral of the gyro was
+        interrupted since then.
         """
         return 0.0 if self._rotation is None else self._heading.step_since(self._rotation)
 

@@ -71,7 +71,8 @@ class EstimatorWatch:
 
     def add_report(self, item: EstimatorSample, phase: Phase) -> None:
         """Process the reset counter and the estimator's own flags."""
-        if item.reset_counter is not None and self.resets.update_counter(item.reset_counter, self._now_us):
+        counter = item.reset_counter
+        if counter is not None and self.resets.update_counter(counter, self._now_us, phase in _ALIGNING):
             self._reset_phase = phase
         if item.healthy is not None:
             self._unhealthy = not item.healthy

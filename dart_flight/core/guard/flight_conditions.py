@@ -49,6 +49,7 @@ _FALLING_M_S2: Final = 4.9  # half of hover
 _LYING_BELOW_M: Final = 0.5  # above the place of take-off; a fall disturbs the height estimate
 # Not the rates: PX4's rate loop shakes a vehicle that lies on its side at up to 2.5 rad/s.
 _STILL_M_S: Final = 0.5
+_ATTITUDE_OLD_US: Final = 100_000
 _SURELY_DOWN: Final = 3.0  # factor on the time of descent from the top of the flight space
 _PAUSE_US: Final = 40_000  # a longer gap between the ticks, 20 ms of host time, is a pause of this program
 _PAUSE_MEMORY_US: Final = 3_000_000
@@ -295,9 +296,12 @@ class FlightConditions:
         state = self.state
         if not self.was_armed:
             self._ground_m = state.position[2]
-        ground_m = self._ground_m
+        ground_m, attitude = self._ground_m, state.attitude
         lies = (
             ground_m is not None
+            and attitude is not None
+            and state.now_us - attitude.t_us < _ATTITUDE_OLD_US
+            and not self.status_unreliable
             and state.tilt_rad > math.radians(LYING_TILT_DEG)
             and state.position[2] - ground_m < _LYING_BELOW_M
             and norm(state.velocity) < _STILL_M_S

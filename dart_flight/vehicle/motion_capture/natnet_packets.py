@@ -271,4 +271,4 @@ def _stamp_us(reader: _Reader, server: ServerInfo) -> int | None:
     ticks = reader.unpack("<3Q")[0] if server.version >= (3, 0) else 0  # of the middle of the exposure
     if ticks and server.ticks_per_s:
         return int(ticks) * 1_000_000 // server.ticks_per_s
-    return round(1e6 * seconds) if math.isfinite(seconds) else None
+    return round(1e6 * seconds) if math.isfinite(1e6 * seconds) else None

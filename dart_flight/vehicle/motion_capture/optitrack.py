@@ -177,7 +177,7 @@ class OptiTrackSource:
         for link in select.select(self._links, [], [], _POLL_S)[0]:
             try:
                 self._process(link.recv(_MAX_DATAGRAM))
-            except ValueError as error:
+            except (ValueError, ArithmeticError) as error:
                 self.problem = f"damaged packet from {self._sender}: {error}"
 
     def _process(self, data: bytes) -> None:

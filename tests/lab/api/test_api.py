@@ -161,8 +161,12 @@ def every_key() -> dict[str, Any]:
         "walls": {
             "near": far | {"point_m": [0.8, -1.1], "normal": [0.0, 1.0], "given_at": "centre"},
             "far": far,
+            "board": far
+            | {"point_m": [-1.4, 1.4], "normal": [1.0, 0.0], "length_m": 0.4, "thickness_m": 0.012},
         },
-        "simulated_walls": {"unknown": far | {"point_m": [-1.9, 0.0], "normal": [1.0, 0.0]}},
+        "simulated_walls": {
+            "unknown": far | {"point_m": [-1.9, 0.0], "normal": [1.0, 0.0], "thickness_m": 0.02}
+        },
         "posts": {"pole": {"centre_m": [-1.5, -1.0], "radius_m": 0.05, "material": "acrylic"}},
         "transit_mode": "rigid",
         "collisions": [
