@@ -120,10 +120,16 @@ def test_processes_that_cannot_start_raise_a_flight_error() -> None:
         list(work(DiesOnUnpickling(), range(5), 2, Interrupt()))
 
 
+def first_at_once(n: int) -> int:
+    """Return the square, and only the first without delay: the others still run when the first is there."""
+    time.sleep(2.0 if n else 0.0)
+    return n * n
+
+
 def test_an_interrupt_is_announced_and_lets_running_items_finish() -> None:
     announced: list[int] = []
     with Interrupt(announced.append) as interrupt:
-        results = work(square, range(1000), 2, interrupt)
+        results = work(first_at_once, range(1000), 2, interrupt)
         found = [next(results)]
         os.kill(os.getpid(), signal.SIGINT)
         found += results
@@ -135,7 +141,7 @@ def test_an_interrupt_is_announced_and_lets_running_items_finish() -> None:
 
 def test_a_second_interrupt_abandons_running_items() -> None:
     with Interrupt() as interrupt:
-        results = work(square, range(1000), 2, interrupt)
+        results = work(first_at_once, range(1000), 2, interrupt)
         next(results)
         os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGINT)
