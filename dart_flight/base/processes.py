@@ -55,7 +55,7 @@ def exit_within(status: int, patience_s: float) -> NoReturn:
         time.sleep(patience_s)
         names = [one.name for one in threading.enumerate() if not one.daemon and one.is_alive()]
         with contextlib.suppress(OSError):
-            os.write(2, f"ended by force, kept by: {', '.join(names)}\n".encode())
+            os.write(2, f"forced exit; threads still running: {', '.join(names) or 'none'}\n".encode())
         os._exit(status)
 
     threading.Thread(target=end, name="exit", daemon=True).start()

@@ -18,9 +18,9 @@ move past the wall's end and then behind the surface. This guard touches nothing
 surface again. While the surface presses one of a bar's guards, this guard carries the load, and the bar
 touches no edge.
 
-The same holds for several walls. A guard that is deeper in a face than a partition is thick has not passed
-through the partition: the other face cannot press this guard. A bar that already rests on one wall touches
-no edge of another.
+The same holds for several walls. If a guard's depth in a face exceeds the partition's thickness, the guard
+has not passed through the partition, and the other face cannot press it. A bar that already
+rests on one wall touches no edge of another.
 """
 
 from __future__ import annotations

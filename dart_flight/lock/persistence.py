@@ -151,7 +151,7 @@ class ServoDevice(NamedTuple):
 
     Attributes:
         key: the same text for every name of the same hardware, and different for other hardware.
-        words: name of the hardware for people.
+        words: name of the hardware in messages.
     """
 
     key: str

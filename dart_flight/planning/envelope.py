@@ -145,7 +145,7 @@ def heights_flown_m(normal_m_s: float, mode: Mode) -> tuple[float, float]:
 
 
 def is_leaned(mission: Mission, collision: Collision) -> bool:
-    """Return whether the vehicle leans against the height of the guards, which an earlier touch measured.
+    """Return whether the vehicle leans to compensate the guards' height, which an earlier touch measured.
 
     It does so before an impact at the end of a trajectory of the mission (docs/replanning.md).
     """

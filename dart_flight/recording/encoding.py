@@ -53,7 +53,7 @@ def _spell(value: Any) -> Any:
 
 
 def _restore(value: Any, kind: Any) -> Any:
-    """Return a value of JSON with what `encode` has left out or spelled, also in nested records.
+    """Restore omitted None values and spelled numbers, also in nested records.
 
     Each field without a default that is missing becomes None, and a spelled number becomes a float.
     """

@@ -430,15 +430,15 @@ class FlightApp:
                         self._options.progress(self._shown.popleft())
 
     async def _watch(self, session: VehicleSession) -> None:
-        said = False
+        reported = False
         while not self._done.is_set():
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._done.wait(), _LOOK_PERIOD_S)
             await session.detect_other_autopilot()
             problem = self._bridge.missing if self._bridge is not None else None
-            if problem is not None and not said:
+            if problem is not None and not reported:
                 self._warn(session, f"no poses: {problem}")
-            said = problem is not None
+            reported = problem is not None
             if self._world is not None and self._world.died and not self._done.is_set():
                 self._core.put(OperatorRequest(self._host_us(), Request.WORLD_DIED, self._world.cause))
         await asyncio.sleep(_END_GRACE_S)

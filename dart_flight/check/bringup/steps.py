@@ -325,12 +325,12 @@ class Bringup(CheckContext[StepFinding]):
         """Compare the poses with gyro and accelerometer while the operator moves the vehicle."""
         t, config = self._telemetry, self._mission.vehicle.mocap
         t.clear()
-        said = False
+        reported = False
 
         def find_tracked() -> bool | None:
-            nonlocal said
-            if not said and (problem := link.pose_problem) is not None:
-                said = True
+            nonlocal reported
+            if not reported and (problem := link.pose_problem) is not None:
+                reported = True
                 self._operator.instruct(f"No poses yet: {problem}.")
             return any(p.tracked for p in t.poses) or None
 

@@ -200,7 +200,7 @@ class Guard:
             self._apply_reason(rule, detail)
 
     def _apply_reason(self, rule: Rule, detail: str) -> None:
-        """Give `rule` as the reason, unless an earlier rule decided that `rule` does not explain.
+        """Make `rule` the reason, unless the present reason is a rule that `rule` does not explain.
 
         A release ends the program's control, so it always has its own reason.
         """

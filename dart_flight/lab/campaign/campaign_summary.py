@@ -48,7 +48,7 @@ _OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
 class FigureSpread(msgspec.Struct, frozen=True):
     """The distribution of one numerical result of a campaign. Flights without this result are left out.
 
-    Percentiles and `most` count by magnitude, so that the most of the normal velocities is the fastest hit.
+    Percentiles and `most` count by magnitude, so `most` of the normal velocities is the fastest hit.
     """
 
     flights: int

@@ -211,7 +211,7 @@ class _Watch(FlightWatch):
         self._console.print(line, soft_wrap=True)
 
     def fly(self, mission: Mission, seeds: list[int], spreads: dict[str, float], done: Done) -> list[Verdict]:
-        """Fly on all cores, and say at once what an interrupt ends."""
+        """Fly on all cores, and report an interrupt at once."""
         return fly_on_all_cores(mission, seeds, spreads, done, self._interrupted)
 
     def end(self, output: Path | None) -> int:

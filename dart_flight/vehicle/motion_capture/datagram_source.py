@@ -52,8 +52,8 @@ class DatagramSource:
         card, group = card_address(address), is_group(host)
         if card is not None and not group:
             raise InputError(
-                f"mocap URL {address.url}: {host} is no multicast group; without ?interface= the source "
-                "listens at this address of this computer, and at 0.0.0.0 on every card"
+                f"mocap URL {address.url}: {host} is no multicast group: remove ?interface=, and give an "
+                "address of this computer, or 0.0.0.0 for all"
             )
         self.place = f"listening at {host}:{port}"
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

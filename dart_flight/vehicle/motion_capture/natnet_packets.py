@@ -1,8 +1,8 @@
 """Decoders of NatNet's packets, for protocol versions 2 to 4: the server, its rigid bodies, and a frame.
 
 The layout is taken from the NatNet SDK's public documentation and headers. All values are little-endian. The
-program needs one rigid body and skips all other assets, because assets that it cannot decode must not cost
-the body its poses. Since version 4.1 each description and each list of a frame has its size. In older
+program needs one rigid body and skips all other assets, because an asset that it cannot decode must not hide
+the body. Since version 4.1 each description and each list of a frame has its size. In older
 streams everything before the rigid body must be decoded.
 """
 

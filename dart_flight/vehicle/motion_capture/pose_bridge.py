@@ -153,8 +153,8 @@ class Stamps:
     The stamps are usable once two successive frames have stamps that differ by less than 0.1 s. Until then
     the vehicle has not taken off. Stamps that stop later are a loss of the poses.
 
-    If that does not happen, although the source sends different frames (an empty stamp, whole seconds, the
-    number of the frame), the poses count by their time of arrival.
+    If no such pair arrives although the frames differ (empty stamps, whole seconds, frame numbers), the
+    bridge uses the time of arrival.
 
     Attributes:
         usable: whether the stamps are usable; None: not decided.
