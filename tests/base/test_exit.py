@@ -32,4 +32,4 @@ def test_a_program_ends_with_its_status_although_something_keeps_it(kept_by: str
     assert done.stdout == "verdict\n"
     # Only SIGALRM ends a process whose interpreter is blocked.
     assert done.returncode == (-14 if "in C" in kept_by else 7)
-    assert ("kept by: " in done.stderr) == (kept_by not in ("nothing",) and "in C" not in kept_by)
+    assert ("forced exit; " in done.stderr) == (kept_by not in ("nothing",) and "in C" not in kept_by)
