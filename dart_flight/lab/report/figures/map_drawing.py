@@ -34,7 +34,7 @@ def draw_room(axis: Any, mission: Mission) -> None:
         label="bounds_m",
     )  # fmt: skip
     for wall in mission.flat_walls:
-        draw_wall(axis, wall, mission.vehicle.airframe, _thickness_m(mission, wall))
+        draw_wall(axis, wall, mission.vehicle.airframe, drawn_thickness_m(mission, wall))
     around = np.linspace(0.0, 2.0 * math.pi, 49)
     for post in mission.posts:
         (cx, cy), r = post.centre, post.radius_m
@@ -89,7 +89,7 @@ def room_lines(mission: Mission) -> list[Array]:
     found = [np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])]
     for wall in mission.flat_walls:
         surface = mission.vehicle.airframe.wall_surface(wall)
-        back_m = _thickness_m(mission, wall)
+        back_m = drawn_thickness_m(mission, wall)
         found += [np.array(wall.ends), *(
             np.array(surface.displaced(-share * back_m).ends) for share in (0.0, 0.5, 1.0)
         )]  # fmt: skip
@@ -130,7 +130,7 @@ def _gap_behind_m(mission: Mission, wall: Wall) -> float:
     return max(0.0, min(gaps))
 
 
-def _thickness_m(mission: Mission, wall: Wall) -> float:
+def drawn_thickness_m(mission: Mission, wall: Wall) -> float:
     """Return the thickness with which to draw a wall.
 
     If the wall is one face of a partition, the result is at most half of the partition's thickness.

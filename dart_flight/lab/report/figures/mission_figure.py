@@ -28,12 +28,12 @@ from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.report.figures.labels import Label, place_labels
 from dart_flight.lab.report.figures.map_drawing import (
     LONGEST_ARROW_M,
-    THICKNESS_M,
     along,
     draw_arrow,
     draw_hit,
     draw_north,
     draw_room,
+    drawn_thickness_m,
     fit_map,
     name_hits,
     name_walls,
@@ -297,8 +297,11 @@ def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top
     out = mission.vehicle.airframe.contact_distance_m
     for wall in mission.walls:
         nx, ny = wall.normal
-        surface = mission.vehicle.airframe.wall_surface(wall).ends
-        ends = [x - back * nx for x, _ in surface for back in (0.0, THICKNESS_M)]
+        surface, thickness_m = (
+            mission.vehicle.airframe.wall_surface(wall).ends,
+            drawn_thickness_m(mission, wall),
+        )
+        ends = [x - back * nx for x, _ in surface for back in (0.0, thickness_m)]
         seen_from_side = abs(ny) < _EDGE_ON
         style = {"hatch": "////", "facecolor": "#dcdcdc"} if seen_from_side else {"facecolor": "#f1f1f1"}
         axis.fill_between(
