@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from functools import partial
+from pathlib import Path
 
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_set_option, whole_number
 from dart_flight.cli.terminal import messages
 from dart_flight.cli.vehicle_line import print_vehicle
-from dart_flight.config.mission import load_empty_room, load_mission
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import Mission, load_empty_room, load_mission, parse_mission
+from dart_flight.config.provenance import find_vehicle
+from dart_flight.config.vehicle import packaged
 from dart_flight.sim.pipe import require_mavlink
 from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name
 
 GROUND_STATION_PORT = 14550
+_DEFAULT_ROOM = Path("missions/dual_collision.yaml")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +27,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "mission",
         metavar="MISSION",
         nargs="?",
-        help="mission that gives walls and start (default: an empty room)",
+        help=f"mission that gives walls and start (default: {_DEFAULT_ROOM} if the vehicle can fly it, "
+        "otherwise an empty room)",
     )
     parser.add_argument(
         "--port",
@@ -41,8 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     require_mavlink()
     from dart_flight.sim.standalone import VehiclePortLease, run_vehicle
 
-    load = partial(load_mission, arguments.mission) if arguments.mission else load_empty_room
-    mission = load(arguments.config, arguments.set)
+    mission = _load_room(arguments)
     console = messages()
     print_vehicle(mission.flown_vehicle(), arguments)
     with contextlib.ExitStack() as held:
@@ -59,19 +63,19 @@ def run(arguments: argparse.Namespace) -> int:
                 f"no messages go to UDP port {GROUND_STATION_PORT}: {error.message}", soft_wrap=True
             )
         lock = mission.vehicle.lock
+        flown = arguments.mission or (_DEFAULT_ROOM if mission.walls else "MISSION")
         servo = (
             "" if lock is None else f"; its lock servo listens to PX4's actuator {lock.px4.actuator_index}"
         )
         driver = "" if lock is None else "--driver px4 "
-        where = f"for {mission.name}" if arguments.mission else "in an empty room"
+        where = f"for {mission.name}" if mission.walls else "in an empty room"
         console.print(
             f"the simulated vehicle {where} sends to UDP {' and '.join(map(str, ports))}"
             f"{servo}. In another terminal:",
             soft_wrap=True,
         )
         console.print(
-            f"  dart-flight fly {arguments.mission or 'MISSION'} {driver}"
-            f"--connection udpin://127.0.0.1:{arguments.port}",
+            f"  dart-flight fly {flown} {driver}--connection udpin://127.0.0.1:{arguments.port}",
             soft_wrap=True,
         )
         viewer = held.enter_context(live_view(arguments, mission, from_truth=True)) or (lambda record: None)
@@ -84,3 +88,14 @@ def run(arguments: argparse.Namespace) -> int:
             viewer,
         )
     return 0
+
+
+def _load_room(arguments: argparse.Namespace) -> Mission:
+    """Return the mission that gives walls and start."""
+    if arguments.mission is not None:
+        return load_mission(arguments.mission, arguments.config, arguments.set)
+    vehicle = find_vehicle(arguments.config, arguments.set)
+    try:
+        return parse_mission(Document.load(packaged(*_DEFAULT_ROOM.parts)), vehicle)
+    except InputError:  # a vehicle without a lock, or without these materials, cannot fly it
+        return load_empty_room(arguments.config, arguments.set)

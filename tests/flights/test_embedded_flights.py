@@ -122,7 +122,7 @@ def test_a_hexarotor_completes_a_collision_through_mavsdk(commanded: LiveFlights
 @pytest.mark.realtime
 @pytest.mark.mavlink
 def test_fly_completes_on_a_vehicle_simulated_in_another_process(commanded: LiveFlights) -> None:
-    # This is the README's flight, which tests/docs shares.
+    # `simulate` without a mission gives this room.
     mission = "missions/dual_collision.yaml"
     fly = f"dart-flight fly {mission} --driver px4 --connection udpin://127.0.0.1:14540"
     done = commanded(fly, "dart-flight simulate")
