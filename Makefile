@@ -1,5 +1,5 @@
-# For a newcomer: `make dry-run` flies, `make install` adds what reports, plans and fits need, `make test` runs
-# every check. Each sets up .venv itself.
+# For a newcomer: `make dry-run` flies, `make install` adds what reports, plans and fits need, `make test` checks
+# every public behaviour, `make test-all` everything. Each sets up .venv itself.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,7 +8,7 @@ FLYING := $(VENV)/.installed-to-fly
 FULL := $(VENV)/.installed-in-full
 MISSION ?= missions/dual_collision.yaml
 
-.PHONY: dry-run install test bench campaign compiled wheels docs format clean
+.PHONY: dry-run install test test-rest test-all bench campaign compiled wheels docs format clean
 .DEFAULT_GOAL := test
 
 $(VENV)/bin/python:
@@ -36,9 +36,15 @@ dry-run: $(FLYING)  # installs only what a dry-run needs
 install: $(FULL)
 
 # Hundreds of processes: without bytecode on the disk each of them would compile the package once more.
-test: export PYTHONDONTWRITEBYTECODE :=
+test test-rest: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(BIN)/python -m tools.run_tests
+
+test-rest: $(STAMP)  # real time, PX4, campaigns, recipes and pages that fly
+	$(BIN)/python -m tools.run_tests --rest
+
+test-all:  # the rest too if `make test` fails
+	@status=0; $(MAKE) test || status=1; $(MAKE) test-rest || status=1; exit $$status
 
 bench: $(STAMP)
 	$(BIN)/python -m tools.bench.__main__

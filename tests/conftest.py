@@ -11,6 +11,7 @@ from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
 import dart_flight  # noqa: F401  before NumPy: it sets the number of its threads
+from tests.real_time import TooSlow
 from tests.shared_flights import commanded, flown
 
 __all__ = ["commanded", "flown"]
@@ -21,6 +22,7 @@ providers._get_local_constants = lambda: providers._local_constants
 settings.register_profile("ci", derandomize=True, deadline=None, max_examples=100)
 settings.load_profile("ci")
 
+COLLECTED = pytest.StashKey[dict[str, set[str]]]()
 _NAP_S = 0.005
 _LATE_S = 0.03  # a program that runs this much too late cannot fly in real time
 _IDLE_SHARE = 0.1  # required share of processor time, because real-time tests mostly wait
@@ -74,10 +76,9 @@ def _skipped_if_busy(item: pytest.Item) -> Generator[None, None, None]:
     watch = LoadWatch()
     try:
         return (yield)
-    except (Exception, pytest.fail.Exception) as error:
+    except TooSlow as error:
         if problem := watch.problem():
-            failure = next(iter(str(error).splitlines()), type(error).__name__)
-            pytest.skip(f"real time: {problem}; failed: {failure}")
+            pytest.skip(f"real time: {problem}; {error}")
         raise
     finally:
         watch.stop()
@@ -85,17 +86,23 @@ def _skipped_if_busy(item: pytest.Item) -> Generator[None, None, None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None, None, None]:
-    """Skip a real-time test if its fixtures fail while the computer is busy."""
+    """Skip a real-time test if its fixtures exceed a limit of time while the computer is busy."""
     return (yield from _skipped_if_busy(item))
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
-    """Skip a real-time test if it fails while the computer is too busy for real time.
+    """Skip a real-time test if it exceeds a limit of time while the computer is too busy for real time.
 
-    Such a failure says nothing about the program. On an idle computer, the failure counts.
+    On an idle computer the failure counts, and so does every other failure.
     """
     return (yield from _skipped_if_busy(item))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Note the marks of all collected tests, before `-m` deselects some."""
+    config.stash[COLLECTED] = {item.nodeid: {mark.name for mark in item.iter_markers()} for item in items}
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

@@ -24,6 +24,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.fault_table import parse_fault
 from tests.doubles.ports import free_udp_port
+from tests.real_time import run_within
 
 ROOT = Path(__file__).parents[1]
 VERDICT, COMMANDED = "verdict.json", "said.json"
@@ -145,15 +146,7 @@ class LiveFlights:
                 command = f"{command.replace('14540', port)} --yes --json"
                 simulate = f"{simulate.replace(' --port 14540', '')} --port {port}"
                 stack.enter_context(_in_parallel(simulate, lab, environment))
-            done = subprocess.run(
-                ["bash", "-c", command],
-                cwd=lab,
-                env=environment,
-                capture_output=True,
-                text=True,
-                timeout=120,
-                check=False,
-            )
+            done = run_within(120.0, ["bash", "-c", command], cwd=lab, env=environment)
         result = Commanded(str(lab), done.returncode, done.stdout, done.stderr)
         (folder / COMMANDED).write_bytes(msgspec.json.encode(result))
 

@@ -1,8 +1,9 @@
-"""`make test` runs two groups of commands in parallel, counts both, and leaves no process behind."""
+"""`make test` and `make test-rest`: each test runs in one of them, and they leave no process behind."""
 
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -10,6 +11,10 @@ import time
 from pathlib import Path
 
 import pytest
+from _pytest.mark.expression import Expression  # pytest has no public name for it
+
+from tests.conftest import COLLECTED
+from tools import run_tests
 
 ROOT = Path(__file__).parents[1]
 GOOD, BAD = "timeit -n 1 -r 1 pass", "py_compile there-is-no-such-file.py"
@@ -19,6 +24,37 @@ PRINTS = "timeit -n 1 -r 1 'print(chr(123), 1, chr(125))'"
 def run_both(first: list[str], others: list[str]) -> subprocess.CompletedProcess[str]:
     code = f"import sys; from tools.run_tests import run_both; sys.exit(not run_both({first}, {others}))"
     return subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+class Selection:
+    """The tests that a pytest command of `tools.run_tests` selects."""
+
+    def __init__(self, command: str) -> None:
+        words = shlex.split(command)
+        self._marks = Expression.compile(words[words.index("-m") + 1])
+        self._paths = tuple(word for word in words if word.startswith("tests/"))
+
+    def __call__(self, test: str, marks: set[str]) -> bool:
+        chosen = self._marks.evaluate(lambda mark, /, **_: mark in marks)
+        return chosen and test.startswith(self._paths or "tests/")
+
+
+def test_every_test_runs_in_exactly_one_of_the_two_commands(request: pytest.FixtureRequest) -> None:
+    stages = [Selection(command) for command in run_tests.TESTS + run_tests.REST_TESTS]
+    collected = request.config.stash[COLLECTED]
+    wrong = {
+        test: count
+        for test, marks in collected.items()
+        if (count := sum(stage(test, marks) for stage in stages)) != 1
+    }
+    assert collected
+    assert wrong == {}
+
+
+def test_a_test_in_real_time_outside_the_stages_files_would_be_found() -> None:
+    stages = [Selection(command) for command in run_tests.REST_TESTS]
+    assert not any(stage("tests/base/test_new.py::test_new", {"realtime"}) for stage in stages)
+    assert not any(stage("tests/base/test_new.py::test_new", {"px4"}) for stage in stages)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +85,7 @@ def test_an_interrupted_run_leaves_no_process_behind(
         for _ in range(2)
     ]
     code = "import sys; from tools import run_tests as r; r._PATIENCE_S = 1.0; "
-    code += f"r.LINT, r.REAL_TIME, r.TESTS, r.TYPES = (), (), *{[[sleep] for sleep in sleeps]}; "
+    code += f"r.LINT, r.TESTS, r.TYPES = (), *{[[sleep] for sleep in sleeps]}; "
     code += "sys.exit(r.main([]))"
     process = subprocess.Popen(
         [sys.executable, "-c", code],

@@ -1,10 +1,11 @@
-"""`make test`: lint, types and all tests.
+"""`make test` and `make test-rest`: each test runs in one of the two.
 
-    python -m tools.run_tests
+    python -m tools.run_tests          lint, types, and the tests without a mark of `REST`
+    python -m tools.run_tests --rest   tests in real time, the other marked ones, and PX4
 
-Real-time tests run first and alone. If such a test fails while the computer is too busy, it counts as
-skipped. All other tests run in simulated time and pass at any load. Types are checked in parallel. Ctrl-C
-ends everything.
+Real-time tests run first and alone. If such a test exceeds a limit of time while the computer is busy, it
+counts as skipped. All other tests run in simulated time and pass at any load. Types are checked in parallel.
+Ctrl-C ends everything.
 """
 
 from __future__ import annotations
@@ -22,15 +23,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO
 
-IN_BACKGROUND = "--behind"
+IN_BACKGROUND, THE_REST = "--behind", "--rest"
 _PATIENCE_S = 20.0
 LINT = ("ruff format --check .", "ruff check .")
+REST = "realtime or px4 or rest"
 _MARKED = [
     str(path) for path in sorted(Path("tests").rglob("test_*.py")) if "realtime" in path.read_text("utf-8")
 ]
+TESTS = (f"pytest -m 'not ({REST})' -n auto --dist worksteal -rs",)
 # Four workers because the tests mostly wait. Each collects only the files that name the mark.
-REAL_TIME = (f"pytest -m 'realtime and not px4' -n 4 --dist worksteal -rs {' '.join(_MARKED)}",)
-TESTS = ("pytest -m 'not realtime and not px4' -n auto --dist worksteal -rs", "pytest -m px4 -rs tests/px4")
+REAL_TIME = f"pytest -m 'realtime and not px4' -n 4 --dist worksteal -rs {' '.join(_MARKED)}"
+REST_TESTS = (
+    REAL_TIME,
+    "pytest -m 'rest and not realtime and not px4' -n auto --dist worksteal -rs",
+    "pytest -m px4 -rs tests/px4",
+)
 TYPES = ("mypy",)
 
 
@@ -99,9 +106,10 @@ def main(arguments: Sequence[str]) -> int:
     try:
         if arguments[:1] == [IN_BACKGROUND]:
             good = run(arguments[1:])
+        elif arguments == [THE_REST]:
+            good = run(REST_TESTS)
         else:
-            good = run(LINT) and run(REAL_TIME)
-            good &= run_both(TESTS, TYPES)
+            good = run(LINT) and run_both(TESTS, TYPES)
     except KeyboardInterrupt:
         good = False
     return 0 if good else 1

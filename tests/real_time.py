@@ -1,0 +1,65 @@
+"""Limits of time in tests. Only a limit that is exceeded while the computer is busy counts as skipped."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+# Rules of the guard that judge the arrival of messages by the computer's clock.
+LATENESS_RULES = (
+    "link_lost",
+    "imu_silent",
+    "attitude_silent",
+    "odometry_silent",
+    "actuator_silent",
+    "status_silent",
+    "stream_rate",
+    "telemetry_late_ground",
+    "telemetry_late",
+    "world_died",
+)
+_T = TypeVar("_T")
+
+
+class TooSlow(AssertionError):  # noqa: N818  the name says what happened
+    """The program, or this computer, exceeded a limit of time."""
+
+
+def wait_until(condition: Callable[[], _T], seconds: float, what: str) -> _T:
+    """Return the first true value of `condition`, which is asked every 20 ms.
+
+    Raises:
+        TooSlow: no value was true within `seconds`.
+    """
+    until = time.monotonic() + seconds
+    while not (value := condition()):
+        if time.monotonic() > until:
+            raise TooSlow(f"{what}: not within {seconds:g} s")
+        time.sleep(0.02)
+    return value
+
+
+def run_within(seconds: float, words: Sequence[str], **options: Any) -> subprocess.CompletedProcess[str]:
+    """Return the result of a command, with its output as text.
+
+    Raises:
+        TooSlow: the command did not end within `seconds`.
+    """
+    try:
+        return subprocess.run(words, timeout=seconds, text=True, capture_output=True, check=False, **options)
+    except subprocess.TimeoutExpired as error:
+        raise TooSlow(f"{words[-1]}: not ended within {seconds:g} s") from error
+
+
+def assert_flown(outcome: str, reason: str | None, wanted: str = "completed") -> None:
+    """Assert the outcome of a flight in real time.
+
+    Raises:
+        TooSlow: the flight ended by a rule that judges the computer's lateness.
+        AssertionError: the flight ended otherwise.
+    """
+    if outcome != wanted:
+        rule = (reason or "").partition(":")[0]
+        raise (TooSlow if rule in LATENESS_RULES else AssertionError)(f"{outcome}: {reason}")
