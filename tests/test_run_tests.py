@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shlex
 import signal
@@ -14,7 +15,6 @@ import pytest
 from _pytest.mark.expression import Expression  # pytest has no public name for it
 
 from tests.conftest import COLLECTED
-from tools import run_tests
 
 ROOT = Path(__file__).parents[1]
 GOOD, BAD = "timeit -n 1 -r 1 pass", "py_compile there-is-no-such-file.py"
@@ -24,6 +24,14 @@ PRINTS = "timeit -n 1 -r 1 'print(chr(123), 1, chr(125))'"
 def run_both(first: list[str], others: list[str]) -> subprocess.CompletedProcess[str]:
     code = f"import sys; from tools.run_tests import run_both; sys.exit(not run_both({first}, {others}))"
     return subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@functools.cache
+def stages() -> list[Selection]:
+    """Return what the pytest commands of both select."""
+    words = [sys.executable, "-m", "tools.run_tests", "--list"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+    return [Selection(command) for command in done.stdout.splitlines()]
 
 
 class Selection:
@@ -40,21 +48,19 @@ class Selection:
 
 
 def test_every_test_runs_in_exactly_one_of_the_two_commands(request: pytest.FixtureRequest) -> None:
-    stages = [Selection(command) for command in run_tests.TESTS + run_tests.REST_TESTS]
     collected = request.config.stash[COLLECTED]
     wrong = {
         test: count
         for test, marks in collected.items()
-        if (count := sum(stage(test, marks) for stage in stages)) != 1
+        if (count := sum(stage(test, marks) for stage in stages())) != 1
     }
     assert collected
     assert wrong == {}
 
 
 def test_a_test_in_real_time_outside_the_stages_files_would_be_found() -> None:
-    stages = [Selection(command) for command in run_tests.REST_TESTS]
-    assert not any(stage("tests/base/test_new.py::test_new", {"realtime"}) for stage in stages)
-    assert not any(stage("tests/base/test_new.py::test_new", {"px4"}) for stage in stages)
+    assert not any(stage("tests/base/test_new.py::test_new", {"realtime"}) for stage in stages())
+    assert not any(stage("tests/base/test_new.py::test_new", {"px4"}) for stage in stages())
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
     python -m tools.run_tests          lint, types, and the tests without a mark of `REST`
     python -m tools.run_tests --rest   tests in real time, the other marked ones, and PX4
+    python -m tools.run_tests --list   print the pytest commands of both
 
 Real-time tests run first and alone. If such a test exceeds a limit of time while the computer is busy, it
 counts as skipped. All other tests run in simulated time and pass at any load. Types are checked in parallel.
@@ -23,7 +24,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO
 
-IN_BACKGROUND, THE_REST = "--behind", "--rest"
+IN_BACKGROUND, THE_REST, LIST = "--behind", "--rest", "--list"
 _PATIENCE_S = 20.0
 LINT = ("ruff format --check .", "ruff check .")
 REST = "realtime or px4 or rest"
@@ -106,6 +107,9 @@ def main(arguments: Sequence[str]) -> int:
     try:
         if arguments[:1] == [IN_BACKGROUND]:
             good = run(arguments[1:])
+        elif arguments == [LIST]:
+            print(*TESTS, *REST_TESTS, sep="\n")
+            good = True
         elif arguments == [THE_REST]:
             good = run(REST_TESTS)
         else:
