@@ -277,9 +277,17 @@ def _check_envelope(
 
 
 def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
-    """Check the guard's conditions: the vehicle stays within the bounds and could stop within them."""
+    """Check the guard's conditions on speed and place: the vehicle could also stop within the bounds."""
     if planned is None:
         return []
+    fastest = max(_states(mission, planned), key=lambda state: math.hypot(*state[2:]), default=(0.0,) * 4)
+    speed_m_s, limit = math.hypot(*fastest[2:]), mission.limits.speed_m_s
+    if speed_m_s > limit:
+        says = (
+            f"the predicted path reaches {speed_m_s:.2f} m/s near ({fastest[0]:.2f}, {fastest[1]:.2f}), "
+            f"limits.speed_m_s is {limit:g}"
+        )
+        return [CheckFinding("path", False, says)]
     worst, where, stops = 0.0, (0.0, 0.0), False
     for x, y, vx, vy in _states(mission, planned):
         share = STOP_TIME_S * stop_share(mission.walls, (x, y), (vx, vy))
