@@ -1,8 +1,9 @@
 """Campaign: mutants of the core by cosmic-ray, drawn by a seed, and the tests that detect them.
 
 Within a file, every kind of change is drawn with the same probability. The mutant is written into a copy of
-the tree, where the core's tests run until the first failure. If no test fails, the mutant has survived. The
-author then adds a test for it, or docs/results/mutants.md explains why no test is needed.
+the tree, where the tests of `make test` run until the first failure, and then those of `make test-rest`. If
+no test fails, the mutant has survived. The author then adds a test for it, or docs/results/mutants.md
+explains why no test is needed. Tests with sockets, real time or PX4 do not run.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from cosmic_ray.work_item import TestOutcome
 
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
+from dart_flight.lab.statistics import wilson
 from tools.campaigns.results import ROOT, markdown
 
 _MUTATED = ("dart_flight/core/*/*.py", "dart_flight/core/*.py", "dart_flight/run/core_thread.py")
@@ -42,22 +44,28 @@ _KINDS = {
     "constant": ["NumberReplacer", "ReplaceTrueWithFalse", "ReplaceFalseWithTrue"],
     "loop": ["ZeroIterationForLoop", "ReplaceBreakWithContinue", "ReplaceContinueWithBreak"],
 }
-# The tests that detect most mutants in the shortest time come first.
+# The tests that detect most mutants in the shortest time come first; pytest runs each test once.
 _TESTS = """tests/recording/test_recorded_flights.py::test_a_replayed_flight_makes_the_recorded_decisions
-    tests/core tests/run tests/flights tests/recording tests/planning tests/faults/test_matrix.py"""
+    tests/core tests/run tests/flights tests/recording tests/planning tests/faults tests/sim tests/lab
+    tests"""
+_COMMANDS = {"test": "not rest", "test-rest": "rest"}
 _COPIED = ("dart_flight", "tests", "tools", "configs", "missions", "docs", "pyproject.toml")
 _LONGEST_S = 3600.0
 _LEAST_CHANGE = 1e-3  # of a number, relative; one microsecond of a second shows nowhere
 
 
 class Mutant(msgspec.Struct, frozen=True):
-    """One mutant: place, line before and after the change, and the test that detected it, or ""."""
+    """One mutant: place, line before and after the change, and the test that detected it, or "".
+
+    `command` is the first of `_COMMANDS` that detected the mutant, or "".
+    """
 
     place: str
     kind: str
     before: str
     after: str
     detected_by: str
+    command: str
 
 
 def mutations(file: Path) -> Iterator[tuple[str, str, int, int]]:
@@ -89,20 +97,27 @@ def try_mutant(_: Point, seed: int) -> Mutant:
             else:
                 shutil.copy(ROOT / name, tree)
         (Path(tree) / path).write_text(after, "utf-8")
-        options = (
-            "-x -q -p no:cacheprovider --no-header --tb=no -n 0 -m 'not mavlink and not px4 and not realtime'"
-        )
-        command = f"env --chdir={tree} PYTHONPATH={tree} {sys.executable} -m pytest {options} {_TESTS}"
-        outcome, output = run_tests(command, _LONGEST_S)
-    failed = [text.split()[1] for text in output.splitlines() if text.startswith(("FAILED", "ERROR"))]
-    detected_by = "" if outcome is TestOutcome.SURVIVED else (failed or [output.strip()[-80:]])[0]
+        command, detected_by = _first_detection(Path(tree))
+    if not seed:
+        return Mutant("", "", "", "", detected_by, command)
     pairs = zip(before.splitlines(), after.splitlines(), strict=False)
     old_line, new_line = next(((a.strip(), b.strip()) for a, b in pairs if a != b), ("", ""))
-    return (
-        Mutant(f"{path}:{drawn[3]}", kind, old_line, new_line, detected_by)
-        if seed
-        else Mutant("", "", "", "", detected_by)
-    )
+    return Mutant(f"{path}:{drawn[3]}", kind, old_line, new_line, detected_by, command)
+
+
+def _first_detection(tree: Path) -> tuple[str, str]:
+    """Return the first command whose tests fail in a tree, and the failed test, or two empty texts."""
+    options = "-x -q -p no:cacheprovider --no-header --tb=no -n 0"
+    environment = f"env --chdir={tree} PYTHONPATH={tree}"
+    for command, marks in _COMMANDS.items():
+        marks = f"({marks}) and not mavlink and not px4 and not realtime"
+        words = f"{environment} {sys.executable} -m pytest {options} -m '{marks}' {_TESTS}"
+        outcome, output = run_tests(words, _LONGEST_S)
+        if outcome is not TestOutcome.SURVIVED:
+            lines = output.splitlines()
+            failed = [text.split()[1] for text in lines if text.startswith(("FAILED", "ERROR"))]
+            return command, (failed or [output.strip()[-80:]])[0]
+    return "", ""
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
@@ -116,10 +131,16 @@ def page(rows: Sequence[JudgedRow]) -> str:
     ]
     detections = Counter(m.detected_by.partition("[")[0] for m in mutants if m.detected_by)
     survivors = [(m.place, m.kind, f"`{m.before}`", f"`{m.after}`") for m in undetected]
+    by_command = [
+        (f"`make {name}`", str(len(mutants)), str(found), f"{100 * low:.0f} to {100 * high:.0f} %")
+        for name, commands in (("test", ("test",)), ("test-all", tuple(_COMMANDS)))
+        for found in [sum(m.command in commands for m in mutants)]
+        for low, high in [wilson(found, len(mutants))]
+    ]
     return "\n".join(
         [
             *baseline_failures,
-            f"{len(mutants) - len(undetected)} of {len(mutants)} detected.\n",
+            markdown(("command", "mutants", "detected", "share, 95 % interval"), by_command),
             markdown(("survivor", "kind", "before", "after"), survivors),
             markdown(("test", "mutants"), [(name, str(count)) for name, count in detections.most_common()]),
         ]
