@@ -9,12 +9,10 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -22,49 +20,34 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.sim.px4.launch import flight_parameters
+from tests.doubles.scripted_peer import Mavlink, ScriptedPeer, TcpLink
 
 ROOT = Path(__file__).parents[2]
 
 
-class FakePx4:
-    """The client's end of the simulator link.
+class FakePx4(ScriptedPeer):
+    """The client's end of the simulator link; while the context is open, it answers every HIL_SENSOR.
 
     Args:
         port: TCP port of the simulator.
+
+    Attributes:
         controls: actuator controls in every answer.
         armed: whether the answers report an armed vehicle.
     """
 
-    def __init__(self, port: int, controls: tuple[float, ...] = (0.0,) * 16, armed: bool = False) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port))
-        self.controls, self.armed = controls, armed
-        self.received: list[Any] = []
-        self._parser = mavlink.MAVLink(None)
-        self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    def __init__(self, port: int) -> None:
+        super().__init__(
+            TcpLink(port), Mavlink(), {"HIL_SENSOR": lambda sensor: [self.outputs(sensor.time_usec)]}
+        )
+        self.controls: tuple[float, ...] = (0.0,) * 16
+        self.armed = False
 
-    def serve(self, sensors: int, answer: bool = True) -> None:
-        """Receive messages until this number of HIL_SENSOR has arrived, and answer each."""
-        while sensors > 0:
-            data = self.socket.recv(65536)
-            if not data:
-                return
-            for message in self._parser.parse_buffer(data) or []:
-                self.received.append(message)
-                if message.get_type() == "HIL_SENSOR":
-                    sensors -= 1
-                    if answer:
-                        self.answer(message.time_usec)
-
-    def answer(self, time_us: int) -> None:
-        """Send one HIL_ACTUATOR_CONTROLS."""
-        reply = mavlink.MAVLink_hil_actuator_controls_message(
+    def outputs(self, time_us: int) -> mavlink.MAVLink_message:
+        """Return one HIL_ACTUATOR_CONTROLS."""
+        return mavlink.MAVLink_hil_actuator_controls_message(
             time_us, list(self.controls), 128 if self.armed else 0, 1
         )
-        self.socket.sendall(reply.pack(self._pack))
-
-    def close(self) -> None:
-        """Close the connection."""
-        self.socket.close()
 
 
 _CLIENT = """#!/bin/sh
@@ -158,10 +141,11 @@ def main() -> None:
     print("INFO  [px4] Startup script returned successfully", flush=True)
     Path("log/today").mkdir(parents=True)
     Path("log/today/flight.ulg").write_bytes(b"ULog of a fake")
-    if behaviour == "dies":
-        fake.serve(4000)
-        os.kill(os.getpid(), signal.SIGKILL)
-    fake.serve(10_000_000)
+    with fake:
+        if behaviour == "dies":
+            fake.wait_for(lambda: len(fake.received) >= 4000, 60.0, "4000 sensor messages")
+            os.kill(os.getpid(), signal.SIGKILL)
+        fake.ended.wait()
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
 import os
@@ -13,10 +12,8 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.base.records import TruthContact, TruthSample
 from dart_flight.cli import main
@@ -41,7 +38,6 @@ from dart_flight.sim.px4.launch import (
     parse_version,
     select_parameters,
 )
-from tests.doubles import ground_station
 from tests.doubles.fake_px4 import install
 
 MISSION = packaged("missions", "paper_dual_collision.yaml")
@@ -162,28 +158,6 @@ def test_an_instance_whose_lock_file_is_held_by_px4_is_skipped(
     third = claim_instance()  # a leftover file holds no lock
     third.release()
     assert third.number == free.number
-
-
-def test_a_ground_station_arms_the_system_of_its_instance() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as px4:
-        px4.settimeout(5.0)
-        for instance in range(20, 200):
-            with contextlib.suppress(OSError):
-                px4.bind(("127.0.0.1", ground_station.PORT + instance))
-                break
-        arming = threading.Thread(target=ground_station.arm, args=(instance,), daemon=True)
-        arming.start()
-        parser = mavlink.MAVLink(None, srcSystem=instance + 1, srcComponent=1)
-        commands: list[Any] = []
-        while not commands:
-            data, sender = px4.recvfrom(2048)
-            found = parser.parse_buffer(data) or []
-            commands = [message for message in found if message.get_type() == "COMMAND_LONG"]
-        accepted = mavlink.MAVLink_command_ack_message(commands[0].command, mavlink.MAV_RESULT_ACCEPTED)
-        px4.sendto(accepted.pack(parser), sender)
-        arming.join(5.0)
-        assert not arming.is_alive()
-    assert commands[0].target_system == instance + 1
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ class Laboratory:
 
     def wait_for_standby(self, times: int) -> None:
         """Wait until standby holds the link for the nth time, and check that it answers."""
-        self.station.wait_for("standby", times, timeout_s=120.0)
+        self.station.wait_for_text("standby", times, timeout_s=120.0)
         assert self.standby.poll() is None
         assert self.station.press(Button.LAND) == NO
         time.sleep(1.0)  # until standby has received the transmitter's state
@@ -142,50 +142,50 @@ def test_a_day_of_checks_and_flights_completes_from_standby(laboratory: Laborato
     laboratory.wait_for_standby(1)
     # The lock, by button and by switch.
     assert [station.press(b) for b in (Button.LOCK_RIGID, Button.CONTINUE, Button.LAND)] == [OK, NO, NO]
-    station.wait_for("lock rigid: settled")
+    station.wait_for_text("lock rigid: settled")
     assert station.press(Button.LOCK_FLEXIBLE) == OK
-    station.wait_for("lock flexible: settled")
+    station.wait_for_text("lock flexible: settled")
     for pulse_us in (1000, 2000):
         for _ in range(8):
             station.move_switch(CHANNEL, pulse_us)
             time.sleep(0.2)
-    station.wait_for("lock rigid: settled", 2)
+    station.wait_for_text("lock rigid: settled", 2)
     # A check, and a flight that its check refuses.
     assert station.press(Button.CHECK, 1) == OK
-    station.wait_for("one: go", timeout_s=120.0)
+    station.wait_for_text("one: go", timeout_s=120.0)
     laboratory.wait_for_standby(2)
     with pytest.raises(ServoInUseError, match=f"by dart-flight standby, process {laboratory.standby.pid}$"):
         laboratory.own_servo()
     assert station.press(Button.FLY, 9) == NO
     laboratory.fly(3)
-    station.wait_for("three: no-go", timeout_s=120.0)
-    station.wait_for("place: the vehicle is 1.50 m from start")
+    station.wait_for_text("three: no-go", timeout_s=120.0)
+    station.wait_for_text("place: the vehicle is 1.50 m from start")
     laboratory.wait_for_standby(3)
     # Two flights, and between them one whose process is killed.
     laboratory.fly(2)
-    station.wait_for("phase waypoint", timeout_s=120.0)
+    station.wait_for_text("phase waypoint", timeout_s=120.0)
     assert station.press(Button.LOCK_RIGID) == NO, "in flight only the mission moves the lock"
-    station.wait_for("two: completed", timeout_s=120.0)
+    station.wait_for_text("two: completed", timeout_s=120.0)
     laboratory.wait_for_standby(4)
     laboratory.fly(1)
-    station.wait_for("phase waypoint", 2, timeout_s=120.0)
+    station.wait_for_text("phase waypoint", 2, timeout_s=120.0)
     os.kill(laboratory.flight_process(), signal.SIGKILL)
-    station.wait_for("one: the process was killed by SIGKILL: PX4's failsafe flies the vehicle")
+    station.wait_for_text("one: the process was killed by SIGKILL: PX4's failsafe flies the vehicle")
     laboratory.wait_for_standby(5)
     assert station.press(Button.FLY, 1) == NO, "the vehicle is still in the air"
-    station.wait_for("denied: the vehicle is armed")
+    station.wait_for_text("denied: the vehicle is armed")
     station.wait_disarmed()
     time.sleep(1.5)  # until standby has received it as well
     assert station.press(Button.LOCK_FLEXIBLE) == OK
     laboratory.fly(1)
-    station.wait_for("one: completed", timeout_s=120.0)
+    station.wait_for_text("one: completed", timeout_s=120.0)
     laboratory.wait_for_standby(6)
 
 
 def test_ending_standby_lands_its_flight(laboratory: Laboratory) -> None:
     laboratory.wait_for_standby(1)
     laboratory.fly(2)
-    laboratory.station.wait_for("phase waypoint", timeout_s=120.0)
+    laboratory.station.wait_for_text("phase waypoint", timeout_s=120.0)
     with pytest.raises(ServoInUseError, match=f"by dart-flight fly, process {laboratory.flight_process()}$"):
         laboratory.own_servo()
     laboratory.standby.send_signal(signal.SIGTERM)
@@ -201,9 +201,9 @@ def test_landing_during_the_check_cancels_the_take_off(laboratory: Laboratory) -
     laboratory.wait_for_flight_process()
     while station.press(Button.LAND) != OK:
         assert not station.armed
-    station.wait_for("take-off cancelled")
-    station.wait_for("one: no-go", timeout_s=60.0)
-    station.wait_for("operator: a landing was requested during the check")
+    station.wait_for_text("take-off cancelled")
+    station.wait_for_text("one: no-go", timeout_s=60.0)
+    station.wait_for_text("operator: a landing was requested during the check")
     assert not station.was_armed
 
 
