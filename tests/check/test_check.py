@@ -585,7 +585,7 @@ def test_check_reads_a_vehicle_and_fly_refuses_its_no_go(tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     ("name", "standoff"),
-    [("paper_dual_collision", 0.3), ("paper_dual_collision", 0.6), ("paper_single_wall", 0.4)],
+    [("paper_dual_collision", 0.3), ("paper_single_wall", 0.6)],
 )
 def test_a_rehearsal_stops_before_every_wall(name: str, standoff: float) -> None:
     plain = load_flyable(ROOT / f"missions/{name}.yaml")

@@ -38,7 +38,7 @@ from dart_flight.sim.px4.launch import (
     parse_version,
     select_parameters,
 )
-from tests.doubles.fake_px4 import install
+from tests.doubles.px4_install import install
 
 MISSION = packaged("missions", "paper_dual_collision.yaml")
 

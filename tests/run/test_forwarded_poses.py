@@ -88,6 +88,7 @@ def test_poses_are_forwarded_until_a_pilot_who_took_over_disarms(
     assert source.stops == 1
 
 
+@pytest.mark.rest
 @pytest.mark.mavlink
 def test_pose_latency_is_in_simulated_time_and_the_flight_replays(tmp_path: Path) -> None:
     settings = ["simulation.pose_delay_s=0.02", "mocap.delay_ms=20", "mocap.up=y"]
