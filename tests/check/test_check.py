@@ -196,9 +196,7 @@ for dropped in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT", "COM_LKDOWN_TKO"):
 
 
 @pytest.mark.parametrize("version", [V1_18, None])
-def test_a_version_with_renamed_and_dropped_parameters_is_go(
-    version: tuple[int, int] | None,
-) -> None:
+def test_a_version_with_renamed_and_dropped_parameters_is_go(version: tuple[int, int] | None) -> None:
     """v1.18 has MAN_OVERRIDE_SPD instead of COM_RC_OVERRIDE, no COM_IMB_PROP_ACT, no COM_LKDOWN_TKO."""
     findings = evaluate_parameters(mocap_mission(), NEWER, PositionSource.MOCAP, version)
     assert not no_goes(findings)
@@ -583,10 +581,7 @@ def test_check_reads_a_vehicle_and_fly_refuses_its_no_go(tmp_path: Path) -> None
 # --- the rehearsal ---
 
 
-@pytest.mark.parametrize(
-    ("name", "standoff"),
-    [("paper_dual_collision", 0.3), ("paper_single_wall", 0.6)],
-)
+@pytest.mark.parametrize(("name", "standoff"), [("paper_dual_collision", 0.3), ("paper_single_wall", 0.6)])
 def test_a_rehearsal_stops_before_every_wall(name: str, standoff: float) -> None:
     plain = load_flyable(ROOT / f"missions/{name}.yaml")
     records: list[Record] = []

@@ -199,12 +199,7 @@ class Flight:
         mission = str(MISSIONS / "paper_dual_collision.yaml")
         command = [sys.executable, "-m", "dart_flight", "dry-run", mission, "--json"]
         command += ["--px4", str(px4_dir), "--speed", "2", "--log-dir", str(folder)]
-        self.app = subprocess.Popen(
-            command,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        self.app = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.px4 = int(self.wait_for(r"PX4 instance \d+, process (\d+)"))
         self.world = _parent_of(self.px4)
 

@@ -32,9 +32,7 @@ def test_a_drawn_servo_locks_the_arms_before_the_second_collision(tmp_path: Path
     assert truth.peak_force_n == pytest.approx(69.0, rel=0.1)
 
 
-def test_arms_that_do_not_follow_the_lock_are_reported_unless_a_fault_was_drawn(
-    flown: SharedFlights,
-) -> None:
+def test_arms_that_do_not_follow_the_lock_are_reported_unless_a_fault_was_drawn(flown: SharedFlights) -> None:
     mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
     verdict = fly_fast(mission, 4, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
     assert unexplained_modes(verdict) == [

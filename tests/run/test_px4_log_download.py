@@ -155,13 +155,7 @@ def test_a_failed_or_interrupted_download_leaves_no_file(tmp_path: Path) -> None
         fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
     with vehicle([(end_s, ulog(2_000_000, 1))]) as v, pytest.raises(KeyboardInterrupt):
         fetch_px4_log(
-            v.url,
-            10.0,
-            tmp_path,
-            ARMED,
-            choose=no_choice,
-            print_line=lambda line: None,
-            progress=interrupt,
+            v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None, progress=interrupt
         )
     with vehicle([(end_s, b"not a ULog at all")]) as v, pytest.raises(DownloadError, match="not a ULog"):
         fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
@@ -245,10 +239,7 @@ def test_a_log_file_is_found_by_its_path_and_a_folder_without_logs_is_refused(tm
     [KeyboardInterrupt(), DownloadError("no data for 15 s"), InputError("in use", source="udpin://x")],
 )
 def test_a_failed_download_prints_two_lines_and_keeps_the_flight(
-    error: BaseException,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    error: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail(*arguments: object, **options: object) -> Path:
         raise error

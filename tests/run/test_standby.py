@@ -127,13 +127,7 @@ def test_only_the_configured_channel_moves_the_lock() -> None:
         (True, 2, None, "wall.yaml:3: goal: missing", ["wall: wall.yaml:3: goal: missing"]),
         (True, 1, None, "", ["wall: ended with status 1"]),
         (True, 1, [1], "", ["wall: ended with status 1"]),
-        (
-            True,
-            -9,
-            None,
-            "",
-            ["wall: the process was killed by SIGKILL: PX4's failsafe flies the vehicle"],
-        ),
+        (True, -9, None, "", ["wall: the process was killed by SIGKILL: PX4's failsafe flies the vehicle"]),
         (False, -15, None, "", ["wall: the process was killed by SIGTERM"]),
     ],
 )

@@ -257,9 +257,7 @@ def test_a_foreign_imu_and_a_second_imu_are_ignored(monkeypatch: pytest.MonkeyPa
     assert rig.session.clock.offset_us == 5 - sample.received_us
 
 
-def test_status_messages_of_another_component_are_ignored(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_status_messages_of_another_component_are_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = subscribed_rig(monkeypatch)
     for name, fields in (
         ("STATUSTEXT", {"severity": 2, "text": "failsafe", "id": 0}),

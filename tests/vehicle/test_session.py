@@ -115,9 +115,7 @@ def refuse(*_: Any) -> None:
     raise MavsdkError("refused")
 
 
-def test_every_stream_is_requested_and_a_refusal_is_reported(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_every_stream_is_requested_and_a_refusal_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {"set_rate_odometry": refuse})
     assert asyncio.run(rig.session.set_rates()) == ["odometry"]
     requested = {name.removeprefix("set_rate_"): rate for name, (rate,) in rig.plugins["Telemetry"].calls}
@@ -307,9 +305,7 @@ def test_the_estimators_health_and_accuracy_are_delivered(monkeypatch: pytest.Mo
     assert [(e.healthy, e.position_sd_m) for e in rig.records_of(EstimatorSample)] == [(False, 0.25)]
 
 
-def test_the_failsafe_state_comes_only_from_the_autopilots_heartbeat(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_failsafe_state_comes_only_from_the_autopilots_heartbeat(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4)
     own = rig.session._raw.get_system_id()
