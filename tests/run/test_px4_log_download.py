@@ -182,14 +182,16 @@ class SlowToCancel:
         self._callback(SimpleNamespace(name="CANCELLED"), SimpleNamespace(progress=0.5), None)
 
 
-def test_a_cancelled_download_has_called_back_before_its_plugin_can_be_destroyed(tmp_path: Path) -> None:
+def test_a_cancelled_download_has_called_back_before_its_plugin_can_be_destroyed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupt(share: float) -> None:
         raise KeyboardInterrupt
 
-    logs = Px4Logs.__new__(Px4Logs)
-    logs._plugin = plugin = SlowToCancel()
+    plugin = SlowToCancel()
+    monkeypatch.setattr(downloads, "LogFiles", lambda system: plugin)
     with pytest.raises(KeyboardInterrupt):
-        logs.download(log(0, None), tmp_path / "px4.ulg", interrupt)
+        Px4Logs(None).download(log(0, None), tmp_path / "px4.ulg", interrupt)
     assert plugin.called_back
 
 
