@@ -26,7 +26,7 @@ from dart_flight.lock.drivers.limit_switch import DriverWithLimitSwitch
 from dart_flight.lock.drivers.maestro import MaestroDriver
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import NO_FAULTS, ServoFaults
-from tests.lock.rigs import POLL_US, MaestroRig, MockRig
+from tests.lock.rigs import MaestroRig, MockRig
 
 TOGGLES_PER_RIG = 25
 SWITCHES = (
@@ -150,7 +150,7 @@ class _Watch:
     def run(self, polls: int) -> None:
         for _ in range(polls):
             before = self.session.state
-            state = self.rig.run(1e-6 * POLL_US)
+            state = self.rig.run(1e-6 * self.rig.POLL_US)
             self._tally.polls += 1
             self._compare_with_horn(newly=state is not before)
 

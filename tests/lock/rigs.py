@@ -21,20 +21,20 @@ from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.servo import ServoModel, mode_of
 from tests.doubles.emulated_maestro import EmulatedMaestro
 
-POLL_US = 20_000
-
 
 class Rig:
-    """A driver with its emulated hardware, and a session that is polled every 20 ms of simulated time.
+    """A driver with its emulated hardware, and a session that is polled in simulated time.
 
     Attributes:
         KIND: kind of the driver.
+        POLL_US: period of the polls.
         READS_BACK: whether the hardware reports its present output.
         MISSING: part of the message and configuration key if the hardware is missing.
         states: states of the session, in order.
     """
 
     KIND: LockDriver
+    POLL_US = 20_000
     READS_BACK = True
     MISSING: tuple[str, tuple[str, ...]] | None = None
 
@@ -55,8 +55,8 @@ class Rig:
 
     def run(self, seconds: float) -> LockState:
         """Poll the session for some time."""
-        for _ in range(round(seconds * 1e6 / POLL_US)):
-            self.t_us += POLL_US
+        for _ in range(round(seconds * 1e6 / self.POLL_US)):
+            self.t_us += self.POLL_US
             self.session.poll()
         return self.session.state
 

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockStartup
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
-from dart_flight.lock.lock_session import LockSession
-from dart_flight.lock.servo import ServoFaults, mode_of
+from dart_flight.lock.servo import ServoFaults
 from dart_flight.lock.state_machine import (
     NOT_PERMITTED,
     TRANSITIONS,
@@ -25,38 +24,30 @@ from dart_flight.lock.state_machine import (
 )
 
 from .conftest import BOTH_SWITCHES
+from .rigs import MockRig
 
 Vary = Callable[..., LockConfig]
 RIGID_SWITCH = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23)
 
 
-class Bench:
-    """A session with the mock driver in simulated time, polled every 10 ms."""
+class Bench(MockRig):
+    """The mock driver and its session, polled every 10 ms of simulated time."""
+
+    POLL_US = 10_000
 
     def __init__(
         self, config: LockConfig, faults: MockFaults | None = None, pulse_us: float | None = None
     ) -> None:
-        self.t_us = 1_000_000
-        self.states: list[LockState] = []
-        self.mock = MockDriver(config, lambda: self.t_us, faults=faults, pulse_us=pulse_us)
-        self.session = LockSession(config, self.mock, lambda: self.t_us, self.states.append)
+        self._faults, self._pulse_us = faults, pulse_us
+        super().__init__(config)
+
+    def make_driver(self) -> MockDriver:
+        self.mock = MockDriver(self.config, self.clock_us, faults=self._faults, pulse_us=self._pulse_us)
+        return self.mock
 
     @property
     def state(self) -> LockState:
         return self.session.state
-
-    def run(self, seconds: float) -> LockState:
-        for _ in range(round(seconds * 100)):
-            self.t_us += 10_000
-            self.session.poll()
-        return self.state
-
-    def horn(self) -> Mode | None:
-        return mode_of(self.session.machine.config.servo, self.mock.horn_pulse_us(self.t_us))
-
-
-def phase_and_reason(state: LockState) -> tuple[LockPhase, str | None]:
-    return state.phase, state.reason
 
 
 def homed(config: LockConfig, faults: MockFaults | None = None) -> Bench:
@@ -67,6 +58,15 @@ def homed(config: LockConfig, faults: MockFaults | None = None) -> Bench:
     bench.session.permit(True)
     bench.mock.inject(faults or MockFaults())
     return bench
+
+
+def locking(config: LockConfig) -> LockStateMachine:
+    """Return a machine whose pulse for locking has just been sent, at time 0."""
+    machine = LockStateMachine(config)
+    machine.permit(0, True)
+    machine.command(0, Mode.RIGID)
+    machine.confirm_sent(0, config.servo.pulse_us(Mode.RIGID))
+    return machine
 
 
 def test_a_travel_without_switches_settles_after_the_catalogues_time(vary: Vary) -> None:
@@ -88,8 +88,7 @@ def test_a_travel_without_switches_settles_after_the_catalogues_time(vary: Vary)
 def test_a_switch_confirms_the_arrival_without_the_margin(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
     started_us = bench.t_us
-    bench.session.command(Mode.RIGID)
-    state = bench.run(1.0)
+    state = bench.travel(Mode.RIGID, 1.0)
     assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.RIGID, True)
     assert state.settled_us is not None
     assert 0.28e6 <= state.settled_us - started_us <= 0.33e6
@@ -99,10 +98,8 @@ def test_a_switch_confirms_the_arrival_without_the_margin(vary: Vary) -> None:
 def test_an_end_without_a_switch_has_no_feedback(vary: Vary) -> None:
     bench = homed(vary(limit_switch=RIGID_SWITCH))
     assert not bench.state.feedback
-    bench.session.command(Mode.RIGID)
-    assert bench.run(1.0).feedback
-    bench.session.command(Mode.FLEXIBLE)
-    state = bench.run(1.0)
+    assert bench.travel(Mode.RIGID, 1.0).feedback
+    state = bench.travel(Mode.FLEXIBLE, 1.0)
     assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.FLEXIBLE, False)
 
 
@@ -126,8 +123,7 @@ def test_locking_is_refused_until_permitted(vary: Vary) -> None:
 
 def test_unlocking_needs_no_permission(vary: Vary) -> None:
     bench = homed(vary())
-    bench.session.command(Mode.RIGID)
-    bench.run(1.0)
+    bench.travel(Mode.RIGID, 1.0)
     bench.session.permit(False)
     assert bench.session.command(Mode.FLEXIBLE) is None
     assert bench.run(1.0).mode is Mode.FLEXIBLE
@@ -135,8 +131,7 @@ def test_unlocking_needs_no_permission(vary: Vary) -> None:
 
 def test_a_reversal_is_refused_during_a_travel_and_a_repetition_is_ignored(vary: Vary) -> None:
     bench = homed(vary())
-    bench.session.command(Mode.RIGID)
-    bench.run(0.1)
+    bench.travel(Mode.RIGID, 0.1)
     travelling = bench.state
     assert bench.session.command(Mode.RIGID) is None
     assert bench.state is travelling
@@ -148,8 +143,7 @@ def test_a_reversal_is_refused_during_a_travel_and_a_repetition_is_ignored(vary:
 
 def test_a_contact_during_locking_retracts_the_rods(vary: Vary) -> None:
     bench = homed(vary())
-    bench.session.command(Mode.RIGID)
-    bench.run(0.15)
+    bench.travel(Mode.RIGID, 0.15)
     bench.session.permit(False)
     assert (bench.state.phase, bench.state.mode) == (LockPhase.TRAVELLING, Mode.FLEXIBLE)
     assert bench.state.reason == "contact while locking"
@@ -160,8 +154,7 @@ def test_a_contact_during_locking_retracts_the_rods(vary: Vary) -> None:
 
 def test_a_contact_does_not_affect_locked_or_unlocking_arms(vary: Vary) -> None:
     bench = homed(vary())
-    bench.session.command(Mode.RIGID)
-    bench.run(0.5)
+    bench.travel(Mode.RIGID, 0.5)
     settled = bench.state
     bench.session.permit(False)
     assert bench.state is settled
@@ -191,35 +184,36 @@ def test_a_contact_does_not_affect_locked_or_unlocking_arms(vary: Vary) -> None:
 )
 def test_every_fault_is_detected_with_switches(vary: Vary, faults: MockFaults, reason: str) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES), faults)
-    bench.session.command(Mode.RIGID)
-    state = bench.run(2.0)
+    state = bench.travel(Mode.RIGID, 2.0)
     assert (state.phase, state.mode, state.feedback) == (LockPhase.FAULT, None, False)
     assert state.reason == reason
     assert not any(s.phase is LockPhase.SETTLED and s.mode is Mode.RIGID for s in bench.states)
 
 
 @pytest.mark.parametrize(
-    "servo", [ServoFaults(stuck=True), ServoFaults(stall_fraction=0.4), ServoFaults(slow=6.0)]
+    ("faults", "settles"),
+    [
+        (MockFaults(servo=ServoFaults(stuck=True)), True),
+        (MockFaults(servo=ServoFaults(stall_fraction=0.4)), True),
+        (MockFaults(servo=ServoFaults(slow=6.0)), True),
+        (MockFaults(brown_out=True), False),
+        (MockFaults(unplugged=True), False),
+    ],
 )
-def test_a_servo_fault_without_switches_settles_without_feedback(vary: Vary, servo: ServoFaults) -> None:
-    bench = homed(vary(), MockFaults(servo=servo))
-    bench.session.command(Mode.RIGID)
-    state = bench.run(0.4)
-    assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.RIGID, False)
-    assert bench.horn() is not Mode.RIGID
-
-
-@pytest.mark.parametrize("faults", [MockFaults(brown_out=True), MockFaults(unplugged=True)])
-def test_a_controller_fault_is_detected_without_switches(vary: Vary, faults: MockFaults) -> None:
+def test_without_switches_only_a_fault_of_the_controller_is_detected(
+    vary: Vary, faults: MockFaults, settles: bool
+) -> None:
     bench = homed(vary(), faults)
-    bench.session.command(Mode.RIGID)
-    assert bench.run(0.4).phase is LockPhase.FAULT
+    state = bench.travel(Mode.RIGID, 0.4)
+    assert (bench.fault is None) is settles
+    if settles:  # without feedback
+        assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.RIGID, False)
+        assert bench.horn() is not Mode.RIGID
 
 
 def test_the_mock_reports_its_restart_until_the_next_command(vary: Vary) -> None:
     bench = homed(vary(), MockFaults(brown_out=True))
-    bench.session.command(Mode.RIGID)
-    bench.run(0.4)
+    bench.travel(Mode.RIGID, 0.4)
     assert bench.mock.read().errors == ("the controller restarted",)
     bench.mock.inject(MockFaults())
     bench.session.command(Mode.RIGID)
@@ -229,19 +223,16 @@ def test_the_mock_reports_its_restart_until_the_next_command(vary: Vary) -> None
 
 def test_a_command_clears_a_fault(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES), MockFaults(servo=ServoFaults(stuck=True)))
-    bench.session.command(Mode.RIGID)
-    assert bench.run(2.0).phase is LockPhase.FAULT
+    assert bench.travel(Mode.RIGID, 2.0).phase is LockPhase.FAULT
     bench.mock.inject(MockFaults())
-    bench.session.command(Mode.FLEXIBLE)
-    state = bench.run(0.5)
+    state = bench.travel(Mode.FLEXIBLE, 0.5)
     assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.FLEXIBLE, True)
 
 
 def test_a_slow_servo_with_a_switch_settles_late(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES), MockFaults(servo=ServoFaults(slow=3.0)))
     started_us = bench.t_us
-    bench.session.command(Mode.RIGID)
-    assert bench.run(0.8).phase is LockPhase.TRAVELLING
+    assert bench.travel(Mode.RIGID, 0.8).phase is LockPhase.TRAVELLING
     state = bench.run(0.5)
     assert state.phase is LockPhase.SETTLED
     assert state.settled_us is not None
@@ -250,20 +241,16 @@ def test_a_slow_servo_with_a_switch_settles_late(vary: Vary) -> None:
 
 def test_a_switch_that_opens_at_rest_is_a_fault(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
-    bench.session.command(Mode.RIGID)
-    bench.run(0.5)
+    bench.travel(Mode.RIGID, 0.5)
     bench.mock.inject(MockFaults(switch_silent=True))
     bench.run(0.02)
     assert bench.state.phase is LockPhase.SETTLED  # a bounce is no fault
     bench.run(0.03)
-    assert phase_and_reason(bench.state) == (LockPhase.FAULT, "the rigid limit switch has opened")
+    assert bench.fault == "the rigid limit switch has opened"
 
 
 def test_a_bouncing_switch_neither_confirms_nor_causes_a_fault(vary: Vary) -> None:
-    machine = LockStateMachine(vary(limit_switch=BOTH_SWITCHES))
-    machine.permit(0, True)
-    machine.command(0, Mode.RIGID)
-    machine.confirm_sent(0, 1980.0)
+    machine = locking(vary(limit_switch=BOTH_SWITCHES))
     for t_us in range(10_000, 1_000_000, 10_000):
         closed = (t_us // 10_000) % 2 == 0
         machine.reading(t_us, DriverReading(1980.0, rigid_switch=closed, flexible_switch=False))
@@ -271,14 +258,11 @@ def test_a_bouncing_switch_neither_confirms_nor_causes_a_fault(vary: Vary) -> No
 
 
 def test_a_clamped_pulse_is_a_fault(vary: Vary) -> None:
-    machine = LockStateMachine(vary())
-    machine.permit(0, True)
-    machine.command(0, Mode.RIGID)
-    machine.confirm_sent(0, 1980.0)
+    machine = locking(vary())
     machine.reading(400_000, DriverReading(1900.0, errors=("protocol error",)))
     assert machine.state.phase is LockPhase.TRAVELLING
     machine.step(1_500_000)
-    assert phase_and_reason(machine.state) == (
+    assert (machine.state.phase, machine.state.reason) == (
         LockPhase.FAULT,
         "the controller outputs 1900 us instead of 1980 us; protocol error",
     )
@@ -402,8 +386,7 @@ def test_a_switch_must_confirm_every_travel_for_the_debounce_time(vary: Vary) ->
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
     bench.session.release()
     bench.run(0.5)
-    bench.session.command(Mode.FLEXIBLE)
-    assert bench.run(0.01).phase is LockPhase.TRAVELLING
+    assert bench.travel(Mode.FLEXIBLE, 0.01).phase is LockPhase.TRAVELLING
     state = bench.run(0.05)
     assert (state.phase, state.feedback) == (LockPhase.SETTLED, True)
 
@@ -432,7 +415,8 @@ def test_the_pulse_is_monitored_again_after_a_release_and_a_command(vary: Vary) 
     assert bench.session.command(Mode.FLEXIBLE) is None
     assert bench.state is settled  # already at the end, so no new travel begins
     bench.mock.release()  # without the session's knowledge
-    assert phase_and_reason(bench.run(0.1)) == (LockPhase.FAULT, "the controller lost the pulse")
+    bench.run(0.1)
+    assert bench.fault == "the controller lost the pulse"
 
 
 def test_the_mock_loses_its_pulse_during_the_travel_unless_it_was_released(vary: Vary) -> None:
@@ -517,10 +501,7 @@ def test_a_contact_does_not_retract_adopted_rigid_rods(vary: Vary) -> None:
 def test_a_driver_that_cannot_be_opened_is_a_fault(vary: Vary) -> None:
     bench = Bench(vary(), MockFaults(unplugged=True))
     bench.session.start()
-    assert (bench.state.phase, bench.state.reason) == (
-        LockPhase.FAULT,
-        "the controller does not answer (unplugged)",
-    )
+    assert bench.fault == "the controller does not answer (unplugged)"
 
 
 # --- transition table, properties ---------------------------------------------------------------------

@@ -13,6 +13,7 @@ from dart_flight.run.prepare import load_flyable
 from dart_flight.vehicle.vehicle_session import connect
 from tests.doubles.operator_station import PX4_PORT, OperatorStation
 from tests.px4.test_px4_check import MISSION, waiting_px4
+from tests.real_time import TooSlow
 
 pytestmark = [pytest.mark.px4, pytest.mark.realtime]
 
@@ -42,5 +43,7 @@ def test_a_mode_held_for_a_fifth_of_a_second_is_noticed_on_px4(px4_dir: Path, tm
     mission = load_flyable(MISSION)
     with waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"COM_RC_IN_MODE": 4}) as url:
         asyncio.run(switch(url))
-    short = [FlightMode.HOLD, FlightMode.MANUAL]
-    assert seen[seen.index(FlightMode.HOLD) :] == short * 5 + [FlightMode.HOLD]
+    seen = seen[seen.index(FlightMode.HOLD) :]
+    assert set(seen) == {FlightMode.HOLD, FlightMode.MANUAL}
+    if seen != [FlightMode.HOLD, FlightMode.MANUAL] * 5 + [FlightMode.HOLD]:
+        raise TooSlow(f"a mode held for 0.2 s was missed: {seen}")

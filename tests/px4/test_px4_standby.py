@@ -20,6 +20,7 @@ from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.ground_link import GroundLink
 from tests.doubles.operator_station import PX4_PORT, OperatorStation
 from tests.px4.test_px4_check import waiting_px4
+from tests.real_time import limited
 from tests.run.test_standby_day import MISSION, ROOT
 from tests.shared_flights import patient
 
@@ -39,7 +40,8 @@ def standing_by(folder: Path, url: str, *arguments: str) -> Iterator[subprocess.
             yield process
         finally:
             process.terminate()
-            process.wait(90.0)
+            with limited("the end of standby"):
+                process.wait(90.0)
 
 
 def test_every_button_is_answered_in_standby_and_in_flight(px4_dir: Path, tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from dart_flight.run.operator_buttons import Button
 from dart_flight.vehicle.command_server import Result
 from tests.doubles.operator_station import OperatorStation
 from tests.doubles.ports import free_udp_port
+from tests.real_time import limited, wait_until
 from tests.shared_flights import patient
 
 ROOT = Path(__file__).parents[2]
@@ -71,7 +72,8 @@ class Laboratory:
             yield
         finally:
             self._standby.terminate()
-            self._standby.wait(60.0)
+            with limited("the end of standby"):
+                self._standby.wait(60.0)
 
     def printed_lines(self) -> list[str]:
         lines = (self._folder / "standby.jsonl").read_text().splitlines()
@@ -98,9 +100,12 @@ class Laboratory:
 
     def wait_for_flight_process(self) -> None:
         """Wait until standby has passed the link to `fly`."""
-        while not any("passing the link to dart-flight fly" in line for line in self.printed_lines()):
+
+        def has_passed() -> bool:
             assert self.standby.poll() is None
-            time.sleep(0.1)
+            return any("passing the link to dart-flight fly" in line for line in self.printed_lines())
+
+        wait_until(has_passed, 60.0, "standby passes the link")
 
     def wait_for_standby(self, times: int) -> None:
         """Wait until standby holds the link for the nth time, and check that it answers."""
@@ -189,7 +194,8 @@ def test_ending_standby_lands_its_flight(laboratory: Laboratory) -> None:
     with pytest.raises(ServoInUseError, match=f"by dart-flight fly, process {laboratory.flight_process()}$"):
         laboratory.own_servo()
     laboratory.standby.send_signal(signal.SIGTERM)
-    assert laboratory.standby.wait(60.0) == 0
+    with limited("the flight lands and standby ends"):
+        assert laboratory.standby.wait(60.0) == 0
     (end,) = (line for line in laboratory.printed_lines() if line.startswith("two: aborted"))
     assert "landing requested" in end
 
@@ -199,8 +205,12 @@ def test_landing_during_the_check_cancels_the_take_off(laboratory: Laboratory) -
     laboratory.wait_for_standby(1)
     laboratory.fly(1)
     laboratory.wait_for_flight_process()
-    while station.press(Button.LAND) != OK:
+
+    def is_cancelled() -> bool:
         assert not station.armed
+        return station.press(Button.LAND) == OK
+
+    wait_until(is_cancelled, 60.0, "the land button is accepted")
     station.wait_for_text("take-off cancelled")
     station.wait_for_text("one: no-go", timeout_s=60.0)
     station.wait_for_text("operator: a landing was requested during the check")
@@ -212,9 +222,9 @@ def test_standby_forwards_motion_capture(laboratory: Laboratory) -> None:
     laboratory.wait_for_standby(1)
     pose = json.dumps({"position_m": [0.0, 0.0, 0.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}).encode()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera:
-        for _ in range(100):
+
+        def comes_back() -> int:
             camera.sendto(pose, ("127.0.0.1", laboratory.poses_port))
-            time.sleep(0.02)
-            if laboratory.station.poses:
-                break
-    assert laboratory.station.poses, "no pose came back through the vehicle"
+            return laboratory.station.poses
+
+        wait_until(comes_back, 10.0, "a pose comes back through the vehicle")
