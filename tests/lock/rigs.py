@@ -118,7 +118,8 @@ class MockRig(Rig):
         return self.mock.horn_pulse_us(self.t_us)
 
     def output_us(self) -> float | None:
-        return self.mock.read().pulse_us
+        plugged = not self.mock.faults.unplugged
+        return self.mock.read().pulse_us if plugged else self.config.servo.flexible_pulse_us
 
     def lose_pulse(self) -> None:
         self.mock.release()
