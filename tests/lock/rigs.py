@@ -110,6 +110,8 @@ class MockRig(Rig):
 
     KIND = LockDriver.MOCK
 
+    mock: MockDriver
+
     def make_driver(self) -> Driver:
         self.mock = MockDriver(self.config, self.clock_us)
         return self.mock

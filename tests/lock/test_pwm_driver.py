@@ -19,6 +19,12 @@ Vary = Callable[..., LockConfig]
 DATA = Path(__file__).parents[1] / "data"
 
 
+@pytest.fixture(autouse=True)
+def _short_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait only briefly for a channel that does not appear."""
+    monkeypatch.setattr(pwm, "_APPEAR_S", 0.2)
+
+
 @pytest.fixture
 def sysfs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sysfs:
     return Sysfs(tmp_path, monkeypatch)
@@ -110,7 +116,6 @@ def test_damaged_sysfs_entries_are_reported(
     with pytest.raises(DriverError, match="pwmchip0 has 2 channels, numbered from 0") as caught:
         PwmDriver(vary(pwm={"sysfs_dir": str(tmp_path), "chip": 0, "channel": 2})).open()
     assert caught.value.key == ("pwm", "channel")
-    monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
     with pytest.raises(DriverError, match="pwm1 did not appear"):
         PwmDriver(config).open()
     sysfs.export_channel()
@@ -126,7 +131,6 @@ def test_damaged_sysfs_entries_are_reported(
 def test_a_channel_without_write_permission_is_a_driver_error(
     config: LockConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
     monkeypatch.setattr("os.access", lambda path, mode: False)  # as for any user but root
     with pytest.raises(DriverError, match="pwm1 is not writable; add the user to the group gpio"):
         PwmDriver(config).open()

@@ -30,10 +30,23 @@ Vary = Callable[..., LockConfig]
 RIGID_SWITCH = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23)
 
 
+class SlowMock(MockDriver):
+    """The mock driver, whose readings take some simulated time."""
+
+    takes_us = 0
+    bench: Bench
+
+    def read(self) -> DriverReading:
+        reading = super().read()
+        self.bench.t_us += self.takes_us
+        return reading
+
+
 class Bench(MockRig):
     """The mock driver and its session, polled every 10 ms of simulated time."""
 
     POLL_US = 10_000
+    mock: SlowMock
 
     def __init__(
         self, config: LockConfig, faults: MockFaults | None = None, pulse_us: float | None = None
@@ -42,7 +55,8 @@ class Bench(MockRig):
         super().__init__(config)
 
     def make_driver(self) -> MockDriver:
-        self.mock = MockDriver(self.config, self.clock_us, faults=self._faults, pulse_us=self._pulse_us)
+        self.mock = SlowMock(self.config, self.clock_us, faults=self._faults, pulse_us=self._pulse_us)
+        self.mock.bench = self
         return self.mock
 
     @property
@@ -289,7 +303,7 @@ def test_the_travel_time_starts_when_the_driver_first_accepts_the_travels_pulse(
     assert machine.due_us is None
 
 
-def test_both_states_of_a_slow_reading_are_reported(vary: Vary, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_states_of_a_slow_reading_are_reported(vary: Vary) -> None:
     """The driver confirms the arrival, but so late that the state is no longer valid."""
     quick = homed(vary(limit_switch=BOTH_SWITCHES))
     quick.session.command(Mode.RIGID)
@@ -299,14 +313,7 @@ def test_both_states_of_a_slow_reading_are_reported(vary: Vary, monkeypatch: pyt
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
     bench.session.command(Mode.RIGID)
     bench.run((settled_us - started_us) * 1e-6 - 0.01)
-    read = bench.mock.read
-
-    def slow() -> DriverReading:
-        reading = read()
-        bench.t_us += 2_000_000
-        return reading
-
-    monkeypatch.setattr(bench.mock, "read", slow)
+    bench.mock.takes_us = 2_000_000
     bench.states.clear()
     bench.run(0.01)
     assert [state.phase for state in bench.states] == [LockPhase.SETTLED, LockPhase.FAULT]

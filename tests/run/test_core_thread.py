@@ -225,6 +225,17 @@ def watched() -> Iterator[Harness[WatchedCore]]:
     harness.thread.stop()
 
 
+@pytest.fixture
+def end_turns(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Set a batch interval of 60 s, and wait until the current turn has ended."""
+
+    def end() -> None:
+        monkeypatch.setattr(module, "BATCH_S", 60.0)
+        time.sleep(0.1)
+
+    return end
+
+
 def start(harness: Harness[WatchedCore], pace: Pace) -> None:
     """Start the thread and wait until it has read the core's pace."""
     harness.core.current_pace = pace
@@ -293,12 +304,11 @@ def test_the_core_thread_resumes_stepping_when_the_immediate_pace_ends(watched: 
 
 
 def test_the_core_thread_is_woken_once_when_the_immediate_pace_ends(
-    watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch
+    watched: Harness[WatchedCore], end_turns: Callable[[], None]
 ) -> None:
-    """With a batch interval of 60 s, only the wake-up can start a turn."""
+    """Without regular turns, only the wake-up can start one."""
     start(watched, Pace.IMMEDIATE)
-    monkeypatch.setattr(module, "BATCH_S", 60.0)
-    time.sleep(0.1)  # until the current turn ends
+    end_turns()
     turns = watched.turns
     time.sleep(0.1)
     assert watched.turns == turns
@@ -404,10 +414,9 @@ def test_a_stopped_core_thread_steps_no_inputs(watched: Harness[WatchedCore]) ->
 
 
 def test_a_stop_does_not_wait_for_the_next_turn(
-    watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch
+    watched: Harness[WatchedCore], end_turns: Callable[[], None]
 ) -> None:
     start(watched, Pace.BATCHED)
-    monkeypatch.setattr(module, "BATCH_S", 60.0)
-    time.sleep(0.1)  # until the current turn ends
+    end_turns()
     watched.thread.stop()
     assert not watched.thread.thread.is_alive()

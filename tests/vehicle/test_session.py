@@ -11,6 +11,12 @@ from typing import Any
 
 import pytest
 from mavsdk.exceptions import MavsdkError
+from mavsdk.plugins.events import (
+    HealthAndArmingCheckMode,
+    HealthAndArmingCheckProblem,
+    HealthAndArmingCheckReport,
+    LogLevel,
+)
 
 from dart_flight.base.records import (
     ActuatorSample,
@@ -33,7 +39,6 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, MODE, STREAMS
 from dart_flight.config.vehicle import load_vehicle, packaged
-from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import vehicle_session as module
 from dart_flight.vehicle.clock import LockstepClock, host_us
 from dart_flight.vehicle.vehicle_session import VehicleError, connect
@@ -110,23 +115,20 @@ def test_usable_odometry_suffices_if_no_estimator_status_arrives(rig: SessionRig
     assert rig.records_of(StatusSample)[-1].local_position_ok
 
 
-def test_arming_problems_are_delivered_when_they_change(
-    make_session: MakeSession, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rig = make_session({})
-    monkeypatch.setattr(
-        reasons, "report_from_sys_status", lambda sensors: (False, (str(sensors.enabled),), ())
-    )
-    rig.session.subscribe(VEHICLE.estimation, 4)
-    sensors = {"onboard_control_sensors_present": 7, "onboard_control_sensors_health": 7}
-    for number in (1, 1, 2):
-        rig.receive("SYS_STATUS", **sensors, onboard_control_sensors_enabled=number)
-    assert [report.blocking for report in rig.records_of(HealthReport)] == [("1",), ("2",)]
-    monkeypatch.setattr(reasons, "report_from_checks", lambda report: (True, (), (report,)))
-    rig.publish("Events", "health_and_arming_checks", "its own words")
+def test_arming_problems_are_delivered_when_they_change(rig: SessionRig) -> None:
+    every, prearm = 1 << 28 | 7, 1 << 28
+    for health in (every, every, every & ~prearm, every & ~prearm):
+        sensors = ("present", every), ("enabled", every), ("health", health)
+        rig.receive("SYS_STATUS", **{f"onboard_control_sensors_{name}": bits for name, bits in sensors})
+    found = [(), ("preflight checks failed",)]
+    assert [report.blocking for report in rig.records_of(HealthReport)] == found
+    text = HealthAndArmingCheckProblem("No valid position estimate", "", LogLevel.ERROR, "system")
+    mode = HealthAndArmingCheckMode("Hold", False, [text])
+    rig.publish("Events", "health_and_arming_checks", HealthAndArmingCheckReport(mode, [], [text]))
     # The checks now replace SYS_STATUS.
-    rig.receive("SYS_STATUS", **sensors, onboard_control_sensors_enabled=1)
-    assert [report.blocking for report in rig.records_of(HealthReport)] == [("1",), ("2",), ()]
+    rig.receive("SYS_STATUS", **{f"onboard_control_sensors_{name}": every for name, _ in sensors})
+    found.append(("No valid position estimate",))
+    assert [report.blocking for report in rig.records_of(HealthReport)] == found
 
 
 @pytest.mark.parametrize(("name", "said"), [("SUCCESS", ""), ("COMMAND_DENIED", "COMMAND_DENIED")])

@@ -14,7 +14,7 @@ from dart_flight.base.records import AttitudeSample, ImuSample, PoseSample
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, evaluate_motion
 from dart_flight.check.bringup.pose_motion import MotionEstimate, estimate_motion
 from dart_flight.check.bringup.steps import Bringup
-from dart_flight.cli.bringup_command import _write_delay
+from dart_flight.cli.bringup_command import _write_delay  # the command around it asks a vehicle first
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.config.vehicle.mocap import MotionCapture
