@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import queue
 import subprocess
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 # Rules of the guard that judge the arrival of messages by the computer's clock.
@@ -39,6 +41,25 @@ def wait_until(condition: Callable[[], _T], seconds: float, what: str) -> _T:
             raise TooSlow(f"{what}: not within {seconds:g} s")
         time.sleep(0.02)
     return value
+
+
+@contextlib.contextmanager
+def limited(what: str) -> Iterator[None]:
+    """Turn a timeout within the context, of a process, of asyncio or of a queue, into `TooSlow`."""
+    try:
+        yield
+    except (TimeoutError, subprocess.TimeoutExpired, queue.Empty) as error:
+        raise TooSlow(f"{what}: {error or 'not in time'}") from error
+
+
+def assert_not_later(value: float, limit: float, what: str) -> None:
+    """Assert that a measured time, or another figure that the load increases, does not exceed its limit.
+
+    Raises:
+        TooSlow: it does.
+    """
+    if value > limit:
+        raise TooSlow(f"{what}: {value:g}, limit {limit:g}")
 
 
 def run_within(seconds: float, words: Sequence[str], **options: Any) -> subprocess.CompletedProcess[str]:

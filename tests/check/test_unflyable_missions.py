@@ -18,10 +18,7 @@ UNFLYABLE = {
         ("x: [-1.5, 2.2]", "x: [-1.5, 1.0]"),
         "the impact at (1.65, 0.82) is 0.65 m outside bounds_m",
     ),
-    "wall at 2,000 m": (
-        ("point_m: [1.65, 0.5]", "point_m: [2000.0, 1000.0]"),
-        "m outside bounds_m",
-    ),
+    "wall at 2,000 m": (("point_m: [1.65, 0.5]", "point_m: [2000.0, 1000.0]"), "m outside bounds_m"),
     "no room for the run-up": (
         ("x: [-1.5, 2.2], y: [-1.5", "x: [-0.05, 2.2], y: [-1.5"),
         "the run-up to wall acrylic at 1.12 m/s starts at",

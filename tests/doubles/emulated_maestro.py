@@ -6,18 +6,14 @@ are its data. Anything else is a protocol error, which the controller keeps unti
 
 from __future__ import annotations
 
-import contextlib
-import os
-import pty
-import selectors
 import threading
-import tty
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 
 from dart_flight.config.vehicle import Servo
 from dart_flight.lock.servo import NO_FAULTS, ServoFaults, ServoModel
+from tests.doubles.scripted_peer import PlainBytes, PtyLink, ScriptedPeer
 
 _DATA_BYTES = {0x84: 3, 0x87: 3, 0x89: 3, 0x90: 1, 0x93: 0, 0xA1: 0, 0xA2: 0}
 _PROTOCOL_ERROR = 1 << 4
@@ -25,30 +21,29 @@ _TICK_US = 10_000  # the controller moves a limited pulse every 10 ms
 
 
 class EmulatedMaestro:
-    """The controller with the modelled servo on one channel; the driver opens the path `link`."""
+    """The controller with the modelled servo on one channel; the driver opens the path `link`.
+
+    Attributes:
+        received: every received byte.
+        limits_us: range of the channel, to which targets are clamped.
+    """
 
     def __init__(
         self, servo: Servo, link: Path, clock_us: Callable[[], int], *, channel: int = 0, horn_us: float
     ) -> None:
-        self.link = link
-        self.channel = channel
-        self.received = bytearray()  # every received byte
-        self.limits_us = (500.0, 2500.0)  # range of the channel, to which targets are clamped
-        self._servo = ServoModel(servo, horn_us)
-        self._clock_us = clock_us
+        self.link, self.channel = link, channel
+        self.received = bytearray()
+        self.limits_us = (500.0, 2500.0)
+        self._servo, self._clock_us = ServoModel(servo, horn_us), clock_us
         self._lock = threading.Lock()
-        self._command = bytearray()
-        self._errors = 0
-        self._noise: list[bytes] = []
-        self._mute = False
+        self._command, self._noise = bytearray(), list[bytes]()
+        self._errors, self._mute = 0, False
         self._target_us: float | None = None
         self._output_us: float | None = None
         self._speed_us_s = 0.0
         self._output_at_us = clock_us()
         self._reset_at_us: int | None = None
-        self._terminal: tuple[int, int] | None = None
-        self._thread: threading.Thread | None = None
-        self._wake = os.pipe()
+        self._port: ScriptedPeer | None = None
 
     def __enter__(self) -> EmulatedMaestro:
         self.plug()
@@ -58,32 +53,24 @@ class EmulatedMaestro:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.unplug()
-        for descriptor in self._wake:
-            os.close(descriptor)
 
     # -- actions of a test --
 
     def plug(self) -> None:
         """Plug the cable in, so that the port appears."""
-        master, slave = pty.openpty()
-        tty.setraw(slave)
-        self._terminal = (master, slave)
+        port = PtyLink()
         self._command.clear()
-        self.link.symlink_to(os.ttyname(slave))
-        self._thread = threading.Thread(target=self._listen, args=(master,), name="maestro", daemon=True)
-        self._thread.start()
+        self.link.symlink_to(port.device)
+        self._port = ScriptedPeer(port, PlainBytes(), {None: self._answer_bytes})
+        self._port.__enter__()
 
     def unplug(self, *, power_too: bool = False) -> None:
         """Pull the cable, so that the port vanishes; with `power_too` also stop the pulses."""
-        if self._terminal is None:
+        if self._port is None:
             return
         self.link.unlink()
-        os.write(self._wake[1], b"x")
-        if self._thread is not None:
-            self._thread.join()
-        for descriptor in self._terminal:
-            os.close(descriptor)
-        self._terminal = None
+        self._port.__exit__(None, None, None)
+        self._port = None
         if power_too:
             self.restart()
 
@@ -116,8 +103,8 @@ class EmulatedMaestro:
 
     def say(self, noise: bytes) -> None:
         """Send noise now."""
-        if self._terminal is not None:
-            os.write(self._terminal[0], noise)
+        if self._port is not None:
+            self._port.send(noise)
 
     def mute(self, mute: bool = True) -> None:
         """Stop answering, as a controller that hangs."""
@@ -138,20 +125,8 @@ class EmulatedMaestro:
 
     # -- the controller --
 
-    def _listen(self, master: int) -> None:
-        with selectors.DefaultSelector() as ready:
-            ready.register(master, selectors.EVENT_READ)
-            ready.register(self._wake[0], selectors.EVENT_READ)
-            while True:
-                events = [key.fd for key, _ in ready.select()]
-                if self._wake[0] in events:
-                    os.read(self._wake[0], 1)
-                    return
-                for byte in os.read(master, 256):
-                    answer = self._handle_byte(byte)
-                    if answer:
-                        with contextlib.suppress(OSError):
-                            os.write(master, answer)
+    def _answer_bytes(self, data: bytes) -> Iterator[bytes]:
+        return filter(None, map(self._handle_byte, data))
 
     def _handle_byte(self, byte: int) -> bytes:
         with self._lock:

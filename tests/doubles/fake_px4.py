@@ -1,7 +1,7 @@
 """A stand-in for PX4 on the simulator link: a TCP client that answers every HIL_SENSOR but cannot fly.
 
-`install` writes it into a folder as bin/px4. Tests of the launch and the world process use it if there is no
-PX4. `behaviour` selects its fault.
+`px4_install` writes it into a folder as bin/px4. Tests of the launch and the world process use it if there is
+no PX4. `behaviour` selects its fault.
 """
 
 from __future__ import annotations
@@ -9,125 +9,38 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import sys
 import time
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from dart_flight.config.mission import load_mission
-from dart_flight.config.parameter_file import PositionSource
-from dart_flight.config.vehicle import packaged
-from dart_flight.sim.px4.launch import flight_parameters
-
-ROOT = Path(__file__).parents[2]
+from tests.doubles.scripted_peer import Mavlink, ScriptedPeer, TcpLink
 
 
-class FakePx4:
-    """The client's end of the simulator link.
+class FakePx4(ScriptedPeer):
+    """The client's end of the simulator link; while the context is open, it answers every HIL_SENSOR.
 
     Args:
         port: TCP port of the simulator.
+
+    Attributes:
         controls: actuator controls in every answer.
         armed: whether the answers report an armed vehicle.
     """
 
-    def __init__(self, port: int, controls: tuple[float, ...] = (0.0,) * 16, armed: bool = False) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port))
-        self.controls, self.armed = controls, armed
-        self.received: list[Any] = []
-        self._parser = mavlink.MAVLink(None)
-        self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    def __init__(self, port: int) -> None:
+        super().__init__(
+            TcpLink(port), Mavlink(), {"HIL_SENSOR": lambda sensor: [self.outputs(sensor.time_usec)]}
+        )
+        self.controls: tuple[float, ...] = (0.0,) * 16
+        self.armed = False
 
-    def serve(self, sensors: int, answer: bool = True) -> None:
-        """Receive messages until this number of HIL_SENSOR has arrived, and answer each."""
-        while sensors > 0:
-            data = self.socket.recv(65536)
-            if not data:
-                return
-            for message in self._parser.parse_buffer(data) or []:
-                self.received.append(message)
-                if message.get_type() == "HIL_SENSOR":
-                    sensors -= 1
-                    if answer:
-                        self.answer(message.time_usec)
-
-    def answer(self, time_us: int) -> None:
-        """Send one HIL_ACTUATOR_CONTROLS."""
-        reply = mavlink.MAVLink_hil_actuator_controls_message(
+    def outputs(self, time_us: int) -> mavlink.MAVLink_message:
+        """Return one HIL_ACTUATOR_CONTROLS."""
+        return mavlink.MAVLink_hil_actuator_controls_message(
             time_us, list(self.controls), 128 if self.armed else 0, 1
         )
-        self.socket.sendall(reply.pack(self._pack))
-
-    def close(self) -> None:
-        """Close the connection."""
-        self.socket.close()
-
-
-_CLIENT = """#!/bin/sh
-store={folder}/parameters-$2
-case "$3" in
-set)
-  case " {missing} " in *" $4 "*) echo "ERROR [param] Parameter $4 not found."; exit 0 ;; esac
-  value=$5
-  case " {stuck} " in *" $4 "*) value=0.0000 ;; esac
-  echo "x * $4 [1,2] : $value" >> $store ;;
-show)
-  echo "Symbols: x = used, + = saved, * = unsaved"
-  echo "x   SYS_AUTOSTART [1,2] : 10016"
-  sed 's/^/    /; s/$/ [1,2] : 0.0000/' {folder}/known
-  test ! -e $store || cat $store
-  test ! -e {folder}/booted || cat {folder}/after_boot ;;
-esac
-"""
-
-
-def install(
-    folder: Path,
-    behaviour: str = "fly",
-    version: str = "Release 1.16.0",
-    *,
-    known: Iterable[str] = (),
-    missing: str = "",
-    stuck: str = "",
-    overwritten: str = "",
-) -> Path:
-    """Write a PX4 installation whose program is this file, and return its folder.
-
-    Args:
-        folder: folder of the installation.
-        behaviour: `fly`, or the fault: `ends`, `stubborn`, `deaf` or `dies`.
-        version: version that the program reports.
-        known: additional parameters; those of an indoor flight always exist.
-        missing: names of parameters that do not exist, separated by spaces.
-        stuck: names of parameters that stay 0 when set.
-        overwritten: parameter that the start-up script sets to 77.
-    """
-    (folder / "bin").mkdir(parents=True)
-    airframes = folder / "etc" / "init.d-posix" / "airframes"
-    airframes.mkdir(parents=True)
-    (airframes / "10016_none_iris").touch()
-    (airframes.parent / "rcS").touch()
-    program = folder / "bin" / "px4"
-    program.write_text(
-        f"#!/bin/sh\nexport PYTHONPATH={ROOT}\n"
-        f'exec {sys.executable} -m tests.doubles.fake_px4 {behaviour} "$@"\n'
-    )
-    program.chmod(0o755)
-    reporter = folder / "bin" / "px4-ver"
-    reporter.write_text(f"#!/bin/sh\necho 'HW arch: PX4_SITL'\necho 'PX4 version: {version} (17825792)'\n")
-    reporter.chmod(0o755)
-    vehicle = load_mission(packaged("missions", "paper_dual_collision.yaml")).vehicle
-    names = {*known, *flight_parameters(vehicle, PositionSource.MOCAP)} - set(missing.split())
-    (folder / "known").write_text("".join(f"{name}\n" for name in sorted(names)))
-    (folder / "after_boot").write_text(f"x * {overwritten} [1,2] : 77\n" if overwritten else "")
-    client = folder / "bin" / "px4-param"
-    client.write_text(_CLIENT.format(folder=folder, missing=missing, stuck=stuck))
-    client.chmod(0o755)
-    return folder
 
 
 def _connect(port: int) -> FakePx4:
@@ -158,10 +71,11 @@ def main() -> None:
     print("INFO  [px4] Startup script returned successfully", flush=True)
     Path("log/today").mkdir(parents=True)
     Path("log/today/flight.ulg").write_bytes(b"ULog of a fake")
-    if behaviour == "dies":
-        fake.serve(4000)
-        os.kill(os.getpid(), signal.SIGKILL)
-    fake.serve(10_000_000)
+    with fake:
+        if behaviour == "dies":
+            fake.wait_for(lambda: len(fake.received) >= 3000, 60.0, "twelve seconds of sensor messages")
+            os.kill(os.getpid(), signal.SIGKILL)
+        fake.ended.wait()
 
 
 if __name__ == "__main__":

@@ -9,14 +9,10 @@ from typing import Any
 import msgspec
 
 from dart_flight.base.records import FlightMode
-from dart_flight.base.thread_context import ThreadContext
 from dart_flight.config.parameter_file import Value
-from dart_flight.config.vehicle import LockDriver
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.embedded_autopilot import TICK_S
-from dart_flight.sim.mavlink_endpoint import Link, MavlinkEndpoint
-from dart_flight.sim.served_world import ticks_in_real_time
-from dart_flight.sim.simulated_vehicle import SimulatedVehicle
+from tests.doubles.vehicle_peer import VehiclePeer
 
 
 class Losses(msgspec.Struct):
@@ -39,51 +35,7 @@ class Losses(msgspec.Struct):
     limits: Mapping[str, Value] = {}
 
 
-class _LossyEndpoint(MavlinkEndpoint):
-    losses = Losses()
-    silent = False
-    writes, written_s = 0, 0.0
-    requests = 0  # by name
-
-    def exchange(self) -> None:
-        if self.writes and self.autopilot.now_s - self.written_s > 2.0:
-            self.autopilot.parameters |= dict(self.losses.limits)
-        if not self.silent:
-            super().exchange()
-
-    def _handle_message(self, link: Link, message: Any) -> None:
-        kind = message.get_type()
-        names = [name for name in self.autopilot.parameters if name not in self.losses.unlisted]
-        if kind == "PARAM_REQUEST_LIST":
-            for index, name in enumerate(names[: round(len(names) * (1.0 - self.losses.share))]):
-                self._send_entry(link, name, index, len(names))
-            return
-        if kind == "PARAM_REQUEST_READ":
-            if message.param_index >= 0:
-                self._send_entry(link, names[message.param_index], message.param_index, len(names))
-                return
-            self.requests += 1
-            name = message.param_id.rstrip("\x00")
-            if name in self.losses.mute:
-                return
-            if name in self.losses.unlisted:
-                self._send_entry(link, name, 65535, len(names))
-                return
-        if kind == "PARAM_SET":
-            if self.writes == self.losses.dies_after:
-                self.silent = True
-                return
-            self.writes, self.written_s = self.writes + 1, self.autopilot.now_s
-        super()._handle_message(link, message)
-
-    def _send_entry(self, link: Link, name: str, index: int, count: int) -> None:
-        if index != self.losses.broken_index:
-            value = self._param_value(name, index)
-            value.param_count = count
-            self._send(link, value)
-
-
-class ParameterVehicle(ThreadContext):
+class ParameterVehicle(VehiclePeer):
     """`with ParameterVehicle(mission, port, losses) as vehicle`: a vehicle that sends to a UDP port.
 
     Args:
@@ -95,6 +47,7 @@ class ParameterVehicle(ThreadContext):
 
     Attributes:
         values: parameters of the vehicle, which a test may change before the start.
+        requests: number of requests for a parameter by name.
         has_shown: set after the last mode of `show_modes` has begun.
     """
 
@@ -106,34 +59,61 @@ class ParameterVehicle(ThreadContext):
         system: int = 1,
         ground_port: int | None = None,
     ) -> None:
-        super().__init__()
         ports = (port,) if ground_port is None else (port, ground_port)
-        self._vehicle = SimulatedVehicle(load_flyable(mission), 1, LockDriver.PX4)
-        self._endpoint = _LossyEndpoint(self._vehicle.autopilot, ports, system=system)
-        self._endpoint.losses = losses or Losses()
+        super().__init__(load_flyable(mission), ports, system)
+        self._losses = losses or Losses()
         self._modes: list[FlightMode] = []
+        self._silent, self._writes, self._written_s = False, 0, 0.0
+        self.requests = 0
         self.has_shown = threading.Event()
-        self.values = self._vehicle.autopilot.parameters
-
-    @property
-    def requests(self) -> int:
-        """Number of requests for a parameter by name."""
-        return self._endpoint.requests
+        self.values = self.autopilot.parameters
+        self.answers |= {
+            "PARAM_REQUEST_LIST": self._list,
+            "PARAM_REQUEST_READ": self._read,
+            "PARAM_SET": self._set,
+        }
 
     def show_modes(self, modes: Iterable[tuple[FlightMode, float]]) -> None:
         """Have the autopilot report each mode for some of its time, seconds, and then the last mode."""
         self._modes = [mode for mode, seconds in modes for _ in range(round(seconds / TICK_S))]
 
-    def _run(self) -> None:
-        for _ in ticks_in_real_time():
-            if self._stop.is_set():
-                return
-            self._vehicle.advance()
-            if self._modes:
-                self._vehicle.autopilot.mode = self._modes.pop(0)
-                if not self._modes:
-                    self.has_shown.set()
-            self._endpoint.exchange()
+    def tick(self) -> None:
+        super().tick()
+        if self._modes:
+            self.autopilot.mode = self._modes.pop(0)
+            if not self._modes:
+                self.has_shown.set()
 
-    def _close(self) -> None:
-        self._endpoint.close()
+    def exchange(self) -> None:
+        if self._writes and self.autopilot.now_s - self._written_s > 2.0:
+            self.values |= dict(self._losses.limits)
+        if not self._silent:
+            super().exchange()
+
+    def _entries(self, *indices: int) -> list[Any]:
+        """Return entries of the list of parameters, without the one that is always lost."""
+        names = [name for name in self.values if name not in self._losses.unlisted]
+        kept = (index for index in indices if index != self._losses.broken_index)
+        return [self.endpoint.parameter(names[index], index, len(names)) for index in kept]
+
+    def _list(self, _: Any) -> Iterable[Any]:
+        listed = len(self.values.keys() - set(self._losses.unlisted))
+        return self._entries(*range(round(listed * (1.0 - self._losses.share))))
+
+    def _read(self, request: Any) -> Iterable[Any] | None:
+        if request.param_index >= 0:
+            return self._entries(request.param_index)
+        self.requests += 1
+        name = request.param_id.rstrip("\x00")
+        if name in self._losses.mute:
+            return []
+        if name in self._losses.unlisted:
+            return [self.endpoint.parameter(name, 65535, len(self.values) - len(self._losses.unlisted))]
+        return None
+
+    def _set(self, _: Any) -> Iterable[Any] | None:
+        if self._writes == self._losses.dies_after:
+            self._silent = True
+            return []
+        self._writes, self._written_s = self._writes + 1, self.autopilot.now_s
+        return None

@@ -71,6 +71,7 @@ class Viewer:
         messages: topic -> messages, in order of arrival.
         times_us: times of the flight that the server sends.
         refused: error messages of the server.
+        timed_out: whether the last `watch` ended by its timeout.
     """
 
     def __init__(self, url: str, wanted: Callable[[dict[str, list[dict[str, Any]]]], bool]) -> None:
@@ -79,6 +80,7 @@ class Viewer:
         self.messages: dict[str, list[dict[str, Any]]] = {}
         self.times_us: list[int] = []
         self.refused: list[str] = []
+        self.timed_out = False
         self._channels: dict[int, tuple[str, Decoder]] = {}
 
     def watch(self, timeout_s: float) -> bool:
@@ -97,6 +99,8 @@ class Viewer:
                     if self._wanted(self.messages):
                         return True
                     checked = time.monotonic()
+            else:
+                self.timed_out = True
         return self._wanted(self.messages)
 
     def _connect(self, ends: float) -> ClientConnection:

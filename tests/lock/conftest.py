@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
-from dart_flight.config.vehicle import LimitSwitch, LockConfig, packaged
+from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
+from tests.lock.rigs import RIGS, Rig
 
 BOTH_SWITCHES = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23, flexible_line=24)
 
@@ -32,3 +34,19 @@ def vary(lock_config: LockConfig) -> Callable[..., LockConfig]:
         return msgspec.structs.replace(lock_config, **changes)
 
     return varied
+
+
+@pytest.fixture
+def make_rig(
+    vary: Callable[..., LockConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., Rig]]:
+    """A rig of a kind of driver with a varied configuration: `make_rig(LockDriver.PWM, startup=...)`."""
+    made: list[Rig] = []
+
+    def make(kind: LockDriver, **changes: Any) -> Rig:
+        made.append(RIGS[kind](vary(**changes), tmp_path, monkeypatch))
+        return made[-1]
+
+    yield make
+    for rig in made:
+        rig.free()

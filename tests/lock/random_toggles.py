@@ -14,25 +14,20 @@ from __future__ import annotations
 
 import random
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 
 from dart_flight.base.records import LockPhase, Mode
-from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver, packaged
+from dart_flight.config.vehicle import LimitSwitch, LockDriver, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock.drivers import Driver
 from dart_flight.lock.drivers.limit_switch import DriverWithLimitSwitch
 from dart_flight.lock.drivers.maestro import MaestroDriver
-from dart_flight.lock.drivers.mock import MockDriver, MockFaults
-from dart_flight.lock.lock_session import LockSession
-from dart_flight.lock.servo import NO_FAULTS, ServoFaults, mode_of
-from tests.doubles.emulated_maestro import EmulatedMaestro
+from dart_flight.lock.drivers.mock import MockFaults
+from dart_flight.lock.servo import NO_FAULTS, ServoFaults
+from tests.lock.rigs import MaestroRig, MockRig
 
-POLL_US = 20_000
 TOGGLES_PER_RIG = 25
 SWITCHES = (
     None,
@@ -68,23 +63,6 @@ class Tally(msgspec.Struct):
     violations: list[str] = []
 
 
-class Rig(Protocol):
-    """A driver and the modelled hardware behind it."""
-
-    @property
-    def driver(self) -> Driver:
-        """The driver under test."""
-
-    def horn_us(self) -> float:
-        """Return the position of the modelled horn."""
-
-    def inject_fault(self, fault: str, rng: random.Random) -> None:
-        """Inject a fault that acts now or during the next travel."""
-
-    def repair(self) -> None:
-        """Clear every fault."""
-
-
 def _servo_faults(fault: str, rng: random.Random) -> ServoFaults:
     if fault == "stuck":
         return ServoFaults(stuck=True)
@@ -95,20 +73,12 @@ def _servo_faults(fault: str, rng: random.Random) -> ServoFaults:
     return NO_FAULTS
 
 
-class MockRig:
-    """The mock driver on a simulated clock."""
-
-    def __init__(self, config: LockConfig, clock: list[int]) -> None:
-        self.driver = MockDriver(config, lambda: clock[0])
-        self._clock = clock
-
-    def horn_us(self) -> float:
-        """Return the position of the modelled horn."""
-        return self.driver.horn_pulse_us(self._clock[0])
+class RandomMock(MockRig):
+    """The mock driver, with random faults."""
 
     def inject_fault(self, fault: str, rng: random.Random) -> None:
-        """Inject a fault."""
-        self.driver.inject(
+        """Inject a fault that acts now or during the next travel."""
+        self.mock.inject(
             MockFaults(
                 servo=_servo_faults(fault, rng),
                 unplugged=fault == "unplugged",
@@ -119,31 +89,20 @@ class MockRig:
 
     def repair(self) -> None:
         """Clear every fault."""
-        self.driver.inject(MockFaults())
+        self.mock.inject(MockFaults())
 
 
-class MaestroRig:
-    """The serial driver, the pseudo-terminal and the emulated controller on a simulated clock."""
+class RandomMaestro(MaestroRig):
+    """The serial driver with modelled limit switches and an emulated controller, with random faults."""
 
-    def __init__(self, config: LockConfig, clock: list[int], folder: Path) -> None:
-        self._config, self._clock = config, clock
-        maestro = msgspec.structs.replace(config.maestro, port=str(folder / "maestro"))
-        self.controller = EmulatedMaestro(
-            config.servo, folder / "maestro", lambda: clock[0], horn_us=config.servo.flexible_pulse_us
-        )
-        self.controller.plug()
-        self._plugged = True
-        self._silent = False
-        serial = MaestroDriver(msgspec.structs.replace(config, maestro=maestro))
-        self.driver: Driver = DriverWithLimitSwitch(serial, self)
+    _plugged, _silent = True, False
 
-    def horn_us(self) -> float:
-        """Return the position of the modelled horn."""
-        return self.controller.horn_us()
+    def make_driver(self) -> Driver:
+        return DriverWithLimitSwitch(MaestroDriver(self.config), self)
 
     def read(self) -> tuple[bool | None, bool | None]:
         """Return the states of the modelled limit switches."""
-        mode, switch = mode_of(self._config.servo, self.horn_us()), self._config.limit_switch
+        mode, switch = self.horn(), self.config.limit_switch
         rigid = None if switch is None or switch.rigid_line is None else mode is Mode.RIGID
         flexible = None if switch is None or switch.flexible_line is None else mode is Mode.FLEXIBLE
         return (rigid and not self._silent), (flexible and not self._silent)
@@ -152,14 +111,14 @@ class MaestroRig:
         """Do nothing: modelled switches hold no resources."""
 
     def inject_fault(self, fault: str, rng: random.Random) -> None:
-        """Inject a fault."""
+        """Inject a fault that acts now or during the next travel."""
         self.controller.set_servo_faults(_servo_faults(fault, rng))
         self._silent = fault == "silent switch"
         if fault == "unplugged":
             self._plugged = False
             self.controller.unplug(power_too=rng.random() < 0.5)
         elif fault == "brown-out":
-            self.controller.restart_at(self._clock[0] + round(rng.uniform(0.0, 0.3) * 1e6))
+            self.controller.restart_at(self.t_us + round(rng.uniform(0.0, 0.3) * 1e6))
         elif fault == "noise":
             bursts = (rng.randbytes(rng.randrange(0, 9)) for _ in range(rng.randrange(1, 12)))
             self.controller.add_noise(*bursts)
@@ -177,33 +136,21 @@ class MaestroRig:
             self.controller.plug()
 
 
-@contextmanager
-def _rig(controller: str, config: LockConfig, clock: list[int]) -> Iterator[Rig]:
-    if controller == "mock":
-        yield MockRig(config, clock)
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        rig = MaestroRig(config, clock, Path(folder))
-        try:
-            yield rig
-        finally:
-            rig.driver.close()
-            rig.controller.__exit__(None, None, None)
+RandomRig = RandomMock | RandomMaestro
 
 
 class _Watch:
     """Steps a session and compares its reported state with the horn."""
 
-    def __init__(self, session: LockSession, rig: Rig, clock: list[int], tally: Tally) -> None:
-        self.session, self.rig, self._clock, self._tally = session, rig, clock, tally
+    def __init__(self, rig: RandomRig, tally: Tally) -> None:
+        self.session, self.rig, self._tally = rig.session, rig, tally
         self.servo_may_be_faulty = False
         self.label = ""
 
     def run(self, polls: int) -> None:
         for _ in range(polls):
             before = self.session.state
-            self._clock[0] += POLL_US
-            state = self.session.poll()
+            state = self.rig.run(1e-6 * self.rig.POLL_US)
             self._tally.polls += 1
             self._compare_with_horn(newly=state is not before)
 
@@ -213,7 +160,7 @@ class _Watch:
             tally.faults_reported += 1
         if state.phase is not LockPhase.SETTLED:
             return
-        arrived = mode_of(self.session.machine.config.servo, self.rig.horn_us()) is state.mode
+        arrived = self.rig.horn() is state.mode
         if newly:
             tally.settled_with_feedback += state.feedback
             tally.settled_without_feedback += not state.feedback
@@ -234,18 +181,18 @@ def run_campaign(controller: str, toggles: int, seed: int) -> Tally:
             driver=LockDriver(controller),
             limit_switch=rng.choice(SWITCHES),
             maestro=msgspec.structs.replace(
-                packaged_lock.maestro, reply_timeout_s=0.2, speed_limit_us_s=rng.choice((0.0, 0.0, 2500.0))
+                packaged_lock.maestro, speed_limit_us_s=rng.choice((0.0, 0.0, 2500.0))
             ),
         )
-        clock = [rng.randrange(1, 10**12)]
-        with _rig(controller, config, clock) as rig:
-            session = LockSession(config, rig.driver, lambda clock=clock: clock[0])  # type: ignore[misc]
-            watch = _Watch(session, rig, clock, tally)
+        with tempfile.TemporaryDirectory() as folder:
+            rig = RandomMock(config) if controller == "mock" else RandomMaestro(config, Path(folder))
+            session, watch = rig.session, _Watch(rig, tally)
             session.start()
             watch.run(30)
             session.permit(True)
             for _ in range(min(TOGGLES_PER_RIG, toggles - tally.toggles)):
                 _toggle(watch, tally, rng)
+            rig.free()
     return tally
 
 

@@ -8,7 +8,7 @@ from dart_flight.config.vehicle import LockConfig
 from tests.lock.random_toggles import run_campaign
 
 
-@pytest.mark.parametrize(("controller", "toggles"), [("mock", 400), ("maestro", 100)])
+@pytest.mark.parametrize(("controller", "toggles"), [("mock", 200), ("maestro", 75)])
 def test_random_toggles_with_faults_find_no_violation(controller: str, toggles: int) -> None:
     tally = run_campaign(controller, toggles, seed=7)
     assert tally.violations == []

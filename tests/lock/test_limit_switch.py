@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable
 from enum import Enum
 from types import ModuleType, SimpleNamespace
 from typing import Any
-from unittest.mock import Mock, call
 
 import pytest
 
-from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver
-from dart_flight.lock.drivers import ActuatorLink, DriverError, make_driver
-from dart_flight.lock.drivers.limit_switch import DriverWithLimitSwitch, GpioLimitSwitch
-
-Vary = Callable[..., LockConfig]
+from dart_flight.config.vehicle import LimitSwitch, LockDriver
+from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.drivers.limit_switch import GpioLimitSwitch
+from tests.lock.rigs import MakeRig
 
 
 class Value(Enum):
@@ -42,7 +39,7 @@ def gpiod(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A double of gpiod; `levels` holds the electrical level of each line, high for an open switch."""
     module: Any = ModuleType("gpiod")
     module.levels = {23: True, 24: True}
-    module.requests = []
+    module.requests, module.opened = [], list[Request]()
     module.line = SimpleNamespace(
         Value=Value,
         Direction=Enum("Direction", "AS_IS INPUT OUTPUT"),
@@ -56,7 +53,8 @@ def gpiod(monkeypatch: pytest.MonkeyPatch) -> Any:
             raise FileNotFoundError(2, "No such file or directory")
         ((lines, settings),) = config.items()
         module.requests.append((path, lines, settings, consumer))
-        return Request(module.levels, settings.active_low)
+        module.opened.append(Request(module.levels, settings.active_low))
+        return module.opened[-1]
 
     module.request_lines = request_lines
     monkeypatch.setitem(sys.modules, "gpiod", module)
@@ -93,44 +91,26 @@ def test_a_failed_line_raises_a_driver_error_and_is_requested_again(gpiod: Any) 
     assert len(gpiod.requests) == 2
 
 
-@pytest.mark.usefixtures("gpiod")
-def test_a_drivers_reading_includes_the_switches(vary: Vary) -> None:
-    config = vary(limit_switch=LimitSwitch("/dev/gpiochip0", rigid_line=23))
-    driver = make_driver(config, LockDriver.PX4, link=ActuatorLink(lambda index, value: None, None))
-    assert isinstance(driver, DriverWithLimitSwitch)
-    driver.open()
-    driver.set_pulse(1980.0)
-    reading = driver.read()
-    assert (reading.pulse_us, reading.rigid_switch, reading.flexible_switch) == (1980.0, False, None)
-    with pytest.raises(DriverError, match="cannot switch off the pulses"):
-        driver.release()
-    driver.close()
-
-
-def test_a_missing_chip_is_reported_when_the_driver_is_opened(gpiod: Any, vary: Vary) -> None:
-    """The error must not wait for the first reading in flight."""
-    config = vary(limit_switch=LimitSwitch("/dev/gpiochip7", rigid_line=23))
-    driver = make_driver(config, LockDriver.PX4, link=ActuatorLink(lambda index, value: None, None))
-    with pytest.raises(DriverError, match="limit switch on /dev/gpiochip7"):
-        driver.open()
-    assert gpiod.requests == []
-
-
-@pytest.mark.usefixtures("gpiod")
-def test_closing_the_driver_releases_the_lines(vary: Vary) -> None:
+def test_a_driver_reads_the_switches_and_releases_their_lines_when_it_is_closed(
+    gpiod: Any, make_rig: MakeRig
+) -> None:
     """Otherwise the next process finds the lines in use."""
-    switches = GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))
-    switches.read()
-    request = switches._request
-    real = Mock()
-    driver = DriverWithLimitSwitch(real, switches)
-    driver.open()
-    driver.set_pulse(1500.0)
-    driver.release()
-    driver.close()
-    assert request.released
-    assert real.mock_calls == [call.open(), call.set_pulse(1500.0), call.release(), call.close()]
-    assert driver._switches.read() == (False, None)  # the line can be requested again
+    rig = make_rig(LockDriver.PX4, limit_switch=LimitSwitch("/dev/gpiochip0", rigid_line=23))
+    for number in range(2):
+        rig.driver.open()
+        rig.driver.set_pulse(1980.0)
+        reading = rig.driver.read()
+        assert (reading.pulse_us, reading.rigid_switch, reading.flexible_switch) == (1980.0, False, None)
+        rig.driver.close()
+        assert [request.released for request in gpiod.opened] == [True] * (number + 1)
+
+
+def test_a_missing_chip_is_reported_when_the_driver_is_opened(gpiod: Any, make_rig: MakeRig) -> None:
+    """The error must not wait for the first reading in flight."""
+    rig = make_rig(LockDriver.PX4, limit_switch=LimitSwitch("/dev/gpiochip7", rigid_line=23))
+    with pytest.raises(DriverError, match="limit switch on /dev/gpiochip7"):
+        rig.driver.open()
+    assert gpiod.requests == []
 
 
 def test_a_missing_gpiod_package_is_reported_with_the_install_command(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from dart_flight.lock.ground import clock_us
 from dart_flight.lock.persistence import load_last
 from dart_flight.lock.servo import mode_of
 from tests.doubles.emulated_maestro import EmulatedMaestro
+from tests.real_time import wait_until
 
 
 class World:
@@ -171,39 +173,36 @@ def test_a_silent_controller_exits_with_status_1(
         ("theta0_deg: 0.0", "theta0_deg: 30.0", (), "outside the cam's range"),
         ("period_us: 20000.0", "period_us: 1.0", (), "lock.pwm.period_us"),
         ("version: 1", "version: 1", ("--driver", "hand"), "unknown --driver 'hand'"),
+        ("/maestro", "/ttyS0", ("--driver", "maestro"), "lock.maestro.port: cannot open"),  # a regular file
     ],
 )
 def test_wrong_input_is_reported_in_one_line_with_status_2(
-    world: World, old: str, new: str, arguments: tuple[str, ...], expected: str
+    world: World,
+    capsys: pytest.CaptureFixture[str],
+    old: str,
+    new: str,
+    arguments: tuple[str, ...],
+    expected: str,
 ) -> None:
     world.set(old, new)
-    process = world.start("rigid", *arguments)
-    out, error = process.communicate(timeout=20)
-    assert process.returncode == 2
+    (world.folder / "ttyS0").write_text("")
+    with contextlib.suppress(SystemExit):  # argparse ends the program itself
+        assert main(world.command("rigid", *arguments)) == 2
+    out, error = capsys.readouterr()
     assert out == ""
     assert error.count("\n") == 1
     assert expected in error
-
-
-def test_a_regular_file_as_port_is_refused(world: World, capsys: pytest.CaptureFixture[str]) -> None:
-    (world.folder / "maestro").write_text("")
-    assert main(world.command("rigid", "--driver", "maestro")) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "lock.maestro.port: cannot open" in error
 
 
 # --- two processes, death ----------------------------------------------------------------------------
 
 
 def wait_for_travel() -> int:
-    deadline = time.monotonic() + 10.0
-    while time.monotonic() < deadline:
+    def pid() -> int | None:
         last = load_last()
-        if last is not None and last.phase is LockPhase.TRAVELLING:
-            return last.pid
-        time.sleep(0.005)
-    raise AssertionError("no travel was begun")
+        return last.pid if last is not None and last.phase is LockPhase.TRAVELLING else None
+
+    return wait_until(pid, 10.0, "a travel begins")
 
 
 def test_a_second_process_is_refused_until_the_first_one_dies(
@@ -232,12 +231,28 @@ def test_a_second_process_is_refused_until_the_first_one_dies(
 # --- calibrate ---------------------------------------------------------------------------------------
 
 
-def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -> None:
+def calibrate(
+    world: World,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    typed: str,
+    *options: str,
+) -> tuple[int, str, str]:
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+    status = main(world.command("calibrate", *options))
+    return status, *capsys.readouterr()
+
+
+def test_calibrate_writes_the_two_ends(
+    world: World,
+    maestro: EmulatedMaestro,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     before = world.config.read_text().splitlines()
-    process = world.start("calibrate")
-    lines = ("y", "1200", "up", "ok", "1690", "+", "ok", "y")
-    out, error = process.communicate("".join(f"{line}\n" for line in lines), timeout=30)
-    assert process.returncode == 0, error
+    typed = "".join(f"{line}\n" for line in ("y", "1200", "up", "ok", "1690", "+", "ok", "y"))
+    status, out, error = calibrate(world, monkeypatch, capsys, typed)
+    assert status == 0, error
     assert out == "maestro: flexible: settled (no feedback)\n"
     assert "Are the rods free to move?" in error
     assert "up is not a command" in error
@@ -259,13 +274,17 @@ def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -
         ("y\n1450\nok\n1520\nok\nno\n", "nothing written"),
     ],
 )
+@pytest.mark.usefixtures("maestro")
 def test_an_abandoned_calibration_writes_nothing(
-    world: World, maestro: EmulatedMaestro, lines: str, message: str
+    world: World,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    lines: str,
+    message: str,
 ) -> None:
     before = world.config.read_text()
-    process = world.start("calibrate", "--json")
-    out, error = process.communicate(lines, timeout=30)
-    assert process.returncode == 1
+    status, out, error = calibrate(world, monkeypatch, capsys, lines, "--json")
+    assert status == 1
     assert message in error
     assert json.loads(out)["ok"] is False
     assert world.config.read_text() == before

@@ -11,11 +11,7 @@ from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.document import InputError
 from dart_flight.config.state_folder import state_dir
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.lock.persistence import (
-    CommandStore,
-    delete_last,
-    load_last,
-)
+from dart_flight.lock.persistence import CommandStore, delete_last, load_last
 
 
 @pytest.fixture(autouse=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import shutil
 import threading
 import time
@@ -12,61 +10,24 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.base.records import LockPhase, Mode
 from dart_flight.config.vehicle import LockConfig, LockDriver
-from dart_flight.lock.drivers import Driver, DriverError, make_driver, pwm
+from dart_flight.lock.drivers import DriverError, pwm
 from dart_flight.lock.drivers.pwm import PwmDriver
-from dart_flight.lock.lock_session import LockSession
+from tests.lock.rigs import Sysfs
 
 Vary = Callable[..., LockConfig]
 DATA = Path(__file__).parents[1] / "data"
 
 
-class Sysfs:
-    """An imitation of `/sys/class/pwm` that enforces the kernel's rules and records every write.
+@pytest.fixture(autouse=True)
+def _short_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait only briefly for a channel that does not appear."""
+    monkeypatch.setattr(pwm, "_APPEAR_S", 0.2)
 
-    The rules are those of older kernels, which validate the whole state at every write.
-    """
 
-    def __init__(self, root: Path, monkeypatch: pytest.MonkeyPatch, *, exported: bool = True) -> None:
-        self.root = root
-        self.chip = root / "pwmchip0"
-        self.channel = self.chip / "pwm1"
-        self.writes: list[tuple[str, bytes]] = []
-        self.chip.mkdir()
-        for name, content in (("npwm", "2\n"), ("export", ""), ("unexport", "")):
-            (self.chip / name).write_text(content)
-        if exported:
-            self.export_channel()
-        self._real = pwm.write_attribute
-        monkeypatch.setattr(pwm, "write_attribute", self._write)
-
-    def export_channel(self) -> None:
-        self.channel.mkdir()
-        for name, content in (("period", "0\n"), ("duty_cycle", "0\n"), ("polarity", "normal\n")):
-            (self.channel / name).write_text(content)
-        (self.channel / "enable").write_text("0\n")
-
-    def value(self, name: str) -> str:
-        return (self.channel / name).read_text()
-
-    def _write(self, path: Path, text: str) -> None:
-        name = str(path.relative_to(self.chip))
-        before = path.read_bytes()
-        self._real(path, text)  # real system calls on the imitated file
-        self.writes.append((name, path.read_bytes()))
-        if path.parent == self.channel:
-            path.write_text(text + "\n")  # sysfs appends a newline to every value
-            problem = self._error_number(path.name, before)
-            if problem:
-                path.write_bytes(before)
-                raise OSError(problem, os.strerror(problem))
-
-    def _error_number(self, name: str, before: bytes) -> int:
-        period, duty = int(self.value("period")), int(self.value("duty_cycle"))
-        if name == "polarity" and self.value("enable") == "1\n":
-            return errno.EBUSY
-        return errno.EINVAL if period == 0 or duty > period else 0
+@pytest.fixture
+def sysfs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sysfs:
+    return Sysfs(tmp_path, monkeypatch)
 
 
 @pytest.fixture
@@ -74,12 +35,8 @@ def config(vary: Vary, tmp_path: Path) -> LockConfig:
     return vary(driver=LockDriver.PWM, pwm={"sysfs_dir": str(tmp_path), "chip": 0, "channel": 1})
 
 
-def test_the_driver_writes_the_expected_bytes(
-    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sysfs = Sysfs(tmp_path, monkeypatch)
+def test_the_driver_writes_the_expected_bytes(config: LockConfig, sysfs: Sysfs) -> None:
     driver = PwmDriver(config)
-    assert isinstance(make_driver(config), Driver)
     driver.open()
     driver.open()
     assert driver.read().pulse_us is None
@@ -123,10 +80,7 @@ def test_the_driver_waits_for_the_exported_channel(
     ]
 
 
-def test_a_running_channel_is_adopted_without_a_glitch(
-    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sysfs = Sysfs(tmp_path, monkeypatch)
+def test_a_running_channel_is_adopted_without_a_glitch(config: LockConfig, sysfs: Sysfs) -> None:
     PwmDriver(config).set_pulse(1980.0)
     sysfs.writes.clear()
     second = PwmDriver(config)
@@ -135,13 +89,8 @@ def test_a_running_channel_is_adopted_without_a_glitch(
     assert sysfs.writes == []
 
 
-def test_a_wrong_period_and_polarity_are_corrected(
-    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sysfs = Sysfs(tmp_path, monkeypatch)
-    contents = (("period", "50000000\n"), ("duty_cycle", "30000000\n"), ("polarity", "inversed\n"))
-    for name, content in (*contents, ("enable", "1\n")):
-        (sysfs.channel / name).write_text(content)
+def test_a_wrong_period_and_polarity_are_corrected(config: LockConfig, sysfs: Sysfs) -> None:
+    sysfs.set(period="50000000", duty_cycle="30000000", polarity="inversed", enable="1")
     PwmDriver(config).open()
     assert sysfs.writes == [
         ("pwm1/enable", b"0"),
@@ -152,57 +101,25 @@ def test_a_wrong_period_and_polarity_are_corrected(
 
 
 def test_a_running_inverted_channel_is_stopped_before_its_polarity_is_changed(
-    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: LockConfig, sysfs: Sysfs
 ) -> None:
     """The kernel refuses the polarity of a running channel."""
-    sysfs = Sysfs(tmp_path, monkeypatch)
-    contents = (("period", "20000000\n"), ("duty_cycle", "1500000\n"), ("polarity", "inversed\n"))
-    for name, content in (*contents, ("enable", "1\n")):
-        (sysfs.channel / name).write_text(content)
+    sysfs.set(period="20000000", duty_cycle="1500000", polarity="inversed", enable="1")
     PwmDriver(config).open()
     assert sysfs.writes == [("pwm1/enable", b"0"), ("pwm1/polarity", b"normal")]
 
 
-def test_a_toggle_settles_and_a_stopped_pulse_is_a_fault(
-    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    Sysfs(tmp_path, monkeypatch)
-    clock = [0]
-    session = LockSession(config, PwmDriver(config), lambda: clock[0])
-    session.start()
-    session.permit(True)
-    for mode in (Mode.FLEXIBLE, Mode.RIGID):
-        session.command(mode)
-        for _ in range(20):
-            clock[0] += 20_000
-            session.poll()
-        assert (session.state.phase, session.state.mode) == (LockPhase.SETTLED, mode)
-    (tmp_path / "pwmchip0" / "pwm1" / "enable").write_text("0\n")  # another program stops the pulses
-    for _ in range(3):
-        clock[0] += 20_000
-        session.poll()
-    assert (session.state.phase, session.state.reason) == (LockPhase.FAULT, "the controller lost the pulse")
-
-
-def test_missing_or_damaged_sysfs_entries_are_reported(
+def test_damaged_sysfs_entries_are_reported(
     vary: Vary, config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(DriverError, match=r"pwmchip0 does not exist; check dtoverlay=pwm-2chan") as caught:
-        PwmDriver(config).open()
-    assert caught.value.key == ("pwm", "chip")
-    unopened = PwmDriver(config)
-    for call in (unopened.read, unopened.release, lambda: unopened.set_pulse(1500.0)):
-        with pytest.raises(DriverError, match="check dtoverlay=pwm-2chan"):
-            call()
     sysfs = Sysfs(tmp_path, monkeypatch, exported=False)
     with pytest.raises(DriverError, match="pwmchip0 has 2 channels, numbered from 0") as caught:
         PwmDriver(vary(pwm={"sysfs_dir": str(tmp_path), "chip": 0, "channel": 2})).open()
     assert caught.value.key == ("pwm", "channel")
-    monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
     with pytest.raises(DriverError, match="pwm1 did not appear"):
         PwmDriver(config).open()
     sysfs.export_channel()
-    (sysfs.channel / "period").write_text("garbage\n")
+    sysfs.set(period="garbage")
     with pytest.raises(DriverError, match="period contains 'garbage', not a number"):
         PwmDriver(config).open()
     (sysfs.channel / "period").unlink()
@@ -210,20 +127,17 @@ def test_missing_or_damaged_sysfs_entries_are_reported(
         PwmDriver(config).open()
 
 
+@pytest.mark.usefixtures("sysfs")
 def test_a_channel_without_write_permission_is_a_driver_error(
-    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: LockConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    Sysfs(tmp_path, monkeypatch)
-    monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
     monkeypatch.setattr("os.access", lambda path, mode: False)  # as for any user but root
     with pytest.raises(DriverError, match="pwm1 is not writable; add the user to the group gpio"):
         PwmDriver(config).open()
 
 
-def test_a_write_refused_by_the_kernel_is_a_driver_error(
-    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    Sysfs(tmp_path, monkeypatch)
+@pytest.mark.usefixtures("sysfs")
+def test_a_write_refused_by_the_kernel_is_a_driver_error(config: LockConfig) -> None:
     driver = PwmDriver(config)
     driver.open()
     with pytest.raises(DriverError, match=r"cannot write 30000000 to .*duty_cycle: Invalid argument"):

@@ -8,7 +8,11 @@ import msgspec
 import pytest
 
 from dart_flight.config.mission import load_mission
-from dart_flight.lab.search.scenario import load_scenario
+from dart_flight.lab.search.scenario import load_scenario, with_vehicle_parameters
+from dart_flight.run.simulator_process import SimulatorError, SimulatorProcess
+from dart_flight.sim.pipe import SimulatorSpec
+from tests.doubles.ports import free_udp_port
+from tests.real_time import TooSlow
 
 SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 
@@ -16,11 +20,6 @@ SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 @pytest.mark.realtime
 @pytest.mark.mavlink
 def test_position_gains_are_read_from_the_vehicle(tmp_path: Path) -> None:
-    from dart_flight.lab.search.scenario import with_vehicle_parameters
-    from dart_flight.run.simulator_process import SimulatorProcess
-    from dart_flight.sim.pipe import SimulatorSpec
-    from tests.doubles.ports import free_udp_port
-
     scenario = load_scenario(SCENARIOS / "dual_collision.yaml")
     tuned = msgspec.structs.replace(scenario.vehicle.px4, mpc_xy_p=1.25, mpc_xy_vel_p_acc=2.5)
     vehicle = msgspec.structs.replace(scenario.vehicle, px4=tuned)
@@ -30,7 +29,10 @@ def test_position_gains_are_read_from_the_vehicle(tmp_path: Path) -> None:
     spec = SimulatorSpec(flown, 1, [port], str(tmp_path / "world.txt"))
     world = SimulatorProcess(spec, lambda record: None)
     try:
-        world.wait_ready()
+        try:
+            world.wait_ready()
+        except SimulatorError as error:
+            raise TooSlow(str(error)) from error
         read = with_vehicle_parameters(scenario, f"udpin://127.0.0.1:{port}")
     finally:
         world.close()

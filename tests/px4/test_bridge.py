@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import socket
 import struct
-import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -42,34 +41,37 @@ def mission() -> Mission:
     return load_mission(packaged("missions", "paper_dual_collision.yaml"))
 
 
+Pair = tuple[HilLink, FakePx4]
+
+
 @pytest.fixture
-def pair() -> Iterator[tuple[HilLink, FakePx4]]:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        listener.listen(1)
+def booting() -> Iterator[Pair]:
+    """A link to a PX4 that does not answer yet, until a test enters its context."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
         fake = FakePx4(listener.getsockname()[1])
         link = HilLink(listener.accept()[0])
     yield link, fake
     link.close()
-    fake.close()
 
 
-def serve_in_background(fake: FakePx4, sensors: int, answer: bool = True) -> threading.Thread:
-    """Run the fake PX4 on its own thread."""
-    thread = threading.Thread(target=fake.serve, args=(sensors, answer), daemon=True)
-    thread.start()
-    return thread
+@pytest.fixture
+def pair(booting: Pair) -> Iterator[Pair]:
+    """A link to a PX4 that answers every HIL_SENSOR."""
+    with booting[1]:
+        yield booting
 
 
-def received_messages(fake: FakePx4, name: str) -> list[Any]:
-    return [m for m in fake.received if m.get_type() == name]
+def fly(vehicle: Px4Vehicle, ticks: int, fake: FakePx4, arriving: str = "HIL_SENSOR") -> list[Any]:
+    """Advance by `ticks`, and return the messages of a kind that PX4 has received by then."""
+    for _ in range(ticks):
+        vehicle.step()
+    fake.wait_for(
+        lambda: fake.received_of("HIL_SENSOR")[-1].time_usec == vehicle.time_us, 10.0, "the last tick"
+    )
+    return fake.received_of(arriving)
 
 
-def mode_of(vehicle: Px4Vehicle) -> str:
-    return vehicle.plant.mode.value
-
-
-def test_the_plant_has_the_motors_of_px4s_parameters(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+def test_the_plant_has_the_motors_of_px4s_parameters(mission: Mission, pair: Pair) -> None:
     own = mission.vehicle.airframe
     assert own.arm_x_m is not None
     wider = tuple(msgspec.structs.replace(motor, x_m=1.5 * motor.x_m) for motor in own.motors)
@@ -78,18 +80,14 @@ def test_the_plant_has_the_motors_of_px4s_parameters(mission: Mission, pair: tup
     assert vehicle.plant.mass == own.mass_kg
 
 
-def test_px4_answers_every_tick_on_the_simulators_clock(
-    mission: Mission, pair: tuple[HilLink, FakePx4]
-) -> None:
+def test_px4_answers_every_tick_on_the_simulators_clock(mission: Mission, pair: Pair) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)
-    thread = serve_in_background(fake, 250)
     for i in range(250):
         vehicle.step()
         assert link.controls.time_us == vehicle.time_us == (i + 1) * 4000
-    thread.join(5.0)
     assert link.locked
-    sensors = received_messages(fake, "HIL_SENSOR")
+    sensors = fake.received_of("HIL_SENSOR")
     assert [m.time_usec for m in sensors] == [4000 * (i + 1) for i in range(250)]
     assert {m.id for m in sensors} == {0}
     # At rest: gravity upwards on the accelerometer, pressure of the home altitude, the earth's field.
@@ -101,16 +99,13 @@ def test_px4_answers_every_tick_on_the_simulators_clock(
     assert sum(m.pressure_alt for m in slow) / 50 == pytest.approx(488.0, abs=0.5)
 
 
-def test_px4_receives_poses_and_no_gps_indoors(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+def test_px4_receives_poses_and_no_gps_indoors(mission: Mission, pair: Pair) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)
-    thread = serve_in_background(fake, 250)
-    for _ in range(250):
-        vehicle.step()
-    thread.join(5.0)
-    poses = received_messages(fake, "ODOMETRY")
+    fly(vehicle, 250, fake)
+    poses = fake.received_of("ODOMETRY")
     assert 95 <= len(poses) <= 100
-    assert not received_messages(fake, "HIL_GPS")
+    assert not fake.received_of("HIL_GPS")
     assert math.isnan(poses[-1].vx)
     assert math.hypot(poses[-1].x, poses[-1].y, poses[-1].z) < 0.01
     # A pose precedes the HIL_SENSOR of its tick, which advances the clock that PX4 stamps the pose with.
@@ -118,16 +113,13 @@ def test_px4_receives_poses_and_no_gps_indoors(mission: Mission, pair: tuple[Hil
     assert kinds[-1] == "HIL_SENSOR"
 
 
-def test_px4_receives_gps_and_no_poses_outdoors(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+def test_px4_receives_gps_and_no_poses_outdoors(mission: Mission, pair: Pair) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link, position_from=PositionSource.RTK)
-    thread = serve_in_background(fake, 500)
-    for _ in range(500):
-        vehicle.step()
-    thread.join(5.0)
-    fixes = received_messages(fake, "HIL_GPS")
+    fly(vehicle, 500, fake)
+    fixes = fake.received_of("HIL_GPS")
     assert 18 <= len(fixes) <= 20
-    assert not received_messages(fake, "ODOMETRY")
+    assert not fake.received_of("ODOMETRY")
     for fix in fixes:
         assert fix.fix_type == 6
         assert abs(fix.lat - HOME_LAT_DEG * 1e7) < 12  # 0.13 m
@@ -135,22 +127,17 @@ def test_px4_receives_gps_and_no_poses_outdoors(mission: Mission, pair: tuple[Hi
         assert fix.eph == 2
 
 
-def test_motor_commands_reach_the_plant_and_lift_it(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+def test_motor_commands_reach_the_plant_and_lift_it(mission: Mission, pair: Pair) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)
     fake.controls, fake.armed = (0.8,) * 4 + (0.0,) * 12, True
-    thread = serve_in_background(fake, 250)
-    for _ in range(250):
-        vehicle.step()
-    thread.join(5.0)
+    fly(vehicle, 250, fake)
     assert vehicle.armed
     assert vehicle.plant.position[2] < -1.0
     assert math.hypot(*vehicle.plant.position[:2]) < 0.05
 
 
-def test_the_servo_follows_its_channel_only_while_armed(
-    mission: Mission, pair: tuple[HilLink, FakePx4]
-) -> None:
+def test_the_servo_follows_its_channel_only_while_armed(mission: Mission, pair: Pair) -> None:
     link, fake = pair
     mission = with_driver(mission, LockDriver.PX4)
     vehicle = Px4Vehicle(mission, 1, link)
@@ -159,18 +146,13 @@ def test_the_servo_follows_its_channel_only_while_armed(
     controls = [0.0] * 16
     controls[servo_channel(mission.vehicle)] = actuator_value(lock, lock.servo.rigid_pulse_us)
     fake.controls = tuple(controls)
-    thread = serve_in_background(fake, 200)
-    for _ in range(100):
-        vehicle.step()
-    assert mode_of(vehicle) == "flexible"  # outputs of a disarmed PX4 do not move the servo
+    fly(vehicle, 100, fake)
+    assert vehicle.plant.mode is Mode.FLEXIBLE  # outputs of a disarmed PX4 do not move the servo
     fake.armed = True
-    for _ in range(60):
-        vehicle.step()
-    assert mode_of(vehicle) == "flexible"  # 0.24 s: still travelling
-    for _ in range(40):
-        vehicle.step()
-    thread.join(5.0)
-    assert mode_of(vehicle) == "rigid"
+    fly(vehicle, 60, fake)
+    assert vehicle.plant.mode is Mode.FLEXIBLE  # 0.24 s: still travelling
+    fly(vehicle, 40, fake)
+    assert vehicle.plant.mode is Mode.RIGID
 
 
 @pytest.mark.parametrize("value", [160.0, -160.0, 300.0, -300.0, 156.9, -156.9])
@@ -188,9 +170,7 @@ def test_a_reading_below_full_scale_is_unchanged() -> None:
     assert accelerometer_output(400.0, 313.8) == ACCELEROMETER_LIMIT_M_S2  # PX4's upper limit
 
 
-def test_an_impact_beyond_full_scale_is_sent_saturated_and_counted(
-    mission: Mission, pair: tuple[HilLink, FakePx4]
-) -> None:
+def test_an_impact_beyond_full_scale_is_sent_saturated_and_counted(mission: Mission, pair: Pair) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)
     plant = vehicle.plant
@@ -199,68 +179,51 @@ def test_an_impact_beyond_full_scale_is_sent_saturated_and_counted(
     # 4 m/s into the wall at x = 1.65 m: 254 N, 20 g.
     plant.position = (acrylic.point[0] - 0.05, 0.0, -1.0)
     plant.velocity = (4.0, 0.0, 0.0)
-    thread = serve_in_background(fake, 25)
-    for _ in range(25):
-        vehicle.step()
-    thread.join(5.0)
-    lowest = min(m.xacc for m in received_messages(fake, "HIL_SENSOR"))
+    fly(vehicle, 25, fake)
+    lowest = min(m.xacc for m in fake.received_of("HIL_SENSOR"))
     assert lowest == pytest.approx(-ACCELEROMETER_LIMIT_M_S2, abs=1e-3)
     assert vehicle.clipped >= 3
 
 
 def test_the_plant_runs_without_answers_only_while_px4_boots(
-    mission: Mission, pair: tuple[HilLink, FakePx4], monkeypatch: pytest.MonkeyPatch
+    mission: Mission, booting: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(px4_bridge, "_ANSWER_WAIT_S", 2.0)
-    link, fake = pair
+    monkeypatch.setattr(px4_bridge, "_ANSWER_WAIT_S", 0.3)
+    link, fake = booting
     vehicle = Px4Vehicle(mission, 1, link)
     for _ in range(3):
         vehicle.step()
     assert not link.locked
-    serve_in_background(fake, 4).join(0.2)
-    vehicle.step()
-    assert link.locked
-    with pytest.raises(Px4LostError, match="has not answered"):
+    present_us = vehicle.time_us + 4000
+
+    def answer(sensor: Any) -> list[Any]:
+        time.sleep(0.1 if sensor.time_usec == present_us else 0.0)
+        return [fake.outputs(sensor.time_usec)]
+
+    fake.answers["HIL_SENSOR"] = answer
+    with fake:  # it answers the earlier ticks first, which extends the wait for the present one
         vehicle.step()
-
-
-def test_an_answer_to_an_earlier_tick_extends_the_wait(
-    mission: Mission, pair: tuple[HilLink, FakePx4]
-) -> None:
-    """While PX4 boots, it may answer the ticks before the present one first."""
-    link, fake = pair
-    vehicle = Px4Vehicle(mission, 1, link)
-    for _ in range(3):
-        vehicle.step()
-    fake.serve(3, True)
-    later = threading.Timer(0.1, fake.serve, (1, True))
-    later.start()
-    vehicle.step()
-    later.join()
-    assert link.controls.time_us == vehicle.time_us
-
-
-def test_a_closed_connection_is_a_lost_px4(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
-    link, fake = pair
-    vehicle = Px4Vehicle(mission, 1, link)
-    fake.close()
-
-    def step_five_times() -> None:
-        for _ in range(5):
+        assert link.locked
+        assert link.controls.time_us == vehicle.time_us == present_us
+        fake.answers.clear()
+        with pytest.raises(Px4LostError, match="has not answered"):
             vehicle.step()
 
+
+def test_a_closed_connection_is_a_lost_px4(mission: Mission, booting: Pair) -> None:
+    link, fake = booting
+    with fake:
+        vehicle = Px4Vehicle(mission, 1, link)
+        fly(vehicle, 3, fake)
     with pytest.raises(Px4LostError, match="closed"):
-        step_five_times()
+        vehicle.step()
 
 
-def test_bytes_that_are_not_mavlink_are_skipped(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+def test_bytes_that_are_not_mavlink_are_skipped(mission: Mission, pair: Pair) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)
-    fake.socket.sendall(b"\xfd\x09garbage" * 20)
-    thread = serve_in_background(fake, 50)
-    for _ in range(50):
-        vehicle.step()
-    thread.join(5.0)
+    fake.send_bytes(b"\xfd\x09garbage" * 20)
+    fly(vehicle, 50, fake)
     assert link.locked
 
 
@@ -277,9 +240,7 @@ def test_geodetic_is_the_inverse_of_px4s_projection() -> None:
         assert [x, y] == pytest.approx([north, east], abs=0.01)
 
 
-def test_wind_reaches_the_plant_and_still_air_does_not(
-    mission: Mission, pair: tuple[HilLink, FakePx4]
-) -> None:
+def test_wind_reaches_the_plant_and_still_air_does_not(mission: Mission, pair: Pair) -> None:
     link, fake = pair
     simulation = msgspec.structs.replace(
         mission.vehicle.simulation, wind_north_east_m_s=(5.0, 0.0), gust_m_s=0.5
@@ -287,12 +248,8 @@ def test_wind_reaches_the_plant_and_still_air_does_not(
     windy = msgspec.structs.replace(
         mission, vehicle=msgspec.structs.replace(mission.vehicle, simulation=simulation)
     )
-    thread = serve_in_background(fake, 100)
     vehicle = Px4Vehicle(windy, 1, link)
-    with contextlib.suppress(Px4LostError):
-        for _ in range(100):
-            vehicle.step()
-    thread.join(5.0)
+    fly(vehicle, 100, fake)
     assert 3.0 < vehicle.plant.wind_ned[0] < 7.0
     assert vehicle.plant.wind_ned[1] != 0.0
     assert Px4Vehicle(mission, 1, link).plant.wind_ned == (0.0, 0.0, 0.0)

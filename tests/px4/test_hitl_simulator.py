@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +14,7 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.sim.pipe import HitlSpec, SimulatorSpec
 from dart_flight.sim.px4 import hitl_simulator
-from dart_flight.sim.px4.bridge import Controls, Px4Vehicle
+from dart_flight.sim.px4.bridge import Controls, Px4LostError, Px4Vehicle
 from dart_flight.sim.px4.hitl_simulator import HitlSimulator
 
 AXES = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")
@@ -75,98 +78,122 @@ def test_the_barometer_is_not_lost_in_unreported_ticks(mission: Mission) -> None
     assert sum(bool(m.fields_updated & 0x1A00) for m in kept.sensors) >= 19
 
 
-class Host:
-    """A HITL simulator whose clock is set by hand."""
+class Host(RecordingLink):
+    """A run of the simulator on a clock set by hand, until its link fails after a number of reports.
 
-    def __init__(self, mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now_s = 1000.0
-        monkeypatch.setattr(
-            hitl_simulator, "time", SimpleNamespace(monotonic=lambda: self.now_s, sleep=self.sleep)
-        )
+    Args:
+        delays_s: time that passes besides, after a report, by the report's number.
+        reports: number of reports after which the run ends.
+        before: what happens before the link answers a report.
+
+    Attributes:
+        now_s: the host's clock.
+        summary: the last line of the simulator's log.
+        vehicle: the simulated vehicle.
+    """
+
+    answered, sent, dropped, longest_gap_s, outputs_seen = False, 0, 0, 0.0, 0
+
+    def __init__(
+        self,
+        mission: Mission,
+        monkeypatch: pytest.MonkeyPatch,
+        folder: Path,
+        delays_s: Mapping[int, float],
+        reports: int,
+        before: Callable[[Host, int], object] = lambda host, number: None,
+        armed: bool = True,
+    ) -> None:
+        super().__init__()
+        self.now_s, self.silent_s = 1000.0, 0.0
+        self._delays_s, self._reports, self._before = delays_s, reports, before
+        if not armed:
+            self.controls = Controls(0, False, (0.0,) * 16)
+        clock = SimpleNamespace(monotonic=lambda: self.now_s, sleep=self._sleep)
+        for name, double in (("time", clock), ("open_port", str), ("HitlLink", lambda port: self)):
+            monkeypatch.setattr(hitl_simulator, name, double)
+        monkeypatch.setattr(hitl_simulator, "Px4Vehicle", self._make_vehicle)
         hitl = HitlSpec("serial:///dev/none:921600")
-        self.simulator = HitlSimulator(SimulatorSpec(mission, 1, [], None, hitl=hitl), hitl)
-        self.link = RecordingLink()
-        self.simulator._vehicle = Px4Vehicle(mission, 1, self.link)
-        self.simulator._start_s = self.now_s
+        log = folder / "autopilot.log"
+        simulator = HitlSimulator(SimulatorSpec(mission, 1, [], str(log), hitl=hitl), hitl)
+        with open(os.devnull, "rb") as commands, open(os.devnull, "wb") as truth:
+            simulator.run(commands, truth)
+        self.summary = log.read_text().splitlines()[-1]
 
-    def sleep(self, seconds: float) -> None:
+    def _make_vehicle(self, *arguments: Any) -> Px4Vehicle:
+        self.vehicle = Px4Vehicle(*arguments)
+        return self.vehicle
+
+    def _sleep(self, seconds: float) -> None:
         self.now_s += seconds
 
-    def run(self, after_s: float, ticks: int) -> list[int]:
-        """Advance by `ticks`, `after_s` after the last call; return the sent timestamps in ticks."""
-        self.link.sensors.clear()
-        self.now_s += after_s
-        for _ in range(ticks):
-            self.simulator.advance()
-        return [m.time_usec // 4000 for m in self.link.sensors]
+    def exchange(self, sensor: Any, *others: Any) -> Controls:
+        number = len(self.sensors) + 1
+        if number > self._reports:
+            raise Px4LostError("the end of the test")
+        self._before(self, number)
+        self.now_s += self._delays_s.get(number, 0.0)
+        return super().exchange(sensor, *others)
+
+    @property
+    def reported(self) -> list[int]:
+        """Numbers of the reported ticks."""
+        return [sensor.time_usec // 4000 for sensor in self.sensors]
+
+    def close(self) -> None:
+        """Do nothing."""
 
 
-def test_late_ticks_are_sent_as_one_message(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
-    host = Host(mission, monkeypatch)
-    assert host.run(0.0041, 1) == [1]
-    assert host.run(0.004, 1) == [2]
-    assert host.run(0.020, 5) == [7]  # five were due
-    assert host.run(0.004, 1) == [8]
-    assert host.simulator._merged == 4
+def test_late_ticks_are_sent_as_one_message(
+    mission: Mission, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    host = Host(mission, monkeypatch, tmp_path, {2: 0.0201}, 5)  # five ticks are due then
+    assert host.reported == [1, 2, 7, 8, 9]
+    assert "4 of 10 ticks reported late" in host.summary
 
 
 def test_a_late_plant_catches_up_and_then_reports_every_tick(
-    mission: Mission, monkeypatch: pytest.MonkeyPatch
+    mission: Mission, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    host = Host(mission, monkeypatch)
-    assert host.run(0.1, 100) == list(range(25, 101))
-    assert host.now_s == pytest.approx(1000.4)
-    assert host.simulator._merged == 24
+    host = Host(mission, monkeypatch, tmp_path, {1: 0.1}, 76)
+    assert host.reported == [1, *range(26, 101)]
+    assert host.now_s == pytest.approx(1000.4, abs=0.005)
+    assert "24 of 101 ticks reported late" in host.summary
 
 
-def test_the_plant_pauses_after_a_stall(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
-    host = Host(mission, monkeypatch)
-    host.run(0.0041, 1)
-    offset_us = host.simulator._vehicle.plant.time_offset_us
-    assert host.run(1.0, 1) == [2]  # sent at once, none merged
-    assert host.simulator._vehicle.plant.time_offset_us - offset_us == pytest.approx(1e6, abs=8000)
-    assert host.run(0.004, 1) == [3]
-    assert host.simulator._merged == 0
+def test_the_plant_pauses_after_a_stall(
+    mission: Mission, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    offsets_us: list[int] = []
+    host = Host(
+        mission, monkeypatch, tmp_path, {1: 1.0}, 3,
+        lambda host, tick: offsets_us.append(host.vehicle.plant.time_offset_us),
+    )  # fmt: skip
+    assert host.reported == [1, 2, 3]  # the second at once, none merged
+    assert offsets_us[1] - offsets_us[0] == pytest.approx(1e6, abs=8000)
+    assert "0 of 4 ticks reported late" in host.summary
 
 
-class SilentLink(RecordingLink):
-    """A link whose flight controller has been silent for `silent_s`."""
-
-    silent_s = 0.0
-
-
+@pytest.mark.parametrize("armed", [True, False])
 def test_the_plant_freezes_while_an_armed_flight_controller_is_silent(
-    mission: Mission, monkeypatch: pytest.MonkeyPatch
+    mission: Mission, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, armed: bool
 ) -> None:
     """The last outputs would make the plant tumble; samples and the truth's clock continue."""
-    host, link = Host(mission, monkeypatch), SilentLink()
-    host.link = link
-    host.simulator._vehicle = Px4Vehicle(mission, 1, link)
-    host.simulator._link = link  # type: ignore[assignment]
-    plant = host.simulator._vehicle.plant
-    plant.position, plant.rate = (0.0, 0.0, -1.0), (3.0, 2.0, 1.0)
-    host.run(0.004, 10)
-    before, at_us = plant.truth(), plant.truth().t_us
-    link.silent_s = 0.2
-    host.run(0.004, 100)
-    frozen = plant.truth()
-    assert frozen.q_frd_to_ned == before.q_frd_to_ned
-    assert frozen.position_mission == before.position_mission
-    assert frozen.t_us - at_us == 100 * 4000
-    assert len(link.sensors) == 100
-    assert len({tuple(imu(sensor)) for sensor in link.sensors}) == 1
-    link.silent_s = 0.0
-    host.run(0.004, 10)
-    assert plant.truth().q_frd_to_ned != before.q_frd_to_ned
+    truths: dict[int, Any] = {}
 
+    def note(host: Host, number: int) -> None:
+        plant = host.vehicle.plant
+        truths[number] = plant.truth()
+        if number == 1:
+            plant.position, plant.rate = (0.0, 0.0, -1.0), (3.0, 2.0, 1.0)
+        host.silent_s = 0.2 if 10 <= number < 110 else 0.0
 
-def test_the_plant_runs_while_a_disarmed_flight_controller_is_silent(
-    mission: Mission, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    host, link = Host(mission, monkeypatch), SilentLink()
-    link.silent_s, link.controls = 0.2, Controls(0, False, (0.0,) * 16)
-    host.link, host.simulator._vehicle = link, Px4Vehicle(mission, 1, link)
-    host.simulator._link = link  # type: ignore[assignment]
-    before = host.simulator._vehicle.plant.time_s
-    host.run(0.004, 10)
-    assert host.simulator._vehicle.plant.time_s > before
+    host = Host(mission, monkeypatch, tmp_path, {}, 120, note, armed)
+    assert len(host.sensors) == 120
+    frozen, before, after = truths[110], truths[11], truths[120]
+    assert (frozen.q_frd_to_ned == before.q_frd_to_ned) is armed
+    assert (frozen.position_mission == before.position_mission) is armed
+    assert after.q_frd_to_ned != frozen.q_frd_to_ned
+    assert frozen.t_us - before.t_us == 99 * 4000
+    assert (len({tuple(imu(sensor)) for sensor in host.sensors[10:109]}) == 1) is armed
+    assert f"plant paused for {400 * armed} ms" in host.summary

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
 import os
@@ -10,13 +9,10 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.base.records import TruthContact, TruthSample
 from dart_flight.cli import main
@@ -30,6 +26,7 @@ from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
 from dart_flight.sim.px4 import launch
 from dart_flight.sim.px4.launch import (
     ENVIRONMENT,
+    ONBOARD_PORT,
     SIMULATOR_PORT,
     Px4Error,
     arguments,
@@ -41,8 +38,8 @@ from dart_flight.sim.px4.launch import (
     parse_version,
     select_parameters,
 )
-from tests.doubles import ground_station
-from tests.doubles.fake_px4 import install
+from tests.doubles.px4_install import install
+from tests.real_time import wait_until
 
 MISSION = packaged("missions", "paper_dual_collision.yaml")
 
@@ -89,25 +86,27 @@ def test_the_callers_environment_does_not_configure_px4(
     assert "PX4_SIM_SPEED_FACTOR" not in env
 
 
-def test_a_refused_port_or_lock_is_not_reported_as_a_running_px4(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_port_or_lock_is_not_reported_as_a_running_px4(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def no_locks(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    lock = Path(f"{launch._LOCK_FILES}-77")
-    lock.touch()
-    try:
-        monkeypatch.setattr(f"{launch.__name__}.fcntl.lockf", no_locks)
-        with pytest.raises(Px4Error, match="77 cannot be locked: No locks available"):
-            launch._instance_is_locked(77)
-    finally:
-        lock.unlink()
+    locks = tmp_path / "px4_lock"
+    for number in range(10):
+        Path(f"{locks}-{number}").touch()
+    monkeypatch.setattr(launch, "_LOCK_FILES", str(locks))
+    with monkeypatch.context() as patched:
+        patched.setattr(f"{launch.__name__}.fcntl.lockf", no_locks)
+        with pytest.raises(Px4Error, match=r"px4_lock-\d cannot be locked: No locks available"):
+            claim_instance()
 
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(f"{launch.__name__}.socket.create_server", refuse)
-    with pytest.raises(Px4Error, match="TCP port 4560 cannot be opened: Permission denied"):
-        launch._free_simulator_port(0)
+    with pytest.raises(Px4Error, match=r"TCP port 456\d cannot be opened: Permission denied"):
+        claim_instance()
 
 
 def test_a_claimed_instance_is_exclusive_until_its_release() -> None:
@@ -122,23 +121,19 @@ def test_a_claimed_instance_is_exclusive_until_its_release() -> None:
     second.release()
 
 
-def test_an_instance_with_an_occupied_simulator_port_is_skipped() -> None:
+@pytest.mark.parametrize(
+    ("kind", "port"), [(socket.SOCK_STREAM, SIMULATOR_PORT), (socket.SOCK_DGRAM, ONBOARD_PORT)]
+)
+def test_an_instance_with_an_occupied_port_is_skipped(kind: socket.SocketKind, port: int) -> None:
     free = claim_instance()
     free.release()
-    with socket.create_server(("127.0.0.1", SIMULATOR_PORT + free.number)):
+    with socket.socket(socket.AF_INET, kind) as occupied:
+        occupied.bind(("127.0.0.1", port + free.number))
+        if kind is socket.SOCK_STREAM:
+            occupied.listen()
         other = claim_instance()
         other.release()
     assert other.number != free.number
-
-
-def test_an_instance_with_an_occupied_mavlink_port_is_skipped() -> None:
-    free = claim_instance()
-    free.release()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as occupied:
-        occupied.bind(("127.0.0.1", 14540 + free.number))
-        other = claim_instance()
-        other.release()
-        assert other.number != free.number
 
 
 def test_an_instance_whose_lock_file_is_held_by_px4_is_skipped(
@@ -162,28 +157,6 @@ def test_an_instance_whose_lock_file_is_held_by_px4_is_skipped(
     third = claim_instance()  # a leftover file holds no lock
     third.release()
     assert third.number == free.number
-
-
-def test_a_ground_station_arms_the_system_of_its_instance() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as px4:
-        px4.settimeout(5.0)
-        for instance in range(20, 200):
-            with contextlib.suppress(OSError):
-                px4.bind(("127.0.0.1", ground_station.PORT + instance))
-                break
-        arming = threading.Thread(target=ground_station.arm, args=(instance,), daemon=True)
-        arming.start()
-        parser = mavlink.MAVLink(None, srcSystem=instance + 1, srcComponent=1)
-        commands: list[Any] = []
-        while not commands:
-            data, sender = px4.recvfrom(2048)
-            found = parser.parse_buffer(data) or []
-            commands = [message for message in found if message.get_type() == "COMMAND_LONG"]
-        accepted = mavlink.MAVLink_command_ack_message(commands[0].command, mavlink.MAV_RESULT_ACCEPTED)
-        px4.sendto(accepted.pack(parser), sender)
-        arming.join(5.0)
-        assert not arming.is_alive()
-    assert commands[0].target_system == instance + 1
 
 
 @pytest.mark.parametrize(
@@ -247,7 +220,8 @@ def launched() -> Iterator[list[WatchedWorld]]:
 def test_the_world_starts_px4_in_a_fresh_folder_and_ends_it(
     tmp_path: Path, launched: list[WatchedWorld]
 ) -> None:
-    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4"))
+    """A parameter that the version lacks is skipped."""
+    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", missing="COM_RAM_MAX"))
     launched.append(watched)
     watched.world.wait_ready()
     ready = watched.world.ready
@@ -259,11 +233,9 @@ def test_the_world_starts_px4_in_a_fresh_folder_and_ends_it(
     assert "EKF2_EV_CTRL [1,2] : 11\n" in parameters
     log_text = watched.log.read_text()
     assert "parameters set and read back" in log_text
+    assert "this version has no COM_RAM_MAX" in log_text
     assert watched.world.port == 14540 + int(about["arguments"][1])
-    deadline = time.monotonic() + 5.0
-    while not watched.truths and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert watched.truths
+    wait_until(lambda: watched.truths, 10.0, "the truth")
     watched.world.close(10.0)
     assert ready.pid is not None
     assert not Path(f"/proc/{ready.pid}").exists()
@@ -300,7 +272,6 @@ def test_an_unusable_px4_is_reported_with_its_reason(
 @pytest.mark.parametrize(
     ("faults", "message"),
     [
-        ({"stuck": "MPC_XY_P"}, r"parameter not accepted: MPC_XY_P: set to 0\.95, PX4 has 0"),
         ({"missing": "FD_FAIL_R"}, "no parameter FD_FAIL_R, which must be 60:"),
         # A start-up script may overwrite a parameter that was set before.
         ({"overwritten": "EKF2_HGT_REF"}, r"parameter not accepted: EKF2_HGT_REF: set to 3, PX4 has 77"),
@@ -346,15 +317,6 @@ def test_a_wrong_number_of_rotors_is_reported_before_px4_starts(
     assert not logs.exists()
 
 
-def test_a_parameter_that_the_version_lacks_is_skipped_and_logged(
-    tmp_path: Path, launched: list[WatchedWorld]
-) -> None:
-    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", missing="COM_RAM_MAX"))
-    launched.append(watched)
-    watched.world.wait_ready()
-    assert "this version has no COM_RAM_MAX" in watched.log.read_text()
-
-
 def test_a_renamed_parameter_is_set_by_its_new_name() -> None:
     wanted = flight_parameters(load_mission(MISSION).vehicle, PositionSource.RTK)
     before = dict.fromkeys(wanted, 0.0)
@@ -375,9 +337,7 @@ def test_the_death_of_px4_in_flight_is_reported_to_the_app(
     watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", "dies"))
     launched.append(watched)
     watched.world.wait_ready()
-    deadline = time.monotonic() + 15.0
-    while not watched.world.died and time.monotonic() < deadline:
-        time.sleep(0.02)
+    wait_until(lambda: watched.world.died, 30.0, "the death of PX4")
     assert watched.world.cause == "PX4 was killed by SIGKILL"
 
 
@@ -387,10 +347,8 @@ def test_killing_the_world_kills_px4(tmp_path: Path, launched: list[WatchedWorld
     watched.world.wait_ready()
     assert watched.world.ready is not None
     os.kill(watched.world.process.pid, 9)
-    deadline = time.monotonic() + 5.0
-    while (_is_alive(watched.world.ready.pid) or not watched.world.died) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert not _is_alive(watched.world.ready.pid)
+    px4 = watched.world.ready.pid
+    wait_until(lambda: watched.world.died and not _is_alive(px4), 15.0, "the death of both")
     assert watched.world.cause == "the process of the plant under PX4 was killed by SIGKILL"
 
 
@@ -401,6 +359,7 @@ def _is_alive(pid: int | None) -> bool:
         return False
 
 
+@pytest.mark.rest
 def test_two_simultaneous_worlds_have_separate_instances(
     tmp_path: Path, launched: list[WatchedWorld]
 ) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.base.thread_context import ThreadContext
-from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
+from dart_flight.check.bringup.judgements import StepFinding
 from dart_flight.check.bringup.steps import Bringup
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.parameter_file import PositionSource
@@ -24,15 +24,11 @@ from dart_flight.run.prepare import with_simulated_mocap
 from dart_flight.sim.embedded_autopilot import TICK_S
 from dart_flight.sim.pose_feed import EmulatedMotionCapture
 from dart_flight.sim.px4.bridge import HilLink, Px4Vehicle
-from dart_flight.sim.px4.launch import (
-    ONBOARD_PORT,
-    Px4,
-    claim_instance,
-    find_install,
-    flight_parameters,
-)
+from dart_flight.sim.px4.launch import ONBOARD_PORT, Px4, claim_instance, find_install, flight_parameters
+from tests.check.bringup.test_bringup import assert_passed
 from tests.check.bringup.test_pose_motion import Hand
 from tests.doubles.bench_vehicle import move_by_hand
+from tests.real_time import assert_not_later, wait_until
 
 pytestmark = pytest.mark.px4
 
@@ -56,10 +52,13 @@ class CarriedVehicle(ThreadContext):
         self._mocap = EmulatedMotionCapture("optitrack", mission, self._plant)
         self._hand, self._begun_s = Hand(), float("inf")
         self._start = self._plant.position
-        deadline = time.monotonic() + 15.0
-        while not px4.booted():
-            self._vehicle.step()
-            assert time.monotonic() < deadline, "PX4 does not boot"
+
+        def has_booted() -> bool:
+            for _ in range(10):
+                self._vehicle.step()
+            return px4.booted()
+
+        wait_until(has_booted, 15.0, "PX4 boots")
         super().__init__()
 
     @property
@@ -138,6 +137,7 @@ def measure(mission: Mission, px4_dir: Path, folder: Path) -> StepFinding:
         )
         bringup = Bringup(mission, url, Hands(vehicle), 40.0)
         try:
+            # The whole step goes on to carry the vehicle, which is not possible beside a motion by hand.
             link = bringup._connect()
             time.sleep(_ALIGN_S)
             return bringup._measure_poses(link)
@@ -158,6 +158,8 @@ def test_bringup_measures_the_latency_of_motion_capture(
     ]
     mission = load_mission(packaged("missions", "single_wall.yaml"), settings=settings)
     found = measure(with_simulated_mocap(mission, "optitrack"), px4_dir, tmp_path / "px4")
-    assert found.result is StepOutcome.PASS, found.message
+    assert_passed(found)
     print(f"latency {latency_ms:g} ms: {found.measured}")
-    assert float(found.measured["delay_ms"] or 0.0) == pytest.approx(latency_ms, abs=8.0)
+    measured_ms = float(found.measured["delay_ms"] or 0.0)
+    assert measured_ms > latency_ms - 8.0
+    assert_not_later(measured_ms, latency_ms + 8.0, "the measured latency")

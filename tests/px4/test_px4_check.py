@@ -31,11 +31,7 @@ def waiting_px4(
     own = {name: Parameter(name, value, "") for name, value in changes.items()}
     parameters = {**flight_parameters(mission.vehicle, source), **own}
     spec = SimulatorSpec(
-        mission,
-        1,
-        [],
-        None,
-        Px4SimulatorSpec(str(px4_dir), str(folder), parameters, source),
+        mission, 1, [], None, Px4SimulatorSpec(str(px4_dir), str(folder), parameters, source)
     )
     world = Px4SimulatorProcess(spec, lambda record: None)
     try:

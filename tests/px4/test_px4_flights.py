@@ -11,8 +11,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
-from threading import Event, Thread
 from typing import Any
 
 import pytest
@@ -30,19 +31,21 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.rotors import rotor_differences
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.lab.calibrate.airframe_reader import read_airframe
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run.prepare import load_flyable
+from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.pipe import FULL_SPEED
-from tests.doubles.ground_station import switch_to_position
+from tests.doubles.operator_station import PX4_PORT, OperatorStation
+from tests.real_time import TooSlow, assert_flown, wait_until
 
 pytestmark = pytest.mark.px4
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 SWEEP = Path(__file__).with_name("sweep_mission.yaml")
+_POSITION_MODE = (3,)  # PX4's own number
 
 
 def assert_requirements(verdict: Verdict) -> None:
@@ -111,17 +114,11 @@ def test_a_flight_with_plain_gps_does_not_take_off(px4_dir: Path, tmp_path: Path
 
 
 def test_the_lock_servo_works_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
-    from dart_flight.config.vehicle import LockDriver
-    from dart_flight.run.prepare import with_driver
-
     mission = with_driver(load_flyable(MISSIONS / "paper_dual_collision.yaml"), LockDriver.PX4)
     assert_requirements(fly_px4(mission, px4_dir, 1, tmp_path, speed=FULL_SPEED))
 
 
 def test_a_hexarotor_completes_with_the_lock_servo_after_its_motors(px4_dir: Path, tmp_path: Path) -> None:
-    from dart_flight.config.vehicle import LockDriver
-    from dart_flight.run.prepare import with_driver
-
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml", packaged("configs", "hexarotor.yaml"))
     verdict = fly_px4(with_driver(mission, LockDriver.PX4), px4_dir, 1, tmp_path, speed=FULL_SPEED)
     assert_requirements(verdict)
@@ -165,27 +162,28 @@ def test_a_switch_to_position_mode_releases_the_flight_only_with_sticks(
     """Without sticks PX4 refuses the mode and stays in offboard, and the flight continues."""
     stick_parameters = tmp_path / "sticks.params"
     stick_parameters.write_text("# sticks over MAVLink\n1\t1\tCOM_RC_IN_MODE\t1\t6\n")
-    begin, answers = Event(), list[int | None]()
+    stations, answers = list[OperatorStation](), list[Future[int | None]]()
 
     def observe(record: Record) -> None:
         if isinstance(record, PhaseChange) and record.after is Phase.OFFBOARD:
             found = re.search(r"PX4 instance (\d+)", next(tmp_path.glob("*/autopilot.log")).read_text())
             assert found is not None
-            instance = int(found[1])
-            station.append(Thread(target=lambda: answers.append(switch_to_position(instance, begin, sticks))))
-            station[0].start()
+            number = int(found[1])
+            station = OperatorStation(vehicle_port=PX4_PORT + number, vehicle_system=number + 1)
+            station.sticks = sticks
+            stations.append(held.enter_context(station))
         elif isinstance(record, PhaseChange) and record.after is Phase.APPROACH:
-            begin.set()
+            answers.append(pool.submit(stations[0].set_mode, *_POSITION_MODE, wait_s=30.0))
 
-    station: list[Thread] = []
     mission, files = load_flyable(MISSIONS / "single_wall.yaml"), (stick_parameters,) if sticks else ()
-    verdict = fly_px4(mission, px4_dir, 1, tmp_path, observe, parameter_files=files)
-    station[0].join()
+    with ExitStack() as held, ThreadPoolExecutor(1) as pool:
+        verdict = fly_px4(mission, px4_dir, 1, tmp_path, observe, parameter_files=files)
+        assert_flown(verdict.outcome, verdict.reason, "released" if sticks else "completed")
+        (answer,) = (found.result() for found in answers)
+    assert answer == (MAV_RESULT_ACCEPTED if sticks else MAV_RESULT_TEMPORARILY_REJECTED)
     if sticks:
-        assert answers == [MAV_RESULT_ACCEPTED]
-        assert (verdict.outcome, verdict.reason) == ("released", "pilot: PX4 is in manual")
+        assert verdict.reason == "pilot: PX4 is in manual"
     else:
-        assert answers == [MAV_RESULT_TEMPORARILY_REJECTED]
         assert_requirements(verdict)
 
 
@@ -201,12 +199,7 @@ class Flight:
         mission = str(MISSIONS / "paper_dual_collision.yaml")
         command = [sys.executable, "-m", "dart_flight", "dry-run", mission, "--json"]
         command += ["--px4", str(px4_dir), "--speed", "2", "--log-dir", str(folder)]
-        self.app = subprocess.Popen(
-            command,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        self.app = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.px4 = int(self.wait_for(r"PX4 instance \d+, process (\d+)"))
         self.world = _parent_of(self.px4)
 
@@ -216,13 +209,11 @@ class Flight:
 
     def wait_for(self, pattern: str, timeout_s: float = 40.0) -> str:
         """Wait for a match in the world's log and return its first group."""
-        deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
-            found = re.search(pattern, self.text())
-            if found:
-                return found[1] if found.groups() else found[0]
-            time.sleep(0.05)
-        raise AssertionError(f"no {pattern!r} within {timeout_s:g} s in: {self.text()}")
+        try:
+            found = wait_until(lambda: re.search(pattern, self.text()), timeout_s, repr(pattern))
+        except TooSlow as error:
+            raise TooSlow(f"{error}: {self.text()}") from None
+        return found[1] if found.groups() else found[0]
 
     def wait_until_airborne(self) -> None:
         """Wait until the vehicle flies."""
@@ -243,14 +234,15 @@ class Flight:
     def wait_all_gone(self, timeout_s: float = 30.0) -> float:
         """Wait until none of the processes lives; return the seconds since the kill."""
         started_s = self.killed_at or time.monotonic()
-        while time.monotonic() - started_s < timeout_s:
+
+        def are_gone() -> bool:
             self.app.poll()
-            remaining = [pid for pid in (self.app.pid, self.world, self.px4) if _is_alive(pid)]
-            if not remaining and not _session_members(self.px4):
-                print(f"nothing left after {time.monotonic() - started_s:.1f} s")  # `pytest -rP` shows it
-                return time.monotonic() - started_s
-            time.sleep(0.05)
-        raise AssertionError(f"still there after {timeout_s:g} s: {remaining} {_session_members(self.px4)}")
+            own = (self.app.pid, self.world, self.px4)
+            return not any(map(_is_alive, own)) and not _session_members(self.px4)
+
+        wait_until(are_gone, timeout_s, "no process of the flight is left")
+        print(f"nothing left after {time.monotonic() - started_s:.1f} s")  # `pytest -rP` shows it
+        return time.monotonic() - started_s
 
 
 @pytest.fixture

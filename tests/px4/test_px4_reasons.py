@@ -6,7 +6,6 @@ import json
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,8 +15,9 @@ from dart_flight.base.records import GuardEvent, HealthReport, StatusText
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
-from tests.doubles.ground_station import arm
+from tests.doubles.operator_station import PX4_PORT, OperatorStation
 from tests.px4.test_px4_check import waiting_px4
+from tests.real_time import wait_until
 
 pytestmark = pytest.mark.px4
 
@@ -56,13 +56,12 @@ class DryRun:
 
     def instance(self) -> int:
         """Wait for PX4 and return the number of its instance."""
-        for _ in range(400):
+
+        def started() -> re.Match[str] | None:
             log_text = "".join(path.read_text() for path in self._folder.glob("*/autopilot.log"))
-            found = re.search(r"PX4 instance (\d+)", log_text)
-            if found:
-                return int(found[1])
-            time.sleep(0.05)
-        raise AssertionError("no PX4 within 20 s")
+            return re.search(r"PX4 instance (\d+)", log_text)
+
+        return int(wait_until(started, 20.0, "PX4 starts")[1])
 
     def wait_for_refusal(self) -> Refusal:
         """Wait for the end of the dry-run and return its refusal."""
@@ -110,7 +109,9 @@ def test_an_offboard_refusal_is_explained_in_terminal_log_and_verdict(px4_dir: P
     """
     changes: dict[str, int | float] = {"COM_OF_LOSS_T": 0.0, "COM_DISARM_PRFLT": -1.0}
     flight = DryRun(px4_dir, tmp_path, changes, "--outdoor", "--speed", "0.4")
-    assert arm(flight.instance())
+    number = flight.instance()
+    with OperatorStation(vehicle_port=PX4_PORT + number, vehicle_system=number + 1) as station:
+        station.arm()
     assert_reason_is_quoted(
         flight.wait_for_refusal(), "offboard_refused: PX4 refused offboard mode; PX4 ", "No offboard signal"
     )

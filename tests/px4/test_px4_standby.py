@@ -18,10 +18,9 @@ from dart_flight.run.operator_buttons import Button
 from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.ground_link import GroundLink
-from tests.doubles.ground_station import PORT
-from tests.doubles.operator_station import OperatorStation
-from tests.doubles.ports import free_udp_port
+from tests.doubles.operator_station import PX4_PORT, OperatorStation
 from tests.px4.test_px4_check import waiting_px4
+from tests.real_time import limited
 from tests.run.test_standby_day import MISSION, ROOT
 from tests.shared_flights import patient
 
@@ -41,7 +40,8 @@ def standing_by(folder: Path, url: str, *arguments: str) -> Iterator[subprocess.
             yield process
         finally:
             process.terminate()
-            process.wait(90.0)
+            with limited("the end of standby"):
+                process.wait(90.0)
 
 
 def test_every_button_is_answered_in_standby_and_in_flight(px4_dir: Path, tmp_path: Path) -> None:
@@ -53,49 +53,49 @@ def test_every_button_is_answered_in_standby_and_in_flight(px4_dir: Path, tmp_pa
     mission = with_driver(load_flyable(tmp_path / "one.yaml"), LockDriver.PX4)
     with (
         waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"COM_RC_IN_MODE": 1}) as url,
-        OperatorStation(free_udp_port(), vehicle_port=PORT) as station,
+        OperatorStation(vehicle_port=PX4_PORT) as station,
     ):
         with standing_by(tmp_path, url, "one.yaml", "--driver", "px4"):
-            station.wait_for("standby", timeout_s=120.0)
+            station.wait_for_text("standby", timeout_s=120.0)
             station.wait_for_program()
             time.sleep(2.0)  # until standby has received PX4's heartbeat
             assert station.press(Button.FLY, 1) == NO
-            station.wait_for("denied: PX4 receives no remote control")
+            station.wait_for_text("denied: PX4 receives no remote control")
             assert [station.press(b) for b in (Button.CONTINUE, Button.LAND)] == [NO, NO]
             assert station.press(Button.LOCK_RIGID) == OK
-            station.wait_for("lock rigid: settled")
+            station.wait_for_text("lock rigid: settled")
             assert station.press(Button.LOCK_FLEXIBLE) == OK
-            station.wait_for("lock flexible: settled")
+            station.wait_for_text("lock flexible: settled")
             assert station.press(Button.CHECK) == OK
-            station.wait_for("one: no-go", timeout_s=120.0)
-            station.wait_for("lock_driver: PWM_AUX_FUNC1 is not on this vehicle")  # SITL has no pins
+            station.wait_for_text("one: no-go", timeout_s=120.0)
+            station.wait_for_text("lock_driver: PWM_AUX_FUNC1 is not on this vehicle")  # SITL has no pins
         # A vehicle without a lock is go, and the sticks are present.
         with standing_by(tmp_path, url, "two.yaml") as process:
-            station.wait_for("standby", 3, timeout_s=60.0)
-            station.hold_sticks()
+            station.wait_for_text("standby", 3, timeout_s=60.0)
+            station.sticks = True
             station.wait_for_program()
             time.sleep(2.0)
             assert station.press(Button.LOCK_RIGID) == NO
             assert station.press(Button.CHECK) == OK
-            station.wait_for("two: go", timeout_s=120.0)
-            station.wait_for("standby", 4, timeout_s=60.0)
+            station.wait_for_text("two: go", timeout_s=120.0)
+            station.wait_for_text("standby", 4, timeout_s=60.0)
             time.sleep(2.0)
             assert [station.press(Button.FLY, 1) for _ in range(2)] == [OK, OK]
-            station.wait_for("phase pause", timeout_s=180.0)
+            station.wait_for_text("phase pause", timeout_s=180.0)
             in_flight = (Button.LOCK_RIGID, Button.LOCK_FLEXIBLE, Button.FLY, Button.CHECK, Button.CONTINUE)
             assert [station.press(b, 1) for b in in_flight] == [NO, NO, NO, OK, OK]
-            station.wait_for("in flight: pause")
-            station.wait_for("phase waypoint", timeout_s=60.0)
+            station.wait_for_text("in flight: pause")
+            station.wait_for_text("phase waypoint", timeout_s=60.0)
             assert station.press(Button.CONTINUE) == NO
-            station.wait_for("two: completed", timeout_s=180.0)
-            station.wait_for("standby", 5, timeout_s=60.0)
+            station.wait_for_text("two: completed", timeout_s=180.0)
+            station.wait_for_text("standby", 5, timeout_s=60.0)
             assert process.poll() is None
             # The land button ends the next flight.
             time.sleep(2.0)
             assert [station.press(Button.FLY, 1) for _ in range(2)] == [OK, OK]
-            station.wait_for("phase pause", 2, timeout_s=180.0)
+            station.wait_for_text("phase pause", 2, timeout_s=180.0)
             assert station.press(Button.LAND) == OK
-            assert "landing requested" in station.wait_for("two: aborted", timeout_s=180.0)
+            assert "landing requested" in station.wait_for_text("two: aborted", timeout_s=180.0)
 
 
 @pytest.mark.parametrize("system", [2, 77])
@@ -111,7 +111,7 @@ def test_the_buttons_reach_a_program_on_a_vehicle_with_another_system_id(
 
     with (
         waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"MAV_SYS_ID": system}) as url,
-        OperatorStation(free_udp_port(), vehicle_port=PORT) as station,
+        OperatorStation(vehicle_port=PX4_PORT) as station,
         GroundLink(url, 30.0) as link,
     ):
         assert link.system_id == system

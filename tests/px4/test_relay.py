@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.base.errors import FlightError
+from dart_flight.sim.px4 import relay
 from dart_flight.sim.px4.relay import Relay, frames
 from tests.doubles.ports import free_udp_port
+from tests.real_time import wait_until
 
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -20,10 +23,10 @@ ORIGIN = (0.0, 0.0, 0.0)
 class Ends:
     """PX4's end and the application's, with a relay between them."""
 
-    def __init__(self) -> None:
+    def __init__(self, app_port: int | None = None) -> None:
         self.app = self._socket()
         px4_port = free_udp_port()
-        self.relay = Relay(px4_port, self.app.getsockname()[1])
+        self.relay = Relay(px4_port, self.app.getsockname()[1] if app_port is None else app_port)
         self.px4 = self._socket()
         self.px4.connect(("127.0.0.1", px4_port))
 
@@ -59,18 +62,11 @@ def imu(t_us: int) -> mavlink.MAVLink_message:
     return mavlink.MAVLink_highres_imu_message(t_us, *ORIGIN, *ORIGIN, *ORIGIN, 0.0, 0.0, 0.0, 0.0, 63)
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 10.0
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
-
-
 def test_data_is_forwarded_unchanged_in_both_directions(ends: Ends) -> None:
     ends.px4.send(b"noise that is no MAVLink")
-    data, relay = ends.app.recvfrom(4096)
+    data, sender = ends.app.recvfrom(4096)
     assert data == b"noise that is no MAVLink"
-    ends.app.sendto(b"back", relay)
+    ends.app.sendto(b"back", sender)
     assert ends.px4.recv(4096) == b"back"
 
 
@@ -80,7 +76,7 @@ def test_the_newest_timestamp_of_every_autopilot_stream_is_tracked(ends: Ends) -
     ends.px4.send(packed(imu(99_000), component=197))
     for _ in range(3):
         ends.app.recv(4096)
-    wait_until(lambda: bool(ends.relay.sent_us))
+    wait_until(lambda: ends.relay.sent_us, 10.0, "the stamps")
     assert ends.relay.sent_us == {"imu": 8_000, "attitude": 12_000}
 
 
@@ -96,13 +92,13 @@ def test_a_truncated_timestamp_is_read(ends: Ends) -> None:
 
 def test_a_forwarded_setpoint_is_tracked(ends: Ends) -> None:
     ends.px4.send(packed(imu(4_000)))
-    _, relay = ends.app.recvfrom(4096)
+    _, sender = ends.app.recvfrom(4096)
     message = mavlink.MAVLink_set_position_target_local_ned_message(
         0, 1, 1, 1, 0, 1.0, 2.0, -1.0, 0.5, math.nan, 0.0, 0.0, 0.0, 0.25, 0.0, 0.0
     )
-    ends.app.sendto(packed(message, component=191), relay)
+    ends.app.sendto(packed(message, component=191), sender)
     assert ends.px4.recv(4096) == packed(message, component=191)
-    wait_until(lambda: ends.relay.arrived.get("setpoint", (0.0,))[0] == 1.0)
+    wait_until(lambda: ends.relay.arrived.get("setpoint", (0.0,))[0] == 1.0, 10.0, "the setpoint")
     assert ends.relay.arrived["setpoint"] == pytest.approx(
         (1.0, 2.0, -1.0, 0.5, math.nan, 0.0, 0.0, 0.0, 0.25), nan_ok=True
     )
@@ -110,13 +106,13 @@ def test_a_forwarded_setpoint_is_tracked(ends: Ends) -> None:
 
 def test_a_forwarded_pose_is_tracked_by_its_position(ends: Ends) -> None:
     ends.px4.send(packed(imu(4_000)))
-    _, relay = ends.app.recvfrom(4096)
+    _, sender = ends.app.recvfrom(4096)
     unknown = [math.nan] * 21
     message = mavlink.MAVLink_odometry_message(
         1_000_000, 1, 12, 1.5, -2.0, -1.0, [1.0, 0.0, 0.0, 0.0], *(math.nan,) * 6, unknown, unknown, 0, 2
     )
-    ends.app.sendto(packed(message, component=195), relay)
-    wait_until(lambda: "pose" in ends.relay.arrived)
+    ends.app.sendto(packed(message, component=195), sender)
+    wait_until(lambda: "pose" in ends.relay.arrived, 10.0, "the pose")
     assert ends.relay.arrived["pose"] == (1.5, -2.0, -1.0)
     assert "odometry" not in ends.relay.sent_us
 
@@ -124,10 +120,12 @@ def test_a_forwarded_pose_is_tracked_by_its_position(ends: Ends) -> None:
 def test_px4s_heartbeat_is_repeated_while_simulated_time_stops(
     ends: Ends, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    now_s = time.monotonic()
+    monkeypatch.setattr(relay, "time", SimpleNamespace(monotonic=lambda: now_s))
     beat = packed(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3))
     ends.px4.send(packed(imu(4_000)) + beat)
     ends.app.recv(4096)
-    ends.relay._heartbeat_s -= 1.5
+    now_s += 1.5
     ends.relay.answer_requests()
     assert ends.app.recv(4096) == beat
     ends.relay.answer_requests()
@@ -140,10 +138,10 @@ def test_noise_is_split_into_frames_without_an_error(data: bytes) -> None:
     assert all(number >= 0 for number, _, _, _ in frames(data))
 
 
-def test_a_network_error_ends_the_wait_with_its_message(ends: Ends) -> None:
+def test_a_network_error_ends_the_wait_with_its_message() -> None:
     """Nothing is forwarded any more, and without the error the simulation would wait forever."""
-    ends.relay._app_address = ("127.0.0.1", 0)
+    ends = Ends(app_port=0)
     ends.px4.send(packed(attitude(1)))
-    ends.relay._thread.join(timeout=5.0)
     with pytest.raises(FlightError, match=r"cannot send to 127\.0\.0\.1:0"):
-        ends.relay.answer_requests()
+        wait_until(ends.relay.answer_requests, 10.0, "the error")
+    ends.close()

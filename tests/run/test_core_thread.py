@@ -32,6 +32,7 @@ from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.runner import CoreRunner
 from dart_flight.run.step_reporter import StepReporter
 from dart_flight.vehicle.clock import host_us
+from tests.real_time import wait_until
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
@@ -88,10 +89,8 @@ class Harness(Generic[C]):
         for item in items:
             self.thread.put(item)
         self.thread.thread.start()
-        deadline = time.monotonic() + 10.0
-        last = items[-1] if items else None
-        while last is not None and last not in self.core.stepped and time.monotonic() < deadline:
-            time.sleep(0.002)
+        if items:
+            wait_for(lambda: items[-1] in self.core.stepped)
         time.sleep(seconds)
         self.thread.stop()
         assert not self.thread.thread.is_alive()
@@ -214,11 +213,8 @@ class WatchedCore(SteppedCore):
         return out
 
 
-def wait_for(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 10.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
+def wait_for(condition: Callable[[], object]) -> None:
+    wait_until(condition, 10.0, "the core thread")
 
 
 @pytest.fixture
@@ -227,6 +223,17 @@ def watched() -> Iterator[Harness[WatchedCore]]:
     yield harness
     harness.core.may_step.set()
     harness.thread.stop()
+
+
+@pytest.fixture
+def end_turns(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Set a batch interval of 60 s, and wait until the current turn has ended."""
+
+    def end() -> None:
+        monkeypatch.setattr(module, "BATCH_S", 60.0)
+        time.sleep(0.1)
+
+    return end
 
 
 def start(harness: Harness[WatchedCore], pace: Pace) -> None:
@@ -281,8 +288,9 @@ def test_two_threads_never_step_at_once_and_leave_no_input_behind(watched: Harne
     assert watched.core.samples == []
     watched.core.may_step.set()
     first.join(10.0)
+    wait_for(lambda: len(watched.core.samples) == 2)
     assert watched.core.samples == [attitude(4000), attitude(8000)]
-    assert watched.core.threads == ["first", "first"]
+    assert watched.core.threads[0] == "first"  # the core's own thread may get the second
     assert not watched.core.overlaps
 
 
@@ -296,12 +304,11 @@ def test_the_core_thread_resumes_stepping_when_the_immediate_pace_ends(watched: 
 
 
 def test_the_core_thread_is_woken_once_when_the_immediate_pace_ends(
-    watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch
+    watched: Harness[WatchedCore], end_turns: Callable[[], None]
 ) -> None:
-    """With a batch interval of 60 s, only the wake-up can start a turn."""
+    """Without regular turns, only the wake-up can start one."""
     start(watched, Pace.IMMEDIATE)
-    monkeypatch.setattr(module, "BATCH_S", 60.0)
-    time.sleep(0.1)  # until the current turn ends
+    end_turns()
     turns = watched.turns
     time.sleep(0.1)
     assert watched.turns == turns
@@ -407,10 +414,9 @@ def test_a_stopped_core_thread_steps_no_inputs(watched: Harness[WatchedCore]) ->
 
 
 def test_a_stop_does_not_wait_for_the_next_turn(
-    watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch
+    watched: Harness[WatchedCore], end_turns: Callable[[], None]
 ) -> None:
     start(watched, Pace.BATCHED)
-    monkeypatch.setattr(module, "BATCH_S", 60.0)
-    time.sleep(0.1)  # until the current turn ends
+    end_turns()
     watched.thread.stop()
     assert not watched.thread.thread.is_alive()

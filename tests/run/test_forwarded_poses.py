@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from dart_flight.base.records import MissionEnd, Outcome, PoseSample, PosesWithheld, StatusText
+from dart_flight.base.records import MissionEnd, Outcome, PoseSample, PosesWithheld, Record, StatusText
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.lab.flight_arrays import FlightArrays
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
 from dart_flight.run import app as module
-from dart_flight.run.app import FlightApp
+from dart_flight.run.app import AppOptions
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.prepare import load_flyable, with_mocap, with_simulated_mocap
 from dart_flight.run.replay import replay
 from dart_flight.sim.pipe import FULL_SPEED
 from dart_flight.vehicle.motion_capture.pose_bridge import forwarded_pose
 from dart_flight.vehicle.motion_capture.source import RawPose
-from tests.run.test_app import Flight, connect_to
+from tests.run.conftest import FlyApp
+from tests.run.scripted_session import AppFlight, ScriptedSession
 
 ROOT = Path(__file__).parents[2]
 SQUARE, NEAR = ROOT / "missions/square.yaml", ROOT / "tests/data/near_wall.yaml"
@@ -48,70 +47,48 @@ class ScriptedSource:
         self.stops += 1
 
 
-class ArmedFlight(Flight):
-    """A vehicle that stays armed for some checks after the mission's end, because a pilot flies it."""
-
-    def __init__(self, end: Callable[[], None], armed_checks: int = 0) -> None:
-        super().__init__(end)
-        self.sent: list[Any] = []
-        self._armed_checks = armed_checks
-
-    @property
-    def armed(self) -> bool:
-        self._armed_checks -= 1
-        return self._armed_checks >= 0
-
-    def send_message(self, message: Any) -> None:
-        self.sent.append(message)
-
-
-def run_app(
-    monkeypatch: pytest.MonkeyPatch, armed_checks: int, at_end: Callable[[FlightApp, ScriptedSource], None]
-) -> tuple[ArmedFlight, ScriptedSource, list[Any]]:
-    """Run the app and return its session, its pose source and its records."""
-    source, records = ScriptedSource(), list[Any]()
+@pytest.fixture
+def source(monkeypatch: pytest.MonkeyPatch) -> ScriptedSource:
+    """The pose source of every URL."""
+    source = ScriptedSource()
     monkeypatch.setattr(module, "open_source", lambda url: source)
     monkeypatch.setattr(module, "_LOOK_PERIOD_S", 0.01)
-    mission = with_mocap(load_flyable(SQUARE), "udp://127.0.0.1:9763/dart")
-    app = FlightApp(mission, "udpin://nowhere:1", lambda record, _: records.append(record))
-
-    def end() -> None:
-        at_end(app, source)
-        app.execute(MissionEnd(1, Outcome.RELEASED, None, None))
-
-    session = ArmedFlight(end, armed_checks)
-    connect_to(session, monkeypatch)
-    monkeypatch.setattr(app, "show", records.append)
-    asyncio.run(app.run())
-    return session, source, records
+    return source
 
 
-def test_poses_go_to_px4_until_the_core_withholds_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def at_end(app: FlightApp, source: ScriptedSource) -> None:
+WITH_POSES = with_mocap(load_flyable(SQUARE), "udp://127.0.0.1:9763/dart")
+
+
+def test_poses_go_to_px4_until_the_core_withholds_them(fly_app: FlyApp, source: ScriptedSource) -> None:
+    async def script(flight: AppFlight) -> None:
         assert source.deliver is not None
         source.deliver(POSE)
-        app.execute(PosesWithheld(1, "turned", attitude_only=True))
+        flight.app.execute(PosesWithheld(1, "turned", attitude_only=True))
         source.deliver(POSE._replace(source_us=500_000))
-        app.execute(PosesWithheld(1, "another body"))
+        flight.app.execute(PosesWithheld(1, "another body"))
         source.deliver(POSE._replace(source_us=1_000_000))
+        await flight.has(3, PoseSample)
 
-    session, source, records = run_app(monkeypatch, 0, at_end)
-    with_attitude, without_attitude = map(forwarded_pose, session.sent)
+    flight = fly_app(script, WITH_POSES)
+    with_attitude, without_attitude = map(forwarded_pose, flight.session.messages)
     assert (with_attitude.attitude is None, without_attitude.attitude is None) == (False, True)
-    assert {r.source_us for r in records if isinstance(r, PoseSample)} == {1_000, 500_000, 1_000_000}
+    assert [pose.source_us for pose in flight.records_of(PoseSample)] == [1_000, 500_000, 1_000_000]
     assert source.stops == 1
-    assert not [r for r in records if isinstance(r, StatusText)]
+    assert flight.notes == []
 
 
-def test_poses_are_forwarded_until_a_pilot_who_took_over_disarms(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, source, records = run_app(monkeypatch, 5, lambda app, source: None)
-    (text,) = (r.text for r in records if isinstance(r, StatusText))
+def test_poses_are_forwarded_until_a_pilot_who_took_over_disarms(
+    fly_app: FlyApp, source: ScriptedSource
+) -> None:
+    shown, session = list[Record](), ScriptedSession(armed_checks=5)
+    fly_app(mission=WITH_POSES, session=session, options=AppOptions(shown.append))
+    (text,) = (record.text for record in shown if isinstance(record, StatusText))
     assert text == "forwarding poses until the vehicle is disarmed; Ctrl-C ends the forwarding"
+    assert not session.armed
     assert source.stops == 1
 
 
+@pytest.mark.rest
 @pytest.mark.mavlink
 def test_pose_latency_is_in_simulated_time_and_the_flight_replays(tmp_path: Path) -> None:
     settings = ["simulation.pose_delay_s=0.02", "mocap.delay_ms=20", "mocap.up=y"]

@@ -1,103 +1,178 @@
-"""The operator's request to end a pause: Enter on the app's terminal, or SIGUSR1."""
+"""The operator's requests in flight: buttons of the ground station, signals, and Enter on the terminal."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
-import queue
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
 
 import pytest
 
-from dart_flight.base.records import Input, OperatorRequest, Request
-from dart_flight.config.vehicle import packaged
-from dart_flight.run import app as app_module
-from dart_flight.run.app import FlightApp
-from dart_flight.run.prepare import load_flyable
+from dart_flight.base.records import Phase, PhaseChange, Request, StatusText
+from dart_flight.run import app as module
+from dart_flight.run.operator_buttons import Button
+from dart_flight.vehicle.command_server import Result
+from tests.run.conftest import FlyApp
+from tests.run.scripted_session import AppFlight, until
+
+LAND, RELEASE, CONTINUE = Request.LAND, Request.RELEASE, Request.CONTINUE
+
+
+def test_the_first_stop_lands_and_later_stops_release_the_vehicle(fly_app: FlyApp) -> None:
+    async def script(flight: AppFlight) -> None:
+        for _ in range(3):
+            flight.app.stop()
+        await flight.has(3)
+
+    assert fly_app(script).requests == [LAND, RELEASE, RELEASE]
+
+
+def test_the_land_button_does_not_count_as_a_first_ctrl_c(fly_app: FlyApp) -> None:
+    async def script(flight: AppFlight) -> None:
+        for _ in range(2):
+            assert flight.session.press(Button.LAND) == (Result.ACCEPTED, "landing")
+        flight.app.stop()
+        assert flight.session.press(Button.CONTINUE)[0] is Result.DENIED
+        flight.app.execute(PhaseChange(1, Phase.WAYPOINT, Phase.PAUSE, ""))
+        assert flight.session.press(Button.CONTINUE)[0] is Result.ACCEPTED
+        await flight.has(4)
+
+    assert fly_app(script).requests == [LAND, LAND, LAND, CONTINUE]
+
+
+# --- signals ----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def app() -> FlightApp:
-    mission = load_flyable(packaged("missions", "square.yaml"), packaged("configs", "dart.yaml"))
-    return FlightApp(mission, "udpin://127.0.0.1:1", lambda record, number: None)
+def hangup() -> Iterator[Callable[[Any], object]]:
+    """Set what the process does at SIGHUP; restore this after the test."""
+    before = signal.getsignal(signal.SIGHUP)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield partial(signal.signal, signal.SIGHUP)
+    signal.signal(signal.SIGHUP, before)
 
 
-def inputs_after(app: FlightApp, trigger: Callable[[], object], wanted: int) -> list[Input]:
-    """Return the core's queued inputs once `wanted` have arrived or half a second has passed."""
-    inputs: queue.SimpleQueue[Input] = app._core._queue
-
-    async def listen() -> None:
-        app.loop = asyncio.get_running_loop()
-        with app._listening_for_operator():
-            trigger()
-            for _ in range(50):
-                if inputs.qsize() >= max(wanted, 1):
-                    break
-                await asyncio.sleep(0.01)
-        app.loop.remove_signal_handler(signal.SIGUSR1)
-
-    asyncio.run(listen())
-    return [inputs.get() for _ in range(inputs.qsize())]
-
-
-def test_sigusr1_requests_continue(app: FlightApp) -> None:
-    (item,) = inputs_after(app, lambda: os.kill(os.getpid(), signal.SIGUSR1), 1)
-    assert isinstance(item, OperatorRequest)
-    assert item.request is Request.CONTINUE
-
-
-@pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> int:
-    """Replace the program's terminal and return its other end."""
-    our_end, program_end = os.openpty()
-    monkeypatch.setattr("sys.stdin", os.fdopen(program_end, closefd=False))
-    return our_end
-
-
-def test_enter_requests_continue_and_other_keys_do_not(app: FlightApp, terminal: int) -> None:
-    (item,) = inputs_after(app, lambda: os.write(terminal, b"\n"), 1)
-    assert isinstance(item, OperatorRequest)
-    assert item.request is Request.CONTINUE
-    # A terminal delivers whole lines, so keys without Enter never arrive.
-    assert inputs_after(app, lambda: os.write(terminal, b"xyz"), 0) == []
-
-
-def test_a_background_process_does_not_read_its_terminal(
-    app: FlightApp, terminal: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.usefixtures("hangup")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_terminating_signals_land_and_a_repeat_is_logged_but_does_not_release_the_vehicle(
+    fly_app: FlyApp, number: signal.Signals
 ) -> None:
-    """A read from the background would stop the program in flight (SIGTTIN)."""
-    monkeypatch.setattr(app_module, "_in_background", lambda fd: True)
-    monkeypatch.setattr(app_module, "_KEY_PAUSE_S", 0.02)
-    assert inputs_after(app, lambda: os.write(terminal, b"\n"), 0) == []
-    # In the foreground again, the app reads the key that was typed meanwhile.
-    monkeypatch.setattr(app_module, "_in_background", lambda fd: False)
-    assert len(inputs_after(app, lambda: None, 1)) == 1
+    """GNU timeout signals the program and then its group."""
+    other = signal.SIGTERM if number is signal.SIGINT else signal.SIGINT
+
+    async def script(flight: AppFlight) -> None:
+        for _ in range(2):
+            signal.raise_signal(number)
+        await flight.has(1, StatusText)
+        signal.raise_signal(signal.SIGUSR1)
+        await flight.has(2)
+        signal.raise_signal(other)
+        await flight.has(3)
+
+    flight = fly_app(script)
+    assert flight.requests == [LAND, CONTINUE, RELEASE]
+    assert flight.notes == [f"{number.name} again within 0.3 s: counted once"]
 
 
-def test_a_closed_terminal_is_read_only_once(
-    app: FlightApp, terminal: int, monkeypatch: pytest.MonkeyPatch
+def test_an_ignored_hangup_does_not_land_the_vehicle(
+    fly_app: FlyApp, hangup: Callable[[Any], object]
 ) -> None:
-    """A closed terminal stays readable forever, so the loop would spin."""
-    reads: list[int] = []
-    read = os.read
+    async def script(flight: AppFlight) -> None:
+        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGUSR1)
+        await flight.has(1)
 
-    def counted(number: int, most: int) -> bytes:
-        reads.append(number)
+    hangup(signal.SIG_IGN)
+    assert fly_app(script).requests == [CONTINUE]
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+# --- the terminal -----------------------------------------------------------------------------------------
+
+PAUSE_S = 0.05
+
+
+class Terminal:
+    """The program's terminal.
+
+    Attributes:
+        reads: number of the program's reads.
+        looks: number of times that the program has asked who has the terminal.
+        foreign: whether another job has the terminal.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.reads = self.looks = 0
+        self.foreign = False
+        self._ours, theirs = os.openpty()
+        monkeypatch.setattr("sys.stdin", os.fdopen(theirs, closefd=False))
+        monkeypatch.setattr(os, "tcgetpgrp", self._look)
+        monkeypatch.setattr(os, "read", partial(self._read, os.read, theirs))
+        monkeypatch.setattr(module, "_KEY_PAUSE_S", PAUSE_S)
+
+    def type(self, keys: bytes) -> None:
+        os.write(self._ours, keys)
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            os.close(self._ours)
+
+    def _look(self, number: int) -> int:
+        self.looks += 1
+        return os.getpgrp() + self.foreign
+
+    def _read(self, read: Callable[[int, int], bytes], own: int, number: int, most: int) -> bytes:
+        self.reads += number == own
         return read(number, most)
 
-    monkeypatch.setattr(os, "read", counted)
 
-    async def listen() -> None:
-        app.loop = asyncio.get_running_loop()
-        app._listen_for_key()
-        os.close(terminal)
-        for _ in range(500):
-            await asyncio.sleep(0.01)
-            if reads:
-                break
-        for _ in range(20):
-            await asyncio.sleep(0)
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
+    """Replace the program's terminal."""
+    terminal = Terminal(monkeypatch)
+    yield terminal
+    terminal.close()
 
-    asyncio.run(listen())
-    assert len(reads) == 1
+
+def test_enter_requests_continue_and_other_keys_do_not(fly_app: FlyApp, terminal: Terminal) -> None:
+    async def script(flight: AppFlight) -> None:
+        terminal.type(b"xyz")  # a terminal delivers whole lines, so keys without Enter never arrive
+        await asyncio.sleep(0.1)
+        assert flight.requests == []
+        terminal.type(b"\n")
+        await flight.has(1)
+
+    assert fly_app(script).requests == [CONTINUE]
+
+
+def test_a_key_typed_for_another_job_is_left_to_it_without_asking_all_the_time(
+    fly_app: FlyApp, terminal: Terminal
+) -> None:
+    """A read from the background would stop the program in flight (SIGTTIN), and a pending key is no work."""
+
+    async def script(flight: AppFlight) -> None:
+        terminal.foreign = True
+        terminal.type(b"\n")
+        await asyncio.sleep(6.0 * PAUSE_S)
+        assert (terminal.reads, flight.requests) == (0, [])
+        assert 1 <= terminal.looks <= 7
+        terminal.foreign = False  # in the foreground again, the app reads the key that was typed meanwhile
+        await flight.has(1)
+
+    assert fly_app(script).requests == [CONTINUE]
+
+
+def test_a_closed_terminal_is_read_only_once(fly_app: FlyApp, terminal: Terminal) -> None:
+    """A closed terminal stays readable forever, so the loop would spin."""
+
+    async def script(flight: AppFlight) -> None:
+        terminal.close()
+        await until(lambda: terminal.reads, "the read")
+        await asyncio.sleep(0.1)
+
+    fly_app(script)
+    assert terminal.reads == 1

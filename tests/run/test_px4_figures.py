@@ -21,6 +21,7 @@ def test_an_error_in_the_lab_is_reported_and_a_missing_lab_is_not(
 
     monkeypatch.setattr(px4_flight, "load_entry", fail)
     shown: list[Record] = []
+    # The function around it flies with PX4.
     assert px4_flight._px4_figures(Path("px4.ulg"), "1.18.0", shown.append) == Px4Figures("1.18.0")
     assert len(shown) == lines
     assert all(isinstance(record, StatusText) and "KeyError('failsafe')" in record.text for record in shown)

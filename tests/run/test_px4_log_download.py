@@ -155,13 +155,7 @@ def test_a_failed_or_interrupted_download_leaves_no_file(tmp_path: Path) -> None
         fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
     with vehicle([(end_s, ulog(2_000_000, 1))]) as v, pytest.raises(KeyboardInterrupt):
         fetch_px4_log(
-            v.url,
-            10.0,
-            tmp_path,
-            ARMED,
-            choose=no_choice,
-            print_line=lambda line: None,
-            progress=interrupt,
+            v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None, progress=interrupt
         )
     with vehicle([(end_s, b"not a ULog at all")]) as v, pytest.raises(DownloadError, match="not a ULog"):
         fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
@@ -188,14 +182,16 @@ class SlowToCancel:
         self._callback(SimpleNamespace(name="CANCELLED"), SimpleNamespace(progress=0.5), None)
 
 
-def test_a_cancelled_download_has_called_back_before_its_plugin_can_be_destroyed(tmp_path: Path) -> None:
+def test_a_cancelled_download_has_called_back_before_its_plugin_can_be_destroyed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupt(share: float) -> None:
         raise KeyboardInterrupt
 
-    logs = Px4Logs.__new__(Px4Logs)
-    logs._plugin = plugin = SlowToCancel()
+    plugin = SlowToCancel()
+    monkeypatch.setattr(downloads, "LogFiles", lambda system: plugin)
     with pytest.raises(KeyboardInterrupt):
-        logs.download(log(0, None), tmp_path / "px4.ulg", interrupt)
+        Px4Logs(None).download(log(0, None), tmp_path / "px4.ulg", interrupt)
     assert plugin.called_back
 
 
@@ -240,42 +236,48 @@ def test_a_log_file_is_found_by_its_path_and_a_folder_without_logs_is_refused(tm
 # --- after a flight -------------------------------------------------------------------------------------
 
 
+class Downloads:
+    """A double of the download after a flight: an error, or the path of the log."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+        self.error: BaseException | None = None
+        self.arguments: list[object] = []
+        monkeypatch.setattr(fly_command, "download_px4_log", self._download)
+        monkeypatch.chdir(folder)
+        (folder / "one").mkdir()
+        shutil.copy(FLIGHT, folder / "one" / "flight.mcap")
+
+    def _download(self, url: str, timeout_s: float, folder: Path, armed: object, *, before: object) -> Path:
+        self.arguments += [folder, armed, before]
+        if self.error is not None:
+            raise self.error
+        return folder / "px4.ulg"
+
+    def after_flight(self, before: list[Px4LogEntry] | None = None) -> str | None:
+        mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
+        # The command around it flies with a vehicle before it downloads.
+        return fly_command._downloaded(mission, "udpin://x", Path("one/flight.mcap"), before)
+
+
+@pytest.fixture
+def after_a_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Downloads:
+    return Downloads(monkeypatch, tmp_path)
+
+
 @pytest.mark.parametrize(
     "error",
     [KeyboardInterrupt(), DownloadError("no data for 15 s"), InputError("in use", source="udpin://x")],
 )
 def test_a_failed_download_prints_two_lines_and_keeps_the_flight(
-    error: BaseException,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    error: BaseException, after_a_flight: Downloads, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(*arguments: object, **options: object) -> Path:
-        raise error
-
-    monkeypatch.setattr(fly_command, "download_px4_log", fail)
-    shutil.copy(FLIGHT, tmp_path / "flight.mcap")
-    mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
-    assert fly_command._downloaded(mission, "udpin://x", tmp_path / "flight.mcap", None) is None
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 2
-    assert lines[1] == f"later: dart-flight px4-log {tmp_path}"
+    after_a_flight.error = error
+    assert after_a_flight.after_flight() is None
+    _, later = capsys.readouterr().err.splitlines()
+    assert later == "later: dart-flight px4-log one"
 
 
-def test_the_downloaded_path_is_returned_as_the_verdict_stores_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    arguments: list[object] = []
-
-    def fetch(url: str, timeout_s: float, folder: Path, armed: object, *, before: object) -> Path:
-        arguments.extend((folder, armed, before))
-        return folder / "px4.ulg"
-
-    monkeypatch.setattr(fly_command, "download_px4_log", fetch)
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "one").mkdir()
-    shutil.copy(FLIGHT, tmp_path / "one" / "flight.mcap")
-    mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
+def test_the_downloaded_path_is_returned_as_the_verdict_stores_it(after_a_flight: Downloads) -> None:
     before = [log(0, None)]
-    assert fly_command._downloaded(mission, "udpin://x", Path("one/flight.mcap"), before) == "one/px4.ulg"
-    assert arguments == [Path("one"), armed_span(read_log(FLIGHT)), before]
+    assert after_a_flight.after_flight(before) == "one/px4.ulg"
+    assert after_a_flight.arguments == [Path("one"), armed_span(read_log(FLIGHT)), before]

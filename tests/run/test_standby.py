@@ -6,9 +6,9 @@ import asyncio
 import json
 import os
 import signal
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from unittest.mock import Mock
+from types import SimpleNamespace
 
 import pytest
 
@@ -16,12 +16,14 @@ from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.cli import main
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.run import standby as module
-from dart_flight.run.operator_buttons import Button, Errand
+from dart_flight.run.operator_buttons import Button
 from dart_flight.run.standby import Ended, Standby, StandbyDesk, describe_end
 from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.vehicle_session import VehicleError
+from tests.run.scripted_session import ScriptedSession, connecting_to
 
-VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
+VEHICLE = load_vehicle(packaged("configs", "dart.yaml")).replace({"lock.servo.travel_s": 0.05})
+URL = "udpin://127.0.0.1:1"
 RECEIVER = 65536
 OK, LATER, NO = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.DENIED
 FLY = Press(Button.FLY, 1)
@@ -125,13 +127,7 @@ def test_only_the_configured_channel_moves_the_lock() -> None:
         (True, 2, None, "wall.yaml:3: goal: missing", ["wall: wall.yaml:3: goal: missing"]),
         (True, 1, None, "", ["wall: ended with status 1"]),
         (True, 1, [1], "", ["wall: ended with status 1"]),
-        (
-            True,
-            -9,
-            None,
-            "",
-            ["wall: the process was killed by SIGKILL: PX4's failsafe flies the vehicle"],
-        ),
+        (True, -9, None, "", ["wall: the process was killed by SIGKILL: PX4's failsafe flies the vehicle"]),
         (False, -15, None, "", ["wall: the process was killed by SIGTERM"]),
     ],
 )
@@ -150,126 +146,219 @@ def test_only_three_of_many_no_goes_are_listed() -> None:
     assert lines == ["wall: no-go and 3 more", "item1: bad", "item2: bad", "item3: bad"]
 
 
-# --- handover ----------------------------------------------------------------------------------------------
+# --- holding and handing over ------------------------------------------------------------------------------
 
-
-class ScriptedStandby(Standby):
-    """Standby with a scripted operator and scripted processes.
-
-    Args:
-        errands: the operator's requests, one each time that standby has the link; SIGTERM after the last.
-        ends: the ends of the processes, in order.
-    """
-
-    def __init__(self, errands: list[Errand | Exception], ends: list[Ended]) -> None:
-        self.printed: list[tuple[str, str]] = []
-        self.commands: list[Sequence[str]] = []
-        self._errands, self._ends = errands, ends
-        missions = [("one", "one.yaml"), ("two", "two.yaml")]
-        super().__init__(
-            missions,
-            VEHICLE,
-            "udpin://127.0.0.1:1",
-            [],
-            lambda *kind_and_text: self.printed.append(kind_and_text),
-        )
-
-    async def _hold(self) -> None:
-        if not self._errands:
-            os.kill(os.getpid(), signal.SIGTERM)
-            await self._wake.wait()
-            return
-        errand = self._errands.pop(0)
-        if isinstance(errand, Exception):
-            raise errand
-        self._errand = errand
-
-    async def _run_child(self, command: Sequence[str]) -> Ended:
-        self.commands.append(command)
-        return self._ends.pop(0)
-
-
+MISSIONS = [("one", "one.yaml"), ("two", "two.yaml")]
 COMPLETED = Ended(0, b'{"outcome": "completed", "reason": null}', "")
 GO = Ended(0, b'{"go": true, "findings": []}', "")
+Hold = Callable[[ScriptedSession], object]
 
 
-def test_each_errand_runs_its_commands_and_keeps_their_results() -> None:
-    errands: list[Errand | Exception] = [Errand(False, (1, 2)), Errand(True, (2,)), Errand(True, (1,))]
-    standby = ScriptedStandby(errands, [GO, GO, Ended(-9, b"", ""), COMPLETED])
-    asyncio.run(standby.run())
-    assert standby.commands == [
-        ["check", "one.yaml"],
-        ["check", "two.yaml"],
-        ["fly", "two.yaml", "--yes"],
-        ["fly", "one.yaml", "--yes"],
+class Child:
+    """A double of a child process, which ends after a number of signals."""
+
+    def __init__(self, ended: Ended, waits: int) -> None:
+        self.returncode: int | None = None
+        self.signals: list[int] = []
+        self.stdout, self.stderr = asyncio.StreamReader(), asyncio.StreamReader()
+        self._ended, self._waits = ended, waits
+        self.stderr.feed_eof()
+        self._end_if_due()
+
+    def _end_if_due(self) -> None:
+        if len(self.signals) == self._waits:
+            self.stdout.feed_data(self._ended.output)
+            self.stdout.feed_eof()
+
+    def send_signal(self, number: int) -> None:
+        self.signals.append(number)
+        self._end_if_due()
+
+    async def wait(self) -> int:
+        self.returncode = self._ended.status
+        return self.returncode
+
+
+class Day:
+    """A day of standby on scripted sessions, with scripted child processes.
+
+    Args:
+        holds: what happens each time that standby holds the link, or the error of the connection; SIGTERM
+            follows the last.
+        ends: ends of the child processes, in order; None: real processes.
+        stops: signals to standby while a child process runs, which ends once it has received them all.
+
+    Attributes:
+        printed: kinds and lines of standby's messages.
+        commands: commands of the child processes.
+        heard: texts that the ground station has received.
+        answers: answers to the pressed buttons.
+        children: the doubles of the child processes.
+    """
+
+    def __init__(
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        holds: Sequence[Hold | Exception],
+        ends: Sequence[Ended] | None = (),
+        missions: Sequence[tuple[str, str]] = MISSIONS,
+        stops: Sequence[signal.Signals] = (),
+    ) -> None:
+        self.printed: list[tuple[str, str]] = []
+        self.commands: list[Sequence[str]] = []
+        self.children: list[Child] = []
+        self._ends, self._stops = list(ends or ()), stops
+        sessions = [hold if isinstance(hold, Exception) else Holding(hold) for hold in holds]
+        last = Holding(lambda session: os.kill(os.getpid(), signal.SIGTERM))
+        self._sessions = [*sessions, last]
+        monkeypatch.setattr(module, "connect", connecting_to(self._sessions))
+        for name in ("_RETRY_S", "_TEXT_PAUSE_S", "_LAST_WORDS_S"):
+            monkeypatch.setattr(module, name, 0.01)
+        if ends is not None:
+            monkeypatch.setattr(asyncio, "create_subprocess_exec", self._start)
+        standby = Standby(missions, VEHICLE, URL, [], lambda *line: self.printed.append(line))
+        asyncio.run(asyncio.wait_for(standby.run(), 60.0))
+
+    async def _start(self, program: str, dash: str, package: str, *command: str, **_: object) -> Child:
+        self.commands.append(command[: command.index("--json")])
+        self.children.append(Child(self._ends.pop(0), len(self._stops)))
+        for number in self._stops:
+            asyncio.get_running_loop().call_soon(os.kill, os.getpid(), number)
+        return self.children[-1]
+
+    @property
+    def heard(self) -> list[str]:
+        return [text for s in self._sessions if isinstance(s, Holding) for text in s.texts]
+
+    @property
+    def answers(self) -> list[Result]:
+        return [result for s in self._sessions if isinstance(s, Holding) for result, _ in s.answered]
+
+    def results(self) -> list[str]:
+        """Return what the ground station has heard, without the state of the lock."""
+        return [text for text in self.heard if text != "standby" and not text.startswith("lock ")]
+
+
+class Holding(ScriptedSession):
+    """A session whose script runs once standby serves the operator, on a disarmed vehicle with a pilot."""
+
+    def __init__(self, script: Hold) -> None:
+        super().__init__()
+        self._script = script
+
+    def serve_operator(self, system_id: int, answer: Callable[[Press], tuple[Result, str]]) -> None:
+        super().serve_operator(system_id, answer)
+        self.deliver("HEARTBEAT", SimpleNamespace(armed=False))
+        self.deliver("SYS_STATUS", SimpleNamespace(present=RECEIVER))
+        asyncio.get_running_loop().call_soon(self._script, self)
+
+
+@pytest.fixture(autouse=True)
+def _own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+
+
+def check(number: int) -> Hold:
+    return lambda session: session.press(Button.CHECK, number)
+
+
+def fly(number: int, *then: Press) -> Hold:
+    def press(session: ScriptedSession) -> None:
+        for button, value, _ in (Press(Button.FLY, number), Press(Button.FLY, number), *then):
+            session.press(button, value)
+
+    return press
+
+
+def test_each_errand_runs_its_commands_and_the_ground_station_hears_their_results(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ends = [GO, GO, Ended(-9, b"", ""), COMPLETED]
+    day = Day(monkeypatch, [check(0), fly(2), fly(1)], ends)
+    assert day.commands == [
+        ("check", "one.yaml"),
+        ("check", "two.yaml"),
+        ("fly", "two.yaml", "--yes"),
+        ("fly", "one.yaml", "--yes"),
     ]
-    assert standby._news == [
+    assert [text for text in day.results() if not text.startswith("fly")] == [
         "one: go",
         "two: go",
         "two: the process was killed by SIGKILL: PX4's failsafe flies the vehicle",
         "one: completed",
     ]
+    assert day.heard.count("standby") == 4
+    assert set(day.answers) == {OK}
 
 
 def test_a_missing_vehicle_is_reported_once_and_retried(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_RETRY_S", 0.01)
-    missing = VehicleError("no autopilot on udpin://127.0.0.1:1 within 5 s")
-    standby = ScriptedStandby([missing, missing, missing, Errand(False, (1,))], [GO])
-    asyncio.run(standby.run())
-    assert [text for kind, text in standby.printed if kind == "problem"] == [f"{missing}; retrying"]
-    assert standby.commands == [["check", "one.yaml"]]
+    missing = VehicleError(f"no autopilot on {URL} within 5 s")
+    day = Day(monkeypatch, [missing, missing, missing, check(1)], [GO])
+    assert [text for kind, text in day.printed if kind == "problem"] == [f"{missing}; retrying"]
+    assert day.commands == [("check", "one.yaml")]
 
 
 @pytest.mark.parametrize(
-    ("errand", "button", "result", "remains"),
+    ("hold", "result", "flies"),
     [
-        (Errand(True, (1,)), Button.LAND, OK, False),
-        (Errand(True, (1,)), Button.LOCK_RIGID, LATER, True),
-        (Errand(True, (1,)), Button.FLY, LATER, True),
-        (Errand(False, (1, 2)), Button.LAND, LATER, True),
+        (fly(1, Press(Button.LAND)), OK, False),
+        (fly(1, Press(Button.LOCK_RIGID)), LATER, True),
+        (fly(1, Press(Button.FLY, 1)), LATER, True),
     ],
+    ids=["land", "lock", "fly"],
 )
-def test_land_cancels_a_flight_while_the_link_is_being_passed(
-    errand: Errand, button: Button, result: Result, remains: bool
+def test_only_land_is_accepted_while_the_link_is_being_passed_and_cancels_the_flight(
+    monkeypatch: pytest.MonkeyPatch, hold: Hold, result: Result, flies: bool
 ) -> None:
-    standby = ScriptedStandby([], [])
-    standby._errand = errand
-    assert standby._answer(Press(button, 1))[0] == result
-    assert standby._errand == (errand if remains else None)
+    day = Day(monkeypatch, [hold], [COMPLETED])
+    assert day.answers == [OK, OK, result]
+    assert day.commands == [("fly", "one.yaml", "--yes")] * flies
+    assert (("standby", "take-off cancelled") in day.printed) is not flies
+
+
+def test_land_does_not_cancel_a_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    def hold(session: ScriptedSession) -> None:
+        for button in (Button.CHECK, Button.LAND, Button.LOCK_RIGID):
+            session.press(button)
+
+    day = Day(monkeypatch, [hold], [GO, GO])
+    assert day.commands == [("check", "one.yaml"), ("check", "two.yaml")]
+    assert day.answers == [OK, LATER, LATER]
+
+
+def test_the_lock_moves_by_button_and_its_state_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    def hold(session: ScriptedSession) -> None:
+        assert session.press(Button.LOCK_RIGID)[0] is OK
+        loop = asyncio.get_running_loop()
+
+        def leave_once_settled() -> None:
+            if any(text.startswith("lock rigid: settled") for text in session.texts):
+                session.press(Button.CHECK, 1)
+            else:
+                loop.call_later(0.01, leave_once_settled)
+
+        leave_once_settled()
+
+    day = Day(monkeypatch, [hold], [GO])
+    assert "lock rigid: settled (no feedback)" in day.heard
 
 
 def test_a_real_process_reports_why_it_cannot_fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "systemd"))
-    printed: list[tuple[str, str]] = []
     missing = str(tmp_path / "none.yaml")
-    standby = Standby(
-        [("none", missing)],
-        VEHICLE,
-        "udpin://127.0.0.1:1",
-        [],
-        lambda *kind_and_text: printed.append(kind_and_text),
-    )
-    asyncio.run(standby._run_errand(Errand(True, (1,))))
-    (line,) = standby._news
+    day = Day(monkeypatch, [fly(1)], None, [("none", missing)])
+    (line,) = (text for text in day.results() if missing in text)
     assert line.startswith(f"none: {missing}: ")
-    assert ("child", line.removeprefix("none: ")) in printed
+    assert ("child", line.removeprefix("none: ")) in day.printed
 
 
-def test_a_signal_lands_the_flight_and_ends_standby() -> None:
-    standby, flight = ScriptedStandby([], []), Mock(returncode=None)
-    standby._child = flight
-    standby._stop()
-    flight.send_signal.assert_called_once_with(signal.SIGTERM)
-    standby._stop()  # another signal, which the flight does not take for a repeat
-    flight.send_signal.assert_called_with(signal.SIGINT)
-    asyncio.run(standby.run())
-    assert standby.commands == []
+def test_signals_land_the_flight_and_end_standby(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second is another signal, which the flight does not take for a repeat."""
 
-
-def test_buttons_are_rejected_while_the_link_is_handed_over() -> None:
-    standby = ScriptedStandby([], [])
-    standby._errand = Errand(False, (1,))
-    assert standby._answer(Press(Button.LOCK_RIGID))[0] is LATER
+    day = Day(monkeypatch, [fly(1)], [COMPLETED], stops=(signal.SIGTERM, signal.SIGINT))
+    assert day.children[0].signals == [signal.SIGTERM, signal.SIGINT]
+    assert ("standby", "one: completed") in day.printed
+    assert day.heard.count("standby") == 1  # it does not hold the link again
 
 
 # --- command -----------------------------------------------------------------------------------------------

@@ -24,6 +24,7 @@ from dart_flight.run.operator_buttons import Button
 from dart_flight.vehicle.command_server import Result
 from tests.doubles.operator_station import OperatorStation
 from tests.doubles.ports import free_udp_port
+from tests.real_time import limited, wait_until
 from tests.shared_flights import patient
 
 ROOT = Path(__file__).parents[2]
@@ -71,7 +72,8 @@ class Laboratory:
             yield
         finally:
             self._standby.terminate()
-            self._standby.wait(60.0)
+            with limited("the end of standby"):
+                self._standby.wait(60.0)
 
     def printed_lines(self) -> list[str]:
         lines = (self._folder / "standby.jsonl").read_text().splitlines()
@@ -98,13 +100,16 @@ class Laboratory:
 
     def wait_for_flight_process(self) -> None:
         """Wait until standby has passed the link to `fly`."""
-        while not any("passing the link to dart-flight fly" in line for line in self.printed_lines()):
+
+        def has_passed() -> bool:
             assert self.standby.poll() is None
-            time.sleep(0.1)
+            return any("passing the link to dart-flight fly" in line for line in self.printed_lines())
+
+        wait_until(has_passed, 60.0, "standby passes the link")
 
     def wait_for_standby(self, times: int) -> None:
         """Wait until standby holds the link for the nth time, and check that it answers."""
-        self.station.wait_for("standby", times, timeout_s=120.0)
+        self.station.wait_for_text("standby", times, timeout_s=120.0)
         assert self.standby.poll() is None
         assert self.station.press(Button.LAND) == NO
         time.sleep(1.0)  # until standby has received the transmitter's state
@@ -142,54 +147,55 @@ def test_a_day_of_checks_and_flights_completes_from_standby(laboratory: Laborato
     laboratory.wait_for_standby(1)
     # The lock, by button and by switch.
     assert [station.press(b) for b in (Button.LOCK_RIGID, Button.CONTINUE, Button.LAND)] == [OK, NO, NO]
-    station.wait_for("lock rigid: settled")
+    station.wait_for_text("lock rigid: settled")
     assert station.press(Button.LOCK_FLEXIBLE) == OK
-    station.wait_for("lock flexible: settled")
+    station.wait_for_text("lock flexible: settled")
     for pulse_us in (1000, 2000):
         for _ in range(8):
             station.move_switch(CHANNEL, pulse_us)
             time.sleep(0.2)
-    station.wait_for("lock rigid: settled", 2)
+    station.wait_for_text("lock rigid: settled", 2)
     # A check, and a flight that its check refuses.
     assert station.press(Button.CHECK, 1) == OK
-    station.wait_for("one: go", timeout_s=120.0)
+    station.wait_for_text("one: go", timeout_s=120.0)
     laboratory.wait_for_standby(2)
     with pytest.raises(ServoInUseError, match=f"by dart-flight standby, process {laboratory.standby.pid}$"):
         laboratory.own_servo()
     assert station.press(Button.FLY, 9) == NO
     laboratory.fly(3)
-    station.wait_for("three: no-go", timeout_s=120.0)
-    station.wait_for("place: the vehicle is 1.50 m from start")
+    station.wait_for_text("three: no-go", timeout_s=120.0)
+    station.wait_for_text("place: the vehicle is 1.50 m from start")
     laboratory.wait_for_standby(3)
     # Two flights, and between them one whose process is killed.
     laboratory.fly(2)
-    station.wait_for("phase waypoint", timeout_s=120.0)
+    station.wait_for_text("phase waypoint", timeout_s=120.0)
     assert station.press(Button.LOCK_RIGID) == NO, "in flight only the mission moves the lock"
-    station.wait_for("two: completed", timeout_s=120.0)
+    station.wait_for_text("two: completed", timeout_s=120.0)
     laboratory.wait_for_standby(4)
     laboratory.fly(1)
-    station.wait_for("phase waypoint", 2, timeout_s=120.0)
+    station.wait_for_text("phase waypoint", 2, timeout_s=120.0)
     os.kill(laboratory.flight_process(), signal.SIGKILL)
-    station.wait_for("one: the process was killed by SIGKILL: PX4's failsafe flies the vehicle")
+    station.wait_for_text("one: the process was killed by SIGKILL: PX4's failsafe flies the vehicle")
     laboratory.wait_for_standby(5)
     assert station.press(Button.FLY, 1) == NO, "the vehicle is still in the air"
-    station.wait_for("denied: the vehicle is armed")
+    station.wait_for_text("denied: the vehicle is armed")
     station.wait_disarmed()
     time.sleep(1.5)  # until standby has received it as well
     assert station.press(Button.LOCK_FLEXIBLE) == OK
     laboratory.fly(1)
-    station.wait_for("one: completed", timeout_s=120.0)
+    station.wait_for_text("one: completed", timeout_s=120.0)
     laboratory.wait_for_standby(6)
 
 
 def test_ending_standby_lands_its_flight(laboratory: Laboratory) -> None:
     laboratory.wait_for_standby(1)
     laboratory.fly(2)
-    laboratory.station.wait_for("phase waypoint", timeout_s=120.0)
+    laboratory.station.wait_for_text("phase waypoint", timeout_s=120.0)
     with pytest.raises(ServoInUseError, match=f"by dart-flight fly, process {laboratory.flight_process()}$"):
         laboratory.own_servo()
     laboratory.standby.send_signal(signal.SIGTERM)
-    assert laboratory.standby.wait(60.0) == 0
+    with limited("the flight lands and standby ends"):
+        assert laboratory.standby.wait(60.0) == 0
     (end,) = (line for line in laboratory.printed_lines() if line.startswith("two: aborted"))
     assert "landing requested" in end
 
@@ -199,11 +205,15 @@ def test_landing_during_the_check_cancels_the_take_off(laboratory: Laboratory) -
     laboratory.wait_for_standby(1)
     laboratory.fly(1)
     laboratory.wait_for_flight_process()
-    while station.press(Button.LAND) != OK:
+
+    def is_cancelled() -> bool:
         assert not station.armed
-    station.wait_for("take-off cancelled")
-    station.wait_for("one: no-go", timeout_s=60.0)
-    station.wait_for("operator: a landing was requested during the check")
+        return station.press(Button.LAND) == OK
+
+    wait_until(is_cancelled, 60.0, "the land button is accepted")
+    station.wait_for_text("take-off cancelled")
+    station.wait_for_text("one: no-go", timeout_s=60.0)
+    station.wait_for_text("operator: a landing was requested during the check")
     assert not station.was_armed
 
 
@@ -212,9 +222,9 @@ def test_standby_forwards_motion_capture(laboratory: Laboratory) -> None:
     laboratory.wait_for_standby(1)
     pose = json.dumps({"position_m": [0.0, 0.0, 0.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}).encode()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera:
-        for _ in range(100):
+
+        def comes_back() -> int:
             camera.sendto(pose, ("127.0.0.1", laboratory.poses_port))
-            time.sleep(0.02)
-            if laboratory.station.poses:
-                break
-    assert laboratory.station.poses, "no pose came back through the vehicle"
+            return laboratory.station.poses
+
+        wait_until(comes_back, 10.0, "a pose comes back through the vehicle")

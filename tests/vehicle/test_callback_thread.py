@@ -13,6 +13,7 @@ import pytest
 from dart_flight.config.mission import load_mission
 from dart_flight.vehicle.vehicle_session import connect
 from tests.doubles.ports import free_udp_port
+from tests.real_time import limited, run_within
 
 ROOT = Path(__file__).parents[2]
 MISSION = ROOT / "missions" / "paper_single_wall.yaml"
@@ -39,7 +40,8 @@ def test_thread_local_data_persists_between_callbacks() -> None:
 
         async with connect(f"udpin://127.0.0.1:{port}", _WAIT_S, deliver) as session:
             session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
-            await asyncio.wait_for(enough.wait(), _WAIT_S)
+            with limited("a hundred callbacks"):
+                await asyncio.wait_for(enough.wait(), _WAIT_S)
 
     command = [sys.executable, "-m", "dart_flight", "simulate", str(MISSION), "--port", str(port)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as simulator:
@@ -84,7 +86,7 @@ def test_a_callback_that_never_returns_keeps_neither_the_verdict_nor_the_program
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as simulator:
         try:
             program = [sys.executable, "-c", BLOCKED, str(MISSION), f"udpin://127.0.0.1:{port}"]
-            done = subprocess.run(program, capture_output=True, text=True, timeout=60, check=False)
+            done = run_within(60.0, program)
         finally:
             simulator.terminate()
     assert done.stdout == "verdict\n", done.stderr

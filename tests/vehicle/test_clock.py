@@ -2,34 +2,44 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.vehicle.clock import ClockEstimate
 
 _AHEAD_US = 7_000_000
-_KEPT_S = 8
 
 
 @given(st.lists(st.tuples(st.integers(1, 900_000), st.integers(0, 400_000)), min_size=1, max_size=60))
-def test_the_offset_follows_the_least_delayed_message_of_the_last_seconds(
+def test_the_offset_is_off_by_the_smallest_delay_of_the_last_seven_to_nine_seconds(
     steps: list[tuple[int, int]],
 ) -> None:
     """Each step holds the time since the previous message and the delay of the message."""
-    clock, host_us = ClockEstimate(), 0
-    best: dict[int, int] = {}  # second -> largest difference
-    reported: int | None = None
+    clock, host_us, announced = ClockEstimate(), 0, 0
+    delays: list[tuple[int, int]] = []  # time of receipt, delay
     for interval_us, delay_us in steps:
         host_us += interval_us
-        second = host_us // 1_000_000
-        best[second] = max(best.get(second, -delay_us), -delay_us)
-        expected = _AHEAD_US + max(list(best.values())[-_KEPT_S:])
-        announced = clock.update(host_us - delay_us + _AHEAD_US, host_us)
-        assert clock.offset_us == expected
-        noticeable = reported is None or abs(expected - reported) >= 200
-        assert announced == (expected if noticeable else None)
-        reported = expected if noticeable else reported
-        assert clock.to_autopilot(host_us) == host_us + expected
+        delays.append((host_us, delay_us))
+        announced = clock.update(host_us - delay_us + _AHEAD_US, host_us) or announced
+        offset_us = clock.offset_us
+        assert offset_us is not None
+        error_us = _AHEAD_US - offset_us
+        recent, wider = (
+            min(delay for at_us, delay in delays if at_us >= host_us - seconds * 1_000_000)
+            for seconds in (7, 9)
+        )
+        assert wider <= error_us <= recent
+        assert abs(announced - offset_us) < 200  # the log follows every noticeable change
+        assert clock.to_autopilot(host_us) - host_us == offset_us
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
+def test_the_offset_follows_a_clock_that_drifts(drift: float) -> None:
+    clock = ClockEstimate()
+    for host_us in range(0, 600_000_000, 50_000):
+        clock.update(_AHEAD_US + round(host_us * (1.0 + drift)), host_us)
+    assert clock.offset_us == pytest.approx(_AHEAD_US + drift * host_us, abs=8e6 * abs(drift) + 1.0)
 
 
 def test_another_vehicles_clock_is_adopted_only_after_fifty_messages() -> None:

@@ -23,7 +23,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import load_mission
 from dart_flight.vehicle.vehicle_session import connect
-from tests.doubles.foreign_sender import COMPONENT, ForeignSender, messages
+from tests.doubles.foreign_sender import COMPONENT, foreign_sender, messages
 from tests.doubles.ports import free_udp_port
 
 ROOT = Path(__file__).parents[2]
@@ -56,7 +56,7 @@ def test_no_sample_of_another_component_reaches_the_core() -> None:
             session_senders = session.senders
             session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
             await session.set_rates()
-            with ForeignSender(port):
+            with foreign_sender(port):
                 await asyncio.wait_for(enough.wait(), _WAIT_S)
             return dict(session.senders)
 

@@ -6,7 +6,7 @@ import pytest
 
 from dart_flight.base.records import ImuSample, OdometrySample
 from dart_flight.config.vehicle.mocap import MotionCapture
-from dart_flight.vehicle.ground_link import _Listener
+from dart_flight.vehicle.ground_link import _Listener  # its owner opens a connection for some seconds
 
 ORIGIN = (0.0, 0.0, 0.0)
 _TICK_US = 8_000

@@ -164,59 +164,58 @@ def test_two_acquired_free_links_differ() -> None:
 # --- serial -----------------------------------------------------------------------------------------------
 
 
-def test_a_serial_device_that_another_program_has_open_is_refused(tmp_path: Path) -> None:
+@pytest.fixture
+def device() -> Iterator[str]:
+    """The path of a serial device that no program has open."""
     master, slave = pty.openpty()
     name = os.ttyname(slave)
     os.close(slave)
+    yield name
+    os.close(master)
+
+
+def test_a_serial_device_that_another_program_has_open_is_refused(device: str) -> None:
     reader = subprocess.Popen(
-        [sys.executable, "-c", f"f=open({name!r},'rb',0); print('open', flush=True); f.read()"],
+        [sys.executable, "-c", f"f=open({device!r},'rb',0); print('open', flush=True); f.read()"],
         stdout=subprocess.PIPE,
         text=True,
     )
     try:
         assert reader.stdout is not None
         reader.stdout.readline()
-        with pytest.raises(LinkInUseError, match=f"{name} is in use by python.*, process {reader.pid}"):
-            LinkLease(f"serial://{name}:921600", "fly").acquire()
+        with pytest.raises(LinkInUseError, match=f"{device} is in use by python.*, process {reader.pid}"):
+            LinkLease(f"serial://{device}:921600", "fly").acquire()
     finally:
         reader.kill()
         reader.communicate()
-        os.close(master)
 
 
-def test_a_serial_device_is_locked_against_programs_with_other_state_folders() -> None:
-    master, slave = pty.openpty()
-    name = os.ttyname(slave)
-    os.close(slave)
-    url = f"serial://{name}:57600"
+def test_a_serial_device_is_locked_against_programs_with_other_state_folders(device: str) -> None:
+    url = f"serial://{device}:57600"
     with LinkLease(url, "fly") as lease:
         lease.lock_device()
         lock_code = "import fcntl,os,sys; d=os.open(sys.argv[1], os.O_RDWR);"
         lock_code += "fcntl.flock(d, fcntl.LOCK_EX|fcntl.LOCK_NB)"
         # pyserial does the same with exclusive=True.
         done = subprocess.run(
-            [sys.executable, "-c", lock_code, name], capture_output=True, text=True, check=False
+            [sys.executable, "-c", lock_code, device], capture_output=True, text=True, check=False
         )
         assert done.returncode != 0
         other_environment = {**os.environ, "DART_FLIGHT_STATE_DIR": os.environ["DART_FLIGHT_STATE_DIR"] + "2"}
         command = [sys.executable, "-m", "dart_flight", "check", MISSION, "--connection", url]
         checked = subprocess.run(command, env=other_environment, capture_output=True, text=True, check=False)
         assert checked.returncode == 2
-        assert f"{name} is in use by" in checked.stderr
+        assert f"{device} is in use by" in checked.stderr
         assert f"process {os.getpid()}" in checked.stderr
         assert len(checked.stderr.splitlines()) == 1
     with LinkLease(url, "fly"):
         pass
-    os.close(master)
 
 
-def test_an_empty_serial_read_blocks_once_the_device_is_locked() -> None:
+def test_an_empty_serial_read_blocks_once_the_device_is_locked(device: str) -> None:
     """MAVSDK sets VMIN 0, with which its thread would poll without end and occupy a whole core."""
-    master, slave = pty.openpty()
-    name = os.ttyname(slave)
-    os.close(slave)
-    with LinkLease(f"serial://{name}:57600", "fly") as lease:
-        mavsdk_descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    with LinkLease(f"serial://{device}:57600", "fly") as lease:
+        mavsdk_descriptor = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         tty.setraw(mavsdk_descriptor)
         settings = termios.tcgetattr(mavsdk_descriptor)
         settings[6][termios.VMIN] = 0
@@ -226,7 +225,6 @@ def test_an_empty_serial_read_blocks_once_the_device_is_locked() -> None:
         with pytest.raises(BlockingIOError):
             os.read(mavsdk_descriptor, 1)
         os.close(mavsdk_descriptor)
-    os.close(master)
 
 
 def test_a_missing_serial_device_is_reported() -> None:

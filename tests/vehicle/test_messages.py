@@ -25,7 +25,7 @@ from dart_flight.base.streams import STREAMS
 from dart_flight.recording.events import EventFormatter, Level
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.messages import ENTRIES, MessageEntry, Unusable
-from tests.vehicle.test_session import Rig
+from tests.vehicle.session_rig import MakeSession, SessionRig, message
 
 Fields = dict[str, Any]
 
@@ -106,24 +106,18 @@ ROWS: dict[str, Row] = {
 }
 
 
-def message(fields: Fields, component: int = 1, system: int = 1) -> Any:
-    return SimpleNamespace(system_id=system, component_id=component, fields_json=json.dumps(fields))
-
-
 class EntryRig:
-    """A session that receives messages of one entry, with the number of records they produce."""
+    """A session that receives messages of one entry."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, entry: MessageEntry) -> None:
-        self.rig, self.name = Rig(monkeypatch, {}), entry.message
-        estimation = SimpleNamespace(uses_esc=True, thrust_source=None)
-        self.rig.session.subscribe(estimation, 4, lowest_battery_v=14.0)  # type: ignore[arg-type]
-        if entry.message not in self.rig.plugins["MavlinkDirect"].callbacks:
-            self.rig.session.listen(entry, lambda value, _: self.rig.delivered.append(value))
+    def __init__(self, rig: SessionRig, entry: MessageEntry) -> None:
+        self.rig, self.name = rig, entry.message
+        if entry.message not in rig.plugins["MavlinkDirect"].callbacks:
+            rig.session.listen(entry, lambda value, _: rig.delivered.append(value))
 
     def send(self, fields: Fields, component: int = 1, system: int = 1) -> int:
         """Send a message; return the number of records or values it produces."""
         before = len(self.rig.delivered)
-        self.rig.publish("MavlinkDirect", self.name, message(fields, component, system))
+        self.rig.publish("MavlinkDirect", self.name, message(system, component, **fields))
         return len(self.rig.delivered) - before
 
     @property
@@ -141,10 +135,8 @@ def test_every_table_entry_has_a_row() -> None:
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.message)
-def test_only_messages_of_the_autopilots_component_are_used(
-    monkeypatch: pytest.MonkeyPatch, entry: MessageEntry
-) -> None:
-    good, entry_rig = ROWS[entry.message].good, EntryRig(monkeypatch, entry)
+def test_only_messages_of_the_autopilots_component_are_used(rig: SessionRig, entry: MessageEntry) -> None:
+    good, entry_rig = ROWS[entry.message].good, EntryRig(rig, entry)
     for component, system in ((197, 1), (154, 1), (0, 1), (1, 7)):
         assert entry_rig.send(good, component, system) == 0
         assert entry_rig.usable[system, component] == 0, "foreign messages are counted for `check`"
@@ -166,9 +158,9 @@ UNUSABLE = [
     ("entry", "variant"), UNUSABLE, ids=[f"{entry.message}-{variant}" for entry, variant in UNUSABLE]
 )
 def test_a_message_without_usable_values_produces_no_sample(
-    monkeypatch: pytest.MonkeyPatch, entry: MessageEntry, variant: str
+    rig: SessionRig, entry: MessageEntry, variant: str
 ) -> None:
-    row, entry_rig = ROWS[entry.message], EntryRig(monkeypatch, entry)
+    row, entry_rig = ROWS[entry.message], EntryRig(rig, entry)
     changes = getattr(row, variant)
     assert entry_rig.send({**row.good, **changes}) == 0
     assert entry_rig.usable[1, 1] == 0
@@ -197,18 +189,10 @@ def test_decoded_odometry_has_only_finite_values(changes: Fields) -> None:
 # --- foreign senders ---------------------------------------------------------------------------------------
 
 
-def subscribed_rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
-    rig = Rig(monkeypatch, {})
-    estimation = SimpleNamespace(uses_esc=True, thrust_source=None)
-    rig.session.subscribe(estimation, 4, lowest_battery_v=14.0)  # type: ignore[arg-type]
-    return rig
-
-
-def test_visual_odometry_of_another_component_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = subscribed_rig(monkeypatch)
+def test_visual_odometry_of_another_component_is_ignored(rig: SessionRig) -> None:
     turned = {**_ODOMETRY, "x": -1.2, "y": 1.9, "frame_id": 20, "child_frame_id": 12, "estimator_type": 2}
     for fields, component in ((turned, 197), (_ODOMETRY, 1), ({**_ODOMETRY, "x": 1.25}, 197)):
-        rig.publish("MavlinkDirect", "ODOMETRY", message(fields, component))
+        rig.publish("MavlinkDirect", "ODOMETRY", message(1, component, **fields))
     (sample,) = rig.records_of(OdometrySample)
     assert sample.position_ned == (1.0, 2.0, -3.0)
     assert len(rig.records_of(EstimatorSample)) == 1  # the foreign reset counter is ignored too
@@ -233,10 +217,7 @@ def test_a_body_frame_velocity_is_refused_with_the_px4_version_that_sends_it() -
     assert "before PX4 1.14" in refused.reason
 
 
-def test_a_stream_without_a_usable_message_is_reported_with_its_reason(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    rig = subscribed_rig(monkeypatch)
+def test_a_stream_without_a_usable_message_is_reported_with_its_reason(rig: SessionRig) -> None:
     for _ in range(100):
         rig.receive("ODOMETRY", **{**_ODOMETRY, "vx": None})
     (text,) = rig.records_of(StatusText)
@@ -245,9 +226,8 @@ def test_a_stream_without_a_usable_message_is_reported_with_its_reason(
     assert EventFormatter().format_event(text) == (Level.ERROR, "link", text.text, "")
 
 
-def test_a_foreign_imu_and_a_second_imu_are_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = subscribed_rig(monkeypatch)
-    rig.publish("MavlinkDirect", "HIGHRES_IMU", message({**_IMU, "time_usec": 10**12}, 197))
+def test_a_foreign_imu_and_a_second_imu_are_ignored(rig: SessionRig) -> None:
+    rig.publish("MavlinkDirect", "HIGHRES_IMU", message(1, 197, **{**_IMU, "time_usec": 10**12}))
     assert rig.session.clock.offset_us is None  # the clock does not follow the foreign IMU
     rig.receive("HIGHRES_IMU", **{**_IMU, "id": 1})
     assert rig.records_of(ImuSample) == []
@@ -257,10 +237,7 @@ def test_a_foreign_imu_and_a_second_imu_are_ignored(monkeypatch: pytest.MonkeyPa
     assert rig.session.clock.offset_us == 5 - sample.received_us
 
 
-def test_status_messages_of_another_component_are_ignored(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    rig = subscribed_rig(monkeypatch)
+def test_status_messages_of_another_component_are_ignored(rig: SessionRig) -> None:
     for name, fields in (
         ("STATUSTEXT", {"severity": 2, "text": "failsafe", "id": 0}),
         ("EXTENDED_SYS_STATE", {"landed_state": 1}),
@@ -268,7 +245,7 @@ def test_status_messages_of_another_component_are_ignored(
         ("ESTIMATOR_STATUS", {"flags": 0, "pos_horiz_accuracy": 9.0}),
         ("SYS_STATUS", dict.fromkeys(_SENSORS, 1)),
     ):
-        rig.publish("MavlinkDirect", name, message(fields, 197))
+        rig.publish("MavlinkDirect", name, message(1, 197, **fields))
     rig.publish("Events", "events", SimpleNamespace(compid=197, log_level=2, message="failsafe"))
     assert rig.delivered == []
 
@@ -298,13 +275,12 @@ FLIGHT_FULL, RAIL = battery(0, 16.2, 95), battery(1, 5.0, 40)
     ],
 )
 def test_the_worst_flight_battery_is_reported_in_any_message_order(
-    monkeypatch: pytest.MonkeyPatch,
+    rig: SessionRig,
     both: tuple[Fields, Fields],
     judged: tuple[int, float, float],
     others: list[int],
     order: int,
 ) -> None:
-    rig = subscribed_rig(monkeypatch)
     for _ in range(2):
         for fields in both[::order]:
             rig.receive("BATTERY_STATUS", **fields)
@@ -313,16 +289,14 @@ def test_the_worst_flight_battery_is_reported_in_any_message_order(
     assert [reading.id for reading in rig.session.batteries.other_batteries()] == others
 
 
-def test_a_collapsing_flight_battery_remains_a_flight_battery(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_collapsing_flight_battery_remains_a_flight_battery(rig: SessionRig) -> None:
     """It once had the voltage of a flight battery; a power rail never had."""
-    rig = subscribed_rig(monkeypatch)
     for fields in (FLIGHT_FULL, OTHER_FULL, battery(0, 5.0, 40)):
         rig.receive("BATTERY_STATUS", **fields)
     assert rig.records_of(StatusSample)[-1].battery_id == 0
 
 
-def test_a_removed_battery_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = subscribed_rig(monkeypatch)
+def test_a_removed_battery_is_forgotten(rig: SessionRig) -> None:
     gone = {**battery(0, 9.0, -1), "voltages": [65535] * 10}
     for fields in (FLIGHT_LOW, OTHER_FULL, gone):
         rig.receive("BATTERY_STATUS", **fields)
@@ -351,7 +325,7 @@ def test_a_battery_voltage_is_the_sum_of_the_known_fields(
 # --- messages in parts -------------------------------------------------------------------------------------
 
 
-def deliver_text_parts(rig: Rig, *parts: tuple[int, int, str]) -> list[str]:
+def deliver_text_parts(rig: SessionRig, *parts: tuple[int, int, str]) -> list[str]:
     for number, chunk, text in parts:
         rig.receive("STATUSTEXT", severity=4, id=number, chunk_seq=chunk, text=text)
     return [text.text for text in rig.records_of(StatusText)]
@@ -360,29 +334,28 @@ def deliver_text_parts(rig: Rig, *parts: tuple[int, int, str]) -> list[str]:
 LONG = "Critical battery level: switching to Land because "  # 50 bytes
 
 
-def test_the_parts_of_a_long_text_are_joined(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_parts_of_a_long_text_are_joined(make_session: MakeSession) -> None:
     assert len(LONG) == 50
     parts = ((7, 0, LONG), (7, 1, LONG), (7, 2, "of it"))
-    assert deliver_text_parts(subscribed_rig(monkeypatch), *parts) == [LONG + LONG + "of it"]
-    assert deliver_text_parts(subscribed_rig(monkeypatch), (7, 0, LONG), (7, 1, "")) == [
+    assert deliver_text_parts(make_session({}).subscribe(), *parts) == [LONG + LONG + "of it"]
+    assert deliver_text_parts(make_session({}).subscribe(), (7, 0, LONG), (7, 1, "")) == [
         LONG.strip()
     ]  # ends exactly with a part
 
 
-def test_a_text_with_a_lost_part_is_delivered_with_an_ellipsis(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert deliver_text_parts(subscribed_rig(monkeypatch), (7, 0, LONG), (7, 2, "end")) == [LONG + "...end"]
-    rig = subscribed_rig(monkeypatch)
+def test_a_text_with_a_lost_part_is_delivered_with_an_ellipsis(make_session: MakeSession) -> None:
+    assert deliver_text_parts(make_session({}).subscribe(), (7, 0, LONG), (7, 2, "end")) == [LONG + "...end"]
+    rig = make_session({}).subscribe()
     assert deliver_text_parts(rig, (7, 0, LONG), (8, 0, "another")) == [LONG + "...", "another"]
-    rig = subscribed_rig(monkeypatch)
+    rig = make_session({}).subscribe()
     deliver_text_parts(rig, (7, 0, LONG))
     for _ in range(2):  # seconds later
         rig.receive("HEARTBEAT", **ROWS["HEARTBEAT"].good)
     assert [text.text for text in rig.records_of(StatusText)] == [LONG + "..."]
 
 
-def test_speeds_of_six_motors_are_joined_from_two_messages(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
-    rig.session.subscribe(SimpleNamespace(uses_esc=True), 6)  # type: ignore[arg-type]
+def test_speeds_of_six_motors_are_joined_from_two_messages(make_session: MakeSession) -> None:
+    rig = make_session({}).subscribe(motors=6)
     for time_us, index, rpm in (
         (5, 4, [9] * 4),  # its first part is lost
         (6, 0, [1, 2, 3, 4]),
@@ -396,9 +369,8 @@ def test_speeds_of_six_motors_are_joined_from_two_messages(monkeypatch: pytest.M
     assert (found.t_us, found.rpm) == (8, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
 
 
-def test_speeds_of_unused_channels_produce_no_second_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_speeds_of_unused_channels_produce_no_second_sample(rig: SessionRig) -> None:
     """The controller has eight channels, four of which are in use."""
-    rig = subscribed_rig(monkeypatch)
     for index in (0, 4):
         rig.receive("ESC_STATUS", time_usec=8, index=index, rpm=[1, 2, 3, 4])
     assert len(rig.records_of(EscSample)) == 1
@@ -412,9 +384,8 @@ def test_speeds_of_unused_channels_produce_no_second_sample(monkeypatch: pytest.
     [(900.0, 1000.0, 2000.0, "PWM"), (0.0, 110.0, 1999.0, "DShot"), (0.0, 1.0, 8191.0, "UAVCAN")],
 )
 def test_every_output_type_yields_the_same_throttle(
-    monkeypatch: pytest.MonkeyPatch, stopped: float, idle: float, full: float, name: str
+    rig: SessionRig, stopped: float, idle: float, full: float, name: str
 ) -> None:
-    rig = subscribed_rig(monkeypatch)
     zero = 1000.0 if name == "PWM" else 0.0
     for share in (-1.0, 0.0, 0.2, 0.5, 0.6, 0.95, 0.4):
         raw = stopped if share < 0.0 else max(idle, zero + share * (full - zero))
@@ -431,10 +402,7 @@ def test_every_output_type_yields_the_same_throttle(
 
 
 @pytest.mark.parametrize("raw", [900.0, 1000.0, 0.0])
-def test_an_idle_output_bank_in_flight_is_not_used_for_the_motors(
-    monkeypatch: pytest.MonkeyPatch, raw: float
-) -> None:
-    rig = subscribed_rig(monkeypatch)
+def test_an_idle_output_bank_in_flight_is_not_used_for_the_motors(rig: SessionRig, raw: float) -> None:
     outputs = {"time_usec": 1, "active": 8, "actuator": [raw] * 8 + [0.0] * 24}
     rig.receive("ACTUATOR_OUTPUT_STATUS", **outputs)
     assert rig.records_of(ActuatorSample)[-1].motors == (0.0,) * 4  # normal for motors on the ground
@@ -446,18 +414,16 @@ def test_an_idle_output_bank_in_flight_is_not_used_for_the_motors(
     assert "another output bank" in rig.records_of(StatusText)[-1].text
 
 
-def test_motors_that_stop_in_flight_are_reported_at_throttle_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_motors_that_stop_in_flight_are_reported_at_throttle_zero(rig: SessionRig) -> None:
     """After a kill in the air, throttle 0 is valid."""
-    rig = subscribed_rig(monkeypatch)
     rig.receive("EXTENDED_SYS_STATE", landed_state=2)
     for raw in (1500.0, 900.0):
         rig.receive("ACTUATOR_OUTPUT_STATUS", time_usec=1, active=4, actuator=[raw] * 4)
     assert rig.records_of(ActuatorSample)[-1].motors == (0.0,) * 4
 
 
-def test_too_few_outputs_produce_no_sample(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
-    rig.session.subscribe(SimpleNamespace(uses_esc=False), 6)  # type: ignore[arg-type]
+def test_too_few_outputs_produce_no_sample(make_session: MakeSession) -> None:
+    rig = make_session({}).subscribe(motors=6, uses_esc=False)
     rig.receive("ACTUATOR_OUTPUT_STATUS", time_usec=7, active=4, actuator=[1500.0] * 4 + [0.0] * 28)
     assert rig.records_of(ActuatorSample) == []
 

@@ -11,6 +11,12 @@ from typing import Any
 
 import pytest
 from mavsdk.exceptions import MavsdkError
+from mavsdk.plugins.events import (
+    HealthAndArmingCheckMode,
+    HealthAndArmingCheckProblem,
+    HealthAndArmingCheckReport,
+    LogLevel,
+)
 
 from dart_flight.base.records import (
     ActuatorSample,
@@ -21,7 +27,6 @@ from dart_flight.base.records import (
     FlightMode,
     HealthReport,
     ImuSample,
-    Input,
     LandedState,
     OdometrySample,
     OtherVehicle,
@@ -34,79 +39,16 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, MODE, STREAMS
 from dart_flight.config.vehicle import load_vehicle, packaged
-from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import vehicle_session as module
 from dart_flight.vehicle.clock import LockstepClock, host_us
-from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, connect
+from dart_flight.vehicle.vehicle_session import VehicleError, connect
+from tests.vehicle.session_rig import MakeSession, SessionRig, message
 
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
 
 
-class Plugin:
-    """A double of a MAVSDK plugin that records every call and stores subscription callbacks by name."""
-
-    def __init__(self, answers: dict[str, Callable[..., Any]]) -> None:
-        self.calls: list[tuple[str, tuple[Any, ...]]] = []
-        self.callbacks: dict[str, Callable[[Any, Any], None]] = {}
-        self._answers = answers
-
-    def __getattr__(self, name: str) -> Callable[..., Any]:
-        def call(*arguments: Any) -> Any:
-            self.calls.append((name, arguments))
-            if name.startswith("subscribe_"):
-                key = arguments[0] if len(arguments) > 1 else name.removeprefix("subscribe_")
-                self.callbacks[key] = arguments[-1]
-            return self._answers[name](*arguments) if name in self._answers else None
-
-        return call
-
-
-class Rig:
-    """A VehicleSession on doubles of the plugins.
-
-    Args:
-        answers: functions that answer the plugins' calls, by name.
-        systems: ids of the systems on the link; the first is the vehicle's.
-    """
-
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, answers: dict[str, Callable[..., Any]], *systems: int
-    ) -> None:
-        self.plugins: dict[str, Plugin] = {}
-        for name in ("Telemetry", "Offboard", "Action", "MavlinkDirect", "Events"):
-            plugin = self.plugins[name] = Plugin(answers)
-            monkeypatch.setattr(module, name, lambda _, plugin=plugin: plugin)
-        self.delivered: list[Input] = []
-        found = [
-            SimpleNamespace(get_system_id=lambda number=number: number, has_autopilot=lambda: True)
-            for number in systems or (1,)
-        ]
-
-        async def get_systems() -> list[Any]:
-            return found
-
-        self.session = VehicleSession(
-            SimpleNamespace(get_systems=get_systems), found[0], self.delivered.append
-        )
-
-    def records_of(self, kind: type[Any]) -> list[Any]:
-        return [item for item in self.delivered if isinstance(item, kind)]
-
-    def publish(self, plugin: str, stream: str, value: Any) -> None:
-        self.plugins[plugin].callbacks[stream](value, None)
-
-    def receive(self, stream: str, **fields: object) -> None:
-        """Deliver a message of the autopilot's component."""
-        self.publish("MavlinkDirect", stream, message(**fields))
-
-
-def message(**fields: object) -> Any:
-    """Return a message of the autopilot's component."""
-    return SimpleNamespace(system_id=1, component_id=1, fields_json=json.dumps(fields))
-
-
-def test_a_new_session_sends_setpoints(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
+def test_a_new_session_sends_setpoints(make_session: MakeSession) -> None:
+    rig = make_session({})
     rig.session.send(Setpoint(1, 1, (1.0, 2.0, -3.0), 0.0))
     assert [name for name, _ in rig.plugins["Offboard"].calls] == ["set_position_ned"]
 
@@ -115,15 +57,13 @@ def refuse(*_: Any) -> None:
     raise MavsdkError("refused")
 
 
-def test_every_stream_is_requested_and_a_refusal_is_reported(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    rig = Rig(monkeypatch, {"set_rate_odometry": refuse})
+def test_every_stream_is_requested_and_a_refusal_is_reported(make_session: MakeSession) -> None:
+    rig = make_session({"set_rate_odometry": refuse})
     assert asyncio.run(rig.session.set_rates()) == ["odometry"]
     requested = {name.removeprefix("set_rate_"): rate for name, (rate,) in rig.plugins["Telemetry"].calls}
     assert len(requested) == len(STREAMS)
     assert requested["imu"] == next(s.rate_hz for s in STREAMS if s.name == "imu")
-    few = Rig(monkeypatch, {})
+    few = make_session({})
     assert asyncio.run(few.session.set_rates(["imu", "attitude"], watching=True)) == []
     assert {name for name, _ in few.plugins["Telemetry"].calls} == {
         "set_rate_imu",
@@ -133,7 +73,7 @@ def test_every_stream_is_requested_and_a_refusal_is_reported(
 
 @pytest.mark.parametrize(("result", "refused"), [(0, False), (4, True), (None, True)])
 def test_an_optional_stream_is_requested_by_its_message_id(
-    monkeypatch: pytest.MonkeyPatch, result: int | None, refused: bool
+    make_session: MakeSession, result: int | None, refused: bool
 ) -> None:
     sent: list[dict[str, Any]] = []
 
@@ -141,9 +81,7 @@ def test_an_optional_stream_is_requested_by_its_message_id(
         sent.append(json.loads(command.fields_json))
         return message(command=511, result=result)
 
-    rig = Rig(monkeypatch, {"send_command": answer})
-    estimation = SimpleNamespace(uses_esc=True, thrust_source=None)
-    rig.session.subscribe(estimation, 4)  # type: ignore[arg-type]
+    rig = make_session({"send_command": answer}).subscribe()
     assert ("esc" in asyncio.run(rig.session.set_rates([]))) is refused
     assert sent == [
         {
@@ -159,12 +97,8 @@ def test_an_optional_stream_is_requested_by_its_message_id(
     ]
 
 
-def test_local_position_is_ok_only_with_odometry_and_a_healthy_estimator(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_local_position_is_ok_only_with_odometry_and_a_healthy_estimator(rig: SessionRig) -> None:
     """PX4 also sends a position when it has neither motion capture nor GPS."""
-    rig = Rig(monkeypatch, {})
-    rig.session.subscribe(VEHICLE.estimation, 4)
     rig.receive("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=None)
     rig.receive("ODOMETRY", **ODOMETRY)
     assert not any(status.local_position_ok for status in rig.records_of(StatusSample))
@@ -174,61 +108,56 @@ def test_local_position_is_ok_only_with_odometry_and_a_healthy_estimator(
     assert not rig.records_of(StatusSample)[-1].local_position_ok
 
 
-def test_usable_odometry_suffices_if_no_estimator_status_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
-    rig.session.subscribe(VEHICLE.estimation, 4)
+def test_usable_odometry_suffices_if_no_estimator_status_arrives(rig: SessionRig) -> None:
     rig.receive("ODOMETRY", **{**ODOMETRY, "vx": None})
     assert rig.records_of(StatusSample) == []
     rig.receive("ODOMETRY", **ODOMETRY)
     assert rig.records_of(StatusSample)[-1].local_position_ok
 
 
-def test_arming_problems_are_delivered_when_they_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
-    monkeypatch.setattr(
-        reasons, "report_from_sys_status", lambda sensors: (False, (str(sensors.enabled),), ())
-    )
-    rig.session.subscribe(VEHICLE.estimation, 4)
-    sensors = {"onboard_control_sensors_present": 7, "onboard_control_sensors_health": 7}
-    for number in (1, 1, 2):
-        rig.receive("SYS_STATUS", **sensors, onboard_control_sensors_enabled=number)
-    assert [report.blocking for report in rig.records_of(HealthReport)] == [("1",), ("2",)]
-    monkeypatch.setattr(reasons, "report_from_checks", lambda report: (True, (), (report,)))
-    rig.publish("Events", "health_and_arming_checks", "its own words")
+def test_arming_problems_are_delivered_when_they_change(rig: SessionRig) -> None:
+    every, prearm = 1 << 28 | 7, 1 << 28
+    for health in (every, every, every & ~prearm, every & ~prearm):
+        sensors = ("present", every), ("enabled", every), ("health", health)
+        rig.receive("SYS_STATUS", **{f"onboard_control_sensors_{name}": bits for name, bits in sensors})
+    found = [(), ("preflight checks failed",)]
+    assert [report.blocking for report in rig.records_of(HealthReport)] == found
+    text = HealthAndArmingCheckProblem("No valid position estimate", "", LogLevel.ERROR, "system")
+    mode = HealthAndArmingCheckMode("Hold", False, [text])
+    rig.publish("Events", "health_and_arming_checks", HealthAndArmingCheckReport(mode, [], [text]))
     # The checks now replace SYS_STATUS.
-    rig.receive("SYS_STATUS", **sensors, onboard_control_sensors_enabled=1)
-    assert [report.blocking for report in rig.records_of(HealthReport)] == [("1",), ("2",), ()]
+    rig.receive("SYS_STATUS", **{f"onboard_control_sensors_{name}": every for name, _ in sensors})
+    found.append(("No valid position estimate",))
+    assert [report.blocking for report in rig.records_of(HealthReport)] == found
 
 
 @pytest.mark.parametrize(("name", "said"), [("SUCCESS", ""), ("COMMAND_DENIED", "COMMAND_DENIED")])
-def test_an_action_returns_its_answer(monkeypatch: pytest.MonkeyPatch, name: str, said: str) -> None:
+def test_an_action_returns_its_answer(make_session: MakeSession, name: str, said: str) -> None:
     def answer(done: Callable[[Any, Any], None]) -> None:
         for _ in range(2):  # MAVSDK may deliver the result twice
             done(SimpleNamespace(name=name), None)
 
-    rig = Rig(monkeypatch, {"arm_async": answer})
+    rig = make_session({"arm_async": answer})
     assert asyncio.run(rig.session.perform(VehicleAction.ARM)) == said
 
 
-def test_an_unanswered_action_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unanswered_action_is_reported(make_session: MakeSession, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_ACTION_TIMEOUT_S", 0.01)
-    rig = Rig(monkeypatch, {"land_async": lambda _: None})
+    rig = make_session({"land_async": lambda _: None})
     assert asyncio.run(rig.session.perform(VehicleAction.LAND)) == "no answer"
 
 
-def test_another_autopilot_on_the_link_is_delivered_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {}, 1, 7)
+def test_another_autopilot_on_the_link_is_delivered_once(make_session: MakeSession) -> None:
+    rig = make_session({}, (1, 7))
     for _ in range(2):
         asyncio.run(rig.session.detect_other_autopilot())
     assert [other.system for other in rig.records_of(OtherVehicle)] == [7]
-    alone = Rig(monkeypatch, {}, 1)
+    alone = make_session({}, (1,))
     asyncio.run(alone.session.detect_other_autopilot())
     assert alone.records_of(OtherVehicle) == []
 
 
-def test_px4_modes_are_converted_and_other_modes_are_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
-    rig.session.subscribe(VEHICLE.estimation, 4)
+def test_px4_modes_are_converted_and_other_modes_are_unknown(rig: SessionRig) -> None:
     for main, sub, expected in (
         (6, 0, FlightMode.OFFBOARD),
         (3, 0, FlightMode.MANUAL),
@@ -255,10 +184,8 @@ HEARTBEAT = {"autopilot": 12, "base_mode": 129, "custom_mode": 6 << 16, "system_
 BATTERY = {"id": 0, "battery_function": 1, "battery_remaining": 50, "voltages": [15000] + [65535] * 9}
 
 
-def test_every_subscribed_message_is_delivered_with_its_receive_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig, estimation = Rig(monkeypatch, {}), SimpleNamespace(uses_esc=True, thrust_source=None)
-    began_us = host_us()
-    rig.session.subscribe(estimation, 4)  # type: ignore[arg-type]
+def test_every_subscribed_message_is_delivered_with_its_receive_time(make_session: MakeSession) -> None:
+    began_us, rig = host_us(), make_session({}).subscribe()
     event = SimpleNamespace(compid=1, log_level=4, message="gone", event_name="went")
     streams: tuple[tuple[str, dict[str, Any], type[Any]], ...] = (
         ("HIGHRES_IMU", IMU, ImuSample),
@@ -291,48 +218,32 @@ def test_every_subscribed_message_is_delivered_with_its_receive_time(monkeypatch
     assert rig.records_of(EscSample)[0].rpm == (1.0,) * 4  # one per motor
 
 
-def test_an_unguarded_flight_does_not_subscribe_to_the_guards_messages(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    rig = Rig(monkeypatch, {})
+def test_an_unguarded_flight_does_not_subscribe_to_the_guards_messages(make_session: MakeSession) -> None:
+    rig = make_session({})
     rig.session.subscribe(VEHICLE.estimation, 4, guarded=False)
     assert rig.plugins["Events"].calls == []
     assert not rig.plugins["MavlinkDirect"].callbacks.keys() & {"ESTIMATOR_STATUS", "SYS_STATUS"}
 
 
-def test_the_estimators_health_and_accuracy_are_delivered(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
-    rig.session.subscribe(VEHICLE.estimation, 4)
+def test_the_estimators_health_and_accuracy_are_delivered(rig: SessionRig) -> None:
     rig.receive("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=0.25)
     assert [(e.healthy, e.position_sd_m) for e in rig.records_of(EstimatorSample)] == [(False, 0.25)]
 
 
-def test_the_failsafe_state_comes_only_from_the_autopilots_heartbeat(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    rig = Rig(monkeypatch, {})
-    rig.session.subscribe(VEHICLE.estimation, 4)
-    own = rig.session._raw.get_system_id()
-    for system, component, number in (
-        (own, 1, 4),
-        (own, 154, 8),
-        (own + 1, 1, 8),
-        (own, 1, 5),
-        (own, 1, 5),
-        (own, 1, 9),
-    ):
-        heartbeat = message(**{**HEARTBEAT, "system_status": number})
-        heartbeat.system_id, heartbeat.component_id = system, component
+def test_the_failsafe_state_comes_only_from_the_autopilots_heartbeat(rig: SessionRig) -> None:
+    statuses = ((1, 1, 4), (1, 154, 8), (2, 1, 8), (1, 1, 5), (1, 1, 5), (1, 1, 9))
+    for system, component, number in statuses:
+        heartbeat = message(system, component, **{**HEARTBEAT, "system_status": number})
         rig.publish("MavlinkDirect", "HEARTBEAT", heartbeat)
-    statuses = [status.system_status for status in rig.records_of(StatusSample)]
-    assert statuses == ["active", "critical", "critical", "unknown"]
+    found = [status.system_status for status in rig.records_of(StatusSample)]
+    assert found == ["active", "critical", "critical", "unknown"]
 
 
 # --- outgoing messages -----------------------------------------------------------------------------------
 
 
-def test_a_setpoint_is_sent_with_the_fields_that_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
+def test_a_setpoint_is_sent_with_the_fields_that_it_has(make_session: MakeSession) -> None:
+    rig = make_session({})
     place, velocity, acceleration = (1.0, 2.0, -3.0), (0.1, 0.2, 0.3), (0.4, 0.5, 0.6)
     for v, a in ((None, None), (velocity, None), (velocity, acceleration)):
         rig.session.send(Setpoint(1, 1, place, 0.5, velocity_ned=v, acceleration_ned=a))
@@ -352,8 +263,8 @@ def test_a_setpoint_is_sent_with_the_fields_that_it_has(monkeypatch: pytest.Monk
     assert (pushed.north_m_s2, pushed.east_m_s2, pushed.down_m_s2) == acceleration
 
 
-def test_texts_are_sent_in_chunks_and_the_servo_is_commanded(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
+def test_texts_are_sent_in_chunks_and_the_servo_is_commanded(make_session: MakeSession) -> None:
+    rig = make_session({})
     rig.session.send_text("x" * 60)
     rig.session.send_text("short")
     rig.session.set_actuator(2, 0.5)
@@ -361,24 +272,24 @@ def test_texts_are_sent_in_chunks_and_the_servo_is_commanded(monkeypatch: pytest
     assert [(s["text"], s["chunk_seq"]) for s in sent] == [("x" * 50, 0), ("x" * 10, 1), ("short", 0)]
     assert sent[0]["id"] == sent[1]["id"] != 0 == sent[2]["id"]
     assert rig.plugins["Action"].calls == [("set_actuator", (2, 0.5))]
-    one_way = Rig(monkeypatch, {"send_message": refuse})
+    one_way = make_session({"send_message": refuse})
     one_way.session.send_text("where the link allows")
 
 
-def test_only_mavsdk_errors_count_as_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_mavsdk_errors_count_as_refusals(make_session: MakeSession) -> None:
     def fail(*_: Any) -> None:
         raise TypeError("no rate")
 
     with pytest.raises(TypeError, match="no rate"):
-        asyncio.run(Rig(monkeypatch, {"set_rate_odometry": fail}).session.set_rates())
+        asyncio.run(make_session({"set_rate_odometry": fail}).session.set_rates())
     with pytest.raises(TypeError, match="no rate"):
-        asyncio.run(Rig(monkeypatch, {"send_command": fail}).session.stop_messages((30,)))
+        asyncio.run(make_session({"send_command": fail}).session.stop_messages((30,)))
     with pytest.raises(VehicleError, match="refused"):
-        Rig(monkeypatch, {"set_actuator": refuse}).session.set_actuator(1, 0.5)
+        make_session({"set_actuator": refuse}).session.set_actuator(1, 0.5)
 
 
-def test_messages_are_stopped_one_by_one_even_if_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {"send_command": refuse})
+def test_messages_are_stopped_one_by_one_even_if_refused(make_session: MakeSession) -> None:
+    rig = make_session({"send_command": refuse})
     asyncio.run(rig.session.stop_messages((30, 33)))
     sent = [json.loads(command.fields_json) for _, (command,) in rig.plugins["MavlinkDirect"].calls]
     assert [(s["command"], s["param1"], s["param2"]) for s in sent] == [(511, 30, -1), (511, 33, -1)]
@@ -388,20 +299,18 @@ def test_messages_are_stopped_one_by_one_even_if_refused(monkeypatch: pytest.Mon
 # --- the round trip --------------------------------------------------------------------------------------
 
 
-def answer_timesync(rig: Rig, *, ahead_us: int = 0, system: int = 1) -> None:
+def answer_timesync(rig: SessionRig, *, ahead_us: int = 0, system: int = 1) -> None:
     """Make the vehicle answer each TIMESYNC request by its own clock."""
 
     def answer(requested: Any) -> None:
         ts1 = json.loads(requested.fields_json)["ts1"]
-        reply = message(tc1=ts1 + 1000 * ahead_us, ts1=ts1)
-        reply.system_id = system
-        rig.publish("MavlinkDirect", "TIMESYNC", reply)
+        rig.publish("MavlinkDirect", "TIMESYNC", message(system, tc1=ts1 + 1000 * ahead_us, ts1=ts1))
 
-    rig.plugins["MavlinkDirect"]._answers["send_message"] = answer
+    rig.plugins["MavlinkDirect"].answers["send_message"] = answer
 
 
-def test_an_answered_round_trip_is_delivered(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
+def test_an_answered_round_trip_is_delivered(make_session: MakeSession) -> None:
+    rig = make_session({})
     answer_timesync(rig, ahead_us=500)
     assert asyncio.run(rig.session.measure_link(5.0)) == []
     (trip,) = rig.records_of(RoundTrip)  # the first one is enough
@@ -412,49 +321,47 @@ def test_an_answered_round_trip_is_delivered(monkeypatch: pytest.MonkeyPatch) ->
     assert rig.records_of(RoundTrip)[-1].autopilot_us is None  # a lockstep clock runs at any pace
 
 
-def test_timesync_of_other_systems_does_not_count_as_a_round_trip(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(monkeypatch, {})
+def test_timesync_of_other_systems_does_not_count_as_a_round_trip(make_session: MakeSession) -> None:
+    rig = make_session({})
     answer_timesync(rig, ahead_us=500, system=7)
     assert asyncio.run(rig.session.measure_link(0.01)) == []  # the answer to the rate request suffices
     for tc1, ts1 in ((0, 1_000_000), (5_000_000, 1_000_000)):  # a request, and an answer to no request
-        strange = message(tc1=tc1, ts1=ts1)
-        strange.system_id = 1
-        rig.publish("MavlinkDirect", "TIMESYNC", strange)
+        rig.receive("TIMESYNC", tc1=tc1, ts1=ts1)
     (trip,) = rig.records_of(RoundTrip)
     assert trip.autopilot_us is None
     assert trip.received_us >= trip.sent_us
 
 
-def test_a_one_way_link_is_reported_with_its_unanswered_requests(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_one_way_link_is_reported_with_its_unanswered_requests(make_session: MakeSession) -> None:
     class TimedOutError(MavsdkError):  # type: ignore[misc]  # mavsdk has no types
         result = SimpleNamespace(name="TIMEOUT")
 
     def time_out(_: float) -> None:
         raise TimedOutError
 
-    rig = Rig(monkeypatch, {"set_rate_imu": time_out, "send_message": refuse})
+    rig = make_session({"set_rate_imu": time_out, "send_message": refuse})
     assert asyncio.run(rig.session.measure_link(0.01)) == ["TIMESYNC", f"rate of {STREAMS[0].message}"]
     assert rig.records_of(RoundTrip) == []
-    refused = Rig(monkeypatch, {"set_rate_imu": refuse})  # a refusal is an answer
+    refused = make_session({"set_rate_imu": refuse})  # a refusal is an answer
     assert asyncio.run(refused.session.measure_link(0.01)) == []
     assert len(refused.records_of(RoundTrip)) == 1
 
 
-def test_timesync_requests_continue_only_during_the_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_timesync_requests_continue_only_during_the_measurement(
+    make_session: MakeSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The flight sends its own requests afterwards; continued ones would double the rate."""
     monkeypatch.setattr(module, "_REQUEST_PERIOD_S", 0.001)
-    rig = Rig(monkeypatch, {})
+    rig = make_session({})
     requested: list[Any] = []
 
     def answer_the_third(request: Any) -> None:
         requested.append(request)
         if len(requested) == 3:
             ts1 = json.loads(requested[0].fields_json)["ts1"]  # a late answer to the first request
-            reply = message(tc1=ts1 + 1, ts1=ts1)
-            reply.system_id = 1
-            rig.publish("MavlinkDirect", "TIMESYNC", reply)
+            rig.receive("TIMESYNC", tc1=ts1 + 1, ts1=ts1)
 
-    rig.plugins["MavlinkDirect"]._answers["send_message"] = answer_the_third
+    rig.plugins["MavlinkDirect"].answers["send_message"] = answer_the_third
 
     async def measure() -> set[asyncio.Task[Any]]:
         assert await rig.session.measure_link(5.0) == []
@@ -497,9 +404,13 @@ class Sdk:
     ],
 )
 def test_a_connection_is_opened_and_closed_and_its_problem_is_reported(
-    monkeypatch: pytest.MonkeyPatch, answers: bool, problem: Exception | None, message_part: str
+    make_session: MakeSession,
+    monkeypatch: pytest.MonkeyPatch,
+    answers: bool,
+    problem: Exception | None,
+    message_part: str,
 ) -> None:
-    Rig(monkeypatch, {})
+    make_session({})
     system = SimpleNamespace(get_system_id=lambda: 1)
     sdk, opened = Sdk(system if answers else None, problem), list[bool]()
     monkeypatch.setattr(module, "Mavsdk", lambda _: sdk)

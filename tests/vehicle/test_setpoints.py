@@ -7,44 +7,44 @@ from typing import Any
 
 import pytest
 
-from dart_flight.base.records import FlightMode, Setpoint, StatusSample, VehicleAction
-from dart_flight.vehicle.vehicle_session import VehicleSession
+from dart_flight.base.records import Setpoint, VehicleAction
+from dart_flight.vehicle.clock import SimulatedTime
+from tests.vehicle.session_rig import MakeSession
 
 _TICK_US = 20_000
 
 
+HEARTBEAT = {"autopilot": 12, "base_mode": 129, "system_status": 4}
+OFFBOARD, HOLD = 6 << 16, 4 << 16 | 3 << 24  # PX4's custom modes
+
+
 class RecordedSetpoints:
-    """A session without a link that records its setpoints."""
+    """A session in simulated time that sends a setpoint every 20 ms."""
 
-    def __init__(self, mode: FlightMode) -> None:
-        self.now_us = 1_000_000
-        self.norths: list[float] = []
-        session = self.session = VehicleSession.__new__(VehicleSession)
-        session._silent, session._sent, session._sent_us = False, None, 0
-        session._host_us = lambda: self.now_us
-        session._status = StatusSample(0, 0, flight_mode=mode)
-        session._offboard = self
+    def __init__(self, make_session: MakeSession, custom_mode: int | None) -> None:
+        self._clock = SimulatedTime()
+        self.rig = make_session({}, clock=self._clock).subscribe()
+        if custom_mode is not None:
+            self.rig.receive("HEARTBEAT", **HEARTBEAT, custom_mode=custom_mode)
 
-    def set_position_ned(self, position: Any) -> None:
-        self.norths.append(position.north_m)
-
-    def set_position_velocity_ned(self, position: Any, _: Any) -> None:
-        self.norths.append(position.north_m)
+    @property
+    def norths(self) -> list[float]:
+        return [position.north_m for _, (position, *_) in self.rig.plugins["Offboard"].calls]
 
     def send(self, north_m: float, **more: Any) -> None:
-        self.now_us += _TICK_US
-        self.session.send(Setpoint(self.now_us, self.now_us, (north_m, 0.0, -1.0), 0.0, **more))
+        now_us = self._clock.receive(self._clock.host_us() + _TICK_US, 0)
+        self.rig.session.send(Setpoint(now_us, now_us, (north_m, 0.0, -1.0), 0.0, **more))
 
 
-def test_an_unchanged_setpoint_is_sent_ten_times_a_second() -> None:
-    recorded = RecordedSetpoints(FlightMode.OFFBOARD)
+def test_an_unchanged_setpoint_is_sent_ten_times_a_second(make_session: MakeSession) -> None:
+    recorded = RecordedSetpoints(make_session, OFFBOARD)
     for _ in range(50):
         recorded.send(1.0)
     assert len(recorded.norths) == 10
 
 
-def test_a_changed_setpoint_is_sent_at_once() -> None:
-    recorded = RecordedSetpoints(FlightMode.OFFBOARD)
+def test_a_changed_setpoint_is_sent_at_once(make_session: MakeSession) -> None:
+    recorded = RecordedSetpoints(make_session, OFFBOARD)
     for north_m in (1.0, 1.0, 2.0, 1.0, 1.0):
         recorded.send(north_m)
     recorded.send(1.0, velocity_ned=(0.1, 0.0, 0.0))
@@ -54,22 +54,23 @@ def test_a_changed_setpoint_is_sent_at_once() -> None:
     assert len(recorded.norths) == 5
 
 
-@pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.UNKNOWN])
-def test_every_setpoint_is_sent_before_offboard_mode(mode: FlightMode) -> None:
+@pytest.mark.parametrize("mode", [HOLD, None])
+def test_every_setpoint_is_sent_before_offboard_mode(make_session: MakeSession, mode: int | None) -> None:
     """In other modes MAVSDK stops repeating, and it refuses to start offboard without a setpoint."""
-    recorded = RecordedSetpoints(mode)
+    recorded = RecordedSetpoints(make_session, mode)
     for _ in range(5):
         recorded.send(1.0)
     assert len(recorded.norths) == 5
 
 
-def test_a_silenced_session_sends_neither_setpoints_nor_actions() -> None:
+def test_a_silenced_session_sends_neither_setpoints_nor_actions(make_session: MakeSession) -> None:
     """The pilot has control: a setpoint or a mode change would fight him."""
-    recorded = RecordedSetpoints(FlightMode.OFFBOARD)
+    recorded = RecordedSetpoints(make_session, OFFBOARD)
     recorded.send(1.0)
-    recorded.session.silence()
+    recorded.rig.session.silence()
     recorded.send(2.0)
     recorded.send(3.0, recovery=True, velocity_ned=(0.1, 0.0, 0.0))
     assert recorded.norths == [1.0]
-    for action in VehicleAction:  # without an action plugin, a call would raise an AttributeError
-        assert asyncio.run(recorded.session.perform(action)) == "silent"
+    for action in VehicleAction:
+        assert asyncio.run(recorded.rig.session.perform(action)) == "silent"
+    assert recorded.rig.plugins["Action"].calls == []

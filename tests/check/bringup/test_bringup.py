@@ -30,6 +30,7 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError
 from tests.check.bringup.test_pose_motion import Hand
 from tests.doubles.bench_vehicle import BenchVehicle
 from tests.doubles.emulated_maestro import EmulatedMaestro
+from tests.real_time import TooSlow, assert_not_later
 
 MISSION = load_mission(packaged("missions", "single_wall.yaml"))
 WAIT_S = 6.0
@@ -84,6 +85,15 @@ def run_steps(vehicle: BenchVehicle, *names: str) -> dict[str, StepFinding]:
         bringup.close()
 
 
+# Beginnings of findings that the load of the computer may cause.
+LATE = ("not detected within", "too slow: ", "the round trip takes")
+
+
+def assert_passed(found: StepFinding) -> None:
+    if found.result is not StepOutcome.PASS:
+        raise (TooSlow if found.message.startswith(LATE) else AssertionError)(found.message)
+
+
 TELEMETRY_STEPS = ("link", "imu_axes", "force_sign", "position", "remote_control")
 
 
@@ -92,10 +102,9 @@ TELEMETRY_STEPS = ("link", "imu_axes", "force_sign", "position", "remote_control
 def test_every_step_of_a_good_vehicle_passes() -> None:
     with BenchVehicle(MISSION) as vehicle:
         found = run_steps(vehicle, *TELEMETRY_STEPS)
-    assert {
-        name: (f.result, f.message) for name, f in found.items() if f.result is not StepOutcome.PASS
-    } == {}
-    assert float(found["link"].measured["imu_hz"] or 0.0) > 150.0
+    for finding in found.values():
+        assert_passed(finding)
+    assert_not_later(-float(found["link"].measured["imu_hz"] or 0.0), -150.0, "minus the IMU's rate")
     direction_deg = found["force_sign"].measured["force_direction_deg"]
     assert isinstance(direction_deg, float)  # 0 is a valid direction
     assert abs(direction_deg) < 10.0
@@ -107,6 +116,9 @@ def test_each_fault_of_the_vehicle_is_named() -> None:
     with BenchVehicle(MISSION, wrong=("axes", "frame", "radio")) as vehicle:
         found = run_steps(vehicle, "imu_axes", "position", "remote_control")
     assert {f.result for f in found.values()} == {StepOutcome.FAIL}
+    late = [f.message for f in found.values() if f.message.startswith(LATE)]
+    if late:
+        raise TooSlow(late[0])
     assert "rotated by 90 degrees: set SENS_BOARD_ROT" in found["imu_axes"].message
     assert "left and right are exchanged" in found["position"].message
     assert "PX4 receives no remote control" in found["remote_control"].message
@@ -200,7 +212,10 @@ def test_passed_steps_are_stored_and_not_repeated(tmp_path: Path, capsys: pytest
         first = json.loads(capsys.readouterr().out)
         assert main(command) == 0
         second = json.loads(capsys.readouterr().out)
-    assert [step["result"] for step in first["steps"]] == ["pass", *["needs operator"] * 5]
+    result, *others = (step["result"] for step in first["steps"])
+    if result != "pass" and first["steps"][0]["message"].startswith(LATE):
+        raise TooSlow(first["steps"][0]["message"])
+    assert [result, *others] == ["pass", *["needs operator"] * 5]
     dated, page = (Path(name) for name in first["files"])
     assert json.loads(dated.read_text())["steps"] == second["steps"]
     assert "needs an operator at the vehicle" in page.read_text()
@@ -270,14 +285,16 @@ def test_the_age_of_poses_is_measured_over_the_real_link() -> None:
     ) as vehicle:
         bringup = Bringup(mission, vehicle.url, ScriptedOperator(vehicle), 30.0)
         try:
+            # The whole step goes on to carry the vehicle, which is not possible beside a motion by hand.
             found = bringup._measure_poses(bringup._connect())
         finally:
             bringup.close()
     waiting.put(None)
     delivering.join()
     server.close()
-    assert found.result is StepOutcome.PASS, found.message
+    assert_passed(found)
     # The serial line's round trip and the reading threads add to the age.
-    age_ms = 1e3 * statistics.median(ages_s)
-    assert age_ms - 5.0 < float(found.measured["delay_ms"] or 0.0) < age_ms + 45.0
+    age_ms, measured_ms = 1e3 * statistics.median(ages_s), float(found.measured["delay_ms"] or 0.0)
+    assert measured_ms > age_ms - 5.0
+    assert_not_later(measured_ms, age_ms + 45.0, "the measured age")
     assert found.measured["scale"] == pytest.approx(1.0, abs=0.05)

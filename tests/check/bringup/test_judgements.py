@@ -37,10 +37,7 @@ def rotated(v: Vec3, by_deg: float) -> Vec3:
 
 
 @given(
-    st.sampled_from([0, 90, 180, -90]),
-    st.floats(22.0, 50.0),
-    st.floats(22.0, 50.0),
-    st.floats(-20.0, 20.0),
+    st.sampled_from([0, 90, 180, -90]), st.floats(22.0, 50.0), st.floats(22.0, 50.0), st.floats(-20.0, 20.0)
 )
 def test_rotated_axes_are_reported_with_their_angle(by: int, nose: float, side: float, aim: float) -> None:
     level, down, right = (rotated(v, by + aim) for v in (UP, reading(0.0, -nose), reading(side, 0.0)))

@@ -1,4 +1,4 @@
-"""URLs of pose sources, and JSON datagrams with poses."""
+"""URLs of pose sources, missing clients, and the network card of multicast."""
 
 import json
 import queue
@@ -7,13 +7,9 @@ import subprocess
 import sys
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from dart_flight.config.document import InputError
-from dart_flight.sim.motion_capture import make_server
 from dart_flight.vehicle.motion_capture.datagram_source import DatagramSource
-from dart_flight.vehicle.motion_capture.json_udp import decode
 from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, open_source, parse_url
 from tests.doubles.ports import free_udp_port
 
@@ -73,37 +69,6 @@ def test_a_flight_without_motion_capture_loads_no_client() -> None:
     assert found.stdout.strip() == "[]"
 
 
-def test_a_json_pose_is_decoded() -> None:
-    found = decode(json.dumps(POSE).encode(), "dart", "a:1")
-    assert found == RawPose("dart", True, (1.0, 2.5, -3.0), (1.0, 0.0, 0.0, 0.0), 7, 2_500_000, "a:1")
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"position_m": [1, 2]}, "not a pose in JSON"),
-        ({"position_m": None}, "missing"),
-        ({"frame": -1}, "not a pose in JSON"),
-        ({"frame": 2**64}, "not a pose in JSON"),
-        ({"time_s": 1e300}, "time_s"),
-        ({"body": "other"}, "another body"),
-    ],
-)
-def test_a_wrong_json_pose_is_ignored_with_its_reason(change: dict[str, object], reason: str) -> None:
-    found = decode(json.dumps(POSE | change).encode(), "dart", "a:1")
-    assert isinstance(found, str)
-    assert reason in found
-
-
-@given(
-    st.binary(max_size=200)
-    | st.recursive(st.none() | st.floats() | st.text(), st.lists).map(repr).map(str.encode)
-)
-def test_any_datagram_is_decoded_or_ignored(data: bytes) -> None:
-    assert isinstance(decode(data, "dart", "a:1"), str | RawPose)
-    assert isinstance(decode(b"[" * 100_000, "dart", "a:1"), str)
-
-
 @pytest.mark.parametrize("option", ["", "?interface=lo", "?interface=127.0.0.1"])
 def test_a_multicast_group_is_joined_on_every_card_or_on_the_card_of_the_url(option: str) -> None:
     source = open_source(f"udp://239.255.1.2:{free_udp_port()}/dart{option}")
@@ -118,23 +83,3 @@ def test_a_multicast_group_is_joined_on_every_card_or_on_the_card_of_the_url(opt
         assert f"listening at 239.255.1.2:{source.port} on " in source.place
     finally:
         source.stop()
-
-
-def test_a_source_reads_poses_of_the_emulated_json_system() -> None:
-    server = make_server("udp", "my drone")
-    assert server.clients == 0
-    source = open_source(server.url)
-    poses: queue.Queue[RawPose] = queue.Queue()
-    source.start(poses.put)
-    try:
-        assert server.clients == 1
-        server.publish(20_000, (1.0, 2.0, 3.0), (0.0, 1.0, 0.0, 0.0))
-        server.publish(40_000, (1.0, 2.0, 3.0), (0.0, 1.0, 0.0, 0.0), tracked=False)
-        first, second = poses.get(timeout=10), poses.get(timeout=10)
-        assert first[:6] == ("my drone", True, (1.0, 2.0, 3.0), (0.0, 1.0, 0.0, 0.0), 0, 20_000)
-        assert (second.tracked, second.frame_number, second.source_us) == (False, 1, 40_000)
-        assert source.problem is None
-    finally:
-        source.stop()
-        server.close()
-    assert server.clients == 0

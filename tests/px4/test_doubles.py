@@ -1,4 +1,4 @@
-"""The double of a serial cable: its rate, its losses, and its behaviour while it is cut."""
+"""The doubles of a serial cable (rate, losses, a cut) and of a ground station (its vehicle's system)."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from collections.abc import Iterator
 from types import SimpleNamespace
 
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from tests.doubles import serial_cable
+from tests.doubles.operator_station import OperatorStation
+from tests.doubles.scripted_peer import Mavlink, ScriptedPeer, UdpLink
 from tests.doubles.serial_cable import BUFFER_BYTES, SerialCable, SerialWay
 
 RATE = 92_160.0
@@ -73,3 +76,22 @@ def test_a_cut_cable_drops_and_counts_sent_bytes() -> None:
         assert (cable.carried, cable.dropped) == ((10, 0), (4, 0))
         for end in ends:
             os.close(end)
+
+
+@pytest.mark.parametrize("system", [1, 21])
+def test_a_ground_station_commands_the_system_that_it_was_given(system: int) -> None:
+    def accept(command: mavlink.MAVLink_message) -> list[mavlink.MAVLink_message]:
+        return [mavlink.MAVLink_command_ack_message(command.command, mavlink.MAV_RESULT_ACCEPTED)]
+
+    link = UdpLink()
+    with (
+        ScriptedPeer(link, Mavlink(system), {"COMMAND_LONG": accept}) as px4,
+        OperatorStation(vehicle_port=link.port, vehicle_system=system) as station,
+    ):
+        station.arm()
+        assert station.set_mode(4, 3) == mavlink.MAV_RESULT_ACCEPTED
+    commands = [(c.target_system, c.command, c.param2) for c in px4.received_of("COMMAND_LONG")]
+    assert commands == [
+        (system, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0),
+        (system, mavlink.MAV_CMD_DO_SET_MODE, 4.0),
+    ]
