@@ -42,7 +42,7 @@ def test_monitor_shows_the_force_and_impacts_of_a_flight(flown: SharedFlights) -
             monitor.put(entry.record)
     monitor.put(StatusText(0, 0, "info", "lock settled rigid"))
     view = monitor.view()
-    (hit,), ((_, peak_n),) = flight.verdict.collisions, view.peaks
+    (hit,), ((_, peak_n, _),) = flight.verdict.collisions, view.peaks
     # The monitor uses the direction of the force as the normal; the core knows the wall.
     assert peak_n == pytest.approx(hit.measured.peak_force_n, rel=0.2)
     assert view.thrust_source == "actuator"

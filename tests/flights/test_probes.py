@@ -35,7 +35,6 @@ from tests.shared_flights import SharedFlights
 
 R = TypeVar("R", bound=Record)
 FIND = packaged("missions", "find_a_wall.yaml")
-GPS = packaged("missions", "dual_collision_gps.yaml")
 
 
 def all_of(log: Log, kind: type[R]) -> list[R]:
@@ -115,7 +114,7 @@ def test_the_second_collision_is_beside_the_first_and_the_waypoint_a_metre_away(
 
 def test_a_mission_whose_probes_find_no_wall_completes_on_its_own_branch(tmp_path: Path) -> None:
     verdict = fly_fast(find_a_wall(simulated_walls={}), 1, tmp_path)
-    verdict, log = replay_exactly(verdict, str(verdict.log))
+    log = read_log(str(verdict.log))
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert (verdict.collisions, verdict.guard, verdict.walls) == ([], [], [])
     assert [e.what for e in all_of(log, ProbeEnd)] == [
@@ -133,6 +132,7 @@ def test_a_mission_whose_probes_find_no_wall_completes_on_its_own_branch(tmp_pat
     assert x.min() == pytest.approx(-2.0, abs=0.1)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("figures", [{}, {"position_sd_m": 0.15}], ids=["taken as known", "with a figure"])
 def test_a_displaced_known_wall_is_touched_twice_at_its_true_position(
     figures: dict[str, float],
@@ -157,8 +157,7 @@ def test_a_displaced_known_wall_is_touched_twice_at_its_true_position(
 
 
 def test_contacts_correct_the_mission_frame_against_gps_drift(flown: SharedFlights) -> None:
-    log = flown.once("anchored", fly_on_gps)
-    mission, record = anchored_mission(), read_log(str(next(log.glob("*/flight.mcap"))))
+    mission, record = anchored_mission(), anchored_log(flown)
     again = replay(record)
     assert again.exact
     assert again.equal
@@ -198,7 +197,7 @@ def position_error_m(course: FlightArrays, at_s: float, axis: int) -> float:
 
 def test_the_next_leg_begins_away_from_the_touched_wall(flown: SharedFlights) -> None:
     """A vehicle that hovers at its wall with PX4's integrators wound up is not at rest."""
-    log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
+    log = anchored_log(flown)
     course, contacts = FlightArrays(log, anchored_mission()), all_of(log, TruthContact)
     leaves = [c for c in all_of(log, PhaseChange) if c.before is Phase.RECOVERY][:2]
     for change, (axis, wall_m, back_m) in zip(leaves, ((1, -1.1, 0.4), (0, 1.65, 0.5)), strict=True):
@@ -209,7 +208,7 @@ def test_the_next_leg_begins_away_from_the_touched_wall(flown: SharedFlights) ->
 
 
 def test_every_position_uses_the_mission_frame_of_its_time(flown: SharedFlights) -> None:
-    log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
+    log = anchored_log(flown)
     course, reader = FlightArrays(log, anchored_mission()), MissionFrameReader(anchored_mission())
     compared, moves = 0, {a.t_us for a in all_of(log, FrameAnchor)}
     position = {
@@ -230,7 +229,7 @@ def test_every_position_uses_the_mission_frame_of_its_time(flown: SharedFlights)
 
 
 def test_the_position_is_accurate_at_the_last_contact_in_a_moved_frame(flown: SharedFlights) -> None:
-    log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
+    log = anchored_log(flown)
     course = FlightArrays(log, anchored_mission())
     last = all_of(log, TruthContact)[-1]
     at_s = course.time_of(last.end_us) + 0.5
@@ -241,9 +240,12 @@ def test_the_position_is_accurate_at_the_last_contact_in_a_moved_frame(flown: Sh
     assert distance2((first.north_m, first.east_m), (now.north_m, now.east_m)) > 0.05
 
 
+PLAIN_GPS = ("simulation.position_from=plain",)
+
+
 def anchored_mission() -> Mission:
-    return load_flyable(str(GPS), None, ["simulation.position_from=plain"])
+    return load_flyable(packaged("missions", "dual_collision_gps.yaml"), None, PLAIN_GPS)
 
 
-def fly_on_gps(folder: Path) -> None:
-    fly_fast(anchored_mission(), 1, folder)
+def anchored_log(flown: SharedFlights) -> Log:
+    return read_log(flown("dual_collision_gps", 1, settings=PLAIN_GPS).log)

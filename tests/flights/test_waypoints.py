@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from dart_flight.base.records import (
@@ -35,6 +36,7 @@ from dart_flight.run.prepare import load_flyable
 from dart_flight.run.replay import replay
 from dart_flight.sim.faults.fault_table import parse_fault
 from tests.mission_findings import check_mission
+from tests.shared_flights import SharedFlights
 
 DART = packaged("configs", "dart.yaml")
 BARE = f"""\
@@ -153,6 +155,7 @@ def test_waypoints_between_collisions_set_the_altitude_of_later_collisions() -> 
     assert "goal miss, m" not in [d.what for d in verdict.deviations]
 
 
+@pytest.mark.rest
 def test_a_rehearsal_includes_the_waypoints() -> None:
     loaded = mission(
         WALL + "collisions:", f"  - {HIT}", "waypoints:", "  - {position_m: [0.3, 0.3]}",
@@ -325,17 +328,7 @@ def test_the_packaged_missions_pass_check(name: str) -> None:
     assert all(finding.go for finding in check_mission(loaded))
 
 
-def test_the_transit_mission_completes_at_its_speed() -> None:
-    loaded = load_flyable(packaged("missions", "transit.yaml"), DART)
-    fastest = 0.0
-
-    def observe(record: Record, _: int) -> None:
-        nonlocal fastest
-        if isinstance(record, Setpoint) and record.velocity_ned is not None:
-            fastest = max(fastest, abs(record.velocity_ned[0]))
-
-    flight = FastFlight(loaded, 1, observe=observe)
-    flight.run()
-    assert flight.core.end is not None
-    assert flight.core.end.outcome is Outcome.COMPLETED
+def test_the_transit_mission_completes_at_its_speed(flown: SharedFlights) -> None:
+    setpoints = read_log(flown("transit", 1).log)["/out/setpoint"]
+    fastest = float(np.nanmax(np.abs(setpoints["velocity_ned"][:, 0])))
     assert fastest == pytest.approx(1.5, rel=0.02)
