@@ -36,6 +36,9 @@ PATIENT = tuple(
 )
 
 
+PLAIN_GPS = ("simulation.position_from=plain",)
+
+
 class Flown(NamedTuple):
     """The verdict and the log of a flight. Tests share the log, so copy it before a change."""
 

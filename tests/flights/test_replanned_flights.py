@@ -24,7 +24,6 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import FastFlight
-from dart_flight.run.replay import replay
 from tests.shared_flights import SharedFlights
 
 SOURCE = packaged("missions", "dual_collision_replan.yaml")
@@ -40,7 +39,7 @@ def fly(settings: list[str], after: AfterImpact = AfterImpact.REPLAN, source: Pa
     return records
 
 
-def test_a_replanned_flight_follows_its_plan_and_replays_bit_for_bit(flown: SharedFlights) -> None:
+def test_a_replanned_flight_follows_its_plan(flown: SharedFlights) -> None:
     flight = flown("dual_collision_replan", 1)
     verdict = flight.verdict
     assert verdict.outcome is Outcome.COMPLETED
@@ -53,7 +52,6 @@ def test_a_replanned_flight_follows_its_plan_and_replays_bit_for_bit(flown: Shar
     log = read_log(flight.log)
     plans = [entry.record for entry in log.entries if isinstance(entry.record, PlanTaken)]
     assert [plan.taken for plan in plans] == [True, True]
-    assert replay(log).equal
 
 
 @pytest.fixture(scope="module")
