@@ -63,7 +63,7 @@ def end_within(seconds: float, process: subprocess.Popen[str]) -> tuple[str, str
         return process.communicate(timeout=seconds)
     except subprocess.TimeoutExpired as error:
         process.kill()
-        raise TooSlow(f"{process.args}: not ended within {seconds:g} s") from error
+        raise TooSlow(f"{process.args!r}: not ended within {seconds:g} s") from error
 
 
 def assert_below(limit: float, value: float, what: str) -> None:

@@ -68,12 +68,13 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
     return fly
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("mission", "fits", "problems"),
     [
         ("paper_dual_collision", "dead", ["", ENDED]),
-        pytest.param("paper_dual_collision", "never", [LATE, LATE], marks=pytest.mark.rest),
-        pytest.param("dual_collision_replan", "late", [LATE, LATE], marks=pytest.mark.rest),
+        ("paper_dual_collision", "never", [LATE, LATE]),
+        ("dual_collision_replan", "late", [LATE, LATE]),
     ],
 )
 def test_a_contact_without_a_fit_is_undecided_and_the_flight_continues(

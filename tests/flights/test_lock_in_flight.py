@@ -57,6 +57,7 @@ def test_a_limit_switch_that_is_silent_from_the_start_prevents_the_takeoff() -> 
     assert verdict.flight_time_s is None
 
 
+@pytest.mark.rest
 def test_a_limit_switch_that_fails_in_flight_aborts_the_second_approach() -> None:
     mission = dual_collision(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
     builder = VerdictBuilder(mission)
@@ -74,6 +75,7 @@ def test_a_limit_switch_that_fails_in_flight_aborts_the_second_approach() -> Non
     assert [c.wall for c in verdict.collisions] == ["wood"]
 
 
+@pytest.mark.rest
 def test_a_stuck_servo_without_a_switch_is_revealed_by_the_contact(flown: SharedFlights) -> None:
     """The controller reports its command, `settled (no feedback)`; the contact shows the real mode."""
     verdict = fly_fast(dual_collision(), 1, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))

@@ -29,9 +29,9 @@ ROOT = Path(__file__).parents[2]
 
 def shown(view: MonitorView) -> str:
     """Return the text of the monitor's screen."""
-    console = Console(width=100, file=io.StringIO())
-    console.print(screen(view))
-    return console.file.getvalue()  # type: ignore[attr-defined]
+    printed = io.StringIO()
+    Console(width=100, file=printed).print(screen(view))
+    return printed.getvalue()
 
 
 def test_monitor_shows_the_force_and_impacts_of_a_flight(flown: SharedFlights) -> None:
@@ -39,7 +39,7 @@ def test_monitor_shows_the_force_and_impacts_of_a_flight(flown: SharedFlights) -
     monitor = TelemetryMonitor(load_mission(packaged("missions", "paper_single_wall.yaml")), frame_known=True)
     for entry in read_log(flight.log).entries:
         if isinstance(entry.record, INPUTS):
-            monitor.put(entry.record)
+            monitor.put(entry.record)  # type: ignore[arg-type]
     monitor.put(StatusText(0, 0, "info", "lock settled rigid"))
     view = monitor.view()
     (hit,), ((_, peak_n, _),) = flight.verdict.collisions, view.peaks

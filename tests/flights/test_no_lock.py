@@ -129,7 +129,11 @@ def test_a_flight_without_a_lock_hits_a_wall_and_mentions_no_lock(flown: SharedF
     phases = [r.after.value for r in records if isinstance(r, PhaseChange)]
     assert "prepare" not in phases
     assert phases.index("approach") == phases.index("transit") + 1
-    page = flight_page(RecordedFlight.read(flight.log))
+
+
+@pytest.mark.rest
+def test_the_page_of_a_flight_without_a_lock_mentions_no_lock(flown: SharedFlights) -> None:
+    page = flight_page(RecordedFlight.read(flown("rigid_cage/single_wall", 1).log))
     assert "may lock" not in page
     assert "commanded" not in page
     assert "Lock and timing" not in page

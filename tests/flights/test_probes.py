@@ -102,6 +102,7 @@ def test_the_second_collision_is_beside_the_first_and_the_waypoint_a_metre_away(
     assert len(verdict.collisions) == 2
 
 
+@pytest.mark.rest
 def test_a_mission_whose_probes_find_no_wall_completes_on_its_own_branch(tmp_path: Path) -> None:
     verdict = fly_fast(find_a_wall(simulated_walls={}), 1, tmp_path)
     log = read_log(str(verdict.log))
