@@ -74,6 +74,51 @@ def run_within(seconds: float, words: Sequence[str], **options: Any) -> subproce
         raise TooSlow(f"{words[-1]}: not ended within {seconds:g} s") from error
 
 
+def end_within(seconds: float, process: subprocess.Popen[str]) -> tuple[str, str]:
+    """Return the output and the errors of a started process, which has ended.
+
+    Raises:
+        TooSlow: the process did not end within `seconds`, and is killed.
+    """
+    try:
+        return process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired as error:
+        process.kill()
+        raise TooSlow(f"{process.args!r}: not ended within {seconds:g} s") from error
+
+
+def assert_below(limit: float, value: float, what: str) -> None:
+    """Assert a limit of a time or of a load.
+
+    Raises:
+        TooSlow: `value` is not below `limit`.
+    """
+    if not value < limit:
+        raise TooSlow(f"{what}: {value:g}, limit {limit:g}")
+
+
+def assert_above(limit: float, value: float, what: str) -> None:
+    """Assert a least rate.
+
+    Raises:
+        TooSlow: `value` is not above `limit`.
+    """
+    if not value > limit:
+        raise TooSlow(f"{what}: {value:g}, least {limit:g}")
+
+
+def rule_of(reason: str | None) -> str:
+    """Return the rule that gave a reason.
+
+    Raises:
+        TooSlow: the rule judges the computer's lateness.
+    """
+    rule = (reason or "").partition(":")[0]
+    if rule in LATENESS_RULES:
+        raise TooSlow(str(reason))
+    return rule
+
+
 def assert_flown(outcome: str, reason: str | None, wanted: str = "completed") -> None:
     """Assert the outcome of a flight in real time.
 
@@ -82,5 +127,5 @@ def assert_flown(outcome: str, reason: str | None, wanted: str = "completed") ->
         AssertionError: the flight ended otherwise.
     """
     if outcome != wanted:
-        rule = (reason or "").partition(":")[0]
-        raise (TooSlow if rule in LATENESS_RULES else AssertionError)(f"{outcome}: {reason}")
+        rule_of(reason)
+        raise AssertionError(f"{outcome}: {reason}")

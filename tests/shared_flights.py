@@ -22,6 +22,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
+from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.fault_table import parse_fault
 from tests.doubles.ports import free_udp_port
 from tests.real_time import run_within
@@ -35,6 +36,9 @@ PATIENT = tuple(
 )
 
 
+PLAIN_GPS = ("simulation.position_from=plain",)
+
+
 class Flown(NamedTuple):
     """The verdict and the log of a flight. Tests share the log, so copy it before a change."""
 
@@ -43,26 +47,50 @@ class Flown(NamedTuple):
 
 
 class SharedFlights:
-    """Flights of the shipped missions with the shipped configuration."""
+    """Flights of the shipped missions, each with its own configuration."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._known: dict[str, Flown] = {}
 
-    def __call__(self, mission: str, seed: int, fault: str | None = None) -> Flown:
-        """Return the flight of a mission, such as `single_wall`, with a seed and an optional fault."""
-        name = f"{mission}-{seed}-{fault or 'healthy'}"
+    def __call__(
+        self,
+        mission: str,
+        seed: int,
+        fault: str | None = None,
+        *,
+        vary: tuple[str, ...] = (),
+        settings: tuple[str, ...] = (),
+    ) -> Flown:
+        """Return the flight of a mission, such as `single_wall` or `rigid_cage/square`.
+
+        Args:
+            mission: name of the mission's file.
+            seed: seed of the flight.
+            fault: fault to inject.
+            vary: quantities to draw, as for `--vary`.
+            settings: changed keys of mission or configuration, as for `--set`.
+        """
+        name = "-".join([mission.replace("/", "-"), str(seed), fault or "healthy", *vary, *settings])
         if name not in self._known:
-            folder = self.once(name, lambda target: self._fly(target, mission, seed, fault))
+            folder = self.once(name, lambda target: self._fly(target, mission, seed, fault, vary, settings))
             verdict = msgspec.json.decode((folder / VERDICT).read_bytes(), type=Verdict)
             self._known[name] = Flown(verdict, next(folder.glob("*/flight.mcap")).resolve())
         return self._known[name]
 
     @staticmethod
-    def _fly(folder: Path, mission: str, seed: int, fault: str | None) -> None:
-        loaded = load_flyable(packaged("missions", f"{mission}.yaml"), packaged("configs", "dart.yaml"))
+    def _fly(
+        folder: Path,
+        mission: str,
+        seed: int,
+        fault: str | None,
+        vary: tuple[str, ...],
+        settings: tuple[str, ...],
+    ) -> None:
+        loaded = load_flyable(packaged("missions", f"{mission}.yaml"), settings=settings)
         broken = None if fault is None else parse_fault(fault)
-        verdict = fly_fast(loaded, seed, folder, fault=broken)
+        spreads = parse_vary(vary, loaded.vehicle)
+        verdict = fly_fast(loaded, seed, folder, fault=broken, spreads=spreads)
         (folder / VERDICT).write_bytes(msgspec.json.encode(verdict))
 
     def once(self, name: str, fly: Callable[[Path], object]) -> Path:

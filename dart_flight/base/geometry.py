@@ -177,6 +177,15 @@ def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float
     )
 
 
+def integrate_rate(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float) -> Quaternion:
+    """Return `advance_attitude`, normalised; repeated steps would otherwise change the length."""
+    w, x, y, z = advanced = advance_attitude(q_frd_to_ned, rate_frd_rad_s, dt_s)
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if not 0.0 < length < math.inf:
+        return quaternion_normalise(advanced)  # raises
+    return (w / length, x / length, y / length, z / length)
+
+
 def gyroscopic_torque(inertia_kg_m2: Vec3, rate_rad_s: Vec3) -> Vec3:
     """Return w x J w about the principal axes, N m. Euler's equation is J alpha = torque - w x J w."""
     jx, jy, jz = inertia_kg_m2

@@ -96,7 +96,10 @@ class BoundsSpec(Section, frozen=True):
 
     def excess2(self, p: Vec2 | Vec3) -> float:
         """Return the horizontal distance of a point from the bounds, metres; 0 inside."""
-        return max(self.x[0] - p[0], p[0] - self.x[1], self.y[0] - p[1], p[1] - self.y[1], 0.0)
+        (x_min, x_max), (y_min, y_max), x, y = self.x, self.y, p[0], p[1]
+        if x_min <= x <= x_max and y_min <= y <= y_max:  # the usual case
+            return 0.0
+        return max(x_min - x, x - x_max, y_min - y, y - y_max, 0.0)
 
 
 class WallSpec(Section, frozen=True):

@@ -100,7 +100,9 @@ class FlightCore:
         guard = self._guard
         try:
             reviewed = guard.review(item, state, sensed, self._executive.progress.phase, proposal)
-            return known + reviewed + self._follow_guard(proposal.end)
+            if proposal.end is not None or guard.end is not None or guard.overrules:
+                reviewed = reviewed + self._follow_guard(proposal.end)
+            return known + reviewed if known else reviewed
         except Exception:
             # The guard itself has failed: suppress the commands of this step, and land.
             known += [o for o in proposal.outputs if not o.topic.startswith("/out/")]

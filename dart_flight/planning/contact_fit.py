@@ -357,21 +357,23 @@ class ContactFit:
         own = k * depth + f * ((out * si)[:, None] + sides * (a * ci)[:, None]) * turning[:, None]
         h = t.h / substeps
         bears = np.empty((len(h), substeps, 2, len(mode)))
-        for n, h_n in enumerate(h):
-            half, own_n, push_n = 0.5 * h_n, own[n], h_n * push[n]
-            damp = half / m * f
+        half_f = 0.5 * f
+        for n, h_n in enumerate(h.tolist()):  # NumPy multiplies faster by Python's numbers than by its own
+            half, per_mass, own_n, push_n = 0.5 * h_n, h_n / m, own[n], h_n * push[n]
+            damp, moved = half / m * f, half * v
             for s in range(substeps):
-                mid = x + half * v
+                mid = x + moved
                 pull = k * mid + own_n
-                on = pull + f * v < 0.0
+                touches = pull + f * v < 0.0
                 if touch:
-                    on &= mid + depth[n] < 0.0
-                held = np.where(on, pull, 0.0)
-                beta = damp * on.sum(axis=0)
-                new = (v * (1.0 - beta) - (h_n / m) * (held[0] + held[1]) + push_n) / (1.0 + beta)
-                bears[n, s] = -(held + on * (0.5 * f * (v + new)))
-                v = new
-                x = mid + half * v
+                    touches &= mid + depth[n] < 0.0
+                on = touches.astype(np.float64)
+                held, beta = on * pull, damp * (on[0] + on[1])
+                new = (v * (1.0 - beta) - per_mass * (held[0] + held[1]) + push_n) / (1.0 + beta)
+                np.multiply(on, pull + half_f * (v + new), out=bears[n, s])
+                v, moved = new, half * new
+                x = mid + moved
+        bears = -bears
         force = bears.sum(axis=2)
         # Friction: the speed along the wall decays with the normal impulse.
         h_s = h[:, None, None]
@@ -382,8 +384,8 @@ class ContactFit:
         speeds = np.empty((len(h) * substeps + 1, len(mode)))
         speeds[0] = w
         kept, gained = decay.reshape(-1, len(mode)), added.reshape(-1, len(mode))
-        for n in range(len(kept)):
-            speeds[n + 1] = speeds[n] * kept[n] + gained[n]
+        for n, (kept_n, gained_n) in enumerate(zip(kept, gained, strict=True), start=1):
+            speeds[n] = w = w * kept_n + gained_n
         along = m * (np.diff(speeds, axis=0).reshape(force.shape) / h_s - drive[:, None])
         uneven = a * ci[:, None] * (bears[:, :, 0] - bears[:, :, 1]) - out * si[:, None] * force
         return force, along, uneven - lever * along

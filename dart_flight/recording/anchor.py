@@ -28,13 +28,13 @@ class MissionFrameReader:
 
     def add(self, record: Record) -> None:
         """Process the next record; most kinds are ignored."""
-        if isinstance(record, FrameAnchor) and self.frame is not None:
+        if type(record) is FrameAnchor and self.frame is not None:
             self.frame = self.frame.displaced(*record.moved_mission)
         if self._climbs:
             return
-        if isinstance(record, OdometrySample):
+        if type(record) is OdometrySample:
             self._odometry = record
-        elif isinstance(record, PhaseChange) and self._odometry is not None:
+        elif type(record) is PhaseChange and self._odometry is not None:
             self._handle_phase(record, self._odometry)
 
     def _handle_phase(self, change: PhaseChange, odometry: OdometrySample) -> None:

@@ -174,8 +174,12 @@ class PositionError:
             if after is not None and before[0] <= t_us <= after[0]:
                 (t0, a), (t1, b) = before, after
                 share = (t_us - t0) / (t1 - t0)
-                x, y, z = (p + share * (q - p) for p, q in zip(a, b, strict=True))
-                error = math.dist(estimated, (x, y, z))
+                true = (
+                    a[0] + share * (b[0] - a[0]),
+                    a[1] + share * (b[1] - a[1]),
+                    a[2] + share * (b[2] - a[2]),
+                )
+                error = math.dist(estimated, true)
                 self.worst_m = error if self.worst_m is None else max(self.worst_m, error)
                 return
             after = before

@@ -177,7 +177,9 @@ class FastFlight:
         self.deadman_s = mission.vehicle.guard.deadman_s
         self._observe = observe
         self.core = FlightCore(mission)
-        self._runner = CoreRunner(self.core, self, self._observe_record, lambda: self.host_us)
+        # Without a fault the observer is called directly, because every record passes here.
+        notice = self._observe_record if fault is not None else observe or (lambda record, number: None)
+        self._runner = CoreRunner(self.core, self, notice, lambda: self.host_us)
         self._ticks = 0
         self._connected = False  # like the app, accept no telemetry before the first answer to a request
         self._sender = TelemetrySender(self.vehicle)
@@ -305,9 +307,9 @@ class FastFlight:
             self.faulted.send_in(item)
 
     def _arrive(self, item: Input) -> None:
-        self._connected = self._connected or isinstance(item, RoundTrip)
+        self._connected = self._connected or type(item) is RoundTrip
         if self._connected:
-            self.step(item)
+            self._runner.step(item)
 
     def _request_time(self) -> None:
         """Send TIMESYNC, as the app does."""
@@ -328,10 +330,6 @@ class FastFlight:
     def _observe_record(self, record: Record, number: int) -> None:
         if self._observe is not None:
             self._observe(record, number)
-        if isinstance(record, PhaseChange):
-            # The simulated operator ends every pause.
-            waits = record.after is Phase.PAUSE and self._operator_us is not None
-            self._continue_us = self.host_us + (self._operator_us or 0) if waits else None
         if self.faulted is not None:
             self.faulted.observe(record)
 
@@ -360,6 +358,10 @@ class FastFlight:
             self.poses.withhold(attitude_only=output.attitude_only)
         elif isinstance(output, Silence):
             self._last_setpoint = None
+        elif isinstance(output, PhaseChange):
+            # The simulated operator ends every pause.
+            waits = output.after is Phase.PAUSE and self._operator_us is not None
+            self._continue_us = self.host_us + (self._operator_us or 0) if waits else None
 
     def _answer(self, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
         self._answers.append((due_us, answer))

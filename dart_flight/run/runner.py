@@ -75,20 +75,27 @@ class CoreRunner:
         number = self._number
         self._number += 1
         outputs = self.core.step(item)
-        sent = [self._send(output) for output in outputs if isinstance(output, Setpoint)]
-        if any(isinstance(output, Silence) for output in outputs):
+        sent: list[SetpointSent] = []
+        silent = False
+        for output in outputs:  # compare types, because `isinstance` is slow for a record of another kind
+            if type(output) is Setpoint:
+                note = self._send(output)
+                if note is not None:
+                    sent.append(note)
+            elif type(output) is Silence:
+                silent = True
+        if silent:
             self._held = None  # send no setpoint after a decision for silence
         elif not more:
             self._send_held()
         self._observe(item, number)
         for output in outputs:
             self._observe(output, number)
-            if not isinstance(output, _NOT_CARRIED):
+            if type(output) not in _NOT_CARRIED:
                 self._send_held()
                 self._sink.execute(output)
         for note in sent:
-            if note is not None:
-                self._observe(note, number)
+            self._observe(note, number)
 
     def note(self, record: Record) -> None:
         """Pass a record that is neither input nor output, such as truth, to the observer."""

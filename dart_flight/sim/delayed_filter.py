@@ -22,7 +22,7 @@ from dart_flight.base.geometry import (
     Quaternion,
     Vec3,
     add,
-    advance_attitude,
+    integrate_rate,
     norm,
     quaternion_conjugate,
     quaternion_from_rotation_vector,
@@ -228,7 +228,7 @@ def _integrate(
     p: Vec3, v: Vec3, q: Quaternion, f: Vec3, rate: Vec3, dt_s: float
 ) -> tuple[Vec3, Vec3, Quaternion]:
     """Return `p`, `v` and `q` (NED) after `dt_s`, with constant specific force `f` and `rate` (FRD)."""
-    q = quaternion_normalise(advance_attitude(q, rate, dt_s))
+    q = integrate_rate(q, rate, dt_s)
     a = add(rotate(q, f), (0.0, 0.0, GRAVITY_M_S2))
     return add(p, add(scale(v, dt_s), scale(a, 0.5 * dt_s * dt_s))), add(v, scale(a, dt_s)), q
 

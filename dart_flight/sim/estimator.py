@@ -18,7 +18,7 @@ from dart_flight.base.geometry import (
     Quaternion,
     Vec3,
     add,
-    advance_attitude,
+    integrate_rate,
     quaternion_conjugate,
     quaternion_from_rotation_vector,
     quaternion_multiply,
@@ -75,7 +75,7 @@ class Estimator:
         if not self._updates:
             return
         self.rate = rate_frd
-        self.q = quaternion_normalise(advance_attitude(self.q, rate_frd, dt_s))
+        self.q = integrate_rate(self.q, rate_frd, dt_s)
         ax, ay, az = rotate(self.q, specific_force_frd)
         if self._gps is not None:
             bx, by, bz = self._bias
@@ -189,4 +189,11 @@ class Estimator:
         self.velocity = add(self.velocity, faster_ned)
         if self._gps is None:
             faster_ned = (0.0, 0.0, 0.0)  # the fixed gains at 100 Hz already allow for the velocity
-        self._history = deque((t, add(p, by_ned), add(v, faster_ned), q) for t, p, v, q in self._history)
+        (n, e, d), (vn, ve, vd) = by_ned, faster_ned
+        # Written out, because every pose corrects every stored prediction.
+        self._history = deque(
+            [
+                (t, (p[0] + n, p[1] + e, p[2] + d), (v[0] + vn, v[1] + ve, v[2] + vd), q)
+                for t, p, v, q in self._history
+            ]
+        )

@@ -29,9 +29,9 @@ from dart_flight.base.geometry import (
     advance_attitude,
     body_up,
     gyroscopic_torque,
+    integrate_rate,
     norm,
     quaternion_from_euler,
-    quaternion_normalise,
     rotate,
     rotate_back,
     scale,
@@ -335,18 +335,26 @@ class Plant:
 
     def _drag(self) -> Vec3:
         bx, by, bz = self._drag_per_s
-        v, w, frame = self.velocity, self.wind_ned, self.frame
-        x, y, z = frame.vector_from_ned((v[0] - w[0], v[1] - w[1], v[2] - w[2]))
-        return frame.vector_to_ned((-bx * x, -by * y, -bz * z))
+        (vn, ve, vd), (wn, we, wd) = self.velocity, self.wind_ned
+        n, e, down = vn - wn, ve - we, vd - wd
+        # `vector_from_ned` and `vector_to_ned` of the mission frame, written out for speed.
+        c, s = self.frame.cos, self.frame.sin
+        x, y = -bx * (n * c + e * s), -by * (n * s - e * c)
+        return (x * c + y * s, x * s - y * c, -bz * down)
 
     def _rotate_body(self, torque: Vec3) -> None:
         ix, iy, iz = self._inertia
         p, q, r = self.rate
         if self.on_ground:
             torque = self._landing_gear_torque(torque)
-        roll, pitch, yaw = subtract(torque, gyroscopic_torque(self._inertia, self.rate))
-        self.rate = (p + STEP_S * roll / ix, q + STEP_S * pitch / iy, r + STEP_S * yaw / iz)
-        self.q = quaternion_normalise(advance_attitude(self.q, self.rate, STEP_S))
+        roll, pitch, yaw = torque
+        gx, gy, gz = gyroscopic_torque(self._inertia, self.rate)
+        self.rate = (
+            p + STEP_S * (roll - gx) / ix,
+            q + STEP_S * (pitch - gy) / iy,
+            r + STEP_S * (yaw - gz) / iz,
+        )
+        self.q = integrate_rate(self.q, self.rate, STEP_S)
 
     def _landing_gear_torque(self, torque: Vec3) -> Vec3:
         """Return the sum of `torque` and the torque of the landing gear.
@@ -453,7 +461,7 @@ class Plant:
             self.position = p = (p[0] + h * mid_v[0], p[1] + h * mid_v[1], p[2] + h * mid_v[2])
             self.velocity = v = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
             self.rate = w = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
-            self.q = q = quaternion_normalise(advance_attitude(q, mid_w, h))
+            self.q = q = integrate_rate(q, mid_w, h)
             # Forces at the end of this step and the beginning of the next.
             motion = BodyMotion(p, v, q, w)
             a, b, touches = self._contact_accelerations(motion, free, torque, obstacles, near_ground)

@@ -54,11 +54,12 @@ class ImuSensor:
 
         Vibration is added only while the motors turn, so PX4 can align its estimator before the take-off.
         """
-        noisy = add(add(specific_force_frd, self.bias), self._noise.three(self._sigma))
+        (x, y, z), (bx, by, bz), scale = specific_force_frd, self.bias, self.full_scale_m_s2
+        nx, ny, nz = self._noise.three(self._sigma)
+        nx, ny, nz = x + bx + nx, y + by + ny, z + bz + nz
         if self._ringing is not None and motors_turn:
-            noisy = add(noisy, self._ringing.next())
-        f, s = specific_force_frd, self.full_scale_m_s2
-        read = (_saturate(f[0], noisy[0], s), _saturate(f[1], noisy[1], s), _saturate(f[2], noisy[2], s))
+            nx, ny, nz = add((nx, ny, nz), self._ringing.next())
+        read = (_saturate(x, nx, scale), _saturate(y, ny, scale), _saturate(z, nz, scale))
         return read, add(rate_frd, self._noise.three(self._gyro_sigma))
 
 
@@ -102,9 +103,9 @@ def _saturate(true: float, noisy: float, scale: float) -> float:
 
     If the true value is beyond a limit, the result is exactly this limit, without noise.
     """
-    if abs(true) >= scale:
+    if not -scale < true < scale:
         return math.copysign(scale, true)
-    return max(-scale, min(scale, noisy))
+    return noisy if -scale < noisy < scale else math.copysign(scale, noisy)
 
 
 class PoseSensor:

@@ -18,6 +18,7 @@ import pytest
 
 from dart_flight.run.deadman import Deadman, SystemdNotice
 from tests.doubles.ports import free_udp_port
+from tests.real_time import LATENESS_RULES, TooSlow, assert_below, run_within
 
 ROOT = Path(__file__).parents[2]
 NEAR = str(ROOT / "tests/data/near_wall.yaml")
@@ -68,9 +69,14 @@ FEED_BOTH = "deadman.feed(CORE); deadman.feed(LOOP); time.sleep(0.02)"
     ("body", "starving"),
     [
         ("while True: deadman.feed(LOOP); time.sleep(0.02)", "core thread"),
-        ("while True: deadman.feed(CORE); time.sleep(0.02)", "event loop"),
-        ("import ctypes; ctypes.PyDLL(None).sleep(20)", "core thread and event loop"),
-        ("import os, signal; os.kill(os.getpid(), signal.SIGSTOP)", "core thread and event loop"),
+        *(
+            pytest.param(body, starving, marks=pytest.mark.rest)
+            for body, starving in (
+                ("while True: deadman.feed(CORE); time.sleep(0.02)", "event loop"),
+                ("import ctypes; ctypes.PyDLL(None).sleep(20)", "core thread and event loop"),
+                ("import os, signal; os.kill(os.getpid(), signal.SIGSTOP)", "core thread and event loop"),
+            )
+        ),
     ],
     ids=["core", "loop", "interpreter lock", "SIGSTOP"],
 )
@@ -89,6 +95,7 @@ def test_a_starving_program_is_killed_in_time(body: str, starving: str, tmp_path
     assert note.read_text() in process.stderr.read(), "the terminal shows the note"
 
 
+@pytest.mark.rest
 def test_a_feeding_program_ends_normally(tmp_path: Path) -> None:
     note = tmp_path / "deadman.txt"
     process = start_program(f"for _ in range(50): {FEED_BOTH}\ndeadman.disarm(); time.sleep(0.6)", note)
@@ -96,6 +103,7 @@ def test_a_feeding_program_ends_normally(tmp_path: Path) -> None:
     assert not note.exists()
 
 
+@pytest.mark.rest
 def test_a_paused_watcher_does_not_kill_a_feeding_program(tmp_path: Path) -> None:
     process = start_program(f"for _ in range(100): {FEED_BOTH}\ndeadman.disarm()", tmp_path / "note")
     assert process.stdout is not None
@@ -117,6 +125,7 @@ def test_the_feed_period_is_a_fifth_of_the_timeout_and_at_most_100_ms(
         deadman.disarm()
 
 
+@pytest.mark.rest
 def test_the_watcher_uses_little_processor_time(tmp_path: Path) -> None:
     body = f"""
     import os
@@ -133,6 +142,7 @@ def test_the_watcher_uses_little_processor_time(tmp_path: Path) -> None:
     assert process.returncode == 0, error
 
 
+@pytest.mark.rest
 def test_termination_signals_do_not_end_the_watcher(tmp_path: Path) -> None:
     """The program handles Ctrl-C and a dropped terminal itself, and may hang while doing so."""
     body = f"""
@@ -154,6 +164,7 @@ def test_termination_signals_do_not_end_the_watcher(tmp_path: Path) -> None:
     assert "silent" in note.read_text()
 
 
+@pytest.mark.rest
 def test_a_watcher_that_does_not_read_does_not_block_the_program(tmp_path: Path) -> None:
     body = """
     import os, signal
@@ -165,6 +176,7 @@ def test_a_watcher_that_does_not_read_does_not_block_the_program(tmp_path: Path)
     assert start_program(body, tmp_path / "note").wait(15) == 0
 
 
+@pytest.mark.rest
 def test_disarming_leaves_no_process_and_no_handle(tmp_path: Path) -> None:
     """A program may fly several missions, each with a new deadman."""
     body = f"""
@@ -182,6 +194,7 @@ def test_disarming_leaves_no_process_and_no_handle(tmp_path: Path) -> None:
     assert process.returncode == 0, error
 
 
+@pytest.mark.rest
 def test_a_dead_watcher_is_replaced(tmp_path: Path) -> None:
     body = f"""
     import os, signal
@@ -316,19 +329,12 @@ def vehicle_behind_proxy(record: Path) -> Iterator[str]:
 def test_setpoints_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: Path) -> None:
     record = tmp_path / "wire.csv"
     with vehicle_behind_proxy(record) as url:
-        flight = subprocess.run(
-            [
-                *(sys.executable, str(Path(__file__).with_name("sabotaged_flight.py"))),
-                *(NEAR, url, str(tmp_path), f"{fault}@approach"),
-            ],
-            cwd=ROOT,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        program = [sys.executable, str(Path(__file__).with_name("sabotaged_flight.py"))]
+        fly = [*program, NEAR, url, str(tmp_path), f"{fault}@approach"]
+        flight = run_within(60.0, fly, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)})
         time.sleep(1.0)  # record a sender that has survived
+    if flight.returncode != -signal.SIGKILL and (late := re.search("|".join(LATENESS_RULES), flight.stderr)):
+        raise TooSlow(f"the flight ended before the fault: {late[0]}")
     assert flight.returncode == -signal.SIGKILL, flight.stderr
     at = re.search(r"at monotonic ([0-9.]+) s", flight.stderr)
     assert at is not None, flight.stderr
@@ -337,8 +343,6 @@ def test_setpoints_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: P
         float(t) for t, direction, kind in passed if direction == "up" and int(kind) == SET_POSITION_TARGET
     ]
     assert len(times) > 100, "the vehicle did not fly: a flight sends 20 to 125 setpoints a second"
-    last = max(times) - float(at[1])
-    print(f"{fault}: last setpoint {1e3 * last:.0f} ms after the fault")
-    assert last < 0.5
+    assert_below(0.5, max(times) - float(at[1]), "last setpoint after the fault, s")
     if fault != "sigkill":
         assert "deadman:" in flight.stderr

@@ -1,6 +1,6 @@
 """Chosen cells of the fault matrix through real MAVSDK, in real time if the fault concerns timing."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import pytest
@@ -13,6 +13,7 @@ from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.fault_table import Fault, parse_fault
 from dart_flight.sim.pipe import FULL_SPEED
 from tests.faults.expected import expected_outcomes
+from tests.real_time import assert_below, rule_of
 from tests.shared_flights import PATIENT
 
 ROOT = Path(__file__).parents[2]
@@ -30,12 +31,17 @@ def fly_with_fault(text: str, folder: Path, settings: Sequence[str] = ()) -> tup
     return outcome, [e.record for e in log.entries], fault
 
 
+def assert_outcome(outcome: str, allowed: Collection[str]) -> None:
+    """Assert an outcome; a rule about lateness that is not expected counts as too slow."""
+    assert outcome in allowed, rule_of(outcome)
+
+
 @pytest.mark.mavlink
 @pytest.mark.parametrize(
     "text",
     [
-        "wall-missing@approach",
-        "servo-unplugged@approach",
+        pytest.param("wall-missing@approach", marks=pytest.mark.rest),
+        pytest.param("servo-unplugged@approach", marks=pytest.mark.rest),
         *(
             pytest.param(text, marks=pytest.mark.realtime)
             for text in ("packet-loss=10@take-off", "link-loss@recovery", "delay=1000@approach")
@@ -47,7 +53,7 @@ def test_a_cell_flown_through_mavsdk_has_an_expected_outcome(text: str, tmp_path
         text, tmp_path, PATIENT if parse_fault(text).kind.needs_real_time else ()
     )
     row = text.partition("@")[0]
-    assert outcome in expected_outcomes()[row if row in ROWS else fault.name, str(fault.phase)]
+    assert_outcome(outcome, expected_outcomes()[row if row in ROWS else fault.name, str(fault.phase)])
     if outcome != "completed":
         assert outcome in [r.rule for r in records if isinstance(r, GuardEvent)]
 
@@ -56,21 +62,20 @@ def test_a_cell_flown_through_mavsdk_has_an_expected_outcome(text: str, tmp_path
 @pytest.mark.mavlink
 def test_an_imu_dropout_leads_to_a_decision_within_100_ms(tmp_path: Path) -> None:
     outcome, records, _ = fly_with_fault("imu-dropout@approach", tmp_path)
-    assert outcome == "imu_silent"
+    assert_outcome(outcome, ["imu_silent"])
     event = next(i for i, r in enumerate(records) if isinstance(r, GuardEvent))
     last = max(r.received_us for r in records[:event] if isinstance(r, ImuSample))
     newest = max(getattr(r, "received_us", 0) for r in records[: event + 1])
-    print(f"decision {1e-3 * (newest - last):.1f} ms after the last IMU sample")
-    assert newest - last <= 100_000
+    assert_below(100.0, 1e-3 * (newest - last), "decision after the last IMU sample, ms")
 
 
+@pytest.mark.rest
 @pytest.mark.mavlink
 def test_a_pilot_takeover_silences_the_app_within_100_ms(tmp_path: Path) -> None:
     outcome, records, _ = fly_with_fault("pilot@approach", tmp_path)
     assert outcome == "pilot"
     shown = next(r for r in records if isinstance(r, StatusSample) and r.flight_mode == "manual")
     silence = next(r for r in records if isinstance(r, Silence))
-    print(f"silence {1e-3 * (silence.t_us - shown.t_us):.1f} ms after telemetry showed the mode")
     assert silence.t_us - shown.t_us <= 100_000
     after = records[records.index(silence) :]
     assert not [r for r in after if isinstance(r, Setpoint | VehicleCommand)]

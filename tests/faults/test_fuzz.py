@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import pytest
+
 from tests.shared_campaigns import campaign_rows
 
 
+@pytest.mark.rest
 def test_malformed_input_is_rejected_or_accepted_without_a_failure(tmp_path: Path) -> None:
     rows = {row["kind"]: row for row in campaign_rows(tmp_path / "out", "fuzz", "--runs", "1")}
     assert list(rows) == ["mission", "scenario", "configuration", "log", "frame"]

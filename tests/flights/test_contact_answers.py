@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TypeVar
 
 import msgspec
@@ -11,6 +10,7 @@ import pytest
 
 from dart_flight.base.records import (
     ContactAnswer,
+    ContactRequest,
     FrameAnchor,
     ImpactBody,
     Outcome,
@@ -21,42 +21,20 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
+from dart_flight.core.sense.contact_recorder import ANSWER_WITHIN_US
+from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run.fast import FastFlight, fly_fast
+from dart_flight.run import fast
+from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.replay import replay
 from tests.shared_flights import SharedFlights
 
 R = TypeVar("R", bound=Record)
-Deliver = Callable[[FastFlight, int, PlanAnswer | ContactAnswer], None]
-DELIVER: Deliver = FastFlight._answer
-LATE_US = 450_000  # more than the timeout of an answer, 300 ms
-
-
-def never(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
-    if isinstance(answer, PlanAnswer):
-        DELIVER(flight, due_us, answer)
-
-
-def late(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
-    DELIVER(flight, due_us if isinstance(answer, PlanAnswer) else due_us + LATE_US, answer)
-
-
-def dead_after_the_first(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
-    if isinstance(answer, ContactAnswer) and answer.number > 1:
-        answer = ContactAnswer(due_us, answer.number, problem="the planner process ended")
-    DELIVER(flight, due_us, answer)
-
-
-def fly_with(
-    mission: Mission, deliver: Deliver, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> tuple[Verdict, Log]:
-    """Fly with this delivery of answers and require an exact replay."""
-    monkeypatch.setattr(FastFlight, "_answer", deliver)
-    verdict = fly_fast(mission, 1, folder)
-    log = read_log(str(verdict.log))
-    assert replay(log).equal
-    return verdict, log
+Fly = Callable[[Mission, str], tuple[Verdict, Log]]
+LATE = f"no answer within {ANSWER_WITHIN_US // 1000} ms"
+ENDED = "the planner process ended"
+DURATIONS_US = {"late": 3 * ANSWER_WITHIN_US // 2, "never": 10**9}
 
 
 def all_of(log: Log, kind: type[R]) -> list[R]:
@@ -67,70 +45,85 @@ def shipped(name: str) -> Mission:
     return load_mission(packaged("missions", f"{name}.yaml"))
 
 
-LATE = "no answer within 300 ms"
+@pytest.fixture
+def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
+    """Fly with fits that come `late` or `never`, or are `dead` after the first."""
+
+    def fly(mission: Mission, fits: str) -> tuple[Verdict, Log]:
+        if fits == "dead":
+            monkeypatch.setattr(ContactFitter, "answer", answer_once)
+        else:
+            monkeypatch.setattr(fast, "FIT_US", DURATIONS_US[fits])
+        records: list[FlightRecord] = []
+        verdict = fast.fly_fast(mission, 1, None, keep_record=records.append)
+        return verdict, records[0].log
+
+    answer = ContactFitter.answer
+
+    def answer_once(fitter: ContactFitter, request: ContactRequest, received_us: int) -> ContactAnswer:
+        if request.number > 1:
+            return ContactAnswer(received_us, request.number, problem=ENDED)
+        return answer(fitter, request, received_us)
+
+    return fly
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
-    ("mission", "deliver", "problems"),
+    ("mission", "fits", "problems"),
     [
-        ("paper_dual_collision", dead_after_the_first, ["", "the planner process ended"]),
-        ("paper_dual_collision", never, [LATE, LATE]),
-        ("dual_collision_replan", late, [LATE, LATE]),
+        ("paper_dual_collision", "dead", ["", ENDED]),
+        ("paper_dual_collision", "never", [LATE, LATE]),
+        ("dual_collision_replan", "late", [LATE, LATE]),
     ],
 )
 def test_a_contact_without_a_fit_is_undecided_and_the_flight_continues(
-    mission: str,
-    deliver: Deliver,
-    problems: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    mission: str, fits: str, problems: list[str], fly: Fly
 ) -> None:
-    verdict, log = fly_with(shipped(mission), deliver, tmp_path, monkeypatch)
+    verdict, log = fly(shipped(mission), fits)
+    assert replay(log).equal
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert [estimate.problem for estimate in all_of(log, WallEstimate)] == problems
     assert [hit.mode_felt is None for hit in verdict.collisions] == [bool(problem) for problem in problems]
     assert len(all_of(log, ImpactBody)) == problems.count("")
-    assert len(all_of(log, ContactAnswer)) == (0 if deliver is never else 2)
+    assert len(all_of(log, ContactAnswer)) == (0 if fits == "never" else 2)
     for estimate in all_of(log, WallEstimate):
         assert (estimate.plane_point_mission is None) is bool(estimate.problem)
 
 
-@pytest.mark.parametrize("deliver", [late, dead_after_the_first])
-def test_a_wall_found_without_a_fit_is_placed_at_the_onset(
-    deliver: Deliver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_fit_does_not_delay_a_plan_that_does_not_need_it(flown: SharedFlights, fly: Fly) -> None:
+    """The second collision is at another wall, so its plan starts at the end of the contact."""
+    name = "dual_collision_replan"
+    verdict, log = fly(shipped(name), "never")
+    assert verdict.outcome is Outcome.COMPLETED, verdict.reason
+    assert [estimate.problem for estimate in all_of(log, WallEstimate)] == [LATE, LATE]
+    plans = [
+        msgspec.structs.replace(all_of(one, PlanAnswer)[0], received_us=0)
+        for one in (log, read_log(flown(name, 1).log))
+    ]
+    assert plans[0] == plans[1]
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("fits", ["late", "dead"])
+def test_a_wall_found_without_a_fit_is_placed_at_the_onset(fits: str, fly: Fly) -> None:
     """The other probe is skipped, and the wall is hit again."""
     mission = shipped("find_a_wall")
-    verdict, log = fly_with(mission, deliver, tmp_path, monkeypatch)
+    verdict, log = fly(mission, fits)
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert [(hit.wall, hit.mode) for hit in verdict.collisions] == [("north", "rigid"), ("north", "flexible")]
     assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 skipped: contact with wall north"]
     (board,) = mission.simulated_walls
     (north,) = verdict.walls
     assert abs(board.signed_distance(north.point_m)) < 0.05
-    if deliver is dead_after_the_first:
-        first, second = all_of(log, WallEstimate)
-        assert (first.problem, second.problem) == ("", "the planner process ended")
+    if fits == "dead":
+        assert [estimate.problem for estimate in all_of(log, WallEstimate)] == ["", ENDED]
 
 
-def test_a_contact_without_a_fit_does_not_move_the_mission_frame(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, log = fly_with(shipped("dual_collision_gps"), dead_after_the_first, tmp_path, monkeypatch)
+@pytest.mark.rest
+def test_a_contact_without_a_fit_does_not_move_the_mission_frame(fly: Fly) -> None:
+    _, log = fly(shipped("dual_collision_gps"), "dead")
     (anchor,) = all_of(log, FrameAnchor)
     estimates = all_of(log, WallEstimate)
     assert (anchor.wall, estimates[0].problem) == (estimates[0].wall, "")
-    assert {estimate.problem for estimate in estimates[1:]} == {"the planner process ended"}
-
-
-def test_a_missing_fit_does_not_delay_a_plan_that_does_not_need_it(
-    flown: SharedFlights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The second collision is at another wall, so its plan starts at the end of the contact."""
-    name, plans = "dual_collision_replan", []
-    for log in (
-        read_log(flown(name, 1).log),
-        fly_with(shipped(name), never, tmp_path, monkeypatch)[1],
-    ):
-        plans.append([msgspec.structs.replace(a, received_us=0) for a in all_of(log, PlanAnswer)][:1])
-    assert plans[0] == plans[1]
+    assert {estimate.problem for estimate in estimates[1:]} == {ENDED}

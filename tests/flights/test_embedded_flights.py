@@ -26,6 +26,7 @@ from dart_flight.base.records import (
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.reader import read_log
 from tests.doubles.ports import free_udp_port
+from tests.real_time import assert_above, assert_flown, end_within, run_within, wait_until
 from tests.shared_flights import LiveFlights
 
 ROOT = Path(__file__).parents[2]
@@ -57,17 +58,6 @@ def read_until(process: subprocess.Popen[str], word: str) -> None:
         if word in line:
             return
     pytest.fail(f"the command ended before {word!r}")
-
-
-def wait_for_text(path: Path, text: str, timeout_s: float) -> str:
-    deadline = time.monotonic() + timeout_s
-    content = ""
-    while time.monotonic() < deadline:
-        content = path.read_text() if path.exists() else ""
-        if text in content:
-            return content
-        time.sleep(0.1)
-    pytest.fail(f"{text!r} did not come within {timeout_s} s:\n{content}")
 
 
 @contextmanager
@@ -102,6 +92,7 @@ def test_a_dual_collision_completes_through_mavsdk(commanded: LiveFlights) -> No
     assert verdict.max_tilt_deg < 45.0
 
 
+@pytest.mark.rest
 @pytest.mark.mavlink
 def test_a_hexarotor_completes_a_collision_through_mavsdk(commanded: LiveFlights) -> None:
     """Six motors need one message for the commands and two for the measured speeds."""
@@ -127,8 +118,8 @@ def test_fly_completes_on_a_vehicle_simulated_in_another_process(commanded: Live
     fly = f"dart-flight fly {mission} --driver px4 --connection udpin://127.0.0.1:14540"
     done = commanded(fly, "dart-flight simulate")
     verdict = json.loads(done.output)  # one object on standard output and nothing else
-    assert done.status == 0
-    assert (verdict["world"], verdict["outcome"]) == ("drone", "completed")
+    assert_flown(verdict["outcome"], verdict["reason"])
+    assert (done.status, verdict["world"]) == (0, "drone")
     assert [(c["wall"], c["mode"]) for c in verdict["collisions"]] == [
         ("wood", "flexible"),
         ("acrylic", "rigid"),
@@ -142,28 +133,25 @@ def test_fly_completes_on_a_vehicle_simulated_in_another_process(commanded: Live
 @pytest.mark.mavlink
 def test_a_plain_mavsdk_script_flies_the_simulated_vehicle() -> None:
     with simulated_vehicle(SINGLE) as url:
-        script = subprocess.run(
-            [sys.executable, str(Path(__file__).with_name("plain_mavsdk_script.py")), url],
-            capture_output=True,
-            text=True,
-            timeout=80,
-            check=False,
+        script = run_within(
+            80.0, [sys.executable, str(Path(__file__).with_name("plain_mavsdk_script.py")), url]
         )
     assert script.returncode == 0, script.stderr
     assert "landed and disarmed" in script.stdout
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> None:
     flight = start_command("dry-run", NEAR, "--log-dir", str(tmp_path / "flights"))
     read_until(flight, "APPROACH")
     time.sleep(0.5)
     flight.kill()
-    killed_s = time.monotonic()
     flight.wait()
     folder = next((tmp_path / "flights").iterdir())
-    autopilot_log = wait_for_text(folder / "autopilot.log", "simulated vehicle stops", 35.0)
-    assert time.monotonic() - killed_s < 30.0
+    read = (folder / "autopilot.log").read_text
+    wait_until(lambda: "simulated vehicle stops" in read(), 30.0, "the landing of the vehicle")
+    autopilot_log = read()
     events = [
         "app disconnected",
         "offboard lost, holding",
@@ -178,10 +166,11 @@ def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> 
     assert not log.complete
     gone_s = float(autopilot_log[: places[0]].rsplit("\n", 1)[-1].split(" s ")[0])
     last_us = max(e.record.t_us for e in log.entries if isinstance(e.record, ImuSample))
-    assert last_us * 1e-6 - 7.0 > gone_s - 0.25
+    assert_above(gone_s - 0.25, last_us * 1e-6 - 7.0, "end of the log, s")
     assert [e.record.after for e in log.entries if isinstance(e.record, PhaseChange)][-1] == "approach"
 
 
+@pytest.mark.rest
 @pytest.mark.mavlink
 def test_control_c_in_the_approach_aborts_without_a_contact(tmp_path: Path) -> None:
     flights = tmp_path / "flights"
@@ -189,7 +178,7 @@ def test_control_c_in_the_approach_aborts_without_a_contact(tmp_path: Path) -> N
     read_until(flight, "APPROACH")
     time.sleep(1.0)
     flight.send_signal(signal.SIGINT)
-    output, _ = flight.communicate(timeout=60)
+    output, _ = end_within(60.0, flight)
     verdict = json.loads(output)
     assert flight.returncode == 1
     assert verdict["outcome"] == "aborted"
@@ -200,6 +189,7 @@ def test_control_c_in_the_approach_aborts_without_a_contact(tmp_path: Path) -> N
     assert not any(isinstance(e.record, TruthContact) for e in log.entries)
 
 
+@pytest.mark.rest
 @pytest.mark.mavlink
 def test_control_c_in_a_series_reports_the_flights_that_were_flown(tmp_path: Path) -> None:
     """Interrupt the second of three flights: it lands, and the third does not begin."""
@@ -212,12 +202,10 @@ def test_control_c_in_a_series_reports_the_flights_that_were_flown(tmp_path: Pat
         # The test runner may ignore Ctrl-C, and its children would inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )  # fmt: skip
-    deadline_s = time.monotonic() + 120.0
-    while len(list(flights.glob("*/autopilot.log"))) < 2 and time.monotonic() < deadline_s:
-        time.sleep(0.1)
+    wait_until(lambda: len(list(flights.glob("*/autopilot.log"))) == 2, 120.0, "the second flight")
     time.sleep(3.0)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    out, err = process.communicate(timeout=90.0)
+    out, err = end_within(90.0, process)
     assert process.returncode == 130, err
     printed = json.loads(out)
     first, second = printed["runs"]
@@ -241,7 +229,7 @@ def test_a_silent_port_is_reported_without_a_traceback(tmp_path: Path) -> None:
         *("fly", SINGLE, "--yes", "--config", str(path), "--log-dir", str(tmp_path)),
         *("--connection", f"udpin://127.0.0.1:{free_udp_port()}"),
     )
-    _, errors = flight.communicate(timeout=30)
+    _, errors = end_within(30.0, flight)
     assert flight.returncode == 1
     assert "Traceback" not in errors
     assert "no autopilot" in errors or "cannot open" in errors
@@ -251,25 +239,8 @@ def test_a_silent_port_is_reported_without_a_traceback(tmp_path: Path) -> None:
 @pytest.mark.mavlink
 def test_the_lock_command_moves_the_servo_on_px4s_output() -> None:
     with simulated_vehicle(SINGLE) as url:
-        process = subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "dart_flight",
-                "lock",
-                "rigid",
-                "--driver",
-                "px4",
-                "--connection",
-                url,
-                "--json",
-            ],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            timeout=40,
-            check=False,
-        )
+        lock = ["lock", "rigid", "--driver", "px4", "--connection", url, "--json"]
+        process = run_within(40.0, [sys.executable, "-m", "dart_flight", *lock], cwd=ROOT)
         assert process.returncode == 0, process.stderr
     state = json.loads(process.stdout)["state"]
     assert (state["phase"], state["mode"], state["feedback"]) == ("settled", "rigid", False)

@@ -3,13 +3,15 @@
 from pathlib import Path
 
 import msgspec
+import pytest
 
 from dart_flight.base.records import Override, World
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LimitSwitch
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
-from dart_flight.run.fast import fly_fast
+from dart_flight.recording.verdict import VerdictBuilder
+from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 
@@ -29,6 +31,7 @@ def with_servo_travel(seconds: float) -> Mission:
     return dual_collision(servo=msgspec.structs.replace(lock.servo, travel_s=seconds))
 
 
+@pytest.mark.rest
 def test_a_slow_servo_completes_the_mission_if_it_settles_before_the_collision() -> None:
     """The lock settles before the collision, but after the last moment to stop before the wall."""
     verdict = fly_fast(with_servo_travel(0.6), 1, None)
@@ -47,7 +50,6 @@ def test_a_servo_that_is_too_slow_aborts_the_second_approach() -> None:
 
 def test_a_limit_switch_that_is_silent_from_the_start_prevents_the_takeoff() -> None:
     mission = dual_collision(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
-    assert fly_fast(mission, 1, None).outcome == "completed"
     verdict = fly_fast(mission, 1, None, lock_faults=MockFaults(switch_silent=True))
     assert verdict.outcome == "aborted"
     assert verdict.reason is not None
@@ -55,10 +57,8 @@ def test_a_limit_switch_that_is_silent_from_the_start_prevents_the_takeoff() -> 
     assert verdict.flight_time_s is None
 
 
+@pytest.mark.rest
 def test_a_limit_switch_that_fails_in_flight_aborts_the_second_approach() -> None:
-    from dart_flight.recording.verdict import VerdictBuilder
-    from dart_flight.run.fast import FastFlight
-
     mission = dual_collision(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
     builder = VerdictBuilder(mission)
     flight = FastFlight(mission, 1, observe=lambda record, _: builder.add(record))
@@ -75,6 +75,7 @@ def test_a_limit_switch_that_fails_in_flight_aborts_the_second_approach() -> Non
     assert [c.wall for c in verdict.collisions] == ["wood"]
 
 
+@pytest.mark.rest
 def test_a_stuck_servo_without_a_switch_is_revealed_by_the_contact(flown: SharedFlights) -> None:
     """The controller reports its command, `settled (no feedback)`; the contact shows the real mode."""
     verdict = fly_fast(dual_collision(), 1, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import subprocess
@@ -14,53 +15,46 @@ from rich.console import Console
 from dart_flight.base.records import StatusText
 from dart_flight.cli.monitor_command import screen
 from dart_flight.config.mission import load_mission
-from dart_flight.run.fast import FastFlight
-from dart_flight.run.monitor import TelemetryMonitor
+from dart_flight.config.vehicle import packaged
+from dart_flight.recording.reader import read_log
+from dart_flight.recording.schema import INPUTS
+from dart_flight.run.monitor import MonitorView, TelemetryMonitor
 from tests.core.conftest import HandFedCore
 from tests.doubles.ports import free_udp_port
+from tests.real_time import assert_above, assert_below, run_within
+from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]
 
 
-def test_monitor_shows_the_force_and_impacts_of_a_flight() -> None:
-    mission = load_mission(
-        ROOT / "missions" / "paper_single_wall.yaml", settings=["simulation.contact.body=point"]
-    )
-    telemetry_monitor = TelemetryMonitor(mission, frame_known=True)
-    flight = FastFlight(mission, 1)
-    step = flight.core.step
+def shown(view: MonitorView) -> str:
+    """Return the text of the monitor's screen."""
+    printed = io.StringIO()
+    Console(width=100, file=printed).print(screen(view))
+    return printed.getvalue()
 
-    def step_both(item: object) -> object:
-        telemetry_monitor.put(item)  # type: ignore[arg-type]
-        return step(item)  # type: ignore[arg-type]
 
-    flight.core.step = step_both  # type: ignore[method-assign,assignment]
-    flight.run()
-    telemetry_monitor.put(StatusText(0, 0, "info", "lock settled rigid"))
-    view = telemetry_monitor.view()
-    assert len(view.peaks) == 1
-    # The monitor uses the direction of the force as the normal; the core knows the wall and reports 34.5 N.
-    assert view.peaks[0][1] == pytest.approx(34.5, rel=0.1)
+def test_monitor_shows_the_force_and_impacts_of_a_flight(flown: SharedFlights) -> None:
+    flight = flown("paper_single_wall", 1)
+    monitor = TelemetryMonitor(load_mission(packaged("missions", "paper_single_wall.yaml")), frame_known=True)
+    for entry in read_log(flight.log).entries:
+        if isinstance(entry.record, INPUTS):
+            monitor.put(entry.record)  # type: ignore[arg-type]
+    monitor.put(StatusText(0, 0, "info", "lock settled rigid"))
+    view = monitor.view()
+    (hit,), ((_, peak_n, _),) = flight.verdict.collisions, view.peaks
+    # The monitor uses the direction of the force as the normal; the core knows the wall.
+    assert peak_n == pytest.approx(hit.measured.peak_force_n, rel=0.2)
     assert view.thrust_source == "actuator"
     assert view.thrust_scale == pytest.approx(1.0, abs=0.1)  # including the touchdown
     assert view.lock == "settled rigid"
-    console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: SIM115
-    console.print(screen(view))
-    text = console.export_text()
-    assert "impact" in text
-    assert "thrust from actuator" in text
+    assert "impact" in shown(view)
+    assert "thrust from actuator" in shown(view)
 
 
-def test_monitor_reports_that_it_waits_for_telemetry(view_without_telemetry: str) -> None:
-    assert "waiting for telemetry" in view_without_telemetry
-
-
-@pytest.fixture
-def view_without_telemetry() -> str:
-    telemetry_monitor = TelemetryMonitor(HandFedCore().core.mission, frame_known=False)
-    console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: SIM115
-    console.print(screen(telemetry_monitor.view()))
-    return console.export_text()
+def test_monitor_reports_that_it_waits_for_telemetry() -> None:
+    monitor = TelemetryMonitor(HandFedCore().core.mission, frame_known=False)
+    assert "waiting for telemetry" in shown(monitor.view())
 
 
 @pytest.mark.realtime
@@ -81,17 +75,15 @@ def test_monitor_reads_telemetry_through_mavlink(source: str, tmp_path: Path) ->
         try:
             url = f"udpin://127.0.0.1:{port}"
             command = ["monitor", "--connection", url, "--seconds", "6", "--json", "--config", str(config)]
-            done = subprocess.run(
-                [sys.executable, "-m", "dart_flight", *command],
-                cwd=ROOT, capture_output=True, text=True, timeout=60, check=True,
-            )  # fmt: skip
+            done = run_within(60.0, [sys.executable, "-m", "dart_flight", *command], cwd=ROOT)
         finally:
             vehicle.terminate()
+    assert done.returncode == 0, done.stderr
     view = json.loads(done.stdout)
     rates = {s["name"]: s["rate_hz"] for s in view["streams"]}
-    assert rates["imu"] > 150.0
-    assert rates["attitude"] > 45.0
+    assert_above(150.0, rates["imu"], "rate of the IMU, Hz")
+    assert_above(45.0, rates["attitude"], "rate of the attitude, Hz")
     assert view["landed"] == "on_ground"
     assert view["force_n"] is not None
     assert view["thrust_source"] == ("actuator" if source == "auto" else source)
-    assert view["cpu_percent"] < 50.0
+    assert_below(50.0, view["cpu_percent"], "processor load, %")

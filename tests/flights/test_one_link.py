@@ -19,6 +19,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from tests.doubles.ports import free_udp_port
+from tests.real_time import assert_flown, end_within, rule_of, wait_until
 from tests.shared_flights import patient
 
 ROOT = Path(__file__).parents[2]
@@ -66,7 +67,7 @@ class Commands:
 
     def run(self, *words: str) -> tuple[int, str]:
         """Run a command to its end; return its status and standard error."""
-        _, error = self.start(*words).communicate(timeout=60.0)
+        _, error = end_within(60.0, self.start(*words))
         return self._started[-1].returncode, error
 
     def end(self) -> None:
@@ -156,11 +157,11 @@ def test_other_programs_on_the_link_do_not_disturb_a_flight(commands: Commands) 
         refusal = [line for line in error.splitlines() if not line.startswith("vehicle: ")]
         assert len(refusal) == 1, error
     stopped.send_signal(signal.SIGKILL)  # at an arbitrary moment
-    out, _ = fly.communicate(timeout=90.0)
+    out, _ = end_within(90.0, fly)
     verdict = json.loads(out)
-    assert verdict["outcome"] == "completed", verdict["reason"]
+    assert_flown(verdict["outcome"], verdict["reason"])
     # The monitor ends with the flight; its idle class makes it slow on a busy machine.
-    view, error = monitor.communicate(timeout=300.0)
+    view, error = end_within(300.0, monitor)
     assert f"watching fly, process {fly.pid}" in error
     shown: dict[str, Any] = json.loads(view)
     assert shown["phase"] == "done"
@@ -174,20 +175,19 @@ def test_other_programs_on_the_link_do_not_disturb_a_flight(commands: Commands) 
 
 def wait_until_idle_class(pid: int) -> None:
     """Wait for the idle class, which the program takes before it loads its libraries."""
-    end = time.monotonic() + 20.0
-    while os.sched_getscheduler(pid) != os.SCHED_IDLE:
-        assert time.monotonic() < end, "the monitor competes with the flight"
-        time.sleep(0.01)
+    wait_until(lambda: os.sched_getscheduler(pid) == os.SCHED_IDLE, 20.0, "the monitor's idle class")
 
 
 def wait_for_phase(fly: subprocess.Popen[str], phase: str) -> None:
+    """Read the progress of `fly` up to a phase."""
     assert fly.stderr is not None
     output = ""
     for line in fly.stderr:
         output += line
         if phase in line:
             return
-    pytest.fail(output)
+    reason = json.loads(fly.stdout.read() or "{}").get("reason") if fly.stdout is not None else None
+    pytest.fail(f"{rule_of(reason)}: {output}")
 
 
 @pytest.mark.realtime
@@ -199,11 +199,11 @@ def test_fly_does_not_take_off_if_a_second_vehicle_sends_to_the_port(
     port = free_udp_port()
     fly = commands.fly(port)
     commands.start_second_vehicle(port, system, ahead_s)
-    out, error = fly.communicate(timeout=90.0)
+    out, error = end_within(90.0, fly)
     assert fly.returncode in (1, 2), error
     verdict = json.loads(out) if out else {}
     if "reason" in verdict:  # the guard has found the vehicle, not `check`
-        assert verdict["reason"].startswith("second_vehicle_ground: "), verdict["reason"]
+        assert rule_of(verdict["reason"]) == "second_vehicle_ground", verdict["reason"]
     else:
         assert "second_vehicle" in error
     output = out + error
@@ -220,10 +220,10 @@ def test_a_second_vehicle_that_appears_in_the_approach_aborts_the_flight(command
     fly = commands.fly(port)
     wait_for_phase(fly, "APPROACH 1")
     commands.start_second_vehicle(port, 1, 0.0)
-    out, error = fly.communicate(timeout=90.0)
+    out, error = end_within(90.0, fly)
     verdict = json.loads(out)
     assert verdict["outcome"] == "aborted", error
-    assert verdict["reason"].startswith("second_vehicle: "), verdict["reason"]
+    assert rule_of(verdict["reason"]) == "second_vehicle", verdict["reason"]
 
 
 @pytest.mark.realtime
@@ -232,14 +232,7 @@ def test_monitor_reports_that_there_is_neither_a_flight_nor_a_vehicle(commands: 
     text = commands.config.read_text()
     commands.config.write_text(text.replace("timeout_s: 30.0", "timeout_s: 2.0", 1))
     port = free_udp_port()
-    status, error = commands.run(
-        "monitor",
-        "--config",
-        str(commands.config),
-        "--connection",
-        f"udpin://127.0.0.1:{port}",
-        "--seconds",
-        "1",
-    )
+    url = ["--connection", f"udpin://127.0.0.1:{port}", "--seconds", "1"]
+    status, error = commands.run("monitor", "--config", str(commands.config), *url)
     assert status == 1
     assert "no autopilot on" in error

@@ -27,15 +27,13 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.lab.flight_arrays import FlightArrays
 from dart_flight.recording.anchor import MissionFrameReader
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.recording.verdict import Verdict, verdict_of
+from dart_flight.recording.verdict import verdict_of
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
-from dart_flight.run.replay import replay
-from tests.shared_flights import SharedFlights
+from tests.shared_flights import PLAIN_GPS, SharedFlights
 
 R = TypeVar("R", bound=Record)
 FIND = packaged("missions", "find_a_wall.yaml")
-GPS = packaged("missions", "dual_collision_gps.yaml")
 
 
 def all_of(log: Log, kind: type[R]) -> list[R]:
@@ -51,16 +49,6 @@ def find_a_wall(**changes: Any) -> Mission:
     return load_mission(FIND).replace(changes)
 
 
-def replay_exactly(verdict: Verdict, path: Path | str) -> tuple[Verdict, Log]:
-    """Require an exact replay and the same verdict from the log; return verdict and log."""
-    log = read_log(path)
-    again = replay(log)
-    assert again.exact
-    assert again.equal
-    assert verdict_of(log).walls == verdict.walls
-    return verdict, log
-
-
 # --- probes -----------------------------------------------------------------------------------------------
 
 
@@ -68,7 +56,8 @@ def test_an_unknown_wall_is_found_and_hit_again_and_the_other_probe_is_skipped(
     flown: SharedFlights,
 ) -> None:
     mission = find_a_wall()
-    verdict, log = replay_exactly(*flown("find_a_wall", 1))
+    verdict, log = flown("find_a_wall", 1).verdict, read_log(flown("find_a_wall", 1).log)
+    assert verdict_of(log).walls == verdict.walls
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert verdict.guard == []
     assert [(c.wall, c.mode) for c in verdict.collisions] == [("north", "rigid"), ("north", "flexible")]
@@ -113,9 +102,10 @@ def test_the_second_collision_is_beside_the_first_and_the_waypoint_a_metre_away(
     assert len(verdict.collisions) == 2
 
 
+@pytest.mark.rest
 def test_a_mission_whose_probes_find_no_wall_completes_on_its_own_branch(tmp_path: Path) -> None:
     verdict = fly_fast(find_a_wall(simulated_walls={}), 1, tmp_path)
-    verdict, log = replay_exactly(verdict, str(verdict.log))
+    log = read_log(str(verdict.log))
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert (verdict.collisions, verdict.guard, verdict.walls) == ([], [], [])
     assert [e.what for e in all_of(log, ProbeEnd)] == [
@@ -133,6 +123,7 @@ def test_a_mission_whose_probes_find_no_wall_completes_on_its_own_branch(tmp_pat
     assert x.min() == pytest.approx(-2.0, abs=0.1)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("figures", [{}, {"position_sd_m": 0.15}], ids=["taken as known", "with a figure"])
 def test_a_displaced_known_wall_is_touched_twice_at_its_true_position(
     figures: dict[str, float],
@@ -157,11 +148,7 @@ def test_a_displaced_known_wall_is_touched_twice_at_its_true_position(
 
 
 def test_contacts_correct_the_mission_frame_against_gps_drift(flown: SharedFlights) -> None:
-    log = flown.once("anchored", fly_on_gps)
-    mission, record = anchored_mission(), read_log(str(next(log.glob("*/flight.mcap"))))
-    again = replay(record)
-    assert again.exact
-    assert again.equal
+    mission, record = anchored_mission(), anchored_log(flown)
     verdict = verdict_of(record)
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     anchors = all_of(record, FrameAnchor)
@@ -198,7 +185,7 @@ def position_error_m(course: FlightArrays, at_s: float, axis: int) -> float:
 
 def test_the_next_leg_begins_away_from_the_touched_wall(flown: SharedFlights) -> None:
     """A vehicle that hovers at its wall with PX4's integrators wound up is not at rest."""
-    log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
+    log = anchored_log(flown)
     course, contacts = FlightArrays(log, anchored_mission()), all_of(log, TruthContact)
     leaves = [c for c in all_of(log, PhaseChange) if c.before is Phase.RECOVERY][:2]
     for change, (axis, wall_m, back_m) in zip(leaves, ((1, -1.1, 0.4), (0, 1.65, 0.5)), strict=True):
@@ -209,7 +196,7 @@ def test_the_next_leg_begins_away_from_the_touched_wall(flown: SharedFlights) ->
 
 
 def test_every_position_uses_the_mission_frame_of_its_time(flown: SharedFlights) -> None:
-    log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
+    log = anchored_log(flown)
     course, reader = FlightArrays(log, anchored_mission()), MissionFrameReader(anchored_mission())
     compared, moves = 0, {a.t_us for a in all_of(log, FrameAnchor)}
     position = {
@@ -230,7 +217,7 @@ def test_every_position_uses_the_mission_frame_of_its_time(flown: SharedFlights)
 
 
 def test_the_position_is_accurate_at_the_last_contact_in_a_moved_frame(flown: SharedFlights) -> None:
-    log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
+    log = anchored_log(flown)
     course = FlightArrays(log, anchored_mission())
     last = all_of(log, TruthContact)[-1]
     at_s = course.time_of(last.end_us) + 0.5
@@ -242,8 +229,8 @@ def test_the_position_is_accurate_at_the_last_contact_in_a_moved_frame(flown: Sh
 
 
 def anchored_mission() -> Mission:
-    return load_flyable(str(GPS), None, ["simulation.position_from=plain"])
+    return load_flyable(packaged("missions", "dual_collision_gps.yaml"), None, PLAIN_GPS)
 
 
-def fly_on_gps(folder: Path) -> None:
-    fly_fast(anchored_mission(), 1, folder)
+def anchored_log(flown: SharedFlights) -> Log:
+    return read_log(flown("dual_collision_gps", 1, settings=PLAIN_GPS).log)

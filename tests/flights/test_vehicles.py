@@ -14,8 +14,10 @@ from dart_flight.base.records import LockCommand, LockState, OperatorRequest, Ph
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
 from dart_flight.run.replay import replay
+from tests.real_time import end_within
 
 
+@pytest.mark.rest
 @pytest.mark.mavlink
 def test_a_rigid_cage_resumes_from_a_pause_at_sigusr1_and_hits_a_wall(tmp_path: Path) -> None:
     config = tmp_path / "cage.yaml"
@@ -36,7 +38,7 @@ def test_a_rigid_cage_resumes_from_a_pause_at_sigusr1_and_hits_a_wall(tmp_path: 
         prompt = next((line for line in flight.stderr if "for the operator" in line), "")
         assert "Enter or SIGUSR1" in prompt
         flight.send_signal(signal.SIGUSR1)
-        out, errors = flight.communicate(timeout=90.0)
+        out, errors = end_within(90.0, flight)
     assert flight.returncode == 0, errors
     verdict = json.loads(out)
     assert verdict["outcome"] == "completed"

@@ -15,7 +15,6 @@ import textwrap
 import threading
 import time
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
@@ -47,6 +46,7 @@ from dart_flight.recording.encoding import decode, encode
 from dart_flight.recording.reader import Log, LogEntry, read_log
 from dart_flight.recording.schema import CLOCKS, RECORD_TYPES, schema
 from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, FlightLog, part_path
+from tests.real_time import wait_until
 
 IMU = ImuSample(t_us=1, received_us=2, specific_force_frd=(0.1, -0.0, -9.81), rate_frd=(0.0, 0.0, 0.0))
 
@@ -153,13 +153,6 @@ def test_the_mcap_library_reads_the_log_without_this_package(flight_path: Path) 
         assert times == sorted(times)
 
 
-def wait_until(condition: Any, timeout_s: float = 5.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert condition()
-
-
 # --- cut, damaged, foreign, newer ------------------------------------------------------------------------
 
 
@@ -174,7 +167,7 @@ def largest_chunk(whole: bytes) -> float:
     return max(after - before for before, after in itertools.pairwise([0, *ends])) / len(whole)
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(data=st.data())
 def test_a_log_cut_at_any_byte_opens_up_to_the_cut(
     data: st.DataObject, flight: Log, flight_path: Path, tmp_path_factory: pytest.TempPathFactory
@@ -198,7 +191,7 @@ def small_log(path: Path) -> bytes:
     for i in range(6):
         log.put(imu(i), i)
         log.put(Tick(i), i)
-        wait_until(lambda: not log._waiting)
+        wait_until(lambda: not log._waiting, 5.0, "the writer")
     log.close()
     return path.read_bytes()
 
@@ -247,7 +240,7 @@ def test_a_log_cut_at_every_kind_of_record_opens_up_to_the_cut(tmp_path: Path) -
         assert not log.complete or (len(log.entries) == 12 and log.end)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(data=st.data())
 def test_a_damaged_byte_never_gives_wrong_records(
     data: st.DataObject, flight: Log, flight_path: Path, tmp_path_factory: pytest.TempPathFactory
@@ -318,7 +311,7 @@ def test_a_rotated_log_is_read_back_from_its_parts(tmp_path: Path) -> None:
     log = FlightLog(tmp_path / "flight.mcap", {"mission": "m"}, part_bytes=1)
     for i in range(3):
         log.put(imu(i), i)
-        wait_until(lambda i=i: part_path(log.path, i + 2).exists())
+        wait_until(part_path(log.path, i + 2).exists, 5.0, "the writer")
     log.close()
     back = read_log(log.path)
     assert back.complete
@@ -331,7 +324,7 @@ def test_a_rotated_log_is_read_back_from_its_parts(tmp_path: Path) -> None:
 def test_a_log_at_its_size_limit_still_records_decisions(tmp_path: Path) -> None:
     log = FlightLog(tmp_path / "flight.mcap", {}, part_bytes=1, most_parts=1)
     log.put(imu(0), 0)
-    wait_until(lambda: part_path(log.path, 2).exists())
+    wait_until(lambda: part_path(log.path, 2).exists(), 5.0, "the writer")
     log.put(imu(1), 1)
     log.put(Tick(5), 2)
     log.put(GuardEvent(t_us=9, rule="speed", action=Override.HOLD, detail=""), 3)
@@ -347,7 +340,7 @@ def test_a_full_disk_stops_the_log_without_an_exception(tmp_path: Path) -> None:
     with open("/dev/full", "wb") as full:
         os.dup2(full.fileno(), log._part._file.fileno())
     log.put(imu(0), 0)
-    wait_until(lambda: log.failure is not None)
+    wait_until(lambda: log.failure is not None, 5.0, "the writer")
     log.put(imu(1), 1)
     log.close()
     assert log.failure == "No space left on device"
@@ -357,7 +350,7 @@ def test_a_full_disk_stops_the_log_without_an_exception(tmp_path: Path) -> None:
 def test_an_unresponsive_disk_leaves_a_readable_incomplete_log(tmp_path: Path) -> None:
     log = FlightLog(tmp_path / "flight.mcap", {"mission": "m"})
     log.put(imu(0), 0)
-    wait_until(lambda: len(read_log(log.path).entries) == 1)
+    wait_until(lambda: len(read_log(log.path).entries) == 1, 5.0, "the writer")
     write, answers, asked = log._part.write, threading.Event(), threading.Event()
 
     def slow(record: Record, time_us: int, number: int) -> None:

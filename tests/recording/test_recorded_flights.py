@@ -43,14 +43,18 @@ def test_a_replayed_flight_makes_the_recorded_decisions(path: Path) -> None:
         assert result.recorded == result.replayed
 
 
-@pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
+# `make test` looks at the flight of the fast world, `make test-rest` at the others too.
+EACH = [pytest.param(p, id=p.stem, marks=() if p.stem == "fast" else pytest.mark.rest) for p in FLIGHTS]
+
+
+@pytest.mark.parametrize("path", EACH)
 def test_replaying_a_kept_flight_detects_a_changed_threshold(path: Path) -> None:
     """The omitted records must not hide a changed decision."""
     result = replay(read_log(path), ["detection.force_threshold_n=15"])
     assert any(isinstance(d.recorded, ImpactOnset) for d in result.differences)
 
 
-@pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", EACH)
 def test_a_kept_flight_has_a_report_page(path: Path) -> None:
     assert "Predicted against measured" in flight_page(RecordedFlight.read(path))
 
@@ -64,6 +68,7 @@ def test_a_kept_flight_lacks_only_force_and_torque_estimates(flight_path: Path, 
     assert len(result.differences) > 1000
 
 
+@pytest.mark.rest
 def test_a_sample_of_the_replay_campaign_has_no_differences(tmp_path: Path) -> None:
     rows = campaign_rows(tmp_path / "out", "replay", "--runs", "1", "--seed", "11")
     assert len(rows) == 2

@@ -54,7 +54,8 @@ class EstimatorResets:
     def add_imu(self, item: ImuSample) -> None:
         """Update the heading comparison and the dead reckoning with an IMU sample."""
         self._heading.add_imu(item)
-        self._measure_heading(item.t_us)
+        if self._before is not None or self._rotation is not None:
+            self._measure_heading(item.t_us)
         if self._reckoned is not None:
             self._reckoned.add_imu(item, self._heading.gyro)
 

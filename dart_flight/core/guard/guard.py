@@ -46,6 +46,7 @@ from dart_flight.core.sense.state import FlightState
 
 Causes = list[tuple[Rule, int, Cause]]  # with the rank of the rule's action
 
+_NO_CAUSES: Final[Causes] = []
 _COMMANDS: Final = (Setpoint, VehicleCommand)
 _COMMANDS_AND_LOCK: Final = (Setpoint, VehicleCommand, LockCommand)
 _EVALUATION_US: Final = 20_000  # host time: at every tick, or by itself if ticks are missing
@@ -118,7 +119,7 @@ class Guard:
         """
         self._watch.observe(item, state, sensed, phase)
         events: list[Output] = []
-        if isinstance(item, PoseSample) and self._watch.poses is not None:
+        if type(item) is PoseSample and self._watch.poses is not None:
             withheld = self._watch.poses.withhold(phase, state.now_us)
             if withheld is not None:
                 events.append(withheld)
@@ -163,12 +164,13 @@ class Guard:
 
     def _evaluate(self, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
         phase_rules = self._rules_by_phase[phase]
-        if isinstance(item, Tick) or state.host_us - self._evaluated_us > _EVALUATION_US:
+        if type(item) is Tick or state.host_us - self._evaluated_us > _EVALUATION_US:
             self._evaluated_us, due = state.host_us, phase_rules.all
         else:
-            due = phase_rules.at_once.get(type(item), [])
+            due = phase_rules.at_once.get(type(item), _NO_CAUSES)
+        landing = self._watch.land_asked
         for rule, rank, cause in due:
-            if rule.scope is Scope.GUIDED and self._watch.land_asked:
+            if landing and rule.scope is Scope.GUIDED:
                 continue  # a landing leaves the flight space at the bottom
             # A rule whose action is already active adds nothing, except for rules that explain it.
             if rank > self._rank:
@@ -246,9 +248,9 @@ class Guard:
 
     def _track_outputs(self, outputs: list[Output]) -> None:
         for one in outputs:
-            if isinstance(one, Setpoint):
+            if type(one) is Setpoint:
                 self._yaw_ned = one.yaw_ned_rad
-            elif isinstance(one, VehicleCommand) and one.action is VehicleAction.LAND:
+            elif type(one) is VehicleCommand and one.action is VehicleAction.LAND:
                 self._watch.land_asked = True
 
     # -- flying --

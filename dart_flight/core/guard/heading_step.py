@@ -17,9 +17,9 @@ from dart_flight.base.geometry import (
     Quaternion,
     Vec3,
     advance_attitude,
+    integrate_rate,
     quaternion_conjugate,
     quaternion_multiply,
-    quaternion_normalise,
     wrap_angle,
 )
 from dart_flight.base.records import AttitudeSample, ImuSample
@@ -52,7 +52,7 @@ class HeadingStep:
             self.gyro, self._waiting = IDENTITY, None
             return
         dt_s = (item.t_us - before_us) * 1e-6
-        self.gyro = quaternion_normalise(advance_attitude(self.gyro, item.rate_frd, dt_s))
+        self.gyro = integrate_rate(self.gyro, item.rate_frd, dt_s)
         if self._waiting is not None and self._waiting.t_us <= item.t_us:
             self._compare(self._waiting, item.t_us)
             self._waiting = None

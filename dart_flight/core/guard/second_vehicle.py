@@ -44,8 +44,10 @@ class SecondClockDetector:
         """Process the stamp of a sample; call for every sample of the stream, in the order of receipt."""
         newest = self._newest_us
         if newest is None or t_us > newest:
-            elapsed_us = max(0, received_us - self._received_us)
-            goes_on = newest is None or t_us - newest < _REACH_US + _FASTEST * elapsed_us
+            goes_on = newest is None or t_us - newest < _REACH_US
+            if newest is not None and not goes_on:
+                elapsed_us = max(0, received_us - self._received_us)
+                goes_on = t_us - newest < _REACH_US + _FASTEST * elapsed_us
             if self._was_behind and goes_on:
                 self._turns.append(received_us)
             elif not goes_on:  # the newest clock may be the other one from now on
@@ -146,7 +148,7 @@ class OtherVehicles:
             found = [seconds for seconds in apart_s if seconds is not None]
             if len(found) > 1 and max(found) - min(found) < STAMP_TOLERANCE_S:
                 self.same_system = f"two clocks alternate, {found[0]:.1f} s apart"
-        if isinstance(item, OdometrySample):
+        if type(item) is OdometrySample:
             self._places.update(item)
             apart_m = self._places.position_difference_m(received_us)
             if apart_m is not None:

@@ -125,7 +125,7 @@ class Executive:
             step(state, sensed, p)  # a correction of the frame has not reached the state yet
         p.expected = progress.expected = self._impacts.expected(progress, state)
         p.altitude_m = progress.course.altitude_m
-        if isinstance(item, OdometrySample):
+        if type(item) is OdometrySample:
             self._propose_setpoint(item, state, p)
 
     def _has_begun(self, state: FlightState) -> bool:

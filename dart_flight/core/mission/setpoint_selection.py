@@ -78,7 +78,8 @@ class SetpointSelection:
         """Return the heading and the command that leads back to the wanted heading after a contact."""
         heading, control = progress.heading, self._control
         if control is None or progress.phase not in _TURNED:
-            heading = heading._replace(before=heading.yaw, asked=None)
+            if heading.before != heading.yaw or heading.asked is not None:
+                heading = heading._replace(before=heading.yaw, asked=None)
             return heading if control is None else heading._replace(integral=0.0, integral_us=state.now_us)
         return control.lead(heading, state.yaw, _yaw_rate(state), state.now_us)
 

@@ -8,7 +8,7 @@ gets no answer, the wall estimate contains neither the mode of the arms nor a fi
 from __future__ import annotations
 
 from collections import deque
-from typing import Final, NamedTuple
+from typing import Final
 
 import msgspec
 
@@ -37,16 +37,8 @@ _MAX: Final = 160  # samples of a contact
 _MET_SD_M: Final = 0.03
 
 
-class ContactSample(NamedTuple):
-    """One IMU sample of a contact; the fields are the last columns of `ContactRequest`, in the same order."""
-
-    t_us: int
-    force_mission: Vec3
-    push_mission: Vec2
-    clipped: bool
-    torque_frd: Vec3
-    q_frd_to_ned: Quaternion
-    rate_frd: Vec3
+# The estimates of one IMU sample, with attitude and body rate.
+_Sample = tuple[ForceEstimate, TorqueEstimate, Quaternion, Vec3]
 
 
 class ContactRecorder:
@@ -61,19 +53,14 @@ class ContactRecorder:
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._vehicle = vehicle
-        self._samples: deque[ContactSample] = deque(maxlen=_MAX)
-        self._noise: tuple[float, Vec3] = (0.0, (0.0, 0.0, 0.0))
+        self._samples: deque[_Sample] = deque(maxlen=_MAX)
         self._begun: ContactRequest | None = None
         self._number = 0
         self.unanswered: dict[int, ContactRequest] = {}
 
     def add(self, force: ForceEstimate, torque: TorqueEstimate, q: Quaternion, rate_frd: Vec3) -> None:
         """Record the estimates of the next IMU sample, with attitude and body rate (rad/s, FRD)."""
-        self._noise = force.noise_n, torque.noise_frd_nm
-        push, torque_frd = force.push_mission, torque.torque_frd
-        self._samples.append(
-            ContactSample(force.t_us, force.force_mission, push, force.clipped, torque_frd, q, rate_frd)
-        )
+        self._samples.append((force, torque, q, rate_frd))
 
     def update(
         self, state: FlightState, slow: Vec2, events: Events, expected: ExpectedContact
@@ -98,6 +85,7 @@ class ContactRecorder:
     def _begin(self, onset: ImpactOnset, state: FlightState, slow: Vec2, wall: Wall | None) -> ContactRequest:
         assert state.frame is not None
         self._number += 1
+        force, torque, _, _ = self._samples[-1]
         return ContactRequest(
             t_us=onset.t_us,
             number=self._number,
@@ -107,17 +95,24 @@ class ContactRecorder:
             mode_reported=state.lock.mode if state.lock.phase is LockPhase.SETTLED else None,
             frame_heading_rad=state.frame.heading_rad,
             slow_force=slow,
-            noise_n=self._noise[0],
-            noise_frd_nm=self._noise[1],
+            noise_n=force.noise_n,
+            noise_frd_nm=torque.noise_frd_nm,
         )
 
     def _end(self, begun: ContactRequest) -> ContactRequest:
         samples = list(self._samples)
-        earlier = sum(s.t_us < begun.onset.first_us for s in samples)
-        columns = zip(*samples[max(0, earlier - _BEFORE) :], strict=True)
-        names = ContactRequest.__struct_fields__[-len(ContactSample._fields) :]
+        earlier = sum(force.t_us < begun.onset.first_us for force, *_ in samples)
+        forces, torques, attitudes, rates = zip(*samples[max(0, earlier - _BEFORE) :], strict=True)
         request = msgspec.structs.replace(
-            begun, t_us=samples[-1].t_us, **dict(zip(names, columns, strict=True))
+            begun,
+            t_us=forces[-1].t_us,
+            sample_us=tuple([force.t_us for force in forces]),
+            force_mission=tuple([force.force_mission for force in forces]),
+            push_mission=tuple([force.push_mission for force in forces]),
+            clipped=tuple([force.clipped for force in forces]),
+            torque_frd=tuple([torque.torque_frd for torque in torques]),
+            q_frd_to_ned=attitudes,
+            rate_frd=rates,
         )
         self.unanswered[request.number], self._begun = request, None
         return request

@@ -96,40 +96,40 @@ class Senses:
     def update(self, item: Input, expected: ExpectedContact) -> Sensed:
         """Process one input and return its results; `expected` is the contact that the mission expects."""
         state, estimator = self.state, self.estimator
-        if isinstance(item, ImuSample):
+        if type(item) is ImuSample:
             if state.update_imu(item):
                 return self._process_imu(item, expected)
-        elif isinstance(item, AttitudeSample):
+        elif type(item) is AttitudeSample:
             if state.update_attitude(item):
                 estimator.add_attitude(item)
-        elif isinstance(item, OdometrySample):
+        elif type(item) is OdometrySample:
             if state.update_odometry(item) and item.t_us >= self.delay.due_us:
                 self._compare_velocity(item.t_us)
-        elif isinstance(item, ActuatorSample):
+        elif type(item) is ActuatorSample:
             state.update_actuator(item)
             estimator.thrust.add_commands(item)
-        elif isinstance(item, PoseSample):
+        elif type(item) is PoseSample:
             state.update_pose(item)
-        elif isinstance(item, EscSample):
+        elif type(item) is EscSample:
             estimator.thrust.update_esc(item)
-        elif isinstance(item, Tick):
+        elif type(item) is Tick:
             state.advance(item)
-        elif isinstance(item, StatusSample):
+        elif type(item) is StatusSample:
             state.update_status(item)
             estimator.thrust.update_voltage(item.battery_v)
-        elif isinstance(item, LockState):
+        elif type(item) is LockState:
             state.update_lock(item)
-        elif isinstance(item, EstimatorSample):
+        elif type(item) is EstimatorSample:
             state.update_estimator(item)
-        elif isinstance(item, ClockOffset):
+        elif type(item) is ClockOffset:
             state.update_clock(item)
-        elif isinstance(item, StatusText):
+        elif type(item) is StatusText:
             state.add_text(item)
-        elif isinstance(item, HealthReport):
+        elif type(item) is HealthReport:
             state.update_health(item)
-        elif isinstance(item, CommandResult):
+        elif type(item) is CommandResult:
             state.add_result(item)
-        elif isinstance(item, ContactAnswer):
+        elif type(item) is ContactAnswer:
             body, wall = self.contacts.accept(item)
             records: list[Output] = [] if body is None else [body]
             if wall is not None:

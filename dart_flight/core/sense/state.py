@@ -291,12 +291,13 @@ class FlightState:
         if not self._velocities:
             return self.velocity
         first_us = self._velocities[-1][0] - over_s * 1e6
-        total, n = (0.0, 0.0, 0.0), 0
-        for stamp, velocity in reversed(self._velocities):
+        x = y = z = 0.0
+        n = 0
+        for stamp, (vx, vy, vz) in reversed(self._velocities):
             if n and stamp <= first_us:
                 break
-            total, n = add(total, velocity), n + 1
-        return scale(total, 1.0 / n)
+            x, y, z, n = x + vx, y + vy, z + vz, n + 1
+        return scale((x, y, z), 1.0 / n)
 
     def reasons(self, command: str | None = None) -> str:
         """Return the reasons why PX4 does not act: faults found on the link, and PX4's own texts.

@@ -57,21 +57,20 @@ class WindowMean:
         """Add a horizontal force sample, newton, mission frame, and update the mean."""
         kept = self._kept
         kept.append((t_us, fx, fy))
-        self._x += fx
-        self._y += fy
+        x, y = self._x + fx, self._y + fy
         first = t_us - self._length_us
         while kept[0][0] <= first and len(kept) > 1:
-            _, x, y = kept.popleft()
-            self._x -= x
-            self._y -= y
+            _, old_x, old_y = kept.popleft()
+            x, y = x - old_x, y - old_y
             self._since_sum += 1
             self.full = True
-        if self._since_sum > len(kept):
+        n = len(kept)
+        if self._since_sum > n:
             # Sum again once per window, so that rounding errors do not accumulate.
             self._since_sum = 0
-            self._x, self._y = sum(s[1] for s in kept), sum(s[2] for s in kept)
-        n = len(kept)
-        self.mean = (self._x / n, self._y / n)
+            x, y = sum([s[1] for s in kept]), sum([s[2] for s in kept])
+        self._x, self._y = x, y
+        self.mean = (x / n, y / n)
 
     def learn(self, dt_s: float) -> None:
         """Update the noise from the present mean and the mean one window earlier (not during contacts)."""
