@@ -1,6 +1,8 @@
 """Flight commands load no module of the lab, and a failure of the lab does not end a flight."""
 
 import argparse
+import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,37 +17,40 @@ from dart_flight.cli.live_options import live_view
 ROOT = Path(__file__).parents[1]
 MISSION = str(ROOT / "missions" / "single_wall.yaml")
 LOG = str(next((ROOT / "tests" / "data" / "flights").rglob("*.mcap")))
+# Runs commands one after the other, and prints the status and the modules of the lab after each.
 LOADED = """
-import sys
+import contextlib, io, json, sys
 from dart_flight.cli import main
-status = main(sys.argv[1:])
-print("loaded:", *[m for m in sys.modules if m.startswith("dart_flight.lab.")], file=sys.stderr)
-sys.exit(status)
+for words in json.loads(sys.argv[1]):
+    with contextlib.redirect_stdout(io.StringIO()):
+        try:
+            status = main(words)
+        except SystemExit as end:
+            status = end.code
+    lab = [m for m in sys.modules if m.startswith("dart_flight.lab.")]
+    print(json.dumps([words[0], status, lab]))
 """
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
+def test_flight_commands_load_no_module_of_the_lab(tmp_path: Path) -> None:
+    commands = [
         ["dry-run", MISSION, "--fast", "--json"],
-        ["dry-run", MISSION, "--fast", "--runs", "2", "--json"],
         ["check", MISSION, "--json"],
         ["replay", LOG, "--json"],
         ["lock", "status", "--driver", "mock", "--json"],
         ["init", "here", "--json"],
         *([name, "--help"] for name in COMMANDS if name not in lab_entries.COMMANDS),
-    ],
-    ids=lambda arguments: " ".join(Path(word).name for word in arguments),
-)
-def test_flight_commands_load_no_module_of_the_lab(arguments: list[str], tmp_path: Path) -> None:
-    answer = subprocess.run(
-        [sys.executable, "-c", LOADED, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    if "--help" not in arguments:  # `--help` exits before it can print the line
-        assert answer.stderr.splitlines()[-1] == "loaded:", answer.stderr
+    ]
+    words = [sys.executable, "-c", LOADED, json.dumps(commands)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    shown = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [name for name, _, _ in shown] == [words[0] for words in commands], done.stderr
     # Replay reports the omitted records of the kept log; `check` measures whether the computer is busy.
-    expected = {"replay": {1}, "check": {0, 1}}.get(arguments[0], {0}) if "--help" not in arguments else {0}
-    assert answer.returncode in expected, answer.stderr
+    expected = {"replay": {1}, "check": {0, 1}}
+    for (name, status, lab), (_, *options) in zip(shown, commands, strict=True):
+        assert lab == [], name
+        assert status in (expected.get(name, {0}) if "--help" not in options else {0}), name
 
 
 @pytest.mark.parametrize("name", [n for n in vars(lab_entries) if n.isupper() and n != "COMMANDS"])

@@ -214,6 +214,7 @@ def test_a_campaign_refuses_a_folder_that_is_not_empty(
     assert [path.name for path in folder.iterdir()] == ["mine.yaml"]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("mission", "has_lock"), [(SINGLE, True), (NO_LOCK, False)])
 def test_the_animation_shows_a_lock_only_if_the_vehicle_has_one(
     mission: Path, has_lock: bool, tmp_path: Path

@@ -21,10 +21,17 @@ from dart_flight.config.starter import DART, VEHICLES
 from dart_flight.config.vehicle import default_config_path
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.search.scenario import load_scenario
-from dart_flight.run.fast import fly_fast
 from tests.mission_findings import check_mission
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+# All but the last one run in the rest.
+_OTHERS = [
+    pytest.param(name, marks=[pytest.mark.rest] if name != VEHICLES[-1] else [])
+    for name in VEHICLES
+    if name != DART
+]
 
 
 @pytest.fixture
@@ -49,7 +56,7 @@ def test_every_shipped_file_is_copied_unchanged_for_some_vehicle(tmp_path: Path)
             assert {copy.read_bytes() for copy in existing} == {path.read_bytes()}
 
 
-@pytest.mark.parametrize("name", [name for name in VEHICLES if name != DART])
+@pytest.mark.parametrize("name", _OTHERS)
 def test_init_of_another_vehicle_recommends_two_commands_that_work(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -73,8 +80,6 @@ def test_init_of_another_vehicle_recommends_two_commands_that_work(
         mission = load_mission(path)
         assert mission.vehicle == vehicle
         assert all(finding.go for finding in check_mission(mission))
-    square = fly_fast(load_mission(f"missions/{name}/square.yaml"), 1, None)
-    assert square.outcome == "completed"
     text = (folder / "configs" / f"{name}.yaml").read_text().lower()
     assert not re.search(r"\b(cam|rods?|servo|arms? .*(lock|free))\b", text)
 
@@ -107,12 +112,6 @@ def test_every_copied_file_names_an_existing_schema(lab_folder: Path) -> None:
         first = path.read_text().splitlines()[0]
         schema = path.parent / first.partition("$schema=")[2]
         assert json.loads(schema.read_text())["title"].startswith("DART"), path
-
-
-def test_the_copied_mission_flies(lab_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(lab_folder)
-    assert main(["dry-run", "missions/single_wall.yaml", "--fast"]) == 0
-    assert list(lab_folder.glob("flights/*/flight.mcap"))
 
 
 def test_init_overwrites_nothing(lab_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -61,6 +61,7 @@ def test_a_pipe_has_no_live_line(log: Log) -> None:
     assert live_line_for(flown_mission(log.about, log.source), console) is None
 
 
+@pytest.mark.rest
 def test_the_commands_recommended_after_a_flight_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,7 +11,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -51,6 +53,7 @@ def log_paths(folder: Path) -> list[str]:
     return [str(path) for path in sorted((folder / "flights").glob("*/flight.mcap"))]
 
 
+@pytest.mark.rest
 def test_replay_accepts_a_folder(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Single logs: `test_incomplete_logs_are_skipped`."""
     assert main(["replay", "flights", "--json"]) == 0
@@ -68,6 +71,7 @@ def test_export_writes_tables_beside_each_log(folder: Path, capsys: pytest.Captu
     assert len(list(Path("all").glob("*/columns.csv"))) == 2
 
 
+@pytest.mark.rest
 def test_a_report_of_several_logs_is_written_into_their_folder(folder: Path) -> None:
     """A report of one log: `test_all_outputs_share_one_time_origin`."""
     pytest.importorskip("matplotlib")
@@ -82,27 +86,39 @@ def test_a_folder_without_flights_is_refused(folder: Path, capsys: pytest.Captur
         assert "no flight log (flight.mcap) below this folder" in capsys.readouterr().err
 
 
-def test_incomplete_logs_are_skipped(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("words", "count"),
+    [
+        (["replay"], lambda out: len(out["replays"])),
+        pytest.param(
+            ["identify", "--surface", "acrylic"], lambda out: len(out["trials"]), marks=pytest.mark.rest
+        ),
+        pytest.param(["calibrate", "thrust"], lambda out: 1, marks=pytest.mark.rest),
+    ],
+    ids=["replay", "identify", "calibrate"],
+)
+def test_incomplete_logs_are_skipped(
+    words: list[str], count: Callable[[Any], int], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("scipy")
-    path = write_incomplete_log(folder)
-    identify = ["identify", "--surface", "acrylic", "--json"]
-    assert main([*identify, *log_paths(folder)]) == 0
-    streams = capsys.readouterr()
-    assert len(json.loads(streams.out)["trials"]) == 2
-    assert "skipped" in streams.err
-    assert "stub" in streams.err
-    assert main(["calibrate", "thrust", *log_paths(folder), "--json"]) == 0
-    assert "skipped" in capsys.readouterr().err
-    assert main([*identify, str(path)]) == 2, "an incomplete log alone cannot be used"
-    path.write_bytes(b"")
-    assert main(["calibrate", "thrust", str(path), log_paths(folder)[-1]]) == 0
-    capsys.readouterr()
-    assert main(["replay", *log_paths(folder)]) == 0
-    streams = capsys.readouterr()
-    assert streams.out.count("equal") == 2
-    assert "skipped" in streams.err
+    stub, whole = write_incomplete_log(folder), log_paths(folder)[-1]
+    for is_empty in (False, True):  # a log that ends after its description, and an empty file
+        if is_empty:
+            stub.write_bytes(b"")
+        elif words == ["replay"]:
+            continue  # nothing to decide is replayed as equal
+        assert main([*words, str(stub), whole, "--json"]) == 0
+        streams = capsys.readouterr()
+        assert count(json.loads(streams.out)) == 1
+        assert "skipped" in streams.err
+        assert "stub" in streams.err
 
 
+def test_an_incomplete_log_alone_is_refused(folder: Path) -> None:
+    assert main(["identify", "--surface", "acrylic", str(write_incomplete_log(folder))]) == 2
+
+
+@pytest.mark.rest
 def test_all_outputs_share_one_time_origin(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A phase change has the same time in the terminal, the CSV file, the replay and the report."""
     pytest.importorskip("matplotlib")
@@ -156,6 +172,7 @@ def test_truth_is_null_if_the_log_has_none(folder: Path) -> None:
     assert verdict.ekf_error_m is None
 
 
+@pytest.mark.rest
 def test_tables_fit_eighty_columns(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,7 +192,11 @@ def test_tables_fit_eighty_columns(
         assert max(map(len, out.splitlines())) <= 80
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.rest)],
+    ids=lambda number: number.name,
+)
 def test_an_interrupted_series_reports_the_flights_that_were_flown(
     number: signal.Signals, tmp_path: Path
 ) -> None:

@@ -51,10 +51,12 @@ def test_simulate_without_a_mission_simulates_the_folders_vehicle(
     assert "another vehicle already sends to this port" in lines[-1]
 
 
+@pytest.mark.rest
 def test_the_papers_tables_are_computed_with_a_vehicle_that_has_a_lock(vehicle: str) -> None:
     assert main(["tables", "-o", "tables.md"]) == 0
 
 
+@pytest.mark.rest
 def test_the_own_scenario_can_be_planned_and_the_plan_flown(vehicle: str) -> None:
     folder = Path("missions") if vehicle == DART else Path("missions") / vehicle
     scenario, planned = folder / "scenarios" / "one_wall.yaml", "planned.yaml"

@@ -15,6 +15,7 @@ from tests.doubles.ports import free_udp_port
 from tests.flights.test_embedded_flights import SINGLE, simulated_vehicle
 
 
+@pytest.mark.rest
 @pytest.mark.mavlink
 def test_parameters_are_listed_written_and_restored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -62,15 +63,21 @@ def run_json(
     return status, json.loads(out), err
 
 
+def _rest(*values: object) -> object:
+    return pytest.param(*values, marks=pytest.mark.rest)
+
+
 # Whether the list of parameters is damaged or not: only a name that the vehicle lacks is absent.
 @pytest.mark.mavlink
 @pytest.mark.parametrize(
     ("losses", "states", "status"),
     [
         (Losses(share=0.4), {"OLD_GONE_01": "absent", "MPC_XY_P": "present"}, 0),
-        (Losses(mute={"MPC_XY_P", "MAV_TYPE"}), {"OLD_GONE_01": "absent", "MPC_XY_P": "not answered"}, 1),
-        (Losses(broken_index=3), {"OLD_GONE_01": "not answered", "MPC_XY_P": "present"}, 1),
-        (Losses(unlisted={"MPC_XY_P", "SYS_HITL"}), {"OLD_GONE_44": "absent", "MPC_XY_P": "present"}, 0),
+        _rest(
+            Losses(mute={"MPC_XY_P", "MAV_TYPE"}), {"OLD_GONE_01": "absent", "MPC_XY_P": "not answered"}, 1
+        ),
+        _rest(Losses(broken_index=3), {"OLD_GONE_01": "not answered", "MPC_XY_P": "present"}, 1),
+        _rest(Losses(unlisted={"MPC_XY_P", "SYS_HITL"}), {"OLD_GONE_44": "absent", "MPC_XY_P": "present"}, 0),
     ],
     ids=["entries lost once", "values lost", "an entry lost for ever", "not in the list"],
 )
@@ -101,7 +108,7 @@ def test_absent_means_missing_from_the_complete_list(
 
 
 @pytest.mark.mavlink
-@pytest.mark.parametrize("dies_after", [None, 2])
+@pytest.mark.parametrize("dies_after", [None, pytest.param(2, marks=pytest.mark.rest)])
 def test_written_means_read_back_after_px4_has_limited_the_values(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

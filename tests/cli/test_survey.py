@@ -59,6 +59,7 @@ def test_a_touch_that_is_too_slow_is_refused(capsys: pytest.CaptureFixture[str])
     assert "0.3" in capsys.readouterr().err
 
 
+@pytest.mark.rest
 def test_a_plan_that_does_not_fit_the_measured_walls_is_reported(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -69,6 +70,7 @@ def test_a_plan_that_does_not_fit_the_measured_walls_is_reported(
     assert (folder / "new.yaml").exists()
 
 
+@pytest.mark.rest
 def test_an_unknown_room_is_mapped_and_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The survey writes a closed outline, a map, and a mission whose walls match the simulated ones."""
     path = packaged("missions", "unknown_room.yaml")

@@ -44,7 +44,7 @@ def write_configuration(folder: Path, name: str = "configs/dart.yaml", mass: str
         ["check", MISSION],
         ["lock", "status", "--driver", "mock"],
         ["dry-run", MISSION, "--fast", "--runs", "1"],
-        ["survey", MISSION, "--fast"],
+        pytest.param(["survey", MISSION, "--fast"], marks=pytest.mark.rest),
     ],
     ids=lambda words: words[0],
 )

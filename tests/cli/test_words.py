@@ -282,6 +282,7 @@ def test_a_serial_console_is_distinguished_from_noise(data: bytes, line: str) ->
     assert console_line(data) == line
 
 
+@pytest.mark.rest
 def test_two_plans_of_one_name_are_refused_with_their_difference(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -127,19 +127,23 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path, capsys: pytest.
         ["simulate", "--port", "99999"],
     ],
 )
-def test_wrong_arguments_are_refused_in_one_line_with_exit_status_2(arguments: list[str]) -> None:
-    process = subprocess.run(
-        [sys.executable, "-m", "dart_flight", *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
-    assert process.returncode == 2
-    assert process.stdout == ""
-    assert "Traceback" not in process.stderr
-    assert len(process.stderr.strip().splitlines()) == 1
+def test_wrong_arguments_are_refused_in_one_line_with_exit_status_2(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    try:
+        status: int | str | None = main(arguments)
+    except SystemExit as end:
+        status = end.code
+    streams = capsys.readouterr()
+    assert (status, streams.out) == (2, "")
+    assert len(streams.err.strip().splitlines()) == 1
+
+
+def test_a_refusal_is_the_status_of_the_process() -> None:
+    words = [sys.executable, "-m", "dart_flight", "fly"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
 
 
 def test_a_run_up_without_room_is_refused(tmp_path: Path) -> None:

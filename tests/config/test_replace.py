@@ -16,12 +16,12 @@ from dart_flight.config.mission import Mission, load_mission, parse_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
 MISSIONS = [
-    "single_wall",
     "dual_collision",
     "find_a_wall",
-    "square",
-    "unknown_room",
-    "rigid_cage/single_wall",
+    *(
+        pytest.param(name, marks=pytest.mark.rest)
+        for name in ("single_wall", "square", "unknown_room", "rigid_cage/single_wall")
+    ),
 ]
 ROOT = Path(__file__).parents[2]
 SCHEMA = json.loads((ROOT / "docs" / "schemas" / "mission.json").read_text())

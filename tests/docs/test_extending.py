@@ -102,6 +102,16 @@ def python(root: Path, *arguments: str) -> tuple[int, str]:
     return done.returncode, done.stdout[-4000:] + done.stderr[-2000:]
 
 
+def test_the_lines_that_a_recipe_changes_exist_once(tmp_path: Path) -> None:
+    copy_project(tmp_path)
+    for recipe in RECIPES:
+        for change in recipe.changes:
+            path, text = tmp_path / change.path, "\n" + change.before
+            assert path.exists() == bool(change.before), f"{recipe.title}: {change.path}"
+            assert not change.before or ("\n" + path.read_text("utf-8")).count(text) == 1, recipe.title
+
+
+@pytest.mark.rest
 @pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.title)
 def test_a_recipe_works_as_written(recipe: Recipe, tmp_path: Path) -> None:
     copy_project(tmp_path)

@@ -12,6 +12,7 @@ from tests.docs.snippets import ROOT
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
 def test_a_notebook_prints_its_stored_output(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -26,6 +27,7 @@ def test_a_notebook_prints_its_stored_output(
     assert not list(tmp_path.iterdir()), "the notebook leaves files behind"
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
 def test_a_notebook_runs_in_jupyter(path: Path, tmp_path: Path) -> None:
     pytest.importorskip("ipykernel", reason="needs Jupyter: pip install nbclient ipykernel")

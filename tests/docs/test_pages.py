@@ -76,6 +76,7 @@ def test_every_configuration_key_is_in_the_table() -> None:
     assert [key for key in sorted(keys) if f"`{key}`" not in page] == []
 
 
+@pytest.mark.rest
 def test_the_concept_figures_can_be_drawn(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "tools.docs.concept_figures", tmp_path], cwd=ROOT, check=True)
     drawn = {path.name for path in tmp_path.iterdir()}
@@ -133,6 +134,7 @@ def test_an_ini_block_parses_and_has_sections(block: Block) -> None:
     assert parser.sections()
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("block", blocks_in("python"), ids=lambda b: b.place)
 def test_a_python_block_runs_without_leaving_files(
     block: Block, recorded: Path, monkeypatch: pytest.MonkeyPatch
@@ -189,7 +191,18 @@ def record_flight(folder: Path) -> None:
     assert main(["dry-run", mission, "--fast", "--log-dir", str(folder / "lab" / "demo")]) == 0
 
 
-@pytest.mark.parametrize("block", blocks_in("json"), ids=lambda b: b.place)
+_SLOW = re.compile("<!-- json: (dry-run .*--runs|survey|plan|identify|campaign|report)")
+
+
+def _json_blocks() -> Iterator[object]:
+    """Yield the JSON blocks; those of commands that take a second or more run in the rest."""
+    for block in blocks_in("json"):
+        if _PRODUCED_BY.match(block.before):
+            marks = [pytest.mark.rest] if _SLOW.match(block.before) else []
+            yield pytest.param(block, marks=marks, id=block.place)
+
+
+@pytest.mark.parametrize("block", list(_json_blocks()))
 def test_a_json_block_has_the_shape_of_the_commands_output(
     block: Block,
     recorded: Path,
@@ -197,10 +210,8 @@ def test_a_json_block_has_the_shape_of_the_commands_output(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
-    shown = json.loads(block.text)
-    produced = _PRODUCED_BY.match(block.before)
-    if produced is None:
-        return
+    shown, produced = json.loads(block.text), _PRODUCED_BY.match(block.before)
+    assert produced is not None
     monkeypatch.chdir(recorded)
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path))
     words = []

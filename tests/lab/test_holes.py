@@ -103,6 +103,7 @@ def test_a_trial_notes_its_hole(tmp_path: Path) -> None:
     assert trial.notes == (f"{tmp_path}/trial.csv: hole of 0.35 s in normal_m, at 0.30 s",)
 
 
+@pytest.mark.rest
 def test_identify_reports_a_truncated_flight_log(
     flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -129,6 +130,7 @@ def _damaged(log: Log, *, cut_s: float | None = None, hole_s: tuple[float, float
     return Log(log.source, log.about, {} if cut_s is not None else log.end, kept, complete=cut_s is None)
 
 
+@pytest.mark.rest
 def test_a_report_begins_with_the_holes_and_truncation_of_the_log(flown: SharedFlights) -> None:
     whole = flown("single_wall", 1).log
     log = read_log(whole)
@@ -146,6 +148,7 @@ def test_a_report_begins_with_the_holes_and_truncation_of_the_log(flown: SharedF
     assert both.count(f"does not contain the whole flight: {line}.") == 1
 
 
+@pytest.mark.rest
 def test_a_log_cut_before_its_first_imu_sample_is_reported(flown: SharedFlights) -> None:
     log = _damaged(read_log(flown("single_wall", 1).log), cut_s=-1.0)
     log.entries = [e for e in log.entries if not isinstance(e.record, ImuSample)]

@@ -112,6 +112,7 @@ def test_an_episode_ends_with_a_penalty_outside_of_the_room() -> None:
     assert reward < -9.0
 
 
+@pytest.mark.rest
 def test_other_processes_make_the_environment_by_the_name_of_its_module(tmp_path: Path) -> None:
     """A process of a vector environment has not imported the module that registers the task."""
     pytest.importorskip("gymnasium")

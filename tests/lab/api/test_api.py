@@ -56,6 +56,7 @@ def test_the_import_loads_no_dependencies() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.rest
 def test_a_simulated_flight_needs_no_extra() -> None:
     code = (
         "import sys, dart_flight as d; d.simulate(d.packaged('missions', 'single_wall.yaml')).log.topics;"
@@ -390,6 +391,7 @@ def test_invalid_input_raises_a_value_error_with_one_line(call: Any, message: st
 # --- flights --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.rest
 def test_a_log_in_memory_equals_the_written_log(flight: dart_flight.Flight, tmp_path: Path) -> None:
     on_disk = dart_flight.simulate(SINGLE, seed=5, log_dir=tmp_path)
     (path,) = tmp_path.glob("*/flight.mcap")
@@ -415,6 +417,7 @@ def test_simulate_equals_the_flight_of_the_command(flight: dart_flight.Flight, t
     assert dart_flight.read_log(path).entries == flight.log.entries
 
 
+@pytest.mark.rest
 def test_a_log_contains_the_changed_mission(tmp_path: Path) -> None:
     mission = dart_flight.load_mission(SINGLE).replace({"goal.hold_s": 0.5, "name": "changed"})
     flown = dart_flight.simulate(mission, log_dir=tmp_path)
@@ -425,6 +428,7 @@ def test_a_log_contains_the_changed_mission(tmp_path: Path) -> None:
     assert main(["replay", str(path), "--set", "goal.hold_s=0.5"]) == 0, "the log's text has the change"
 
 
+@pytest.mark.rest
 def test_draws_and_faults_are_simulated() -> None:
     drawn = dart_flight.simulate(SINGLE, seed=7, vary={"mass": 0.1, "wind_m_s": 0.2}).verdict.drawn
     assert set(drawn) == {"mass", "wind_north_m_s", "wind_east_m_s"}
@@ -434,6 +438,7 @@ def test_draws_and_faults_are_simulated() -> None:
     assert "aborted" in repr(lost)
 
 
+@pytest.mark.rest
 def test_simulate_runs_inside_an_event_loop(flight: dart_flight.Flight) -> None:
     async def notebook() -> dart_flight.Flight:
         return dart_flight.simulate(SINGLE, seed=5)
@@ -542,6 +547,7 @@ def test_a_plan_uses_the_given_vehicle_and_objective() -> None:
     assert gentle.peak_force_n < near.peak_force_n
 
 
+@pytest.mark.rest
 def test_identify_accepts_flights_logs_and_paths(flight: dart_flight.Flight, tmp_path: Path) -> None:
     pytest.importorskip("scipy")
     flown = [flight, dart_flight.simulate(SINGLE, seed=6, log_dir=tmp_path)]

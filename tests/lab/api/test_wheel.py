@@ -99,6 +99,7 @@ def test_the_wheel_contains_type_marker_templates_and_no_tests(wheel: Path) -> N
     assert not [name for name in names if name.startswith(("tests/", "tools/"))]
 
 
+@pytest.mark.rest
 def test_the_caller_runs_without_extras(bare_python: Path, tmp_path: Path) -> None:
     for extra in ("scipy", "matplotlib", "pymavlink", "pandas"):
         assert (
@@ -116,6 +117,7 @@ def test_init_creates_a_valid_folder_from_the_wheel(bare_python: Path, tmp_path:
     run(bare_python, tmp_path / "lab", "-m", "dart_flight", "check", "missions/single_wall.yaml")
 
 
+@pytest.mark.rest
 def test_the_caller_passes_mypy_strict_against_the_wheel(bare_python: Path, tmp_path: Path) -> None:
     caller = tmp_path / "caller.py"
     caller.write_text(CALLER.read_text() + "reveal_type(flight.verdict.goal_miss_m)\n")

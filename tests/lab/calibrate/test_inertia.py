@@ -76,12 +76,14 @@ def test_excitation_of_all_axes_gives_all_three_inertias() -> None:
     assert result.motor_lag_s == pytest.approx(0.025, rel=0.25)
 
 
+@pytest.mark.rest
 def test_a_different_motor_lag_is_estimated() -> None:
     result = calibrate_inertia([excited_track((0.02, 0.02, 0.05), lag_s=0.05)], VEHICLE)
     assert result.motor_lag_s == pytest.approx(0.05, rel=0.25)
     assert result.axes[0].value == pytest.approx(INERTIA[0], rel=0.06)
 
 
+@pytest.mark.rest
 def test_yaw_inertia_scales_with_the_propeller_torque() -> None:
     """Only the ratio of inertia to propeller torque is observable: half the torque gives half the inertia."""
     track = excited_track((0.02, 0.02, 0.05))
@@ -108,6 +110,7 @@ def test_a_track_without_any_excitation_is_refused() -> None:
         calibrate_inertia([track], VEHICLE)
 
 
+@pytest.mark.rest
 def test_a_wrong_motor_order_is_detected() -> None:
     """With left and right exchanged, roll and yaw rates oppose the torques; pitch is unaffected."""
     track = excited_track((0.02, 0.02, 0.05))
@@ -130,6 +133,7 @@ def test_slow_commands_other_airframes_and_short_tracks_are_refused() -> None:
         calibrate_inertia([excited_track((0.02, 0.02, 0.05), seconds=2.0)], VEHICLE)
 
 
+@pytest.mark.rest
 def test_contacts_and_ground_time_are_excluded() -> None:
     """External torques in a contact and on the ground do not affect the estimate."""
     track = excited_track((0.02, 0.02, 0.05))
@@ -164,6 +168,7 @@ def test_the_command_writes_only_the_identified_axis_to_the_configuration(
     assert "about" in capsys.readouterr().out
 
 
+@pytest.mark.rest
 def test_px4_logs_give_the_inertia(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
     track = excited_track((0.02, 0.02, 0.05))

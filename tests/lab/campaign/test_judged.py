@@ -84,6 +84,7 @@ def fly_rows(spec: CampaignSpec, out: Path, resume: bool = False) -> list[flight
     return campaigns.read_rows(opened)
 
 
+@pytest.mark.rest
 def test_a_judge_receives_the_flight_with_its_truth_records(tmp_path: Path) -> None:
     spec = CampaignSpec((MISSION,), cases=({"word": "near"},), judge=f"{HERE}:judge_contacts")
     (row,) = fly_rows(spec, tmp_path / "out")

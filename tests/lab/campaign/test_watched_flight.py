@@ -27,6 +27,7 @@ def with_guards_at(mission: Mission, height_m: float) -> DrawnWorld:
     return DrawnWorld(msgspec.structs.replace(mission, vehicle=vehicle), None, {})
 
 
+@pytest.mark.rest
 def test_a_watched_flight_equals_the_fast_flight_and_passes_on_every_record() -> None:
     watched = WatchedFlight(NEAR, 1)
     contacts: list[Record] = []

@@ -141,6 +141,7 @@ def test_both_modes_share_one_plane() -> None:
     assert abs(shared.value - ACRYLIC.rigid.k) < shared.high - shared.low
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("mode", list(Mode))
 def test_the_controllers_acceleration_around_the_contact_is_estimated(mode: Mode) -> None:
     # As in flight, the controller accelerates in the approach and brakes hard after the release.
@@ -174,6 +175,7 @@ def test_outliers_do_not_bias_the_stiffness() -> None:
     assert abs(estimate.value - ACRYLIC.coefficients(Mode.FLEXIBLE).k) < estimate.high - estimate.low
 
 
+@pytest.mark.rest
 def test_filtered_recordings_get_wider_intervals() -> None:
     # Correlated noise of 1 mm carries less information than white noise of 1 mm.
     trials = [

@@ -120,6 +120,7 @@ def test_a_good_fit_is_reported_as_good(
         assert "poor" not in streams.err
 
 
+@pytest.mark.rest
 def test_wall_impacts_read_as_drops_are_reported_as_a_poor_fit(
     hits: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -167,6 +168,7 @@ def test_an_option_for_another_file_type_is_refused(
     assert message.startswith(f"{option[0].removeprefix('--')}: applies only to .")
 
 
+@pytest.mark.rest
 def test_mode_selects_among_the_collisions_of_a_flight(
     flown: SharedFlights, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -200,6 +202,7 @@ def test_a_flight_log_is_identified_with_the_mass_of_its_vehicle(
     assert "the trial is of another vehicle (0.9 kg, not 1.3 kg): identify the vehicles separately" in message
 
 
+@pytest.mark.rest
 def test_a_given_mass_overrides_the_logs_mass_with_a_warning(
     flown: SharedFlights, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -211,6 +214,7 @@ def test_a_given_mass_overrides_the_logs_mass_with_a_warning(
     assert abs(json.loads(streams.out)["coefficients"]["flexible"]["k"]["value"] / k - 1.0) > 0.1
 
 
+@pytest.mark.rest
 def test_rotation_of_the_vehicle_widens_the_interval_of_friction(flown: SharedFlights) -> None:
     """Friction turns a body with guards, but the law describes a point, so mu is underestimated."""
     log = read_log(flown("paper_single_wall", 1).log)

@@ -196,6 +196,7 @@ def test_motion_capture_at_100_hz_gives_restitution() -> None:
     assert any("k and f are unknown" in note for note in found.notes)
 
 
+@pytest.mark.rest
 def test_a_ringing_sensor_gives_no_peak_force() -> None:
     random = np.random.default_rng(6)
     found = identify([mocap_trial(v, random, ringing=True) for v in (0.4, 0.7, 1.0)], MASS_KG, Onset.LCP)

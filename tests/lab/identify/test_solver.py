@@ -120,6 +120,7 @@ def scattered_drops(n: int, sds: tuple[float, float, float], seed: int) -> list[
     ]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("n", [3, 6])
 @pytest.mark.parametrize("sds", [(0.04, 0.08, 0.1), (0.055, 0.19, 0.2)], ids=["as expected", "as real drops"])
 def test_intervals_of_whole_impacts_cover_the_truth(n: int, sds: tuple[float, float, float]) -> None:

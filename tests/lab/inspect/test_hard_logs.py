@@ -84,6 +84,7 @@ def test_crossings_in_fast_flight_are_untold_if_the_thrust_fit_is_refused(
     assert flight["untold"] == len(flight["impacts"]) > 0
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("motor_hz", "kind"), [(6.0, "untold"), (10.0, "untold"), (25.0, "impact")])
 def test_crossings_in_fast_flight_are_untold_between_slow_motor_outputs(
     motor_hz: float, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -187,6 +188,7 @@ def write_damaged_log(path: Path, topic: str, place: int, at_s: float, value: fl
     return write_ulog(path, changed)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("topic", "place", "value"),
     [

@@ -119,6 +119,7 @@ def test_slow_and_missing_topics_are_reported_with_a_remedy(
     assert any(what.startswith("thrust: the log has no actuator_motors") for what in flight["unknown"])
 
 
+@pytest.mark.rest
 def test_impacts_in_fast_flight_are_untold_without_motor_outputs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -175,6 +175,7 @@ def test_plots_contain_their_labels(tmp_path: Path) -> None:
     assert "paper: contact 145 ms" in text
 
 
+@pytest.mark.rest
 def test_predictions_need_neither_scipy_nor_matplotlib() -> None:
     code = (
         "import sys\n"
@@ -215,6 +216,7 @@ def test_tables_agree_with_the_published_drops(capsys: pytest.CaptureFixture[str
     assert "Drop tests" in capsys.readouterr().out
 
 
+@pytest.mark.rest
 def test_tables_depend_on_the_vehicles_coefficients() -> None:
     vehicle = load_vehicle(packaged("configs", "dart.yaml"))
     changed = type(vehicle)(

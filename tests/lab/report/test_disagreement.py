@@ -21,6 +21,7 @@ from dart_flight.run.replay import replay
 from tests.lab.report.other_wall import fly_against, with_walls
 from tests.shared_flights import SharedFlights
 
+pytestmark = pytest.mark.rest  # test_identify_output.py has an unmarked identification of a flight
 CONFIG = packaged("configs", "dart.yaml")
 
 

@@ -56,6 +56,7 @@ def test_draws_without_spread_equal_the_plan(dual: Mission) -> None:
     assert np.std([miss for miss in spread if miss is not None]) > 0.01
 
 
+@pytest.mark.rest
 def test_draws_vary_the_position_and_direction_of_uncertain_walls(dual: Mission) -> None:
     known = predict_with_draws(dual, 60)
     assert all(not flight.walls for flight in known)
@@ -105,6 +106,7 @@ def test_the_room_of_an_unflyable_mission_is_drawn(dual: Mission) -> None:
     assert any("cannot be flown" in word for word in words)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("extension", "begin"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
 def test_the_format_of_the_picture_follows_the_file_extension(
     extension: str, begin: bytes, tmp_path: Path
@@ -165,6 +167,7 @@ PICTURES = [
 ]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("name", "changed"), PICTURES)
 def test_no_label_lies_on_a_line_and_the_bounds_are_shown(
     name: str, changed: Callable[[Mission], Mission]
@@ -188,6 +191,7 @@ def test_no_label_lies_on_a_line_and_the_bounds_are_shown(
             assert not inside.all(axis=1).any(), f"{text.get_text()!r} lies on {line.get_label()!r}"
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("name", "changed", "begin", "end"),
     [

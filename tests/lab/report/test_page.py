@@ -150,6 +150,7 @@ def test_the_table_shows_the_figures_of_the_verdict(flight: RecordedFlight, page
         assert number(contact[3]) == pytest.approx(v.contact_time_ms, rel=6e-3)
 
 
+@pytest.mark.rest
 def test_truth_prediction_and_estimate_of_a_contact_agree(tmp_path: Path) -> None:
     """The columns come from the plant, the contact law, the flight model and the estimate.
 
@@ -207,6 +208,7 @@ def test_figures_contain_their_labels_and_legends(flight: RecordedFlight) -> Non
     assert {"thrust, N", "motors, %", "highest", "lowest"} <= texts(motion.thrust_and_battery(flight))
 
 
+@pytest.mark.rest
 def test_the_page_of_an_aborted_flight_shows_the_reason_and_the_guards_action(
     aborted: Path, tmp_path: Path
 ) -> None:
@@ -222,7 +224,7 @@ def test_the_page_of_an_aborted_flight_shows_the_reason_and_the_guards_action(
     assert any(row[1:3] == ["wall_not_met", "break_off"] for row in page.rows if len(row) == 4)
 
 
-@pytest.mark.parametrize("share", [0.02, 0.999])
+@pytest.mark.parametrize("share", [0.02, pytest.param(0.999, marks=pytest.mark.rest)])
 def test_a_truncated_log_gives_a_page(share: float, trials: list[Path], tmp_path: Path) -> None:
     whole = trials[0].read_bytes()
     path = tmp_path / "flight.mcap"
@@ -244,6 +246,7 @@ def test_a_log_truncated_before_its_mission_is_refused(
     assert "does not contain its mission" in error
 
 
+@pytest.mark.rest
 def test_text_from_the_log_is_escaped(flight: RecordedFlight) -> None:
     markup = "<script>alert(1)</script>&\"'"
     about = {**flight.log.about, "mission_text": markup, "software": markup, "host": markup}
@@ -266,6 +269,7 @@ def test_text_from_the_log_is_escaped(flight: RecordedFlight) -> None:
     assert all("<script" not in svg for svg in svgs(text))
 
 
+@pytest.mark.rest
 def test_a_rehearsal_has_a_page(tmp_path: Path) -> None:
     rehearsal = msgspec.structs.replace(load_flyable(NEAR), standoff_m=0.3)
     verdict = fly_fast(rehearsal, 1, tmp_path)
@@ -312,6 +316,7 @@ def test_an_error_in_percent_needs_a_reference() -> None:
     assert Compared("v", "m/s", None, None, 1.0, 0.01).error_percent is None
 
 
+@pytest.mark.rest
 def test_flights_of_different_missions_are_not_compared(
     trials: list[Path], aborted: Path, dual: Mission, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -341,6 +346,7 @@ def test_a_page_that_cannot_be_written_is_reported_in_one_line(
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.rest
 def test_figures_for_a_paper_have_column_width_and_editable_text(
     trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -362,6 +368,7 @@ def test_figures_for_a_paper_have_column_width_and_editable_text(
     assert b"/Type3" not in data
 
 
+@pytest.mark.rest
 def test_paper_figures_that_cannot_be_written_are_reported(
     trials: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,6 +28,7 @@ def test_a_vehicle_recovers_from_an_impact_at_3_m_s_after_a_touch(tmp_path: Path
     assert row["tilt_deg"] < 60.0
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("height_m", [-0.03, 0.03])
 def test_a_touch_gives_the_height_of_the_guards(height_m: float) -> None:
     """If the height is unknown, guards 3 cm off the centre of mass cause a rollover at 3 m/s."""

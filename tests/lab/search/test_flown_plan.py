@@ -324,6 +324,7 @@ def test_an_invalid_flight_record_is_refused(planned: QuickestResult, tmp_path: 
 # --- the command ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.rest
 def test_the_command_flies_its_plan_and_records_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -136,6 +136,7 @@ def visits_at(*x_m: float) -> list[Any]:
     return [{"position_m": [x, 0.0], "within_m": 0.05} for x in x_m]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("count", [6])  # 8 visits take 15 s
 def test_every_visit_may_be_a_collision(count: int) -> None:
     room = scenario_between_walls(1.25, visits_at(*([1.25, -2.0] * 4)[:count]))
@@ -146,6 +147,7 @@ def test_every_visit_may_be_a_collision(count: int) -> None:
     assert "hits were not computed" not in describe_quickest(result)
 
 
+@pytest.mark.rest
 def test_sequences_with_too_many_collisions_are_reported_as_not_computed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -159,6 +161,7 @@ def test_sequences_with_too_many_collisions_are_reported_as_not_computed(
     assert "sequences of more than 2 hits were not computed" in describe_quickest(limited)
 
 
+@pytest.mark.rest
 def test_a_required_sequence_may_have_up_to_sixteen_walls() -> None:
     result = plan_quickest(scenario_between_walls(1.25, [], ["east", "west"] * 3))
     assert result.best.sequence == ("east", "west") * 3
@@ -166,6 +169,7 @@ def test_a_required_sequence_may_have_up_to_sixteen_walls() -> None:
         scenario_between_walls(1.25, [], ["east", "west"] * 9)
 
 
+@pytest.mark.rest
 def test_the_choice_of_mode_may_change_the_best_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
     """The partition is faster in flexible mode; the end wall is faster in rigid mode, which allows a lean."""
     monkeypatch.setattr(quickest, "MOST_HITS", 1)
@@ -235,6 +239,7 @@ def test_the_bounds_of_a_leg_are_ordered_and_above_its_length_over_speed(
         assert least.leg_s(length, begin, end) <= least.leg_s(length, LegEnd.REST, LegEnd.REST) + 1e-9
 
 
+@pytest.mark.rest
 @settings(max_examples=5, deadline=None)
 @given(st.floats(1.0, 3.0), st.floats(0.05, 0.5))
 def test_the_best_plan_is_the_faster_of_free_and_colliding(east_m: float, within_m: float) -> None:
@@ -273,6 +278,7 @@ def test_a_colliding_plan_completes_as_a_mission(tmp_path: Path) -> None:
     assert (goal - began) * 1e-6 == pytest.approx(result.best.time_s, rel=0.1)
 
 
+@pytest.mark.rest
 def test_the_free_plan_completes_as_a_mission(tmp_path: Path) -> None:
     scenario = scenario_between_walls()
     result = plan_quickest(scenario)
@@ -291,6 +297,7 @@ SEARCH = {
 POST = {"centre_m": [1.0, 0.05], "radius_m": 0.1, "material": "acrylic"}
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("kind", ["free", "colliding"])
 def test_a_post_is_passed_with_clearance_for_any_heading(kind: str, tmp_path: Path) -> None:
     scenario = scenario_between_walls(posts={"mast": POST})
@@ -349,6 +356,7 @@ def test_every_wall_is_touched_before_its_first_collision(tmp_path: Path) -> Non
     ]
 
 
+@pytest.mark.rest
 def test_plan_reports_the_time_that_the_collision_saves(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
