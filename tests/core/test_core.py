@@ -50,7 +50,7 @@ from dart_flight.core.sense.senses import Sensed, Senses
 from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.recording.anchor import MissionFrameReader
-from tests.core.conftest import HOVER, ROOT, HandFedCore
+from tests.core.conftest import HOVER, ROOT, HandFedCore, core_in
 from tests.core.test_limits import SINGLE, leave_single_wall
 
 
@@ -91,10 +91,7 @@ def test_a_command_is_repeated_until_telemetry_confirms_it(hasty_core: HandFedCo
 
 def test_the_frame_follows_an_estimate_that_moves_on_the_ground(hand_fed: HandFedCore) -> None:
     """PX4 reset its height by 1.15 m between offboard and arming, and would fly that much too high."""
-    hand_fed.set_lock(Mode.RIGID)
-    hand_fed.run(0.5)
-    hand_fed.set_status(flight_mode=FlightMode.OFFBOARD)
-    hand_fed.run(0.1)
+    hand_fed.enter_arming()
     hand_fed.position_ned = (0.2, 0.1, 1.15)
     hand_fed.run(0.3)
     hand_fed.set_status(armed=True)
@@ -282,8 +279,7 @@ def test_a_px4_failsafe_aborts_the_flight_and_a_pilot_releases_it(hand_fed: Hand
     out = hand_fed.set_status(flight_mode=FlightMode.LAND)
     end = of_kind(MissionEnd, out)[0]
     assert end.outcome == "aborted"
-    other = HandFedCore()
-    other.enter_approach()
+    other = core_in(Phase.APPROACH)
     other.set_status(flight_mode=FlightMode.HOLD)
     end = of_kind(MissionEnd, other.run(0.11))[0]  # long enough to exclude another vehicle's mode
     assert end.outcome == "released"

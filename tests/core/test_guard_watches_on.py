@@ -18,7 +18,7 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.core.guard.rules import RULES
-from tests.core.conftest import HandFedCore
+from tests.core.conftest import HandFedCore, core_in
 
 
 def fired(c: HandFedCore) -> list[tuple[str, str]]:
@@ -26,8 +26,7 @@ def fired(c: HandFedCore) -> list[tuple[str, str]]:
 
 
 def broken_off_core() -> HandFedCore:
-    c = HandFedCore()
-    c.enter_approach()
+    c = core_in(Phase.APPROACH)
     return request_landing(c)
 
 
@@ -75,8 +74,7 @@ def test_a_landing_may_descend_below_the_lowest_altitude() -> None:
 
 
 def test_a_broken_off_climb_may_be_below_the_lowest_altitude() -> None:
-    c = HandFedCore()
-    c.enter_climb()
+    c = core_in(Phase.CLIMB)
     assert c.core.phase is Phase.CLIMB
     c.position_ned = (0.0, 0.0, -0.1)
     request_landing(c)
