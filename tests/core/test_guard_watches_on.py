@@ -91,7 +91,7 @@ def test_a_tilt_without_effect_is_reported_once() -> None:
         c.run(0.1)
     assert fired(c)[1:] == [("tilt", "none")]
     assert c.core.override is Override.BREAK_OFF
-    assert c.core._guard.reason == "operator: landing requested"
+    assert c.guard.reason == "operator: landing requested"
 
 
 def test_an_estimator_jump_moves_the_hold_position() -> None:
