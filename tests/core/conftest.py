@@ -15,6 +15,7 @@ from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     ClockOffset,
+    EstimatorSample,
     FlightMode,
     GuardEvent,
     ImuSample,
@@ -25,14 +26,26 @@ from dart_flight.base.records import (
     Mode,
     OdometrySample,
     Output,
+    Phase,
     StatusSample,
     Tick,
+    VehicleAction,
+    VehicleCommand,
+    WallEstimate,
 )
-from dart_flight.config.mission import load_mission
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.guard.flight_conditions import FlightConditions
 from dart_flight.core.guard.guard import Guard
 from dart_flight.core.guard.rule import Rule
 from dart_flight.core.guard.rules import RULES
+from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.impact_response import ImpactResponse
+from dart_flight.core.mission.mission_state import MissionState
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.sense.detector import Event
+from dart_flight.core.sense.senses import Sensed, Senses
+from dart_flight.core.sense.state import FlightState
 
 ROOT = Path(__file__).parents[2]
 HOVER = 0.5547  # command at which four motors of the configuration carry 1.3 kg
@@ -123,8 +136,12 @@ class HandFedCore:
         return out
 
     def fly_to_wood(self) -> None:
-        """Fly to just before the wooden wall, at mission (0.917, -1.09), with the approach velocity."""
+        """Pass through the phases up to the approach, to just before the wooden wall."""
         self.enter_approach()
+        self.meet_wood()
+
+    def meet_wood(self) -> None:
+        """Fly to just before the wooden wall, at mission (0.917, -1.09), with the approach velocity."""
         self.position_ned = (0.917, 1.09, -1.0)
         self.velocity_ned = (0.5, 0.6, 0.0)
         self.run(0.05)
@@ -136,15 +153,72 @@ class HandFedCore:
         self.status = msgspec.structs.replace(self.status, t_us=self.t_us, received_us=received, **changes)
         return self.feed(self.status)
 
+    @property
+    def fired(self) -> list[GuardEvent]:
+        """Rules of the guard that have fired."""
+        return [output for output in self.outputs if isinstance(output, GuardEvent)]
+
+    @property
+    def fired_rules(self) -> list[str]:
+        """Names of the rules that have fired."""
+        return [event.rule for event in self.fired]
+
+    @property
+    def fired_details(self) -> list[tuple[str, str]]:
+        """Names and details of the rules that have fired."""
+        return [(event.rule, event.detail) for event in self.fired]
+
+    @property
+    def actions(self) -> list[VehicleAction]:
+        """Commands sent to PX4."""
+        return [output.action for output in self.outputs if isinstance(output, VehicleCommand)]
+
     def set_lock(self, mode: Mode | None, phase: LockPhase = LockPhase.SETTLED) -> None:
         self.feed(LockState(self.t_us, phase, mode))
 
-    def enter_climb(self) -> None:
-        """Pass through the phases up to the climb."""
+    def silence(self) -> None:
+        """Stop all telemetry."""
+        self.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
+
+    def reset_estimator(self) -> None:
+        """Let PX4 report that it has reset its estimator."""
+        for count in (3, 4):
+            self.feed(EstimatorSample(self.t_us, self.t_us, reset_counter=count))
+
+    def shift(self, north_m: float = 0.0, east_m: float = 0.0) -> None:
+        """Displace the vehicle."""
+        north, east, down = self.position_ned
+        self.position_ned = (north + north_m, east + east_m, down)
+
+    def land_with_low_battery(self) -> None:
+        """Let the guard land because of the battery, and PX4 obey."""
+        self.set_status(battery_v=12.9)
+        self.run(1.2)
+        self.set_status(flight_mode=FlightMode.LAND)
+
+    # -- phases --
+
+    def enter(self, phase: Phase) -> None:
+        """Pass through the phases up to `phase`; `TRANSIT` stands for the first phase after the climb."""
+        if phase is not Phase.READYING:
+            {
+                Phase.ARMING: self.enter_arming,
+                Phase.CLIMB: self.enter_climb,
+                Phase.TRANSIT: self.finish_climb,
+                Phase.PREPARE: self.enter_prepare,
+                Phase.APPROACH: self.enter_approach,
+            }[phase]()
+
+    def enter_arming(self) -> None:
+        """Pass through the phases up to the request to arm."""
         self.set_lock(Mode.RIGID)
         self.run(0.5)
         self.set_status(flight_mode=FlightMode.OFFBOARD)
         self.run(0.1)
+
+    def enter_climb(self) -> None:
+        """Pass through the phases up to the climb."""
+        self.enter_arming()
         self.set_status(armed=True)
         self.run(0.1)
         self.set_status(landed=LandedState.IN_AIR)
@@ -192,6 +266,50 @@ class HandFedCore:
         self.set_lock(Mode.FLEXIBLE)
         self.run(0.02)
 
+    # -- inside of the core --
+    #
+    # The core shows no part of itself; these are the only places that reach for one: a fault must be put
+    # into a part, and a test of one part's timing looks at it in the middle of a flight.
+
+    @property
+    def guard(self) -> Guard:
+        return self.core._guard
+
+    @property
+    def conditions(self) -> FlightConditions:
+        """What the guard has observed."""
+        return self.core._guard._watch
+
+    @property
+    def senses(self) -> Senses:
+        return self.core._senses
+
+    @property
+    def progress(self) -> MissionState:
+        return self.core._executive.progress
+
+    def report_findings(self, names: list[str]) -> None:
+        """Let the mission report and remove one of these findings in each step."""
+        propose = self.core._executive.propose
+
+        def propose_with_finding(item: Input, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+            propose(item, state, sensed, p)
+            if names:
+                p.add_finding(names.pop(), "")
+
+        self.core._executive.propose = propose_with_finding  # type: ignore[method-assign]
+
+    def break_guard(self, *parts: str) -> None:
+        """Make these methods of the guard, or the mission's `record_override`, raise from now on."""
+
+        def raises(*_: object) -> None:
+            raise ZeroDivisionError("guard")
+
+        guard, executive = self.core._guard, self.core._executive
+        for part in parts:
+            owner: object = {"observe": guard._watch, "record_override": executive}.get(part, guard)
+            setattr(owner, part, raises)
+
     def break_mission(self) -> None:
         """Make the mission code raise from now on."""
 
@@ -211,6 +329,45 @@ class HandFedCore:
         """Replace the rules of the guard and keep its state."""
         self.rules, guard, whole = rules, self.core._guard, Guard(self.core.mission, rules)
         guard._rules, guard._rules_by_phase = whole._rules, whole._rules_by_phase
+
+
+class MissionInPhase:
+    """An executive in a chosen phase, without an estimator and a guard; tests set `state` before each step.
+
+    The phase began at time 0.
+
+    Args:
+        mission: the mission.
+        phase: phase of the mission.
+        index: number of completed collisions.
+        now_us: present time of the autopilot.
+    """
+
+    def __init__(self, mission: Mission, phase: Phase, index: int = 0, now_us: int = 0) -> None:
+        self.executive = Executive(mission)
+        self.progress, self.impacts = self.executive.progress, ImpactResponse(mission)
+        self.state, self.proposal = FlightState(), Proposal()
+        self.state.now_us = now_us
+        self.progress.phase, self.progress.index, self.progress.entered_us = phase, index, 0
+
+    def step(self, *impacts: Event, wall: WallEstimate | None = None) -> list[str]:
+        """Process a tick and these results of the estimator; return the rules of the findings."""
+        self.proposal = Proposal()
+        sensed = Sensed(impacts=impacts, in_contact=bool(impacts), wall=wall)
+        self.executive.propose(Tick(self.state.now_us), self.state, sensed, self.proposal)
+        return [finding.rule for finding in self.proposal.findings]
+
+
+def core_in(
+    phase: Phase,
+    mission: str = "missions/paper_dual_collision.yaml",
+    rules: tuple[Rule, ...] = RULES_WITHOUT_JUMP,
+    settings: Mapping[str, Any] = NO_SETTINGS,
+) -> HandFedCore:
+    """Return a core that has passed through the phases up to `phase`, as `HandFedCore.enter` does."""
+    c = HandFedCore(mission, rules, settings)
+    c.enter(phase)
+    return c
 
 
 @pytest.fixture

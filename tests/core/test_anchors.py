@@ -304,7 +304,7 @@ def test_the_drift_counts_from_take_off(armed_by_hand: bool) -> None:
     c.set_status(armed=armed_by_hand)
     c.enter_climb()
     (climb_us,) = (o.t_us for o in c.outputs if isinstance(o, PhaseChange) and o.after is Phase.CLIMB)
-    wood, walls = c.core.mission.walls[0], c.core._executive.progress.walls
+    wood, walls = c.core.mission.walls[0], c.progress.walls
     drift_m_s = c.core.mission.vehicle.estimation.position_drift_m_s
     for after_s in (0, 10):
         sd_m = walls.known_wall(wood, climb_us + after_s * S).position_sd_m

@@ -50,7 +50,7 @@ from dart_flight.core.sense.senses import Sensed, Senses
 from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.recording.anchor import MissionFrameReader
-from tests.core.conftest import HOVER, ROOT, HandFedCore
+from tests.core.conftest import HOVER, ROOT, HandFedCore, core_in
 from tests.core.test_limits import SINGLE, leave_single_wall
 
 
@@ -91,10 +91,7 @@ def test_a_command_is_repeated_until_telemetry_confirms_it(hasty_core: HandFedCo
 
 def test_the_frame_follows_an_estimate_that_moves_on_the_ground(hand_fed: HandFedCore) -> None:
     """PX4 reset its height by 1.15 m between offboard and arming, and would fly that much too high."""
-    hand_fed.set_lock(Mode.RIGID)
-    hand_fed.run(0.5)
-    hand_fed.set_status(flight_mode=FlightMode.OFFBOARD)
-    hand_fed.run(0.1)
+    hand_fed.enter_arming()
     hand_fed.position_ned = (0.2, 0.1, 1.15)
     hand_fed.run(0.3)
     hand_fed.set_status(armed=True)
@@ -164,7 +161,7 @@ def test_force_bias_and_constant_torque_are_learned_only_in_free_flight(
     hand_fed: HandFedCore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The ground and a wall also push."""
-    senses = hand_fed.core._senses
+    senses = hand_fed.senses
     learned: list[str] = []
     monkeypatch.setattr(senses.torque, "_learn", lambda *_: learned.append("torque"))
     monkeypatch.setattr(senses.estimator.hover, "learn", lambda *_: learned.append("bias"))
@@ -194,7 +191,7 @@ def test_the_position_delay_is_not_measured_in_a_contact_and_two_seconds_after_i
     """A measurement needs 13 odometry samples, 50 ms apart."""
     hand_fed.finish_climb()
     hand_fed.run(1.0)
-    delay = hand_fed.core._senses.delay
+    delay = hand_fed.senses.delay
     before = delay.figures
     hand_fed.run(0.1)
     assert delay.figures != before
@@ -282,8 +279,7 @@ def test_a_px4_failsafe_aborts_the_flight_and_a_pilot_releases_it(hand_fed: Hand
     out = hand_fed.set_status(flight_mode=FlightMode.LAND)
     end = of_kind(MissionEnd, out)[0]
     assert end.outcome == "aborted"
-    other = HandFedCore()
-    other.enter_approach()
+    other = core_in(Phase.APPROACH)
     other.set_status(flight_mode=FlightMode.HOLD)
     end = of_kind(MissionEnd, other.run(0.11))[0]  # long enough to exclude another vehicle's mode
     assert end.outcome == "released"
@@ -431,17 +427,17 @@ def test_an_exception_in_the_guard_at_the_end_of_the_mission_aborts_the_flight()
     c.run(10.5)
     assert c.core.phase is Phase.LANDING
     c.set_status(flight_mode=FlightMode.LAND, landed=LandedState.ON_GROUND, armed=False)
-    review = c.core._guard.review
+    review = c.guard.review
 
     def fails_at_the_end(*step: Any) -> list[Output]:
         if c.core.phase is Phase.DONE:
             raise ZeroDivisionError("guard")
         return review(*step)
 
-    c.core._guard.review = fails_at_the_end  # type: ignore[method-assign, assignment]
+    c.guard.review = fails_at_the_end  # type: ignore[method-assign, assignment]
     c.run(0.3)
     assert (c.core.phase, c.core.end) == (Phase.DONE, None)
-    c.core._guard.review = review  # type: ignore[method-assign]
+    c.guard.review = review  # type: ignore[method-assign]
     out = c.run(0.5)
     (end,) = of_kind(MissionEnd, out)
     assert end.outcome == "aborted"

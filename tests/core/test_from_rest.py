@@ -21,7 +21,7 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.core.mission.course import ARRIVED_S
-from tests.core.conftest import SHORT_TIMEOUTS, HandFedCore
+from tests.core.conftest import SHORT_TIMEOUTS, HandFedCore, core_in
 from tests.core.test_limits import SINGLE, leave_single_wall
 
 HERE = (1.0, -0.5, -1.0)  # where `leave_single_wall` leaves the vehicle, NED
@@ -63,8 +63,7 @@ def test_a_path_to_a_distant_goal_starts_at_the_vehicle() -> None:
 def test_arrival_is_timed_again_in_every_phase() -> None:
     """Two waypoints at the same place each need the full time, slow and with the right heading."""
     there = {"position_m": [0.0, 0.0], "hold_s": 0.0}
-    c = HandFedCore(settings={"waypoints": [there, there | {"altitude_m": 1.0}]})
-    c.finish_climb()
+    c = core_in(Phase.TRANSIT, settings={"waypoints": [there, there | {"altitude_m": 1.0}]})
     c.run(2.0)
     arrive_us = ARRIVED_S * 1e6
     times = [o.t_us for o in c.outputs if isinstance(o, PhaseChange) and o.before is not Phase.READYING]
@@ -76,8 +75,7 @@ def test_arrival_is_timed_again_in_every_phase() -> None:
 
 def test_a_waypoint_is_given_up_after_its_flight_and_the_timeout() -> None:
     settings = {"waypoints": [{"position_m": [1.0, 0.0], "speed_m_s": 0.5}], **SHORT_TIMEOUTS}
-    c = HandFedCore(settings=settings)
-    c.finish_climb()
+    c = core_in(Phase.TRANSIT, settings=settings)
     out = c.run(8.0)  # the vehicle does not follow the setpoints
     (event,) = (o for o in out if isinstance(o, GuardEvent))
     assert (event.rule, event.detail) == ("transit_timeout", "waypoint 1 was not reached in time")
@@ -88,8 +86,7 @@ def test_a_waypoint_is_given_up_after_its_flight_and_the_timeout() -> None:
 def test_a_reached_waypoint_is_not_given_up_while_it_is_held() -> None:
     """The hold may last longer than the timeout, and the vehicle may drift meanwhile."""
     settings = {"waypoints": [{"position_m": [0.0, 0.0], "hold_s": 6.0}], **SHORT_TIMEOUTS}
-    c = HandFedCore(settings=settings)
-    c.finish_climb()
+    c = core_in(Phase.TRANSIT, settings=settings)
     c.run(0.5)
     c.position_ned = (0.3, 0.0, -1.0)
     out = c.run(5.0)
@@ -103,8 +100,7 @@ FLIES: dict[str, Any] = {"position_m": [1.0, 0.0], "hold_s": 1.0}
 
 @pytest.mark.parametrize(("stop", "phase"), [(WAITS, Phase.PAUSE), (FLIES, Phase.WAYPOINT)])
 def test_the_lock_returns_to_the_transit_mode_at_every_stop(stop: dict[str, Any], phase: Phase) -> None:
-    c = HandFedCore(settings={"waypoints": [stop]})
-    c.finish_climb()
+    c = core_in(Phase.TRANSIT, settings={"waypoints": [stop]})
     assert c.core.phase is phase
     c.outputs.clear()
     c.set_lock(Mode.FLEXIBLE)  # moved by hand
@@ -126,8 +122,7 @@ def test_the_lock_returns_to_the_transit_mode_at_the_goal() -> None:
 
 def test_a_new_phase_repeats_the_lock_command_at_once() -> None:
     """A command without effect is repeated every second, and at once when a phase begins."""
-    c = HandFedCore(SINGLE, settings={"waypoints": [{"position_m": [0.2, 1.5], "after": 1}]})
-    c.enter_approach()
+    c = core_in(Phase.APPROACH, SINGLE, settings={"waypoints": [{"position_m": [0.2, 1.5], "after": 1}]})
     c.position_ned, c.velocity_ned = (1.6, -0.5, -1.0), (1.0, -0.5, 0.0)
     c.run(0.05)
     c.pulse((-20.0, 10.0))
@@ -151,7 +146,7 @@ def test_a_landed_vehicle_that_stays_armed_is_disarmed() -> None:
     c.outputs.clear()
     c.set_status(landed=LandedState.ON_GROUND)
     c.run(2.5)
-    requested = [o.action for o in c.outputs if isinstance(o, VehicleCommand)]
+    requested = c.actions
     assert requested == [VehicleAction.DISARM] * 3
 
 

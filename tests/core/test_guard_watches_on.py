@@ -18,7 +18,7 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.core.guard.rules import RULES
-from tests.core.conftest import HandFedCore
+from tests.core.conftest import HandFedCore, core_in
 
 
 def fired(c: HandFedCore) -> list[tuple[str, str]]:
@@ -26,8 +26,7 @@ def fired(c: HandFedCore) -> list[tuple[str, str]]:
 
 
 def broken_off_core() -> HandFedCore:
-    c = HandFedCore()
-    c.enter_approach()
+    c = core_in(Phase.APPROACH)
     return request_landing(c)
 
 
@@ -75,8 +74,7 @@ def test_a_landing_may_descend_below_the_lowest_altitude() -> None:
 
 
 def test_a_broken_off_climb_may_be_below_the_lowest_altitude() -> None:
-    c = HandFedCore()
-    c.enter_climb()
+    c = core_in(Phase.CLIMB)
     assert c.core.phase is Phase.CLIMB
     c.position_ned = (0.0, 0.0, -0.1)
     request_landing(c)
@@ -93,7 +91,7 @@ def test_a_tilt_without_effect_is_reported_once() -> None:
         c.run(0.1)
     assert fired(c)[1:] == [("tilt", "none")]
     assert c.core.override is Override.BREAK_OFF
-    assert c.core._guard.reason == "operator: landing requested"
+    assert c.guard.reason == "operator: landing requested"
 
 
 def test_an_estimator_jump_moves_the_hold_position() -> None:

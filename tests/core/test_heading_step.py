@@ -18,7 +18,6 @@ from dart_flight.base.geometry import (
 from dart_flight.base.records import (
     AttitudeSample,
     EstimatorSample,
-    GuardEvent,
     ImuSample,
     OdometrySample,
     Override,
@@ -192,10 +191,6 @@ def step_heading(c: HandFedCore, step_deg: float, counter: int = 2) -> None:
     c.run(0.05)
 
 
-def fired(c: HandFedCore) -> list[tuple[str, str]]:
-    return [(o.rule, o.detail) for o in c.outputs if isinstance(o, GuardEvent)]
-
-
 def with_reset_counter(c: HandFedCore) -> HandFedCore:
     c.feed(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
     return c
@@ -207,7 +202,7 @@ def test_a_heading_step_breaks_off_the_approach(step_deg: float) -> None:
     c.enter_approach()
     assert c.core.phase is Phase.APPROACH
     step_heading(c, step_deg)
-    assert fired(c) == [("heading_reset", f"heading stepped by {step_deg:.1f} deg, limit 5 deg")]
+    assert c.fired_details == [("heading_reset", f"heading stepped by {step_deg:.1f} deg, limit 5 deg")]
     assert c.core.override is Override.BREAK_OFF
 
 
@@ -218,7 +213,7 @@ def test_small_steps_and_counter_changes_alone_end_no_flight() -> None:
     c.run(0.3)
     step_heading(c, 0.0, counter=3)
     c.run(0.3)
-    assert fired(c) == []
+    assert c.fired_details == []
 
 
 def test_the_heading_may_align_in_the_climb() -> None:
@@ -231,7 +226,7 @@ def test_the_heading_may_align_in_the_climb() -> None:
     c.position_ned = (0.0, 0.0, -1.0)
     c.run(0.5)
     assert c.core.phase is not Phase.CLIMB
-    assert fired(c) == []
+    assert c.fired_details == []
 
 
 def test_an_impact_does_not_excuse_a_heading_step() -> None:
@@ -242,7 +237,7 @@ def test_an_impact_does_not_excuse_a_heading_step() -> None:
     c.run(0.1)
     assert c.core.phase is Phase.RECOVERY
     step_heading(c, 30.0)
-    assert "heading_reset" in [rule for rule, _ in fired(c)]
+    assert "heading_reset" in c.fired_rules
 
 
 # --- whole flights ---------------------------------------------------------------------------------------

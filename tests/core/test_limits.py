@@ -36,7 +36,7 @@ from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from tests.core.conftest import RULES_WITHOUT_JUMP, SHORT_TIMEOUTS, HandFedCore
+from tests.core.conftest import RULES_WITHOUT_JUMP, SHORT_TIMEOUTS, HandFedCore, core_in
 
 SINGLE = "missions/paper_single_wall.yaml"
 
@@ -105,8 +105,8 @@ def test_a_push_above_the_threshold_counts_as_wind_only_after_it_outlasts_a_cont
     for c in (climbing, pushed):
         c.force_ned = (14.0, 0.0, 0.0)
         c.run(1.0)
-    assert climbing.core._senses.detector.slow_force.value == (0.0, 0.0)
-    assert pushed.core._senses.detector.slow_force.value[0] > 1.0
+    assert climbing.senses.detector.slow_force.value == (0.0, 0.0)
+    assert pushed.senses.detector.slow_force.value[0] > 1.0
 
 
 # --- phases ---
@@ -146,8 +146,7 @@ def test_the_time_before_the_first_sample_does_not_count() -> None:
 def test_every_waypoint_is_held_after_its_arrival() -> None:
     """An arrival takes 0.3 s; the vehicle is at both waypoints from the beginning."""
     here = {"position_m": [0.0, 0.0], "speed_m_s": 0.5}
-    c = HandFedCore(settings={"waypoints": [{**here, "hold_s": 1.2}, {**here, "hold_s": 0.5}]})
-    c.finish_climb()
+    c = core_in(Phase.TRANSIT, settings={"waypoints": [{**here, "hold_s": 1.2}, {**here, "hold_s": 0.5}]})
     c.run(3.0)
     began = [o for o in c.outputs if isinstance(o, PhaseChange)][-4:-1]
     assert [o.after for o in began] == [Phase.WAYPOINT, Phase.WAYPOINT, Phase.TRANSIT]
@@ -209,8 +208,7 @@ def test_a_peak_and_the_lock_are_awaited_for_a_limited_time(phase: Phase, limit_
 
 def test_the_operator_ends_one_pause_at_a_time() -> None:
     pause = {"pause": "operator", "timeout_s": 5.0}
-    c = HandFedCore(settings={"waypoints": [pause, pause]})
-    c.finish_climb()
+    c = core_in(Phase.TRANSIT, settings={"waypoints": [pause, pause]})
     for phase in (Phase.PAUSE, Phase.PAUSE, Phase.TRANSIT, Phase.TRANSIT):
         assert c.core.phase is phase
         c.feed(OperatorRequest(c.t_us, Request.CONTINUE))
@@ -238,8 +236,7 @@ def landing_requests_s(c: HandFedCore, seconds: float) -> list[float]:
 
 
 def test_the_guard_requests_landing_every_second_until_telemetry_confirms_it() -> None:
-    c = HandFedCore()
-    c.enter_approach()
+    c = core_in(Phase.APPROACH)
     c.position_ned = (0.0, 0.0, -2.2)  # lands at once
     times = landing_requests_s(c, 3.5)
     assert [round(t) for t in times] == [0, 1, 2, 3]
@@ -271,8 +268,7 @@ def test_the_mission_requests_landing_every_second_until_telemetry_confirms_it()
 
 
 def test_a_stronger_action_does_not_wait_for_the_retry_of_a_weaker_one() -> None:
-    c = HandFedCore()
-    c.enter_approach()
+    c = core_in(Phase.APPROACH)
     c.feed(OperatorRequest(c.t_us, Request.LAND))
     assert landing_requests_s(c, 1.6) == [pytest.approx(1.5, abs=0.02)]
     c.feed(EstimatorSample(c.t_us, c.t_us, healthy=False))
@@ -281,8 +277,7 @@ def test_a_stronger_action_does_not_wait_for_the_retry_of_a_weaker_one() -> None
 
 def test_a_tilted_vehicle_is_stopped_by_setpoints_before_it_lands() -> None:
     """PX4's land mode levels only at MPC_JERK_AUTO: after 64 degrees it flew 17 m at up to 7 m/s."""
-    c = HandFedCore()
-    c.enter_approach()
+    c = core_in(Phase.APPROACH)
     c.q, c.velocity_ned = quaternion_from_euler(1.2, 0.0, 0.0), (1.5, 0.0, 0.0)
     out = c.run(0.5)
     assert [e.rule for e in out if isinstance(e, GuardEvent)] == ["tilt"]
@@ -306,11 +301,10 @@ def test_a_tilted_vehicle_is_stopped_by_setpoints_before_it_lands() -> None:
     ],
 )
 def test_the_guard_holds_at_the_mission_altitude_or_higher(up_m: float, held_m: float) -> None:
-    c = HandFedCore()
-    c.enter_approach()
+    c = core_in(Phase.APPROACH)
     c.position_ned = (0.0, 0.0, -up_m)
     c.run(0.02)
-    assert not [o for o in c.outputs if isinstance(o, GuardEvent)]
+    assert not c.fired
     c.feed(OperatorRequest(c.t_us, Request.LAND))
     held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert held
@@ -340,8 +334,7 @@ DUAL = "missions/paper_dual_collision.yaml"
 def test_a_break_off_keeps_its_distance_from_a_wall_ahead(
     mission: str, distance_m: float, along_m: float, closing_m_s: float, held_m: float
 ) -> None:
-    c = HandFedCore(mission)
-    c.enter_prepare()
+    c = core_in(Phase.PREPARE, mission)
     wall = c.core.mission.walls[0]
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
     away_m = distance_m - wall.signed_distance(wall.point)
@@ -357,8 +350,7 @@ def test_a_break_off_keeps_its_distance_from_a_wall_ahead(
 
 def test_a_vehicle_that_stops_beyond_its_retreat_stays_there() -> None:
     """A return could touch the wall: after a tilt of 64 degrees PX4 overshot the retreat and did so."""
-    c = HandFedCore()
-    c.enter_approach()
+    c = core_in(Phase.APPROACH)
 
     def held(position: tuple[float, float], speed: float, seconds: float = 0.1) -> set[tuple[float, float]]:
         c.position_ned, c.velocity_ned = (*position, -1.0), (-speed, 0.0, 0.0)
@@ -387,8 +379,7 @@ def test_the_retreat_from_a_mission_wall_follows_its_normal() -> None:
 
 def test_the_guard_holds_at_the_altitude_of_the_current_waypoint() -> None:
     higher = {"position_m": [0.0, 0.0], "altitude_m": 1.4, "speed_m_s": 0.5, "hold_s": 1.0}
-    c = HandFedCore(settings={"waypoints": [higher]})
-    c.enter_prepare()
+    c = core_in(Phase.PREPARE, settings={"waypoints": [higher]})
     assert c.core.phase is Phase.WAYPOINT
     c.feed(OperatorRequest(c.t_us, Request.LAND))
     held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
@@ -412,8 +403,7 @@ def test_the_guard_does_not_climb_out_of_the_flight_space() -> None:
 
 @pytest.mark.parametrize(("speed_m_s", "after_s"), [(0.0, 1.5), (0.05, 1.5), (0.3, 3.0)])
 def test_the_guard_holds_half_as_long_if_the_vehicle_stands_still(speed_m_s: float, after_s: float) -> None:
-    c = HandFedCore()
-    c.enter_approach()
+    c = core_in(Phase.APPROACH)
     c.velocity_ned = (speed_m_s, 0.0, 0.0)
     c.run(0.02)
     c.feed(OperatorRequest(c.t_us, Request.LAND))
@@ -422,8 +412,7 @@ def test_the_guard_holds_half_as_long_if_the_vehicle_stands_still(speed_m_s: flo
 
 @pytest.mark.parametrize("detail", ["", "PX4 has ended by SIGKILL"])
 def test_the_ended_process_is_named_if_it_is_known(detail: str) -> None:
-    c = HandFedCore()
-    c.enter_approach()
+    c = core_in(Phase.APPROACH)
     c.feed(OperatorRequest(c.t_us, Request.WORLD_DIED, detail))
     details = [o.detail for o in c.outputs if isinstance(o, GuardEvent)]
     assert details == [detail or "the simulated vehicle ended"]
@@ -450,10 +439,7 @@ def test_the_heading_turns_at_its_rate_limit_and_reaches_the_target(yaw: float) 
     """The vehicle starts obliquely; the walls need a multiple of a quarter turn."""
     c = HandFedCore()
     c.q = quaternion_from_euler(0.0, 0.0, yaw)
-    c.set_lock(Mode.RIGID)
-    c.run(0.5)
-    c.set_status(flight_mode=FlightMode.OFFBOARD)
-    c.run(0.1)
+    c.enter_arming()
     c.set_status(armed=True)
     c.run(0.1)
     c.set_status(landed=LandedState.IN_AIR)
@@ -494,8 +480,7 @@ def test_the_goal_is_passed_once_its_distance_grows_by_more_than_noise() -> None
 
 def test_the_goal_is_not_passed_during_a_contact() -> None:
     """The vehicle slides along the wall, away from the goal."""
-    c = HandFedCore(SINGLE)
-    c.enter_approach()
+    c = core_in(Phase.APPROACH, SINGLE)
     c.position_ned, c.velocity_ned = (1.6, -0.5, -1.0), (1.0, -0.5, 0.0)
     c.run(0.05)
     c.pulse((-40.0, 0.0), 0.04)

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from dart_flight.base.records import (
     FlightMode,
-    GuardEvent,
     LandedState,
     MissionEnd,
     Override,
@@ -19,13 +18,9 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.core.guard.failsafe import FailsafeEvidence
-from tests.core.conftest import HandFedCore
+from tests.core.conftest import HandFedCore, core_in
 
 ENTER = "commander_failsafe_enter"
-
-
-def fired(c: HandFedCore) -> list[tuple[str, str]]:
-    return [(o.rule, o.detail) for o in c.outputs if isinstance(o, GuardEvent)]
 
 
 def send_text(c: HandFedCore, text: str, event: str = "") -> None:
@@ -33,8 +28,7 @@ def send_text(c: HandFedCore, text: str, event: str = "") -> None:
 
 
 def flying() -> HandFedCore:
-    c = HandFedCore()
-    c.enter_approach()
+    c = core_in(Phase.APPROACH)
     c.set_status(system_status=SystemStatus.ACTIVE)
     assert c.core.phase is Phase.APPROACH
     return c
@@ -57,7 +51,7 @@ def test_a_failsafe_is_named_with_its_cause(text: str, event: str, mode: FlightM
     send_text(c, "Failsafe activated")  # the generic text that follows does not replace the cause
     text = text.replace("\n", "; ")
     c.set_status(flight_mode=mode, system_status=SystemStatus.CRITICAL)
-    assert fired(c)[-1] == ("px4_failsafe", f"{text}; PX4 is in {mode.value}")
+    assert c.fired_details[-1] == ("px4_failsafe", f"{text}; PX4 is in {mode.value}")
     (end,) = [o for o in c.outputs if isinstance(o, MissionEnd)]
     assert (end.outcome, end.reason) == ("aborted", f"px4_failsafe: {text}; PX4 is in {mode.value}")
 
@@ -76,7 +70,7 @@ def test_a_failsafe_is_named_with_its_cause(text: str, event: str, mode: FlightM
 def test_a_failsafe_text_breaks_off_before_a_heartbeat_reports_the_mode(text: str, event: str) -> None:
     c = flying()
     send_text(c, text, event)
-    assert fired(c) == [("failsafe_announced", text)]
+    assert c.fired_details == [("failsafe_announced", text)]
     assert c.core.override is Override.BREAK_OFF
     c.outputs.clear()
     c.run(0.5)
@@ -87,9 +81,9 @@ def test_a_failsafe_text_breaks_off_before_a_heartbeat_reports_the_mode(text: st
 def test_the_heartbeat_status_alone_is_evidence_of_a_failsafe(status: SystemStatus) -> None:
     c = flying()
     c.set_status(system_status=status)
-    assert fired(c) == [("failsafe_announced", "PX4 reports a failsafe and gives no cause")]
+    assert c.fired_details == [("failsafe_announced", "PX4 reports a failsafe and gives no cause")]
     c.set_status(flight_mode=FlightMode.LAND)  # at once: no further evidence is needed
-    assert fired(c)[-1] == (
+    assert c.fired_details[-1] == (
         "px4_failsafe",
         "PX4 reports a failsafe and gives no cause; PX4 is in land",
     )
@@ -100,7 +94,7 @@ def test_a_mode_received_just_before_its_failsafe_status_is_not_a_pilot() -> Non
     c.set_status(flight_mode=FlightMode.LAND)
     c.run(0.004)
     c.set_status(system_status=SystemStatus.CRITICAL)
-    assert [rule for rule, _ in fired(c)] == ["px4_failsafe"]
+    assert c.fired_rules == ["px4_failsafe"]
 
 
 @pytest.mark.parametrize(
@@ -117,16 +111,16 @@ def test_a_warning_does_not_end_the_flight(text: str, event: str) -> None:
     c = flying()
     send_text(c, text, event)
     c.run(0.5)
-    assert fired(c) == []
+    assert c.fired_details == []
     c.set_status(flight_mode=FlightMode.MANUAL)
-    assert [rule for rule, _ in fired(c)] == ["pilot"]
+    assert c.fired_rules == ["pilot"]
 
 
 def test_a_failsafe_text_before_take_off_ends_nothing() -> None:
     c = HandFedCore()
     send_text(c, "Failsafe activated")
     c.run(0.1)
-    assert fired(c) == []
+    assert c.fired_details == []
 
 
 @pytest.mark.parametrize("words", ["Kill engaged", "Failsafe activated: switching to terminate", None])
@@ -138,10 +132,10 @@ def test_a_termination_is_reported_before_streams_are_silent(words: str | None) 
     else:
         send_text(c, words)
     c.run(1.0)
-    rule, detail = fired(c)[-1]
+    rule, detail = c.fired_details[-1]
     assert rule == "terminated"
     assert detail == "PX4 has stopped the motors" + (f": {words}" if words else "")
-    assert len(fired(c)) == 1
+    assert len(c.fired_details) == 1
     (end,) = [o for o in c.outputs if isinstance(o, MissionEnd)]
     assert end.outcome == "aborted"
     assert not [o for o in c.outputs[c.outputs.index(end) :] if isinstance(o, Setpoint | VehicleCommand)]
@@ -150,7 +144,7 @@ def test_a_termination_is_reported_before_streams_are_silent(words: str | None) 
 def test_a_kill_after_touchdown_is_no_termination_of_the_flight() -> None:
     c = flying()
     c.set_status(landed=LandedState.ON_GROUND, system_status=SystemStatus.FLIGHT_TERMINATION)
-    assert "terminated" not in [rule for rule, _ in fired(c)]
+    assert "terminated" not in c.fired_rules
 
 
 @given(

@@ -10,7 +10,7 @@ import pytest
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import GuardEvent, LockPhase, Mode, Override, Phase, PhaseChange, Setpoint
 from dart_flight.core.mission.approach import plan_approach
-from tests.core.conftest import SHORT_TIMEOUTS, HandFedCore
+from tests.core.conftest import SHORT_TIMEOUTS, HandFedCore, core_in
 
 
 def follow(c: HandFedCore, seconds: float) -> list[Setpoint]:
@@ -73,8 +73,7 @@ def test_the_path_to_the_next_wall_starts_from_rest_after_a_slow_lock() -> None:
 
 
 def test_a_standoff_point_that_is_not_reached_is_given_up_after_the_timeout() -> None:
-    c = HandFedCore(settings={"standoff_m": 0.3, **SHORT_TIMEOUTS})
-    c.enter_approach()
+    c = core_in(Phase.APPROACH, settings={"standoff_m": 0.3, **SHORT_TIMEOUTS})
     c.run(4.0)  # the vehicle does not follow the setpoints
     assert given_up_after_s(c, Phase.APPROACH) == pytest.approx(3.0, abs=0.02)
 

@@ -224,6 +224,7 @@ def test_a_centred_hit_has_no_torque(mode: Mode) -> None:
     tangential=st.floats(-0.5, 0.5),
     mode=st.sampled_from(list(Mode)),
 )
+@pytest.mark.rest
 def test_a_mirrored_hit_gives_mirrored_estimates(
     yaw: float, normal: float, tangential: float, mode: Mode
 ) -> None:

@@ -179,6 +179,7 @@ signed = st.floats(-1.0, 1.0)
     share=st.floats(0.0, 1.0),
     behind=st.booleans(),
 )
+@pytest.mark.rest
 def test_no_contact_adds_energy(
     mode: Mode,
     obstacle: str,
@@ -214,6 +215,7 @@ def test_no_contact_adds_energy(
         assert energy(plant) <= before * 1.002 + 1e-3
 
 
+@pytest.mark.rest
 def test_skipping_the_contact_model_far_from_an_end_changes_no_flight(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

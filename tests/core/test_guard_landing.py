@@ -1,0 +1,267 @@
+"""Landings of the guard: when they end, when the motors are stopped, and where the vehicle waits."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from dart_flight.base.geometry import quaternion_from_euler
+from dart_flight.base.records import (
+    FlightMode,
+    ImuSample,
+    LandedState,
+    OperatorRequest,
+    Override,
+    Phase,
+    Request,
+    Setpoint,
+    Tick,
+    VehicleAction,
+    VehicleCommand,
+)
+from dart_flight.core.guard.flight_conditions import LYING_TILT_DEG
+from dart_flight.core.guard.rules import LYING_S
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.sense.senses import Sensed
+from tests.core.conftest import SHORT_TIMEOUTS, HandFedCore, core_in
+from tests.core.guard_causes import (
+    CAUSES,
+    alternate_vehicles,
+    lie_down,
+)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "height_m", "seconds", "kills"),
+    [
+        (LYING_TILT_DEG + 1.0, 0.1, LYING_S + 0.1, True),
+        (180.0, -0.1, LYING_S + 0.1, True),
+        (LYING_TILT_DEG - 1.0, 0.1, 3.0, False),
+        (LYING_TILT_DEG + 1.0, 0.8, 3.0, False),
+        (LYING_TILT_DEG + 1.0, 0.1, LYING_S - 0.1, False),
+    ],
+    ids=["on its side", "upside down", "a slope", "in the air", "a moment"],
+)
+def test_only_a_vehicle_that_lies_on_the_ground_is_disarmed(
+    tilt_deg: float, height_m: float, seconds: float, kills: bool
+) -> None:
+    c = core_in(Phase.APPROACH)
+    lie_down(c, tilt_deg, height_m, seconds)
+    sent = c.actions
+    assert (VehicleAction.KILL in sent) is kills
+
+
+def test_a_tilt_that_is_no_longer_reported_disarms_nothing() -> None:
+    c = core_in(Phase.APPROACH)
+    c.q = quaternion_from_euler(math.radians(LYING_TILT_DEG + 20.0), 0.0, 0.0)
+    c.run(0.02)
+    c.silent.add("attitude")
+    lie_down(c, LYING_TILT_DEG + 20.0, 0.1, LYING_S + 1.0)
+    assert "lying" not in c.fired_rules
+
+
+def test_motors_that_the_guard_has_stopped_are_no_further_fault() -> None:
+    c = core_in(Phase.APPROACH)
+    lie_down(c, LYING_TILT_DEG + 20.0, 0.1, LYING_S + 0.1)
+    c.motors, c.falling = (0.0,) * 4, True
+    c.run(0.3)
+    assert "disarmed" not in c.fired_rules
+    assert c.core.override is Override.KILL
+
+
+def test_a_landed_vehicle_is_disarmed_only_if_px4_has_not_done_so_in_15_s() -> None:
+    c = core_in(Phase.APPROACH)
+    c.land_with_low_battery()
+    (event,) = c.fired
+    guard, state = c.guard, c.core.state
+
+    def requested_actions(after_s: float, on_ground: bool) -> list[VehicleAction]:
+        state.now_us, state.on_ground = event.t_us + round(after_s * 1e6), on_ground
+        out = guard.review(Tick(state.host_us), state, Sensed(), Phase.OVERRULED, Proposal())
+        return [o.action for o in out if isinstance(o, VehicleCommand)]
+
+    assert requested_actions(14.9, on_ground=True) == []
+    assert requested_actions(40.0, on_ground=False) == []  # never in the air
+    assert requested_actions(15.1, on_ground=True) == [VehicleAction.DISARM]
+    assert requested_actions(16.0, on_ground=True) == []
+    assert requested_actions(16.1, on_ground=True) == [VehicleAction.DISARM]
+
+
+def test_motors_are_stopped_only_after_the_kill_timeout_of_a_landing() -> None:
+    c = core_in(Phase.APPROACH, settings={"vehicle.guard.kill_after_s": 10.0})
+    c.land_with_low_battery()
+    c.run(9.9)
+    assert VehicleAction.KILL not in c.actions
+    c.run(0.2)
+    assert VehicleAction.KILL in c.actions
+    c.set_status(armed=False)
+    c.run(0.25)
+    assert c.core.end is not None
+    assert c.core.end.outcome == "aborted"
+
+
+def test_a_landing_is_awaited_until_the_kill_timeout() -> None:
+    """The default of a minute is too short if the configured timeout is longer."""
+    c = core_in(Phase.APPROACH, settings={"vehicle.guard.kill_after_s": 61.0})
+    c.land_with_low_battery()
+    c.silent = {"actuator", "attitude"}
+    c.odometry_every = 10
+    c.run(60.5)
+    assert c.core.end is None
+    c.run(1.0)
+    assert c.fired_rules[-1] == "still_armed"
+
+
+def ends_after(c: HandFedCore, seconds: float) -> bool:
+    """Return whether the guard's landing has ended `seconds` after it began."""
+    event = next(e for e in c.fired if e.action is Override.LAND)
+    guard, state = c.guard, c.core.state
+    state.now_us = event.t_us + round(seconds * 1e6)
+    guard.review(Tick(state.host_us), state, Sensed(), Phase.OVERRULED, Proposal())
+    return guard.end is not None
+
+
+def test_a_landing_without_a_kill_timeout_is_awaited_for_a_minute() -> None:
+    c = core_in(Phase.APPROACH, settings={"vehicle.guard.kill_after_s": None})
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    assert [ends_after(c, seconds) for seconds in (1.0, 59.9, 60.1)] == [False, False, True]
+
+
+def test_a_landing_beside_a_second_vehicle_lasts_at_least_fifteen_seconds() -> None:
+    """The report of landed and disarmed may come from either vehicle."""
+    c = core_in(Phase.APPROACH)
+    alternate_vehicles(c, 238_000_000, 0.0, 0.1)
+    c.set_status(armed=False, landed=LandedState.ON_GROUND)
+    assert [ends_after(c, seconds) for seconds in (1.0, 14.9, 15.1)] == [False, False, True]
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_an_armed_vehicle_is_disarmed_when_the_flight_is_given_up(armed: bool) -> None:
+    c = HandFedCore(settings=SHORT_TIMEOUTS)
+    c.set_status(armed=armed)
+    CAUSES["not_ready"].fly(c)
+    assert c.core.end is not None
+    assert c.actions == [VehicleAction.DISARM] * armed
+
+
+def test_landing_time_counts_only_while_armed_in_land_mode() -> None:
+    """Otherwise a long flight or a long wait on the ground would count as an endless landing."""
+    c = core_in(Phase.APPROACH)
+    watch = c.conditions
+    c.run(2.0)
+    assert watch.landing_s == 0.0
+    c = HandFedCore()
+    watch = c.conditions
+    c.set_status(flight_mode=FlightMode.LAND)
+    c.run(2.0)
+    assert watch.landing_s == 0.0
+    c.set_status(armed=True)
+    c.run(2.0)
+    assert watch.landing_s == pytest.approx(2.0, abs=0.02)
+    c.set_status(armed=False)
+    c.run(0.1)
+    assert watch.landing_s == 0.0
+
+
+@pytest.mark.parametrize(("speed_m_s", "after_us"), [(0.09, 1_504_000), (0.11, 3_004_000)])
+def test_a_vehicle_that_broke_off_is_landed_after_a_second_and_a_half_at_rest_or_after_three(
+    speed_m_s: float, after_us: int
+) -> None:
+    c = core_in(Phase.APPROACH)
+    c.run(1.0)
+    c.velocity_ned = (0.0, speed_m_s, 0.0)
+    c.feed(OperatorRequest(c.t_us, Request.LAND))
+    out = c.run(4.0)
+    assert c.core.override is Override.BREAK_OFF
+    land = next(o for o in out if isinstance(o, VehicleCommand) and o.action is VehicleAction.LAND)
+    assert land.t_us - c.fired[0].t_us == after_us
+
+
+def test_landing_time_is_the_shorter_of_both_clocks() -> None:
+    c = HandFedCore()
+    c.run(0.1)
+    c.set_status(flight_mode=FlightMode.LAND, armed=True)
+    c.run(2.0)
+    c.host_ahead_us += 60_000_000
+    c.run(0.02)
+    assert c.conditions.landing_s == pytest.approx(2.0, abs=0.03)
+
+
+def test_a_jump_of_one_stamp_in_a_landing_does_not_stop_the_motors() -> None:
+    c = core_in(Phase.APPROACH)
+    c.land_with_low_battery()
+    c.run(1.0)
+    c.feed(ImuSample(c.t_us + 60_000_000, c.t_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0)))
+    c.run(0.5)
+    assert "still_armed" not in c.fired_rules
+
+
+@pytest.mark.parametrize("whose", ["autopilot", "host"])
+def test_a_jump_of_one_clock_in_a_landing_does_not_stop_the_motors(whose: str) -> None:
+    """Both clocks must exceed the timeout."""
+    c = core_in(Phase.APPROACH)
+    c.land_with_low_battery()
+    c.run(1.0)
+    if whose == "autopilot":
+        c.t_us += 60_000_000
+        c.host_ahead_us -= 60_000_000
+    else:
+        c.host_ahead_us += 60_000_000
+    c.run(1.0)
+    assert "still_armed" not in c.fired_rules
+
+
+def test_the_retreat_from_an_unknown_wall_follows_the_measured_push() -> None:
+    """With plain GPS a wall may be a metre off its place, so the force gives its direction."""
+
+    def retreat_target() -> tuple[float, float]:
+        north, east, _ = next(o for o in reversed(c.outputs) if isinstance(o, Setpoint)).position_ned
+        return north, east
+
+    c = core_in(Phase.TRANSIT)
+    assert c.core.phase is Phase.TRANSIT
+    c.position_ned = (0.3, 0.2, -1.0)
+    c.run(0.02)
+    c.pulse((20.0, 0.0))
+    assert c.fired_rules == ["unplanned_hit"]
+    assert retreat_target() == pytest.approx((0.8, 0.2), abs=0.01)
+    c.run(0.3)
+    c.pulse((0.0, -40.0))
+    assert retreat_target() == pytest.approx((0.3, -0.3), abs=0.01)
+
+
+def test_the_retreat_from_one_face_of_a_partition_does_not_lead_through_it() -> None:
+    """The vehicle is 0.45 m behind the front, less than the retreat, but on the other side."""
+    board = {"point_m": [-0.15, 0.8], "normal": [-1.0, 0.0], "length_m": 0.2, "material": "wood"}
+    c = core_in(Phase.TRANSIT, settings={"walls.board": board | {"thickness_m": 0.012}})
+    c.position_ned = (0.3, -0.8, -1.0)
+    c.run(0.02)
+    c.pulse((20.0, 0.0))
+    assert c.fired_rules == ["unplanned_hit"]
+    held = next(o for o in reversed(c.outputs) if isinstance(o, Setpoint)).position_ned
+    assert held[:2] == pytest.approx((-0.15 + 0.412 + 0.5, -0.8), abs=0.01)
+
+
+def test_one_report_of_landed_and_disarmed_does_not_end_a_guard_landing() -> None:
+    """It may come from a second vehicle on the same link, before the first sample of that vehicle."""
+    c = core_in(Phase.APPROACH)
+    c.land_with_low_battery()
+    c.run(1.0)
+    c.set_status(armed=False, landed=LandedState.ON_GROUND)
+    c.run(0.1)
+    assert c.core.end is None
+    alternate_vehicles(c, 0, 3.0, 1.0)
+    assert c.core.end is None
+
+
+def test_a_vehicle_reported_disarmed_in_the_air_has_not_landed() -> None:
+    c = core_in(Phase.APPROACH)
+    c.land_with_low_battery()
+    c.set_status(armed=False)
+    c.run(1.0)
+    assert c.core.end is None
+    c.set_status(landed=LandedState.ON_GROUND)
+    c.run(1.0)
+    assert c.core.end is not None
