@@ -854,6 +854,7 @@ def test_the_wait_for_a_peak_is_bounded() -> None:
 # --- the campaign's sample -----------------------------------------------------------------------------
 
 
+@pytest.mark.rest
 def test_a_sample_of_the_hit_grid_stays_within_its_error_limits() -> None:
     hits = list(grid((0.3, 0.75, 2.0, 3.0), (45.0, 270.0), (0.0, 30.0)))
     rows = [figures_of(MISSION, hit, 0.2, i) for i, hit in enumerate(hits)]
@@ -877,6 +878,7 @@ def test_a_clipped_hit_of_the_plant_is_reconstructed() -> None:
     assert max(abs(r.peak_error) for r in rows) <= 0.05
 
 
+@pytest.mark.rest
 def test_hard_flying_without_contact_gives_no_false_impact() -> None:
     quiet = fly_quiet(MISSION, 90.0, 0.2, 4)
     assert quiet.false_hits == []
