@@ -165,11 +165,13 @@ def test_peaks_match_the_sampled_trajectory(
 
 
 def test_friction_peak_is_exact_to_rounding() -> None:
-    # Fine sampling about the peak: the maximum of a parabola through three samples is exact to 1e-12.
+    # Fine sampling about a coarse peak: the maximum of a parabola through three samples is exact to 1e-12.
     c = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE)
     for normal in (-0.2, -0.7, -1.5):
         contact = ContactMotion(c, MASS, normal, Onset.LCP)
-        t = np.linspace(0.0, contact.end_s, 200_001)
+        coarse = np.linspace(0.0, contact.end_s, 2001)
+        i = int(np.abs(trajectory(contact, coarse, 0.5).tangential_force_n).argmax())
+        t = np.linspace(coarse[i - 1], coarse[i + 1], 201)
         force = np.abs(trajectory(contact, t, 0.5).tangential_force_n)
         i = int(force.argmax())
         a, b, d = force[i - 1 : i + 2]
@@ -196,7 +198,8 @@ def test_a_wall_hit_obeys_momentum_and_energy_limits(
     )
     # Peak potential energy never exceeds the kinetic energy of the approach.
     assert 0.5 * c.k * r.penetration_m**2 <= 0.5 * MASS * normal * normal * (1.0 + 1e-12)
-    assert r.peak_friction_force_n <= c.mu * r.peak_normal_force_n * abs(tangential) * (1.0 + 1e-12)
+    friction_limit_n = c.mu * r.peak_normal_force_n * abs(tangential)
+    assert r.peak_friction_force_n <= friction_limit_n * (1.0 + 1e-12) + 1e-300  # a denormal mu is rounded
 
 
 @given(coefficient_sets, approaches, onsets, st.floats(0.1, 10.0))

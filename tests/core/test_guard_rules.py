@@ -206,6 +206,7 @@ def test_a_mode_mismatch_is_only_reported_if_the_mission_continues() -> None:
     assert c.core.phase is Phase.RECOVERY
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("rule", RULES, ids=lambda r: r.name)
 def test_a_removed_rule_is_not_reported(rule: Rule) -> None:
     c = CAUSES[rule.name].fire(tuple(r for r in RULES_WITHOUT_JUMP if r is not rule))

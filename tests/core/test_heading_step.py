@@ -246,9 +246,9 @@ def test_an_impact_does_not_excuse_a_heading_step() -> None:
 @pytest.mark.parametrize(
     ("fault", "outcome", "heading_deg"),
     [
-        ("heading-reset=4@approach", "completed", 4.0),
+        pytest.param("heading-reset=4@approach", "completed", 4.0, marks=pytest.mark.rest),
         ("heading-reset=-90@recovery", "aborted", -90.0),
-        ("heading-reset=60@take-off", "completed", 60.0),
+        pytest.param("heading-reset=60@take-off", "completed", 60.0, marks=pytest.mark.rest),
     ],
 )
 def test_the_verdict_lists_estimator_resets(fault: str, outcome: str, heading_deg: float) -> None:

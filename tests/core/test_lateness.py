@@ -72,6 +72,7 @@ def test_a_lasting_delay_keeps_counting_as_late() -> None:
     assert not delay.late
 
 
+@pytest.mark.rest
 def test_clock_drift_is_no_delay() -> None:
     for drift in (1e-4, -1e-4):
         delay = TelemetryDelay(0.075)

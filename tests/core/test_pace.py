@@ -84,7 +84,9 @@ def test_inputs_are_stepped_at_once_if_a_contact_is_possible_within_a_fifth_of_a
     assert pace_near_walls(DUAL_COLLISION, FlightState(), Phase.CONTACT) is Pace.IMMEDIATE
 
 
-@pytest.mark.parametrize("mission", ["paper_single_wall", "paper_dual_collision"])
+@pytest.mark.parametrize(
+    "mission", ["paper_single_wall", pytest.param("paper_dual_collision", marks=pytest.mark.rest)]
+)
 def test_no_contact_of_a_flight_is_stepped_in_a_batch(flown: SharedFlights, mission: str) -> None:
     log = read_log(flown(mission, 3).log)
     core = FlightCore(flown_mission(log.about, "a flight"))

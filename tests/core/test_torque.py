@@ -373,6 +373,7 @@ def test_the_verdict_reports_incidence_side_and_torque(flown: SharedFlights) -> 
     assert verdict.collisions[0].planned.contact_side is None
 
 
+@pytest.mark.rest
 def test_a_sample_of_the_torque_campaign_stays_within_its_error_limits(tmp_path: Path) -> None:
     """The walls differ from the plan; the seeds differ from those of the published results."""
     rows = campaign_rows(tmp_path / "out", "torque", "--only", "set=off", "--seed", "2201", "--runs", "3")

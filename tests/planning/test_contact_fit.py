@@ -541,6 +541,7 @@ def test_a_planned_wall_narrows_the_prior_of_the_incidence(planned: bool, degree
 # --- flights ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.rest
 def test_the_true_mode_is_identified_if_the_lock_misreports(tmp_path: Path) -> None:
     """Fly the campaign's first flights with a misreporting lock, on seeds that the software was tuned on."""
     rows = []

@@ -70,7 +70,7 @@ def drawn_and_flown_corners(mission: Mission) -> tuple[list[tuple[float, float]]
 
 
 @given(missions())
-@settings(max_examples=200)
+@settings(max_examples=60)
 def test_the_drawn_approach_matches_the_flown_approach(mission: Mission) -> None:
     try:
         drawn, flown = drawn_and_flown_corners(mission)

@@ -49,7 +49,7 @@ def test_state_between_grid_points_is_the_exact_solution(dual: Scenario) -> None
         assert after.y == pytest.approx(scipy_expm(loop_matrix(loop, 0.4) * t) @ leg.y, abs=1e-11)
 
 
-@pytest.mark.parametrize("name", ["dual_collision", "any_walls"])
+@pytest.mark.parametrize("name", ["dual_collision", pytest.param("any_walls", marks=pytest.mark.rest)])
 def test_terminal_states_match_an_ode_solver(name: str) -> None:
     scenario = load_scenario(SCENARIOS / f"{name}.yaml")
     stages = stages_for(scenario, [None])[0]

@@ -48,7 +48,7 @@ def test_a_vehicle_on_the_trajectory_continues_as_planned() -> None:
         assert flown.acceleration == pytest.approx(planned.acceleration, abs=1e-9)
 
 
-@settings(max_examples=40)
+@settings(max_examples=12)
 @given(st.tuples(*[SMALL] * 6), st.tuples(SMALL, SMALL), st.sampled_from([0.0, 0.2]))
 def test_every_candidate_begins_at_the_vehicle_and_ends_as_planned(
     away: tuple[float, ...], moved: tuple[float, float], settled_s: float
@@ -67,7 +67,7 @@ def test_every_candidate_begins_at_the_vehicle_and_ends_as_planned(
             assert end.velocity[axis] == pytest.approx(planned.velocity[axis] / slower, abs=1e-8)
 
 
-@settings(max_examples=40)
+@settings(max_examples=12)
 @given(st.tuples(*[SMALL] * 6), st.tuples(SMALL, SMALL), st.tuples(SMALL, SMALL))
 def test_every_candidate_follows_the_plan_in_the_last_tenths_before_a_wall(
     away: tuple[float, ...], moved: tuple[float, float], pushed: tuple[float, float]
@@ -87,7 +87,7 @@ def test_every_candidate_follows_the_plan_in_the_last_tenths_before_a_wall(
                 assert flown.acceleration[axis] == pytest.approx(leaned, abs=1e-6)
 
 
-@settings(max_examples=40)
+@settings(max_examples=12)
 @given(st.tuples(*[SMALL] * 6), st.sampled_from([0.0, 0.2]))
 def test_the_samples_of_a_candidate_match_its_smooth_polynomials(
     away: tuple[float, ...], settled_s: float

@@ -182,7 +182,7 @@ def test_each_motor_of_the_plant_acts_at_its_position() -> None:
 # --- flights ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("eight", [False, True])
+@pytest.mark.parametrize("eight", [False, pytest.param(True, marks=pytest.mark.rest)])
 def test_another_airframe_flies_the_single_wall(tmp_path: Path, eight: bool) -> None:
     config = octorotor(tmp_path) if eight else HEXAROTOR
     mission = load_mission(ROOT / "missions/paper_single_wall.yaml", config)

@@ -123,7 +123,7 @@ class DelayedFlight:
             self.approach_us = min(self.approach_us, record.t_us)
 
 
-@pytest.mark.parametrize("delay_ms", [90, 160, 300])
+@pytest.mark.parametrize("delay_ms", [160, *(pytest.param(ms, marks=pytest.mark.rest) for ms in (90, 300))])
 def test_a_wrong_delay_aborts_the_flight_before_the_wall(delay_ms: int) -> None:
     flight = DelayedFlight(f"ev-delay={delay_ms}")
     (event,) = flight.events
@@ -142,13 +142,14 @@ def test_poses_that_are_older_than_configured_make_the_estimate_lag() -> None:
     assert flight.onset_us == math.inf
 
 
+@pytest.mark.rest
 def test_a_wrong_delay_is_detected_with_a_slow_motion_capture() -> None:
     flight = DelayedFlight("ev-delay=160", {"vehicle.simulation.pose_rate_hz": 30.0})
     assert [event.rule for event in flight.events] == ["position_delayed"]
     assert flight.onset_us == math.inf
 
 
-@pytest.mark.parametrize("delay_ms", [10, 30])
+@pytest.mark.parametrize("delay_ms", [30, pytest.param(10, marks=pytest.mark.rest)])
 def test_a_flight_with_a_nearly_right_delay_completes(delay_ms: int) -> None:
     flight = DelayedFlight(f"ev-delay={delay_ms}")
     assert not flight.events

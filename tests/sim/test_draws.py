@@ -9,7 +9,6 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.recording.reader import read_log
-from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.replay import replay
 from dart_flight.sim.draws import NAMES, SPREADS, draw_world, parse_vary
@@ -48,19 +47,9 @@ def test_a_draw_does_not_change_the_mission() -> None:
     assert world.mission.vehicle.airframe.mass_kg != MISSION.vehicle.airframe.mass_kg
 
 
-def test_a_varied_flight_reports_its_draws_and_replays(tmp_path: Path) -> None:
-    verdict = fly_fast(MISSION, 2, tmp_path, spreads=parse_vary(["all"], VEHICLE))
-    assert verdict.outcome == "completed"
-    log = read_log(str(verdict.log))
-    assert json.loads(log.about["drawn"]) == pytest.approx(verdict.drawn)
-    truth = verdict.collisions[0].truth
-    assert truth is not None
-    # The truth is that of the drawn world, whose wall is oblique and has another stiffness.
-    assert truth.peak_force_n != verdict.collisions[0].planned.peak_force_n
-    assert replay(log).equal
-
-
-def test_vary_and_set_work_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_varied_flight_reports_its_draws_and_replays(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     arguments = [
         "dry-run",
         str(ROOT / "missions/paper_single_wall.yaml"),
@@ -69,12 +58,23 @@ def test_vary_and_set_work_on_the_command_line(capsys: pytest.CaptureFixture[str
         "--log-dir",
         str(tmp_path),
     ]
-    status = main(
-        [*arguments, "--set", "simulation.contact.body=guards", "--vary", "mass=0.1", "--seed", "5"]
-    )
+    status = main([*arguments, "--set", "simulation.contact.body=guards", "--vary", "all", "--seed", "2"])
     verdict = json.loads(capsys.readouterr().out)
     assert status == 0
-    assert list(verdict["drawn"]) == ["mass"]
+    assert verdict["outcome"] == "completed"
+    assert verdict["drawn"] == pytest.approx(draw_world(MISSION, 2, parse_vary(["all"], VEHICLE)).drawn)
+    log = read_log(verdict["log"])
+    assert json.loads(log.about["drawn"]) == pytest.approx(verdict["drawn"])
+    # The truth is that of the drawn world, whose wall is oblique and has another stiffness.
+    hit = verdict["collisions"][0]
+    assert hit["truth"]["peak_force_n"] != hit["planned"]["peak_force_n"]
+    assert replay(log).equal
+
+
+def test_a_wrong_name_of_vary_or_set_is_refused_with_the_nearest_one(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    arguments = ["dry-run", str(ROOT / "missions/paper_single_wall.yaml"), "--fast"]
     assert main([*arguments, "--vary", "mas"]) == 2
     assert "did you mean mass?" in capsys.readouterr().err
     assert main([*arguments, "--set", "simulatio.contact.body=guards"]) == 2

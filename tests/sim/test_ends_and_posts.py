@@ -116,7 +116,10 @@ ENDS = [
 # The independent body takes a second or two for each case, so the modes alternate.
 @pytest.mark.parametrize(
     ("end", "yaw", "velocity", "rate", "mode"),
-    [(*hit, mode) for hit, mode in zip(ENDS, itertools.cycle(Mode), strict=False)],
+    [
+        pytest.param(*hit, mode, marks=[] if hit in ENDS[1:6:4] else pytest.mark.rest)
+        for hit, mode in zip(ENDS, itertools.cycle(Mode), strict=False)
+    ],
 )
 def test_a_collision_at_a_wall_end_agrees_with_an_independent_rigid_body(
     end: float, yaw: float, velocity: tuple[float, float], rate: float, mode: Mode
@@ -141,7 +144,10 @@ POSTS = [
 
 
 @pytest.mark.parametrize(("mode", "radius"), list(zip(Mode, (0.03, 0.1), strict=True)))
-@pytest.mark.parametrize(("off", "yaw", "velocity", "rate"), POSTS)
+@pytest.mark.parametrize(
+    ("off", "yaw", "velocity", "rate"),
+    [pytest.param(*hit, marks=[] if hit in POSTS[3:6:2] else pytest.mark.rest) for hit in POSTS],
+)
 def test_a_collision_with_a_post_agrees_with_an_independent_rigid_body(
     mode: Mode, radius: float, off: float, yaw: float, velocity: tuple[float, float], rate: float
 ) -> None:
@@ -164,7 +170,7 @@ def energy(plant: Plant) -> float:
 signed = st.floats(-1.0, 1.0)
 
 
-@settings(max_examples=30, phases=(Phase.explicit, Phase.generate))  # shrinking would take minutes
+@settings(max_examples=15, phases=(Phase.explicit, Phase.generate))  # shrinking would take minutes
 @given(
     mode=st.sampled_from(list(Mode)),
     obstacle=st.sampled_from(("end", "narrow", "post")),

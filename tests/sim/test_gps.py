@@ -78,8 +78,8 @@ def drift_m(quality: GpsQuality, weights: GpsWeights, after_s: tuple[float, ...]
     ("weights", "bias_m_s", "expected_m"),
     [
         (DEFAULT, 0.0, (0.34, 0.53)),
-        (UNWEIGHTED, 0.0, (0.08, 0.14)),
-        (UNWEIGHTED, 0.03, (0.15, 0.28)),
+        pytest.param(UNWEIGHTED, 0.0, (0.08, 0.14), marks=pytest.mark.rest),
+        pytest.param(UNWEIGHTED, 0.03, (0.15, 0.28), marks=pytest.mark.rest),
     ],
     ids=["default", "unweighted", "unweighted with a bias of the velocity"],
 )

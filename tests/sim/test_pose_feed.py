@@ -13,6 +13,7 @@ from dart_flight.base.geometry import (
     yaw_ned_of,
 )
 from dart_flight.config.vehicle.mocap import MotionCapture
+from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable, with_simulated_mocap
 from dart_flight.sim.embedded_autopilot import make_autopilot
@@ -133,11 +134,23 @@ def test_an_autopilot_with_its_own_position_ignores_poses() -> None:
     assert sent.estimator.position == plain.estimator.position
 
 
-def test_a_flight_on_forwarded_poses_completes_and_is_reproducible() -> None:
+def fly_on_forwarded_poses() -> Verdict:
     settings = ["simulation.pose_delay_s=0.03", "mocap.delay_ms=30", "mocap.up=y", "mocap.heading_deg=40"]
     mission = with_simulated_mocap(load_flyable(SINGLE, None, settings), "udp")
-    first, again = (fly_fast(mission, 1, None) for _ in range(2))
-    assert first == again
-    assert first.outcome == "completed"
-    assert first.ekf_error_m is not None
-    assert first.ekf_error_m < 0.05
+    return fly_fast(mission, 1, None)
+
+
+@pytest.fixture(scope="module")
+def on_forwarded_poses() -> Verdict:
+    return fly_on_forwarded_poses()
+
+
+def test_a_flight_on_forwarded_poses_completes(on_forwarded_poses: Verdict) -> None:
+    assert on_forwarded_poses.outcome == "completed"
+    assert on_forwarded_poses.ekf_error_m is not None
+    assert on_forwarded_poses.ekf_error_m < 0.05
+
+
+@pytest.mark.rest
+def test_a_flight_on_forwarded_poses_is_reproducible(on_forwarded_poses: Verdict) -> None:
+    assert fly_on_forwarded_poses() == on_forwarded_poses
