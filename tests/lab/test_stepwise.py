@@ -81,6 +81,7 @@ def test_a_period_that_is_not_a_multiple_of_a_tick_is_refused(mission: Mission, 
         Simulation(mission, period_s=period_s)
 
 
+@pytest.mark.rest
 def test_the_environment_passes_gymnasiums_checker_and_repeats_by_seed() -> None:
     gymnasium = pytest.importorskip("gymnasium")
     checker = pytest.importorskip("gymnasium.utils.env_checker")
@@ -112,6 +113,7 @@ def test_an_episode_ends_with_a_penalty_outside_of_the_room() -> None:
     assert reward < -9.0
 
 
+@pytest.mark.rest
 def test_other_processes_make_the_environment_by_the_name_of_its_module(tmp_path: Path) -> None:
     """A process of a vector environment has not imported the module that registers the task."""
     pytest.importorskip("gymnasium")

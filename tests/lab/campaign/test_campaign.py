@@ -224,6 +224,7 @@ def wait_for_rows(out: Path, count: int, process: subprocess.Popen[str]) -> None
         time.sleep(0.02)
 
 
+@pytest.mark.rest
 def test_rows_are_neither_lost_nor_duplicated_by_repeated_kills(flown: Path, tmp_path: Path) -> None:
     out = tmp_path / "killed"
     for count in (1, 3):
@@ -284,6 +285,7 @@ def test_a_software_error_becomes_a_row_and_the_campaign_continues(tmp_path: Pat
     assert len(found) == 6
 
 
+@pytest.mark.rest
 def test_a_full_disk_ends_a_campaign_that_can_be_resumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
