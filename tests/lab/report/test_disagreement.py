@@ -76,6 +76,7 @@ def agreeing(single: Mission, flown: SharedFlights) -> list[RecordedFlight]:
     return [RecordedFlight.read(path) for path in sorted(flown.once("believed", fly).glob("*/flight.mcap"))]
 
 
+@pytest.mark.rest
 def test_flights_that_agree_with_the_prediction_show_no_disagreement(agreeing: list[RecordedFlight]) -> None:
     ((material, found),) = disagreements(agreeing).items()
     assert material == "acrylic"

@@ -60,6 +60,7 @@ def planned(flown: SharedFlights) -> QuickestResult:
     return limited_sight_plan(flown, load_scenario(SHIPPED))
 
 
+@pytest.mark.rest
 def test_both_plans_cruise_until_the_reaction_time_has_passed(planned: QuickestResult) -> None:
     result = planned
     assert result.best is result.colliding
@@ -80,6 +81,7 @@ def test_both_plans_cruise_until_the_reaction_time_has_passed(planned: QuickestR
     assert hit.normal_m_s >= -3.0 - 1e-6
 
 
+@pytest.mark.rest
 def test_the_free_plan_completes_without_a_collision(
     planned: QuickestResult,
     tmp_path: Path,

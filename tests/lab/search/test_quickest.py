@@ -172,6 +172,7 @@ def test_a_required_sequence_may_have_up_to_sixteen_walls() -> None:
         scenario_between_walls(1.25, [], ["east", "west"] * 9)
 
 
+@pytest.mark.rest
 def test_the_choice_of_mode_may_change_the_best_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
     """The partition is faster in flexible mode; the end wall is faster in rigid mode, which allows a lean."""
     monkeypatch.setattr(quickest, "MOST_HITS", 1)
@@ -278,6 +279,7 @@ def test_a_colliding_plan_completes_as_a_mission(tmp_path: Path) -> None:
     assert (goal - began) * 1e-6 == pytest.approx(result.best.time_s, rel=0.1)
 
 
+@pytest.mark.rest
 def test_the_free_plan_completes_as_a_mission(tmp_path: Path) -> None:
     result = one_turn()
     assert result.free is not None
