@@ -225,11 +225,10 @@ def test_the_page_of_an_aborted_flight_shows_the_reason_and_the_guards_action(
     assert any(row[1:3] == ["wall_not_met", "break_off"] for row in page.rows if len(row) == 4)
 
 
-@pytest.mark.parametrize("share", [0.02, pytest.param(0.999, marks=pytest.mark.rest)])
-def test_a_truncated_log_gives_a_page(share: float, trials: list[Path], tmp_path: Path) -> None:
+def test_a_truncated_log_gives_a_page(trials: list[Path], tmp_path: Path) -> None:
     whole = trials[0].read_bytes()
     path = tmp_path / "flight.mcap"
-    path.write_bytes(whole[: int(share * len(whole))])
+    path.write_bytes(whole[: len(whole) // 50])
     assert main(["report", str(path), "-o", str(tmp_path / "page.html")]) == 0
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     Page(text)
