@@ -103,16 +103,12 @@ def test_a_trial_notes_its_hole(tmp_path: Path) -> None:
     assert trial.notes == (f"{tmp_path}/trial.csv: hole of 0.35 s in normal_m, at 0.30 s",)
 
 
-@pytest.mark.rest
-def test_identify_reports_a_truncated_flight_log(
-    flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = flown("single_wall", 1).log.read_bytes()
+def test_a_trial_of_a_truncated_flight_log_notes_it(flown: SharedFlights, tmp_path: Path) -> None:
+    data = flown("paper_single_wall", 1).log.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: round(0.8 * len(data))])
-    assert main(["identify", str(cut), "--mode", "flexible"]) == 0
-    output = capsys.readouterr().err
-    assert f"{cut}: cut: the log ends at " in output
+    (trial,) = read_trials(cut, TrialReading())
+    assert any(f"{cut}: cut: the log ends at " in note for note in trial.notes)
 
 
 def _damaged(log: Log, *, cut_s: float | None = None, hole_s: tuple[float, float] | None = None) -> Log:
@@ -130,30 +126,38 @@ def _damaged(log: Log, *, cut_s: float | None = None, hole_s: tuple[float, float
     return Log(log.source, log.about, {} if cut_s is not None else log.end, kept, complete=cut_s is None)
 
 
-@pytest.mark.rest
-def test_a_report_begins_with_the_holes_and_truncation_of_the_log(flown: SharedFlights) -> None:
-    whole = flown("single_wall", 1).log
+def test_holes_and_truncation_of_a_flight_log_are_described(flown: SharedFlights) -> None:
+    whole = flown("paper_single_wall", 1).log
     log = read_log(whole)
     assert describe_missing_parts(log) == []
-    cut = _damaged(log, cut_s=8.0)
+    cut = _damaged(log, cut_s=3.0)
     (line,) = describe_missing_parts(cut)
-    assert line == "cut: the log ends at 8.00 s"
+    assert line == "cut: the log ends at 3.00 s"
+    holed = _damaged(log, hole_s=(2.0, 3.5))
+    assert describe_missing_parts(holed) == ["hole of 1.50 s in the IMU samples, at 2.00 s"]
+
+
+@pytest.mark.rest
+def test_a_comparison_begins_with_the_holes_of_a_log(flown: SharedFlights) -> None:
+    log = read_log(flown("paper_single_wall", 1).log)
+    holed = _damaged(log, hole_s=(2.0, 3.5))
+    both = comparison_page([RecordedFlight(holed), RecordedFlight(log)])
+    assert both.count("does not contain the whole flight: hole of 1.50 s in the IMU samples") == 1
+
+
+@pytest.mark.rest
+def test_a_page_begins_with_the_truncation_of_the_log(flown: SharedFlights) -> None:
+    cut = _damaged(read_log(flown("paper_single_wall", 1).log), cut_s=3.0)
+    (line,) = describe_missing_parts(cut)
     page = flight_page(RecordedFlight(cut))
     assert f"The log does not contain the whole flight: {line}." in page
     assert page.index(line) < page.index("class=sentence")
-    holed = _damaged(log, hole_s=(2.0, 3.5))
-    (line,) = describe_missing_parts(holed)
-    assert line == "hole of 1.50 s in the IMU samples, at 2.00 s"
-    both = comparison_page([RecordedFlight(holed), RecordedFlight(log)])
-    assert both.count(f"does not contain the whole flight: {line}.") == 1
 
 
-@pytest.mark.rest
 def test_a_log_cut_before_its_first_imu_sample_is_reported(flown: SharedFlights) -> None:
-    log = _damaged(read_log(flown("single_wall", 1).log), cut_s=-1.0)
+    log = _damaged(read_log(flown("paper_single_wall", 1).log), cut_s=-1.0)
     log.entries = [e for e in log.entries if not isinstance(e.record, ImuSample)]
     assert describe_missing_parts(log) == ["cut: the log ends before its first IMU sample"]
-    assert "cut: the log ends before its first IMU sample" in flight_page(RecordedFlight(log))
     log.entries.clear()
     assert "cut: the log ends before its first IMU sample" in flight_page(RecordedFlight(log))
 

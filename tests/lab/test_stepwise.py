@@ -81,6 +81,7 @@ def test_a_period_that_is_not_a_multiple_of_a_tick_is_refused(mission: Mission, 
         Simulation(mission, period_s=period_s)
 
 
+@pytest.mark.rest
 def test_the_environment_passes_gymnasiums_checker_and_repeats_by_seed() -> None:
     gymnasium = pytest.importorskip("gymnasium")
     checker = pytest.importorskip("gymnasium.utils.env_checker")

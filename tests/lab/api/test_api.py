@@ -20,6 +20,7 @@ from dart_flight.cli import main
 from dart_flight.config.mission_file import CollisionSpec, GoalSpec, MissionFile, WallSpec
 from dart_flight.lab import api
 from dart_flight.recording.schema import RECORD_TYPES
+from tests.shared_flights import SharedFlights
 
 SINGLE = dart_flight.packaged("missions", "paper_single_wall.yaml")
 DUAL = dart_flight.packaged("missions", "paper_dual_collision.yaml")
@@ -27,7 +28,12 @@ DUAL = dart_flight.packaged("missions", "paper_dual_collision.yaml")
 
 @pytest.fixture(scope="module")
 def flight() -> dart_flight.Flight:
-    return dart_flight.simulate(SINGLE, seed=5)
+    """Return a flight in memory, flown inside an event loop as in a notebook."""
+
+    async def notebook() -> dart_flight.Flight:
+        return dart_flight.simulate(SINGLE, seed=1)
+
+    return asyncio.run(notebook())
 
 
 # --- names ----------------------------------------------------------------------------------------------
@@ -56,7 +62,6 @@ def test_the_import_loads_no_dependencies() -> None:
     assert done.stdout.strip() == "[]"
 
 
-@pytest.mark.rest
 def test_a_simulated_flight_needs_no_extra() -> None:
     code = (
         "import sys, dart_flight as d; d.simulate(d.packaged('missions', 'single_wall.yaml')).log.topics;"
@@ -391,59 +396,43 @@ def test_invalid_input_raises_a_value_error_with_one_line(call: Any, message: st
 # --- flights --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.rest
-def test_a_log_in_memory_equals_the_written_log(flight: dart_flight.Flight, tmp_path: Path) -> None:
-    on_disk = dart_flight.simulate(SINGLE, seed=5, log_dir=tmp_path)
-    (path,) = tmp_path.glob("*/flight.mcap")
-    assert on_disk.verdict.log is not None
+def test_a_log_in_memory_equals_the_written_log(flight: dart_flight.Flight, flown: SharedFlights) -> None:
+    on_disk, path = flown("paper_single_wall", 1)
     assert flight.verdict.log is None
-    assert msgspec.structs.replace(on_disk.verdict, log=None) == flight.verdict
+    differing = {"log": None, "mission": flight.verdict.mission}
+    assert msgspec.structs.replace(on_disk, **differing) == flight.verdict
     read = dart_flight.read_log(path)
     assert type(read) is type(flight.log)
     assert read.entries == flight.log.entries
-    assert on_disk.log.entries == read.entries
     assert read.topics == flight.log.topics
-    kept = {key: text for key, text in flight.log.about.items() if not key.startswith("started_")}
-    assert kept.items() <= read.about.items()
 
 
 def test_the_verdict_from_the_log_equals_the_flights_verdict(flight: dart_flight.Flight) -> None:
     assert dart_flight.verdict_of(flight.log) == flight.verdict
 
 
-def test_simulate_equals_the_flight_of_the_command(flight: dart_flight.Flight, tmp_path: Path) -> None:
-    assert main(["dry-run", str(SINGLE), "--fast", "--seed", "5", "--log-dir", str(tmp_path)]) == 0
-    (path,) = tmp_path.glob("*/flight.mcap")
-    assert dart_flight.read_log(path).entries == flight.log.entries
-
-
-@pytest.mark.rest
 def test_a_log_contains_the_changed_mission(tmp_path: Path) -> None:
     mission = dart_flight.load_mission(SINGLE).replace({"goal.hold_s": 0.5, "name": "changed"})
     flown = dart_flight.simulate(mission, log_dir=tmp_path)
     (path,) = tmp_path.glob("*/flight.mcap")
-    assert "changed" in dart_flight.read_log(path).about["mission_text"]
+    read = dart_flight.read_log(path)
+    assert "changed" in read.about["mission_text"]
+    kept = {key: text for key, text in flown.log.about.items() if not key.startswith("started_")}
+    assert kept.items() <= read.about.items()
+    assert flown.log.entries == read.entries
     assert flown.verdict.outcome is Outcome.COMPLETED
-    assert main(["replay", str(path)]) == 0
     assert main(["replay", str(path), "--set", "goal.hold_s=0.5"]) == 0, "the log's text has the change"
 
 
-@pytest.mark.rest
 def test_draws_and_faults_are_simulated() -> None:
-    drawn = dart_flight.simulate(SINGLE, seed=7, vary={"mass": 0.1, "wind_m_s": 0.2}).verdict.drawn
-    assert set(drawn) == {"mass", "wind_north_m_s", "wind_east_m_s"}
-    assert dart_flight.simulate(SINGLE, seed=7, vary=["mass=0.1", "wind_m_s=0.2"]).verdict.drawn == drawn
-    lost = dart_flight.simulate(SINGLE, fault="wall-missing")
+    lost, again = (
+        dart_flight.simulate(SINGLE, seed=7, vary=vary, fault="imu-dropout@approach")
+        for vary in ({"mass": 0.1, "wind_m_s": 0.2}, ["mass=0.1", "wind_m_s=0.2"])
+    )
+    assert set(lost.verdict.drawn) == {"mass", "wind_north_m_s", "wind_east_m_s"}
+    assert again.verdict.drawn == lost.verdict.drawn
     assert lost.verdict.outcome is Outcome.ABORTED
     assert "aborted" in repr(lost)
-
-
-@pytest.mark.rest
-def test_simulate_runs_inside_an_event_loop(flight: dart_flight.Flight) -> None:
-    async def notebook() -> dart_flight.Flight:
-        return dart_flight.simulate(SINGLE, seed=5)
-
-    assert asyncio.run(notebook()).verdict == flight.verdict
 
 
 # --- arrays ---------------------------------------------------------------------------------------------
@@ -547,17 +536,14 @@ def test_a_plan_uses_the_given_vehicle_and_objective() -> None:
     assert gentle.peak_force_n < near.peak_force_n
 
 
-@pytest.mark.rest
-def test_identify_accepts_flights_logs_and_paths(flight: dart_flight.Flight, tmp_path: Path) -> None:
+def test_identify_accepts_flights_logs_and_paths(flight: dart_flight.Flight, flown: SharedFlights) -> None:
     pytest.importorskip("scipy")
-    flown = [flight, dart_flight.simulate(SINGLE, seed=6, log_dir=tmp_path)]
-    found = dart_flight.identify([flown[0], flown[1].log], surface="acrylic")
-    assert [len(found.trials), list(found.coefficients)] == [2, ["flexible"]]
-    (path,) = tmp_path.glob("*/flight.mcap")
-    from_file = dart_flight.identify([flight.log, path], surface="acrylic")
+    path = flown("paper_single_wall", 1).log  # the same flight
+    found, from_file = (dart_flight.identify(source, surface="acrylic") for source in (flight, [path]))
+    assert [len(found.trials), list(found.coefficients)] == [1, ["flexible"]]
     assert from_file.coefficients == found.coefficients
     with pytest.raises(dart_flight.InputError, match="no collision with wood"):
-        dart_flight.identify(flight, surface="wood")
+        dart_flight.identify(flight.log, surface="wood")
 
 
 def test_waypoints_follow_the_altitude_and_speed_they_default_to() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 import json
 import math
 from pathlib import Path
@@ -25,14 +27,18 @@ INERTIA = (0.016, 0.011, 0.027)  # differs from the configured inertia
 HOVER = VEHICLE.thrust.command_for(VEHICLE.airframe.mass_kg * 9.80665 / 4.0)
 
 
-def excited_track(
+@functools.cache
+def simulated_rotation(
     amplitudes: tuple[float, float, float],
     seconds: float = 20.0,
     lag_s: float = 0.025,
     wind_nm: float = 0.0,
     vehicle: VehicleConfig = VEHICLE,
 ) -> Track:
-    """Simulate a vehicle of `INERTIA` whose motors excite its axes with the given command amplitudes."""
+    """Simulate a vehicle of `INERTIA` whose motors excite its axes with the given command amplitudes.
+
+    Tests share the result; `excited_track` returns a copy.
+    """
     rng = np.random.default_rng(3)
     tick, fine = 0.004, 4
     motors = vehicle.airframe.motors
@@ -63,6 +69,13 @@ def excited_track(
         motor_s=np.array(stamps),
         motors=np.array(commands),
     )
+
+
+def excited_track(
+    amplitudes: tuple[float, float, float], seconds: float = 20.0, lag_s: float = 0.025
+) -> Track:
+    """Return a copy of a simulated rotation, which a test may change."""
+    return copy.deepcopy(simulated_rotation(amplitudes, seconds, lag_s))
 
 
 def test_excitation_of_all_axes_gives_all_three_inertias() -> None:
@@ -153,7 +166,7 @@ def test_the_command_writes_only_the_identified_axis_to_the_configuration(
     config = tmp_path / "mine.yaml"
     text = (ROOT / "configs" / "dart.yaml").read_text()
     config.write_text(text.replace("[0.0125, 0.0125, 0.022]", "[0.02, 0.02, 0.03]"))
-    log = str(flown("paper_single_wall", 2).log)
+    log = str(flown("paper_single_wall", 1).log)
     assert main(["calibrate", "inertia", log, "--config", str(config), "--write", "--json"]) == 0
     output = json.loads(capsys.readouterr().out)
     pitch = output["axes"][1]

@@ -45,6 +45,7 @@ def test_a_watched_flight_equals_the_fast_flight_and_passes_on_every_record() ->
     assert math.degrees(watched.truth.tilt_rad) < 45.0
 
 
+@pytest.mark.rest
 def test_a_rollover_is_reported_as_uncontrolled() -> None:
     """An impact at 3 m/s with guards 12 cm below the centre of mass cannot be balanced."""
     mission = load_mission(DATA / "faster_hit.yaml")

@@ -174,9 +174,10 @@ def test_mode_selects_among_the_collisions_of_a_flight(
 ) -> None:
     """The dual collision hits wood in flexible mode, then acrylic in rigid mode."""
     log = str(flown("paper_dual_collision", 1).log)
-    for mode in ("flexible", "rigid"):
-        assert main(["identify", log, "--mode", mode, "--json"]) == 0
-        assert list(json.loads(capsys.readouterr().out)["coefficients"]) == [mode]
+    assert main(["identify", log, "--mode", "rigid", "--json"]) == 0
+    streams = capsys.readouterr()
+    assert list(json.loads(streams.out)["coefficients"]) == ["rigid"]
+    assert "not the vehicle of the configuration" not in streams.err
     message = refusal(capsys, log, "--mode", "flexible", "--surface", "acrylic")
     assert "no collision with acrylic in flexible mode in this flight" in message
 
@@ -187,17 +188,13 @@ def test_a_flight_log_is_identified_with_the_mass_of_its_vehicle(
     """With the configuration's mass, k would be wrong by a third."""
     log, other = str(flown("paper_single_wall", 1).log), tmp_path / "light.yaml"
     other.write_text(packaged("configs", "dart.yaml").read_text().replace("mass_kg: 1.3", "mass_kg: 0.9"))
-    found = {}
-    for config in (packaged("configs", "dart.yaml"), other):
-        assert main(["identify", log, "--config", str(config), "--json"]) == 0
-        streams = capsys.readouterr()
-        found[config] = json.loads(streams.out)
-        assert ("not the vehicle of the configuration (0.9 kg)" in streams.err) == (config == other)
-    right, same = found.values()
-    assert same["coefficients"] == right["coefficients"]
-    assert same["vehicle"]["mass_kg"] == 1.3
+    assert main(["identify", log, "--config", str(other), "--json"]) == 0
+    streams = capsys.readouterr()
+    found = json.loads(streams.out)
+    assert "not the vehicle of the configuration (0.9 kg)" in streams.err
+    assert found["vehicle"]["mass_kg"] == 1.3
     k = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE).k
-    assert right["coefficients"]["flexible"]["k"]["value"] == pytest.approx(k, rel=0.04)
+    assert found["coefficients"]["flexible"]["k"]["value"] == pytest.approx(k, rel=0.04)
     message = refusal(capsys, *hits, log, "--mode", "flexible", "--config", str(other))
     assert "the trial is of another vehicle (0.9 kg, not 1.3 kg): identify the vehicles separately" in message
 

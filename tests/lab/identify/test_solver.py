@@ -120,9 +120,14 @@ def scattered_drops(n: int, sds: tuple[float, float, float], seed: int) -> list[
     ]
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize("n", [3, 6])
-@pytest.mark.parametrize("sds", [(0.04, 0.08, 0.1), (0.055, 0.19, 0.2)], ids=["as expected", "as real drops"])
+@pytest.mark.parametrize("n", [pytest.param(3, marks=pytest.mark.rest), 6])
+@pytest.mark.parametrize(
+    "sds",
+    [
+        pytest.param((0.04, 0.08, 0.1), id="as expected", marks=pytest.mark.rest),
+        pytest.param((0.055, 0.19, 0.2), id="as real drops"),
+    ],
+)
 def test_intervals_of_whole_impacts_cover_the_truth(n: int, sds: tuple[float, float, float]) -> None:
     covered = []
     for seed in range(25):

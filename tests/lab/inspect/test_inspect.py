@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import random
@@ -36,8 +37,12 @@ def with_force(estimated: Estimated, push: tuple[float, float]) -> Estimated:
     return estimated._replace(force=force, along_n=along)
 
 
+@functools.cache
 def topics(motor_hz: float = 100.0, motors: bool = True, north_m_s: float = 0.0) -> Topics:
-    """Return 21 s of level flight facing north, with slow climbs and descents, vibration and one impact."""
+    """Return 21 s of level flight facing north, with slow climbs and descents, vibration and one impact.
+
+    Tests share the result, so copy it before a change.
+    """
     rng = random.Random(5)
     imu: Rows = []
     attitude: Rows = []

@@ -102,6 +102,7 @@ def test_the_page_of_ten_collisions_is_smaller_than_a_megabyte(
 
 @pytest.mark.rest
 @pytest.mark.parametrize("count", [5, 10])
+@pytest.mark.rest
 def test_labels_of_many_collisions_do_not_overlap(ten_collisions: RecordedFlight, count: int) -> None:
     flight = ten_collisions if count == 10 else _first_hits(ten_collisions, count)
     figure = flight_map([flight])

@@ -80,8 +80,7 @@ def test_a_wall_far_outside_of_the_bounds_does_not_shrink_the_map() -> None:
     assert view_of(far, points)[1, 1] <= view_of(near, points)[1, 1]
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize("gap_m", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("gap_m", [0.0, 0.3])
 @pytest.mark.parametrize("turned", [False, True])
 def test_each_face_of_a_partition_is_labelled_on_its_own_side(gap_m: float, turned: bool) -> None:
     """The label of a face is in front of it, also if two faces are back to back."""
@@ -99,7 +98,7 @@ def test_each_face_of_a_partition_is_labelled_on_its_own_side(gap_m: float, turn
         assert one.signed_distance(written[f"{one.name} (acrylic)"].xy) > 0.0
 
 
-@pytest.mark.parametrize("heading_deg", [0.0, 30.0, -90.0, 200.0])
+@pytest.mark.parametrize("heading_deg", [0.0, 200.0])
 def test_an_arrow_points_north(heading_deg: float) -> None:
     from matplotlib.offsetbox import AnchoredOffsetbox
     from matplotlib.patches import FancyArrow

@@ -25,7 +25,7 @@ from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.many_flights import RunsInterruptedError
 from dart_flight.run.prepare import with_driver
-from tests.lab.search.test_quickest import scenario_between_walls
+from tests.lab.search.test_quickest import one_turn, scenario_between_walls
 from tests.mission_findings import check_mission
 
 SCENARIO = """\
@@ -82,7 +82,7 @@ def times_by_kind(**times_s: float) -> Ends:
 
 @pytest.fixture(scope="module")
 def planned() -> QuickestResult:
-    return plan_quickest(scenario_between_walls())
+    return one_turn()
 
 
 def choose(result: QuickestResult, ends: Ends, free_only: bool = False) -> tuple[OfferedPlan, FakeFlights]:
@@ -216,13 +216,12 @@ POLE = {"pole": {"centre_m": [0.7, 0.0], "radius_m": 0.05, "material": "wood"}}
 
 
 @pytest.mark.parametrize(
-    ("keys", "reason"),
+    ("keys", "reason", "touch_m_s"),
     [
-        ({"walls": BESIDE, "visits": [{"position_m": [1.5, 1.5], "within_m": 0.1}]}, "beyond the end"),
-        ({"posts": POLE, "visits": [{"position_m": [2.0, 1.0], "within_m": 0.1}]}, "blocks the run-up"),
+        ({"walls": BESIDE, "visits": [{"position_m": [1.5, 1.5], "within_m": 0.1}]}, "beyond the end", None),
+        ({"posts": POLE, "visits": [{"position_m": [2.0, 1.0], "within_m": 0.1}]}, "blocks the run-up", 0.6),
     ],
 )
-@pytest.mark.parametrize("touch_m_s", [None, 0.6])
 def test_a_plan_whose_mission_is_refused_is_not_flown(
     keys: dict[str, Any], reason: str, touch_m_s: float | None
 ) -> None:
@@ -328,7 +327,7 @@ def test_an_invalid_flight_record_is_refused(planned: QuickestResult, tmp_path: 
 def test_the_command_flies_its_plan_and_records_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(flown_plan, "DRAWN", 2)
+    monkeypatch.setattr(flown_plan, "DRAWN", 1)
     monkeypatch.setattr(flown_plan, "fly_fast_many", fly_here)
     scenario, target = tmp_path / "scenario.yaml", tmp_path / "mission.yaml"
     scenario.write_text(SCENARIO)
@@ -337,7 +336,7 @@ def test_the_command_flies_its_plan_and_records_it(
     mission = dart_flight.load_mission(target)
     assert mission.flown is not None
     assert mission.flown.drawn is not None
-    assert mission.flown.drawn.flights == 2
+    assert mission.flown.drawn.flights == 1
     assert mission.flown.digest == mission.digest
     records = output["flown"]
     assert records["free"]["nominal"]["outcome"] == "completed"
