@@ -29,7 +29,7 @@ class TooSlow(AssertionError):  # noqa: N818  the name says what happened
     """The program, or this computer, exceeded a limit of time."""
 
 
-def wait_until(condition: Callable[[], _T], seconds: float, what: str) -> _T:
+def wait_until(condition: Callable[[], _T | None], seconds: float, what: str) -> _T:
     """Return the first true value of `condition`, which is asked every 20 ms.
 
     Raises:

@@ -35,7 +35,7 @@ class LogVehicle(VehiclePeer):
         self._logs, self._sends_bytes, self._queue = logs, sends_bytes, deque[Any]()
         self.answers["LOG_REQUEST_LIST"] = self._list
         self.answers["LOG_REQUEST_DATA"] = self._queue_data
-        self.answers["LOG_REQUEST_END"] = lambda _: self._queue.clear() or []
+        self.answers["LOG_REQUEST_END"] = self._stop_sending
 
     def _list(self, _: Any) -> Iterable[Any]:
         count = len(self._logs)
@@ -53,6 +53,10 @@ class LogVehicle(VehiclePeer):
             data = content[at : min(end, at + _CHUNK)]
             padded = list(data.ljust(_CHUNK, b"\0"))
             self._queue.append(mavlink.MAVLink_log_data_message(request.id, at, len(data), padded))
+        return []
+
+    def _stop_sending(self, _: Any) -> Iterable[Any]:
+        self._queue.clear()
         return []
 
     def tick(self) -> None:

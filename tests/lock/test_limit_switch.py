@@ -53,8 +53,9 @@ def gpiod(monkeypatch: pytest.MonkeyPatch) -> Any:
             raise FileNotFoundError(2, "No such file or directory")
         ((lines, settings),) = config.items()
         module.requests.append((path, lines, settings, consumer))
-        module.opened.append(Request(module.levels, settings.active_low))
-        return module.opened[-1]
+        request = Request(module.levels, settings.active_low)
+        module.opened.append(request)
+        return request
 
     module.request_lines = request_lines
     monkeypatch.setitem(sys.modules, "gpiod", module)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -144,7 +145,7 @@ NONE, RIGID, BOTH = None, RIGID_SWITCH, BOTH_SWITCHES
 # From a lock that has homed to flexible, with locking permitted: switches, fault, and pairs of an action with
 # the seconds until the look at the state, and the description of the state.
 # fmt: off
-SCRIPTS = {
+SCRIPTS: dict[str, tuple[Any, ...]] = {
     "an end without a switch has no feedback": (
         RIGID, "healthy", ("wait 0", UNLOCKED), ("lock 1", CONFIRMED), ("unlock 1", UNLOCKED)),
     "locking is refused until it is permitted": (

@@ -61,6 +61,10 @@ def pair(booting: Pair) -> Iterator[Pair]:
         yield booting
 
 
+def mode_of(vehicle: Px4Vehicle) -> Mode:
+    return vehicle.plant.mode
+
+
 def fly(vehicle: Px4Vehicle, ticks: int, fake: FakePx4, arriving: str = "HIL_SENSOR") -> list[Any]:
     """Advance by `ticks`, and return the messages of a kind that PX4 has received by then."""
     for _ in range(ticks):
@@ -147,12 +151,12 @@ def test_the_servo_follows_its_channel_only_while_armed(mission: Mission, pair: 
     controls[servo_channel(mission.vehicle)] = actuator_value(lock, lock.servo.rigid_pulse_us)
     fake.controls = tuple(controls)
     fly(vehicle, 100, fake)
-    assert vehicle.plant.mode is Mode.FLEXIBLE  # outputs of a disarmed PX4 do not move the servo
+    assert mode_of(vehicle) is Mode.FLEXIBLE  # outputs of a disarmed PX4 do not move the servo
     fake.armed = True
     fly(vehicle, 60, fake)
-    assert vehicle.plant.mode is Mode.FLEXIBLE  # 0.24 s: still travelling
+    assert mode_of(vehicle) is Mode.FLEXIBLE  # 0.24 s: still travelling
     fly(vehicle, 40, fake)
-    assert vehicle.plant.mode is Mode.RIGID
+    assert mode_of(vehicle) is Mode.RIGID
 
 
 @pytest.mark.parametrize("value", [160.0, -160.0, 300.0, -300.0, 156.9, -156.9])

@@ -148,7 +148,10 @@ def test_each_planner_lives_as_long_as_the_flight_and_gets_its_requests(
     monkeypatch.setattr(module, "PlannerProcess", create)
     flight = fly_app(script, name)
     assert list(planners) == kinds
-    wanted = {PlanRequest: [call.send(PLAN), call.send(ESTIMATE)], ContactRequest: [call.send(CONTACT)]}
+    wanted: dict[type, list[Any]] = {
+        PlanRequest: [call.send(PLAN), call.send(ESTIMATE)],
+        ContactRequest: [call.send(CONTACT)],
+    }
     for kind, planner in planners.items():
         assert [c for c in planner.mock_calls if c != call.answer(ANY)] == [*wanted[kind], call.stop()]
     assert len(flight.records_of(PlanAnswer)) == (PlanRequest in kinds)
