@@ -40,7 +40,6 @@ def assert_outcome(outcome: str, allowed: Collection[str]) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        pytest.param("wall-missing@approach", marks=pytest.mark.rest),
         pytest.param("servo-unplugged@approach", marks=pytest.mark.rest),
         *(
             pytest.param(text, marks=pytest.mark.realtime)

@@ -38,7 +38,7 @@ BY_SITE = [
     CHANCE.choice([(name, phase) for name, phase in CELLS if cell_fault(name, phase).kind.site is site])
     for site in FaultSite
 ]
-OTHERS = CHANCE.sample(sorted(set(CELLS) - set(BY_SITE)), 9)
+OTHERS = CHANCE.sample(sorted(set(CELLS) - set(BY_SITE)), 6)
 DUAL = ROOT / "missions/paper_dual_collision.yaml"
 IN_AIR = [phase for phase in PHASES if phase != ON_GROUND]
 
@@ -79,9 +79,9 @@ def test_late_telemetry_prevents_arming(delay_ms: float) -> None:
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("number", range(2))  # thousands: tools/campaigns/faults_random.yaml
-def test_flights_with_random_faults_stay_controlled(number: int) -> None:
-    flown = fly_fault(*random_fault(7 * number), 7 * number)
+def test_a_flight_with_random_faults_stays_controlled() -> None:
+    """tools/campaigns/faults_random.yaml flies thousands."""
+    flown = fly_fault(*random_fault(7), 7)
     assert not flown.problems, flown
 
 
@@ -123,10 +123,9 @@ def test_a_second_vehicle_on_the_link_is_reported_within_100_ms(phase: str, ahea
     )
 
 
-@pytest.mark.parametrize("ahead_s", [0.0, pytest.param(238.0, marks=pytest.mark.rest)])
-def test_a_flight_beside_a_second_vehicle_ends_only_after_its_own_landing(ahead_s: float) -> None:
+def test_a_flight_beside_a_second_vehicle_ends_only_after_its_own_landing() -> None:
     """The second vehicle is disarmed throughout and must not end the landing."""
-    flight = FastFlight(load_flyable(SINGLE), 1, fault=Fault("second-vehicle", ahead_s, "landing"))
+    flight = FastFlight(load_flyable(SINGLE), 1, fault=Fault("second-vehicle", 0.0, "landing"))
     flight.run()
     assert not flight.autopilot.armed
     assert flight.core.end is not None

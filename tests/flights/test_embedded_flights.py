@@ -4,7 +4,6 @@ The command line and the vehicle run in separate processes, as they do on the de
 """
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -187,37 +186,6 @@ def test_control_c_in_the_approach_aborts_without_a_contact(tmp_path: Path) -> N
     assert log.complete
     assert any(isinstance(e.record, MissionEnd) for e in log.entries)
     assert not any(isinstance(e.record, TruthContact) for e in log.entries)
-
-
-@pytest.mark.rest
-@pytest.mark.mavlink
-def test_control_c_in_a_series_reports_the_flights_that_were_flown(tmp_path: Path) -> None:
-    """Interrupt the second of three flights: it lands, and the third does not begin."""
-    flights = tmp_path / "flights"
-    words = ["dry-run", NEAR, "--log-dir", str(flights), "--runs", "3", "--json"]
-    words += ["--speed", "2"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "dart_flight", *words],
-        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        # The test runner may ignore Ctrl-C, and its children would inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
-    )  # fmt: skip
-    wait_until(lambda: len(list(flights.glob("*/autopilot.log"))) == 2, 120.0, "the second flight")
-    time.sleep(3.0)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    out, err = end_within(90.0, process)
-    assert process.returncode == 130, err
-    printed = json.loads(out)
-    first, second = printed["runs"]
-    assert first["outcome"] == "completed", first["reason"]
-    assert second["outcome"] == "aborted"
-    assert second["reason"].startswith("operator"), second["reason"]
-    assert printed["interrupted"] is True
-    assert printed["summary"]["runs"] == 2
-    assert printed["summary"]["completed"] == 1
-    assert "interrupted: 2 of 3 flights were flown" in err
-    assert f"logs: 2 flights in {flights}" in err
-    assert len(list(flights.glob("*/flight.mcap"))) == 2
 
 
 @pytest.mark.mavlink

@@ -88,14 +88,6 @@ def test_setpoints_depend_only_on_the_seed(flown: SharedFlights) -> None:
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("seed", [2, 3])  # more seeds: tools.campaigns.replay
-def test_the_papers_missions_complete_with_several_seeds(seed: int, flown: SharedFlights) -> None:
-    for name in ("paper_dual_collision", "paper_single_wall"):
-        verdict = flown(name, seed).verdict
-        assert (verdict.outcome, verdict.reason) == ("completed", None)
-
-
-@pytest.mark.rest
 def test_a_distant_goal_is_approached_at_transit_speed() -> None:
     mission = load_mission(packaged("missions", "paper_single_wall.yaml")).replace(
         {"goal.position_m": [-5.0, 1.0], "bounds_m.x": [-6.0, 2.2]}

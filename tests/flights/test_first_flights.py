@@ -15,15 +15,8 @@ from tests.shared_flights import SharedFlights
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "dual_collision",
-        *(pytest.param(name, marks=pytest.mark.rest) for name in ("single_wall", "dual_collision_replan")),
-    ],
-)
-def test_a_first_flight_reaches_its_goal_and_follows_its_plan(name: str, flown: SharedFlights) -> None:
-    verdict = flown(name, 2, vary=("contact=0.2",)).verdict
+def test_a_first_flight_reaches_its_goal_and_follows_its_plan(flown: SharedFlights) -> None:
+    verdict = flown("dual_collision", 2, vary=("contact=0.2",)).verdict
     assert (verdict.outcome, verdict.goal_reached, verdict.plan_followed) == ("completed", True, True)
     assert verdict.goal_miss_planned_m == 0.0
 
