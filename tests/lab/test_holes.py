@@ -154,6 +154,7 @@ def test_a_page_begins_with_the_truncation_of_the_log(flown: SharedFlights) -> N
     assert page.index(line) < page.index("class=sentence")
 
 
+@pytest.mark.rest
 def test_a_log_cut_before_its_first_imu_sample_is_reported(flown: SharedFlights) -> None:
     log = _damaged(read_log(flown("paper_single_wall", 1).log), cut_s=-1.0)
     log.entries = [e for e in log.entries if not isinstance(e.record, ImuSample)]

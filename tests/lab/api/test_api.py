@@ -62,6 +62,7 @@ def test_the_import_loads_no_dependencies() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.rest
 def test_a_simulated_flight_needs_no_extra() -> None:
     code = (
         "import sys, dart_flight as d; d.simulate(d.packaged('missions', 'single_wall.yaml')).log.topics;"
@@ -411,6 +412,7 @@ def test_the_verdict_from_the_log_equals_the_flights_verdict(flight: dart_flight
     assert dart_flight.verdict_of(flight.log) == flight.verdict
 
 
+@pytest.mark.rest
 def test_a_log_contains_the_changed_mission(tmp_path: Path) -> None:
     mission = dart_flight.load_mission(SINGLE).replace({"goal.hold_s": 0.5, "name": "changed"})
     flown = dart_flight.simulate(mission, log_dir=tmp_path)
@@ -424,6 +426,7 @@ def test_a_log_contains_the_changed_mission(tmp_path: Path) -> None:
     assert main(["replay", str(path), "--set", "goal.hold_s=0.5"]) == 0, "the log's text has the change"
 
 
+@pytest.mark.rest
 def test_draws_and_faults_are_simulated() -> None:
     lost, again = (
         dart_flight.simulate(SINGLE, seed=7, vary=vary, fault="imu-dropout@approach")
@@ -536,6 +539,7 @@ def test_a_plan_uses_the_given_vehicle_and_objective() -> None:
     assert gentle.peak_force_n < near.peak_force_n
 
 
+@pytest.mark.rest
 def test_identify_accepts_flights_logs_and_paths(flight: dart_flight.Flight, flown: SharedFlights) -> None:
     pytest.importorskip("scipy")
     path = flown("paper_single_wall", 1).log  # the same flight

@@ -84,6 +84,7 @@ def test_crossings_in_fast_flight_are_untold_if_the_thrust_fit_is_refused(
     assert flight["untold"] == len(flight["impacts"]) > 0
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("motor_hz", "kind"), [(10.0, "untold"), (25.0, "impact")])
 def test_crossings_in_fast_flight_are_untold_between_slow_motor_outputs(
     motor_hz: float, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -55,6 +55,7 @@ def test_draws_without_spread_equal_the_plan(dual: Mission) -> None:
     assert np.std([miss for miss in spread if miss is not None]) > 0.01
 
 
+@pytest.mark.rest
 def test_draws_vary_the_position_and_direction_of_uncertain_walls(dual: Mission) -> None:
     known = predict_with_draws(dual, 60)
     assert all(not flight.walls for flight in known)
@@ -172,6 +173,7 @@ PICTURES = [
 ]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("name", "changed"), PICTURES)
 def test_no_label_lies_on_a_line_and_the_bounds_are_shown(
     name: str, changed: Callable[[Mission], Mission]

@@ -283,6 +283,7 @@ def test_a_rehearsal_has_a_page(tmp_path: Path) -> None:
 # --- several flights -----------------------------------------------------------------------------------
 
 
+@pytest.mark.rest
 def test_the_comparison_shows_the_statistics_of_its_flights(
     flights: list[RecordedFlight], comparison: str
 ) -> None:
@@ -316,6 +317,7 @@ def test_an_error_in_percent_needs_a_reference() -> None:
     assert Compared("v", "m/s", None, None, 1.0, 0.01).error_percent is None
 
 
+@pytest.mark.rest
 def test_flights_of_different_missions_are_not_compared(
     trials: list[Path], dual: Mission, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -350,6 +352,7 @@ def test_a_page_that_cannot_be_written_is_reported_in_one_line(
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.rest
 def test_figures_for_a_paper_have_column_width_and_editable_text(
     trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -80,6 +80,7 @@ def test_a_wall_far_outside_of_the_bounds_does_not_shrink_the_map() -> None:
     assert view_of(far, points)[1, 1] <= view_of(near, points)[1, 1]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("gap_m", [0.0, 0.3])
 @pytest.mark.parametrize("turned", [False, True])
 def test_each_face_of_a_partition_is_labelled_on_its_own_side(gap_m: float, turned: bool) -> None:

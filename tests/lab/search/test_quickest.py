@@ -142,6 +142,7 @@ def visits_at(*x_m: float) -> list[Any]:
     return [{"position_m": [x, 0.0], "within_m": 0.05} for x in x_m]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("count", [4])  # 6 visits take 5 s
 def test_every_visit_may_be_a_collision(count: int) -> None:
     room = scenario_between_walls(1.25, visits_at(*([1.25, -2.0] * 4)[:count]))
@@ -152,6 +153,7 @@ def test_every_visit_may_be_a_collision(count: int) -> None:
     assert "hits were not computed" not in describe_quickest(result)
 
 
+@pytest.mark.rest
 def test_sequences_with_too_many_collisions_are_reported_as_not_computed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -165,6 +167,7 @@ def test_sequences_with_too_many_collisions_are_reported_as_not_computed(
     assert "sequences of more than 2 hits were not computed" in describe_quickest(limited)
 
 
+@pytest.mark.rest
 def test_a_required_sequence_may_have_up_to_sixteen_walls() -> None:
     result = plan_quickest(scenario_between_walls(1.25, [], ["east", "west"] * 3))
     assert result.best.sequence == ("east", "west") * 3
@@ -303,6 +306,7 @@ def turn_around_a_post() -> QuickestResult:
     return plan_quickest(scenario_between_walls(posts={"mast": POST}))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("kind", ["free", "colliding"])
 def test_a_post_is_passed_with_clearance_for_any_heading(kind: str) -> None:
     result = turn_around_a_post()
