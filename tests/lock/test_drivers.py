@@ -12,7 +12,7 @@ from dart_flight.lock.drivers.modelled_horn import DriverWithModelledHorn
 from dart_flight.lock.lock_session import LockSession
 from tests.lock.rigs import RIGS, MakeRig, Rig
 
-KINDS = list(LockDriver)
+KINDS = list(RIGS)
 READS_BACK = [kind for kind in KINDS if kind is not LockDriver.PX4]
 
 
