@@ -10,7 +10,13 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.base.walls import Wall
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.core.mission.approach import NoApproachError, is_blocked, plan_approach, segments_to_impact
+from dart_flight.core.mission.approach import (
+    ON_PLANE_M,
+    NoApproachError,
+    is_blocked,
+    plan_approach,
+    segments_to_impact,
+)
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, end_margin_m, position_margin_m
 from dart_flight.planning.envelope import incidence_deg, max_incidence_deg
 from dart_flight.planning.predicted_flight import PredictedFlight, PredictedImpact, impact_place
@@ -30,7 +36,25 @@ def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[Check
     hits = {} if planned is None else planned.hits
     known = [c for c in mission.collisions if c.probe is None and not c.wall.sought]
     found = [finding for c in known for finding in _check_collision(mission, c, hits)]
-    return [*_check_opposite_faces(mission), *_check_ends(mission, hits), *found]
+    faces = _check_opposite_faces(mission)
+    return [*faces, *_check_ends(mission, hits), *found, *_check_way_to_goal(mission, hits)]
+
+
+def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:
+    """Return a no-go if a wall is between the last impact and the goal, where the vehicle then holds."""
+    if not mission.recovers_to_goal or mission.goal_trajectory is not None:
+        return
+    last = mission.collisions[-1]
+    (x, y), (nx, ny) = impact_place(last, hits), last.wall.normal
+    before = (x + ON_PLANE_M * nx, y + ON_PLANE_M * ny)
+    for wall in mission.walls:
+        if _crosses(wall, before, mission.goal.position_m):
+            says = (
+                f"wall {wall.name} is between the last impact and the goal: the vehicle would fly into it; "
+                "move the goal, or lead around the wall by waypoints"
+            )
+            yield CheckFinding("way_to_goal", False, says)
+            return
 
 
 def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
