@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.inherited import find_inherited
 from dart_flight.config.mission import Mission
@@ -17,12 +19,19 @@ def check_inherited(mission: Mission) -> list[CheckFinding]:
         return []
     parts = []
     if found.contradictions:
-        groups = [f"{', '.join(keys)} (has {why})" for why, keys in found.contradictions.items()]
-        parts.append(
-            f"{found.file} contradicts values that it inherits from {found.base}: {'; '.join(groups)}"
-        )
+        groups = [f"{', '.join(keys)} (this vehicle has {why})" for why, keys in found.contradictions.items()]
+        parts.append(f"{found.file} contradicts values that it takes from {found.base}: {'; '.join(groups)}")
     if found.keys:
-        parts.append(f"measure the values that are inherited from {found.base}: {', '.join(found.keys)}")
+        parts.append(f"values of {found.base} to measure on this vehicle: {_by_section(found.keys)}")
     wrong = sum(len(keys) for keys in found.contradictions.values())
     figures = {"inherited": float(len(found.keys)), "contradictions": float(wrong)}
     return [CheckFinding("inherited", True, ". ".join(parts), remark=True, figures=figures)]
+
+
+def _by_section(keys: Iterable[str]) -> str:
+    """Return keys with the name of each section written once, without their values."""
+    sections: dict[str, list[str]] = {}
+    for key in keys:
+        section, _, name = key.split()[0].rpartition(".")
+        sections.setdefault(section, []).append(name)
+    return "; ".join(f"{section} {', '.join(names)}" for section, names in sections.items())

@@ -18,7 +18,7 @@ _ARRIVES_HZ = 0.2
 def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFinding]:
     """Return a finding for each defect of the poses, or one finding that the poses are correct.
 
-    Return nothing if this program forwards no poses.
+    Return nothing if this program need not forward poses.
 
     Args:
         config: the configured motion capture.
@@ -26,7 +26,8 @@ def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFi
     """
     poses = observed.poses
     if poses is None:
-        return []
+        absent = observed.pose_problem
+        return [] if absent is None else [CheckFinding(_ITEM, False, f"no poses: {absent}")]
     if poses.rate_hz == 0.0:
         why = observed.pose_problem or "the body is not tracked"
         return [CheckFinding(_ITEM, False, f"no poses from {config.url}: {why}")]

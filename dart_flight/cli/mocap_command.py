@@ -19,6 +19,7 @@ from dart_flight.run.prepare import with_mocap
 from dart_flight.vehicle.link import LinkLease
 from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures
+from dart_flight.vehicle.motion_capture.source import open_source
 
 _PERIOD_S = 0.2
 
@@ -37,24 +38,28 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("no motion capture: give --mocap URL, or set mocap.url (docs/motion_capture.md)")
     url = link_of(arguments, mission.vehicle.connection)
     print_vehicle(mission.flown_vehicle(), arguments)
-    newest, problem, place = PoseFigures(), None, None
+    newest, problem = PoseFigures(), None
     with contextlib.ExitStack() as stack:
+        source = open_source(
+            mission.vehicle.mocap.url
+        )  # first: it answers or fails sooner than the autopilot
+        stack.callback(source.stop)
+        print_status(f"poses: {source.place}; waiting for the autopilot at {url}")
         lease = stack.enter_context(LinkLease(url, "mocap"))
         view = None if arguments.json else stack.enter_context(live_screen())
 
         def show(figures: PoseFigures, bridge: MotionCaptureBridge) -> None:
-            nonlocal newest, problem, place
-            if place is None:
-                place = bridge.place
-                print_status(f"poses: {place}")
+            nonlocal newest, problem
             newest, problem = figures, bridge.problem
             if view is not None:
                 view(shown := line(figures, problem), shown)
 
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(forward_poses(mission, url, show, _PERIOD_S, arguments.seconds, lease.lock_device))
+            asyncio.run(
+                forward_poses(mission, source, url, show, _PERIOD_S, arguments.seconds, lease.lock_device)
+            )
     if arguments.json:
-        found = {**msgspec.structs.asdict(newest), "problem": problem, "place": place}
+        found = {**msgspec.structs.asdict(newest), "problem": problem, "place": source.place}
         emit_json({**found, "vehicle": mission.flown_vehicle()})
     return 0
 

@@ -11,7 +11,7 @@ from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
 _COPIED: Final = 0.5  # a file with a larger share of a packaged file's values is a copy of it
-_SAME: Final = 0.1  # relative difference up to which two values count as equal
+_SAME: Final = 0.1  # difference up to which two values count as equal, relative to the inherited one
 _SIZE: Final = ("airframe.arm_x_m", "airframe.arm_y_m", "airframe.motors")
 _TURNING: Final = ("airframe.mass_kg", "airframe.inertia_kg_m2", "thrust.full_n", *_SIZE)
 LOCK: Final = "lock"
@@ -52,7 +52,8 @@ class Inherited(NamedTuple):
     """Values that a vehicle file inherits from another vehicle's file.
 
     Attributes:
-        file, base: the vehicle's own file, and the file that it inherits from.
+        file: the vehicle's own file.
+        base: the file that it inherits from, such as "dart.yaml" or "the shipped rigid_cage.yaml".
         keys: inherited keys with their values, as text.
         contradictions: for each changed value, the inherited keys that contradict the change. The dict's
             keys are texts such as "airframe.mass_kg 1.2 instead of 0.9"; the lists are like `keys`.
@@ -64,10 +65,21 @@ class Inherited(NamedTuple):
     contradictions: dict[str, list[str]]
 
 
+class _Base(NamedTuple):
+    """The file that a vehicle's file extends, or the packaged file of which it is a copy."""
+
+    path: Path
+    is_original: bool  # of a copy
+    is_dart: bool
+    given: set[str]  # keys that the vehicle's file sets itself, or has changed
+
+
 def find_inherited(
     vehicle: VehicleConfig, file: str | None, settings: Sequence[str] = ()
 ) -> Inherited | None:
     """Return the values that a vehicle's file inherits from a packaged file or from the file in `extends`.
+
+    A copy of a packaged example inherits every value that it has not changed: nobody measured them.
 
     Args:
         vehicle: the whole configuration.
@@ -75,46 +87,47 @@ def find_inherited(
         settings: `KEY=VALUE` pairs from `--set`.
 
     Returns:
-        The inherited values. The result is None for a packaged vehicle, even with changes by `--set`, and for
-        a file that gives no value of `FOLLOWS_FROM`, no material and no other lock: it describes the same
-        vehicle.
+        The inherited values. The result is None for DART itself: its own file, or a file that extends or
+        copies it and changes no value of `FOLLOWS_FROM`, no material and not the lock.
     """
-    found = None if file is None else _given_and_base(Path(file))
-    if file is None or found is None:
+    if file is None:
         return None
-    given, base_path = found
-    given |= {setting.partition("=")[0].strip() for setting in settings}
-    own, base = _values(vehicle), _values(load_vehicle(base_path))
-    kept: list[str] = []
-    contradictions: dict[str, list[str]] = {}
+    base = _base(Path(file))
+    given = base.given | {setting.partition("=")[0].strip() for setting in settings}
+    own, inherited = _values(vehicle), _values(load_vehicle(base.path))
     materials = {f"{_MATERIALS}{name}": ("airframe.mass_kg", LOCK) for name in vehicle.materials}
     measured = {**FOLLOWS_FROM, **materials}
-    if own[LOCK] == base[LOCK] and not any(_is_given(key, given) for key in measured):
-        return None
+    if own[LOCK] == inherited[LOCK] and not any(_is_given(key, base.given) for key in measured):
+        if base.is_dart:
+            return None
+        if not base.is_original:  # the file describes the vehicle that it extends
+            return find_inherited(vehicle, str(base.path), settings)
+    kept: list[str] = []
+    contradictions: dict[str, list[str]] = {}
     for key, follows in measured.items():
         value = own.get(key)
-        if value is None or value != base.get(key) or _is_given(key, given):
+        if value is None or value != inherited.get(key) or _is_given(key, given):
             continue
         text = key if key.startswith(_MATERIALS) else f"{key} {_short(value)}"
-        reason = next((k for k in follows if _differ(own.get(k), base.get(k))), None)
+        reason = next((k for k in follows if _differ(own.get(k), inherited.get(k))), None)
         if reason is None:
             kept.append(text)
         else:
-            there, here = _short(base.get(reason)), _short(own.get(reason))
+            there, here = _short(inherited.get(reason)), _short(own.get(reason))
             contradictions.setdefault(f"{reason} {here} instead of {there}", []).append(text)
-    return Inherited(file, base_path.name, tuple(kept), contradictions)
+    name = f"the shipped {base.path.name}" if base.is_original else base.path.name
+    return Inherited(file, name, tuple(kept), contradictions)
 
 
-def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
-    """Return the keys that a file itself sets, and the file's base; None for an unchanged packaged file."""
+def _base(path: Path) -> _Base:
     own = _by_name(Document.load(path).tree)
     original = _copied_from(path.name, own)
     if original is None:
-        return set(own), path.parent / str(own[EXTENDS])
-    # In an edited copy, values equal to the packaged file's count as inherited.
+        extended = path.parent / str(own[EXTENDS])
+        return _Base(extended, False, EXTENDS not in Document.load(extended).tree, set(own))
     known = _by_name(Document.load(original).tree)
     given = {key for key, value in own.items() if value != known.get(key)}
-    return (given, original) if given else None
+    return _Base(original, True, EXTENDS not in known, given)
 
 
 def _copied_from(name: str, own: Mapping[str, Any]) -> Path | None:
@@ -156,9 +169,9 @@ def _is_given(key: str, given: set[str]) -> bool:
 
 
 def _differ(a: Any, b: Any) -> bool:
-    """Return whether two values differ too much to be two measurements of the same quantity."""
+    """Return whether a value differs too much from the inherited `b` to be a measurement of the same."""
     if isinstance(a, int | float) and isinstance(b, int | float):
-        return abs(a - b) > _SAME * max(abs(a), abs(b))
+        return abs(a - b) > _SAME * abs(b)
     if isinstance(a, Sequence) and isinstance(b, Sequence) and len(a) == len(b) and not isinstance(a, str):
         return any(_differ(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():

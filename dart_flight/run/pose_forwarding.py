@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dart_flight.config.mission import Mission
 from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
+from dart_flight.vehicle.motion_capture.source import PoseSource
 from dart_flight.vehicle.vehicle_session import connect
 
 _STREAMS = ("attitude", "odometry")  # PX4's own estimate, which is compared with the poses
@@ -17,6 +18,7 @@ _STREAMS = ("attitude", "odometry")  # PX4's own estimate, which is compared wit
 
 async def forward_poses(
     mission: Mission,
+    source: PoseSource,
     url: str,
     show: Callable[[PoseFigures, MotionCaptureBridge], None],
     period_s: float,
@@ -27,14 +29,14 @@ async def forward_poses(
 
     Args:
         mission: mission with the vehicle's configuration.
+        source: the opened source of `mocap.url`; it is closed at the end.
         url: MAVSDK connection URL.
-        show: callback for the statistics, and for the bridge with its place and problem.
+        show: callback for the statistics, and for the bridge with its problem.
         period_s: time between two calls of `show`.
         seconds: duration, or None to run until cancelled.
         opened: callback for the moment when the link is open.
 
     Raises:
-        InputError: the motion capture cannot be opened.
         VehicleError: there is no autopilot at the URL.
     """
     vehicle = mission.vehicle
@@ -45,7 +47,8 @@ async def forward_poses(
 
     async with connect(url, vehicle.connection.timeout_s, statistics.update, opened=opened) as session:
         session.subscribe(vehicle.estimation, len(vehicle.airframe.motors), guarded=False)
-        with forwarding(vehicle.mocap, session.send_message, session.clock, statistics.update) as bridge:
+        poses = forwarding(vehicle.mocap, session.send_message, session.clock, statistics.update, source)
+        with poses as bridge:
             assert bridge is not None, "the command must refuse a configuration without mocap.url"
             await session.set_rates(_STREAMS, watching=True)
             end_s = None if seconds is None else time.monotonic() + seconds

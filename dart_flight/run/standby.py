@@ -42,7 +42,8 @@ from dart_flight.run.operator_buttons import (
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.link import LinkInUseError, LinkLease
-from dart_flight.vehicle.motion_capture.pose_bridge import forwarding
+from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarding
+from dart_flight.vehicle.motion_capture.source import AbsentSourceError, open_source
 from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, connect
 
 _RETRY_S: Final = 5.0
@@ -233,8 +234,6 @@ class Standby:
             session = await held.enter_async_context(opening)
             if vehicle.lock is not None:
                 self._lock = held.enter_context(self._holding_lock(vehicle.lock, session))
-            poses = forwarding(vehicle.mocap, session.send_message, session.clock, lambda pose: None)
-            bridge = held.enter_context(poses)
             session.listen(messages.HEARTBEAT, lambda beat, _: self._desk.update_armed(beat.armed))
             session.listen(
                 messages.SYS_STATUS, lambda s, _: self._desk.update_sensors(s.present, time.monotonic())
@@ -246,13 +245,30 @@ class Standby:
                 session.send_text(text)
                 await asyncio.sleep(_TEXT_PAUSE_S)
             self._news.clear()
-            problem = None
+            bridge, problem = None, None
             while not self._wake.is_set():
-                await self._rest(_RETRY_S)
-                before, problem = problem, bridge.missing if bridge is not None else None
+                before = problem
+                if bridge is None and vehicle.mocap.url is not None:
+                    bridge, problem = await self._open_poses(vehicle.mocap.url, session, held)
+                elif bridge is not None:
+                    problem = bridge.missing
                 if problem is not None and before is None:
                     self._say("standby", f"no poses: {problem}")
+                await self._rest(_RETRY_S)
             await asyncio.sleep(_LAST_WORDS_S)
+
+    async def _open_poses(
+        self, url: str, session: VehicleSession, held: contextlib.AsyncExitStack
+    ) -> tuple[MotionCaptureBridge | None, str | None]:
+        """Begin to forward poses; while the cameras are not up, return None and the reason."""
+        try:
+            source = await asyncio.to_thread(open_source, url)
+        except AbsentSourceError as error:
+            return None, f"{error}; retrying"
+        poses = forwarding(
+            self._vehicle.mocap, session.send_message, session.clock, lambda pose: None, source
+        )
+        return held.enter_context(poses), None
 
     @contextlib.contextmanager
     def _holding_lock(self, config: LockConfig, session: VehicleSession) -> Iterator[LockThread]:

@@ -53,6 +53,7 @@ from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
 from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
+from dart_flight.vehicle.motion_capture.source import AbsentSourceError
 from dart_flight.vehicle.own_system import send_as
 from dart_flight.vehicle.parameters import VehicleParameters
 from dart_flight.vehicle.timesync import make_request
@@ -216,6 +217,7 @@ class GroundLink:
         self._mocap = mocap or MotionCapture()
         self._forwarding = contextlib.ExitStack()
         self._bridge: MotionCaptureBridge | None = None
+        self._absent: str | None = None  # why the source of the poses could not be opened
         self._mavsdk: Any = None
         self._answered = False  # whether the vehicle has answered any request
         self._unanswered: list[str] = []  # names of unanswered requests
@@ -242,6 +244,8 @@ class GroundLink:
             self._bridge = self._forwarding.enter_context(
                 forwarding(self._mocap, session.send_message, session.clock, self._handle_record)
             )
+        except AbsentSourceError as error:
+            self._absent = str(error)
         except InputError:
             self._close()
             raise
@@ -269,7 +273,7 @@ class GroundLink:
     @property
     def pose_problem(self) -> str | None:
         """The reason why no usable pose has arrived for 3 s, or None if poses arrive or are not needed."""
-        return self._bridge.missing if self._bridge is not None else None
+        return self._bridge.missing if self._bridge is not None else self._absent
 
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
         """Return the newest usable value of a message within `seconds`, or None."""
@@ -446,6 +450,7 @@ class GroundLink:
         before = {sender: (n.messages, n.usable) for sender, n in list(session.senders.items())}
         time.sleep(seconds)
         seen.sources = self._sources(before, time.monotonic() - began)
+        seen.pose_problem = self._absent
         if self._bridge is not None:
             seen.poses = self._listener.poses.figures(session.clock.host_us())
             none = seen.poses.rate_hz == 0.0

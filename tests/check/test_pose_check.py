@@ -52,6 +52,11 @@ def test_a_defect_of_the_poses_is_a_no_go_with_its_cause(changes: dict[str, obje
     assert says in finding.says
 
 
+def test_absent_cameras_are_a_no_go_among_the_other_findings() -> None:
+    (finding,) = evaluate_poses(CONFIG, Observation(pose_problem="no server answers"))
+    assert (finding.go, finding.says) == (False, "no poses: no server answers")
+
+
 def test_every_defect_has_its_own_finding() -> None:
     poses = msgspec.structs.replace(GOOD, rate_hz=30.0, gaps=1, senders=("a:1", "b:2"), age_growth_ms=50.0)
     assert [finding.go for finding in evaluate_poses(CONFIG, Observation(poses=poses))] == [False] * 4

@@ -132,7 +132,7 @@ def test_an_edited_copy_inherits_the_values_that_were_not_edited(tmp_path: Path)
     copy = packaged("configs", "rigid_cage.yaml").read_text("utf-8").replace("mass_kg: 0.9", "mass_kg: 1.2")
     found = find_inherited_values(copy, tmp_path, "rigid_cage.yaml")
     assert found is not None
-    assert found.base == "rigid_cage.yaml"
+    assert found.base == "the shipped rigid_cage.yaml"
     assert "detection.force_threshold_n 4" in found.contradictions["airframe.mass_kg 1.2 instead of 0.9"]
 
 
@@ -163,7 +163,7 @@ def test_a_copy_that_hardly_differs_from_its_example_inherits_every_other_value(
     assert before in text
     found = find_inherited_values(text.replace(before, after, 1), tmp_path, name)
     assert found is not None
-    assert found.base == f"{example}.yaml"
+    assert found.base == f"the shipped {example}.yaml"
     assert not found.contradictions, "less than 10 %"
     given = before.split(":", maxsplit=1)[0]
     assert {"thrust.model_factor", "materials.wood"} <= {key.split()[0] for key in found.keys}
@@ -178,10 +178,47 @@ def test_a_file_that_gives_its_mass_inherits_every_other_value(tmp_path: Path) -
     assert "materials.acrylic" in found.keys
 
 
-@pytest.mark.parametrize("name", ["dart", "rigid_cage", "hexarotor"])
-def test_a_packaged_vehicle_inherits_nothing(name: str) -> None:
-    path = packaged("configs", f"{name}.yaml")
+UNCHANGED = {
+    "the example itself": "{example}",
+    "a comment": "# mine\n{example}",
+    "only cameras": "{example}mocap: {{url: 'optitrack://192.0.2.1/dart'}}\n",
+}
+
+
+@pytest.mark.parametrize("change", UNCHANGED)
+@pytest.mark.parametrize("example", ["rigid_cage", "hexarotor"])
+def test_nobody_measured_an_example_that_is_used_unchanged(example: str, change: str, tmp_path: Path) -> None:
+    text = packaged("configs", f"{example}.yaml").read_text("utf-8")
+    found = find_inherited_values(UNCHANGED[change].format(example=text), tmp_path, f"{example}.yaml")
+    assert found is not None
+    assert {"airframe.mass_kg", "materials.wood"} <= {key.split()[0] for key in found.keys}
+    assert not found.contradictions
+
+
+def test_a_variant_of_an_example_inherits_what_the_example_does(tmp_path: Path) -> None:
+    shutil.copy(packaged("configs", "rigid_cage.yaml"), tmp_path)
+    found = find_inherited_values("extends: rigid_cage.yaml\npx4: {MPC_XY_P: 1.2}\n", tmp_path)
+    assert found is not None
+    assert found.base == "the shipped rigid_cage.yaml"
+    assert "airframe.mass_kg 0.9" in found.keys
+
+
+def test_dart_inherits_nothing() -> None:
+    path = packaged("configs", "dart.yaml")
     assert find_inherited(load_vehicle(path), str(path)) is None
+    assert find_inherited(load_vehicle(path, ["px4.MPC_XY_P=1.2"]), str(path), ["px4.MPC_XY_P=1.2"]) is None
+
+
+@pytest.mark.parametrize("distance_m", [0.2, 0.16])
+def test_a_change_by_more_than_a_tenth_contradicts_what_follows_from_it(
+    distance_m: float, tmp_path: Path
+) -> None:
+    text = packaged("configs", "rigid_cage.yaml").read_text("utf-8")
+    changed = text.replace("contact_distance_m: 0.18", f"contact_distance_m: {distance_m}")
+    found = find_inherited_values(changed, tmp_path)
+    assert found is not None
+    reason = f"airframe.contact_distance_m {distance_m:g} instead of 0.18"
+    assert "airframe.guard_along_m 0.09" in found.contradictions[reason]
 
 
 def test_every_inheritable_key_exists() -> None:

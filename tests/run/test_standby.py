@@ -14,13 +14,15 @@ import pytest
 
 from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.cli import main
-from dart_flight.config.vehicle import load_vehicle, packaged
+from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 from dart_flight.run import standby as module
 from dart_flight.run.operator_buttons import Button
 from dart_flight.run.standby import Ended, Standby, StandbyDesk, describe_end
+from dart_flight.sim.motion_capture import make_server
 from dart_flight.vehicle.command_server import Press, Result
+from dart_flight.vehicle.motion_capture.source import PoseSource, open_source
 from dart_flight.vehicle.vehicle_session import VehicleError
-from tests.run.scripted_session import ScriptedSession, connecting_to
+from tests.run.scripted_session import ScriptedSession, connecting_to, until
 
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml")).replace({"lock.servo.travel_s": 0.05})
 URL = "udpin://127.0.0.1:1"
@@ -203,6 +205,7 @@ class Day:
         ends: Sequence[Ended] | None = (),
         missions: Sequence[tuple[str, str]] = MISSIONS,
         stops: Sequence[signal.Signals] = (),
+        vehicle: VehicleConfig = VEHICLE,
     ) -> None:
         self.printed: list[tuple[str, str]] = []
         self.commands: list[Sequence[str]] = []
@@ -216,7 +219,7 @@ class Day:
             monkeypatch.setattr(module, name, 0.01)
         if ends is not None:
             monkeypatch.setattr(asyncio, "create_subprocess_exec", self._start)
-        standby = Standby(missions, VEHICLE, URL, [], lambda *line: self.printed.append(line))
+        standby = Standby(missions, vehicle, URL, [], lambda *line: self.printed.append(line))
         asyncio.run(asyncio.wait_for(standby.run(), 60.0))
 
     async def _start(self, program: str, dash: str, package: str, *command: str, **_: object) -> Child:
@@ -295,6 +298,38 @@ def test_a_missing_vehicle_is_reported_once_and_retried(monkeypatch: pytest.Monk
     missing = VehicleError(f"no autopilot on {URL} within 5 s")
     day = Day(monkeypatch, [missing, missing, missing, check(1)], [GO])
     assert [text for kind, text in day.printed if kind == "problem"] == [f"{missing}; retrying"]
+    assert day.commands == [("check", "one.yaml")]
+
+
+@pytest.mark.parametrize("kind", ["qualisys", "vrpn"])
+def test_cameras_that_are_not_up_yet_are_reported_once_and_retried_while_standby_holds_the_link(
+    monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    server = make_server(kind, "dart")
+    opened: list[str] = []
+
+    def open_later(url: str) -> PoseSource:
+        opened.append(url)
+        return open_source(url if len(opened) < 3 else server.url)
+
+    async def wait_and_check(session: ScriptedSession) -> None:
+        await until(lambda: server.clients, "standby reads the cameras")
+        session.press(Button.CHECK, 1)
+
+    monkeypatch.setattr(module, "open_source", open_later)
+    down = VEHICLE.replace({"mocap.url": f"{kind}://127.0.0.1:9/dart"})
+    tasks: list[asyncio.Task[None]] = []
+    day = Day(
+        monkeypatch,
+        [lambda session: tasks.append(asyncio.get_running_loop().create_task(wait_and_check(session)))],
+        [GO],
+        vehicle=down,
+    )
+    server.close()
+    told = next(text for _, text in day.printed if text.startswith("no poses:"))
+    assert "127.0.0.1:9" in told
+    assert told.endswith("; retrying")
+    assert len(opened) >= 3
     assert day.commands == [("check", "one.yaml")]
 
 

@@ -14,10 +14,15 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from dart_flight.config.document import InputError
 from dart_flight.vehicle.motion_capture import natnet_packets as natnet
 from dart_flight.vehicle.motion_capture.multicast import card_address, join_group
-from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, in_quotes, lost_pose
+from dart_flight.vehicle.motion_capture.source import (
+    AbsentSourceError,
+    PoseAddress,
+    RawPose,
+    in_quotes,
+    lost_pose,
+)
 
 _MAX_DATAGRAM: Final = 65535
 _PING: Final = natnet.HEADER.pack(natnet.CONNECT, 5) + b"Ping\0"
@@ -41,7 +46,7 @@ class OptiTrackSource:
         place, remedy: see `PoseSource`.
 
     Raises:
-        InputError: no server answers, or the server does not know the body.
+        AbsentSourceError: no server answers, or the server does not know the body.
     """
 
     remedy = "start the live mode in Motive; check the card and the firewall"
@@ -63,7 +68,7 @@ class OptiTrackSource:
                 self._open(opened)
             except OSError as error:
                 reason = error.strerror or str(error)
-                raise InputError(f"mocap URL {address.url}: {self._sender}: {reason}") from None
+                raise AbsentSourceError(f"mocap URL {address.url}: {self._sender}: {reason}") from None
             self._read_model()
             self._sockets = opened.pop_all()
 
@@ -72,7 +77,8 @@ class OptiTrackSource:
 
         Raises:
             OSError: the host has no address, or no card leads to the host.
-            InputError: no server answers, or this computer has no such card.
+            AbsentSourceError: no server answers.
+            InputError: this computer has no such card.
         """
         server = (socket.gethostbyname(self._address.host), self._address.port)
         card = card_address(self._address)
@@ -98,7 +104,7 @@ class OptiTrackSource:
         """Request a connection and return the announcement; a server may answer from another address.
 
         Raises:
-            InputError: no server answers.
+            AbsentSourceError: no server answers.
         """
         self._command.settimeout(_PING_S)
         for _ in range(_PINGS):
@@ -107,7 +113,7 @@ class OptiTrackSource:
                 info = natnet.decode_server_info(self._command.recv(_MAX_DATAGRAM))
                 if info is not None:
                     return info
-        raise InputError(
+        raise AbsentSourceError(
             f"mocap URL {self._address.url}: no OptiTrack server answers at {self._sender}; "
             "enable streaming in Motive and check the address, the card and the firewall"
         )
@@ -117,9 +123,9 @@ class OptiTrackSource:
         while not self._has_model and time.monotonic() < end_s:
             self._exchange()
         if not self._has_model:
-            raise InputError(f"mocap URL {self._address.url}: {self._sender} does not list its bodies")
+            raise AbsentSourceError(f"mocap URL {self._address.url}: {self._sender} does not list its bodies")
         if self._body_id() is None:
-            raise InputError(f"mocap URL {self._address.url}: {self._describe_missing_body()}")
+            raise AbsentSourceError(f"mocap URL {self._address.url}: {self._describe_missing_body()}")
 
     def _body_id(self) -> int | None:
         body = self._address.body

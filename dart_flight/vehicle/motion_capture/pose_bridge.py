@@ -298,8 +298,11 @@ def forwarding(
     send: Callable[[MavlinkMessage], None],
     clock: Clock,
     deliver: Callable[[PoseSample], None],
+    source: PoseSource | None = None,
 ) -> Iterator[MotionCaptureBridge | None]:
     """Forward the poses of `config.url` while the context is open; if the URL is None, yield None.
+
+    `source` is the URL's source if it is open already.
 
     Raises:
         InputError: on entering, if the source cannot be opened.
@@ -307,7 +310,7 @@ def forwarding(
     if config.url is None:
         yield None
         return
-    bridge = MotionCaptureBridge(config, open_source(config.url), send, clock, deliver)
+    bridge = MotionCaptureBridge(config, source or open_source(config.url), send, clock, deliver)
     bridge.start()
     try:
         yield bridge

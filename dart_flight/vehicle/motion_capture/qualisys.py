@@ -13,8 +13,13 @@ from typing import Any, Final
 import qtm_rt
 
 from dart_flight.base.geometry import quaternion_from_matrix
-from dart_flight.config.document import InputError
-from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, in_quotes, lost_pose
+from dart_flight.vehicle.motion_capture.source import (
+    AbsentSourceError,
+    PoseAddress,
+    RawPose,
+    in_quotes,
+    lost_pose,
+)
 
 _TIMEOUT_S: Final = 5.0
 _RETRY_S: Final = 1.0
@@ -41,7 +46,7 @@ class QualisysSource:
         address: QTM's host and little-endian port, and the body's name.
 
     Raises:
-        InputError: QTM does not answer, or does not know the body.
+        AbsentSourceError: QTM does not answer, or does not know the body.
     """
 
     def __init__(self, address: PoseAddress) -> None:
@@ -63,11 +68,11 @@ class QualisysSource:
         except (ValueError, OSError, TimeoutError) as error:
             self._end()
             reason = str(error) or "no answer"
-            raise InputError(f"mocap URL {address.url}: {self._sender}: {reason}") from None
+            raise AbsentSourceError(f"mocap URL {address.url}: {self._sender}: {reason}") from None
         if address.body not in self._all:
             self._call(self._disconnect())
             self._end()
-            raise InputError(f"mocap URL {address.url}: {self._describe_missing_body()}")
+            raise AbsentSourceError(f"mocap URL {address.url}: {self._describe_missing_body()}")
 
     def _describe_missing_body(self) -> str:
         return f'QTM has no 6DOF body "{self._address.body}", only {in_quotes(self._all)}'

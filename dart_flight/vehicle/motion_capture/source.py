@@ -26,6 +26,10 @@ _MAX_US: Final = 2**62  # a larger stamp is not a time, and its difference to a 
 _MAX_NAMES: Final = 5  # names listed in a message
 
 
+class AbsentSourceError(InputError):
+    """A motion-capture server does not answer, or does not know the body; both may change at any time."""
+
+
 class RawPose(NamedTuple):
     """A pose of a marker body from a motion-capture system, in metres and the room's axes."""
 
@@ -143,7 +147,8 @@ def open_source(url: str) -> PoseSource:
     """Open the pose source that a URL names.
 
     Raises:
-        InputError: the URL is wrong, the vendor's client is not installed, or the system does not answer.
+        InputError: the URL is wrong, or the vendor's client is not installed.
+        AbsentSourceError: the system does not answer, or does not know the body.
     """
     scheme, address = parse_url(url)
     try:

@@ -16,8 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import BinaryIO, Final
 
-from dart_flight.config.document import InputError
-from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, in_quotes
+from dart_flight.vehicle.motion_capture.source import AbsentSourceError, PoseAddress, RawPose, in_quotes
 
 _VERSION: Final = b"vrpn: ver. 07."  # the minor version that follows may differ
 _COOKIE: Final = (_VERSION + b"35  0").ljust(24, b"\0")  # 0: the server writes no log
@@ -67,7 +66,7 @@ class VrpnSource:
         address: the server's host and port, and the sender's name.
 
     Raises:
-        InputError: no VRPN server answers, or the server does not describe the sender.
+        AbsentSourceError: no VRPN server answers, or the server does not describe the sender.
     """
 
     def __init__(self, address: PoseAddress) -> None:
@@ -86,7 +85,7 @@ class VrpnSource:
             if self._error is not None or time.monotonic() > opened_s + _TIMEOUT_S:
                 problem = self.problem
                 self.stop()
-                raise InputError(f"mocap URL {address.url}: {problem}")
+                raise AbsentSourceError(f"mocap URL {address.url}: {problem}")
             time.sleep(0.01)
 
     def _names(self) -> list[str]:

@@ -25,7 +25,6 @@ from dart_flight.base.geometry import (
     rotation_angle,
 )
 from dart_flight.base.records import PoseSample
-from dart_flight.config.document import InputError
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.sim.motion_capture import KINDS, PoseServer, make_server
 from dart_flight.vehicle.clock import SimulatedTime
@@ -33,7 +32,7 @@ from dart_flight.vehicle.motion_capture import vrpn
 from dart_flight.vehicle.motion_capture.natnet_packets import KEEP_ALIVE
 from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge
 from dart_flight.vehicle.motion_capture.qualisys import body_names
-from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
+from dart_flight.vehicle.motion_capture.source import AbsentSourceError, PoseSource, RawPose, open_source
 from tests.doubles.ports import free_udp_port
 from tests.doubles.scripted_peer import NatNet, ScriptedPeer, UdpLink
 from tests.real_time import wait_until
@@ -198,14 +197,17 @@ def test_numbers_that_are_no_pose_count_as_a_lost_frame_and_do_not_reach_px4(kin
 
 @pytest.mark.parametrize("kind", ASKED)
 def test_an_unknown_body_is_refused_with_the_names_of_the_known_bodies(kind: str) -> None:
-    with serving(kind) as server, pytest.raises(InputError, match=f'no .* "cat", only .*"{BODY}".*"wand"'):
+    with (
+        serving(kind) as server,
+        pytest.raises(AbsentSourceError, match=f'no .* "cat", only .*"{BODY}".*"wand"'),
+    ):
         open_source(url_of_body(server, "cat"))
 
 
 @pytest.mark.parametrize("kind", ASKED)
 def test_a_system_that_does_not_answer_is_named(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dart_flight.vehicle.motion_capture.optitrack._PING_S", 0.05)
-    with pytest.raises(InputError, match=SYSTEMS[kind].program or "") as caught:
+    with pytest.raises(AbsentSourceError, match=SYSTEMS[kind].program or "") as caught:
         open_source(f"{kind}://127.0.0.1:9/{BODY}")
     assert "\n" not in str(caught.value)
 
