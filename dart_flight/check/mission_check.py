@@ -47,6 +47,7 @@ _FLAT_DEG = 10.0  # beyond this incidence, one guard carries most of the force
 _CLEARANCE_M = 0.15  # required distance of start and goal from a wall's plane
 _WEAK = 1.3  # multiple of the detection threshold; a weaker impact may be missed
 _SAME_M = 1e-6
+_NOT_MEASURED = ("assumed", "[example]")  # in the source of a material
 _LEG_POINTS = 50
 _PEAK_SPEED = 1.875  # ratio of a transit's peak speed to its mean speed
 
@@ -92,9 +93,14 @@ def check_places(mission: Mission) -> list[CheckFinding]:
                 away = post.distance_to_segment(point, point) - post.radius_m
                 says = f"{name} is {away:.2f} m from post {post.name}, too near for the vehicle"
                 findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
+    to_be_hit = {collision.wall.name for collision in mission.collisions}
     for wall in mission.walls:
-        if mission.bounds.excess2(wall.point) > 0.0:
-            says = f"the middle of wall {wall.name} is outside bounds_m and cannot be reached"
+        excess_m = mission.bounds.excess2(wall.point)
+        if wall.name in to_be_hit and excess_m > 0.0:
+            says = (
+                f"wall {wall.name} is to be hit, but its middle is {excess_m:.2f} m outside bounds_m: extend "
+                "bounds_m beyond it"
+            )
             findings.append(CheckFinding("wall_bounds", False, says))
     for post in mission.posts:
         if mission.bounds.excess2(post.centre) > post.radius_m:
@@ -466,16 +472,18 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
 def check_flown(mission: Mission) -> CheckFinding:
     """Return the recorded result of the mission's simulated flights.
 
-    If no result is recorded, or if the mission has changed since these flights, return a remark.
+    Only `plan` records a result. If none is recorded, or if the mission has changed since these flights,
+    return a remark.
     """
     flown = mission.flown
-    again = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
-    if flown is None:
-        says = f"no simulated flight of this mission is on record; run: {again}"
-        return CheckFinding("flown", True, says, remark=True)
-    if flown.digest != mission.digest:
-        says = f"mission or vehicle has changed since the simulated flights; run: {again}"
-        return CheckFinding("flown", True, says, remark=True)
+    try_it = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
+    if flown is None or flown.digest != mission.digest:
+        why = (
+            "`plan` did not write this mission, so it contains no record of simulated flights"
+            if flown is None
+            else "mission or vehicle has changed since `plan` flew it in simulation"
+        )
+        return CheckFinding("flown", True, f"{why}; to see 20 flights: {try_it}", remark=True)
     if flown.danger is not None:
         return CheckFinding(
             "flown",
@@ -496,9 +504,8 @@ def check_materials(mission: Mission) -> list[CheckFinding]:
     findings = []
     for name in sorted({c.wall.material for c in mission.collisions if c.wall.material_known}):
         source = mission.vehicle.materials[name].source
-        assumed = "assumed" in source or not source
-        note = " (these coefficients are assumed: measure them with `identify`)" if assumed else ""
-        findings.append(
-            CheckFinding(f"material_{name}", True, f"{name}: {source or 'no source given'}{note}")
-        )
+        assumed = not source or any(word in source for word in _NOT_MEASURED)
+        note = "; these coefficients were not measured: measure them with `identify`" if assumed else ""
+        says = f"{name}: {source or 'no source given'}{note}"
+        findings.append(CheckFinding(f"material_{name}", True, says, remark=assumed))
     return findings

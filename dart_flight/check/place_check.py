@@ -51,9 +51,9 @@ def evaluate_place(
     heading_deg = math.degrees(yaw_ned) % 360.0
     figures = {"x_m": x, "y_m": y, "heading_deg": heading_deg, "start_offset_m": off_m}
     says = f"vehicle at ({x:.2f}, {y:.2f}) in the mission's frame, {off_m:.2f} m from start, "
-    says += f"heading {heading_deg:.0f} deg"
+    says += f"heading {round(heading_deg) % 360} deg"
     for name, distance_m, bearing_deg, side in _surroundings(mission, frame, place, yaw_ned):
-        says += f"; {name} {distance_m:.2f} m at {bearing_deg:.0f} deg ({side})"
+        says += f"; {name} {distance_m:.2f} m at {round(bearing_deg) % 360} deg ({side})"
         figures |= {f"{name}_distance_m": distance_m, f"{name}_bearing_deg": bearing_deg}
     wrong = list(_departure_problems(mission, place, off_m))
     if wrong:
@@ -73,6 +73,7 @@ def _surroundings(
 ) -> Iterator[tuple[str, float, float, str]]:
     """Yield name, distance (m), bearing (deg) and side (ahead, right, behind or left) of each wall and post.
 
+    The hidden face of a partition is left out.
     Distances are measured to the surface, so that the operator can compare them with a tape measure. A wrong
     distance reveals that `given_at: surface` is missing in the mission.
     """
@@ -80,7 +81,7 @@ def _surroundings(
     points = [
         (f"wall {wall.name}", wall.displaced(-to_surface_m).foot(place), 0.0)
         for wall in mission.walls
-        if not wall.sought and not wall.post_radius_m
+        if not wall.sought and not wall.post_radius_m and wall.signed_distance(place) > -wall.behind_m
     ]
     points += [(f"post {post.name}", post.centre, post.radius_m) for post in mission.posts]
     for name, point, radius_m in points:

@@ -60,6 +60,7 @@ COMMANDS = {
 RENAMED = {"feel": "inspect"}
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
+_OWN_OPTIONS = ("-h", "--help", "--version")
 _EXIT_S = 4.0  # a forced end takes at most one second longer
 EXIT_INTERRUPTED = 130  # a shell's status for SIGINT
 
@@ -135,7 +136,7 @@ def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
 
 def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one machine-readable object on standard output")
-    parser.add_argument("--config", metavar="FILE", help="vehicle configuration (default: configs/dart.yaml)")
+    parser.add_argument("--config", metavar="FILE", help="vehicle configuration (default: that in configs/)")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="more messages on standard error")
 
 
@@ -158,6 +159,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _renamed(list(sys.argv[1:] if argv is None else argv))
     command = next((a for a in arguments if a in COMMANDS), None)
     open_closed_streams()
+    if command and arguments[0].startswith("-") and arguments[0] not in _OWN_OPTIONS:
+        print_status(f"dart-flight: options come after the command: dart-flight {command} {arguments[0]} ...")
+        return EXIT_INPUT
     # Idle priority is permanent, so do not set it if another program or a test calls `main`.
     if argv is None and command == "monitor" and not any(a.startswith("--connection") for a in arguments):
         use_idle_priority()

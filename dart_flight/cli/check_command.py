@@ -27,7 +27,7 @@ from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError, Stamp, noting_files, stamp_of
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameter_file import PX4_NAME
-from dart_flight.run.prepare import with_driver, with_mocap
+from dart_flight.run.prepare import NO_MOCAP, with_driver, with_mocap
 from dart_flight.vehicle.link import LinkLease
 
 _LOOK_S = 0.5
@@ -98,6 +98,8 @@ def _wait_for_save(watched: dict[Path, Stamp], sleep: Callable[[float], None]) -
 def _check(arguments: argparse.Namespace) -> int:
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
     mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
+    if arguments.connection is None and arguments.mocap not in (None, NO_MOCAP):
+        raise InputError("poses are read with a vehicle only: give --connection too", key=("--mocap",))
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
     context = FlightContext(mission, arguments.log_dir, position_from=arguments.position_from)

@@ -19,7 +19,7 @@ from dart_flight.cli.flight_output import (
     show_end,
     summary_table,
 )
-from dart_flight.cli.flight_progress import FlightProgress
+from dart_flight.cli.flight_progress import ONLY_NOISE, FlightProgress
 from dart_flight.cli.hitl_preflight import prepare_hitl, print_hitl_exit
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import (
@@ -210,6 +210,8 @@ def _fly_many(arguments: argparse.Namespace, mission: Mission, fly: Callable[...
     """Fly all seeds and show the summary; after an interrupt, summarize the flights so far."""
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     landed: list[Verdict] = []
+    if not arguments.vary:
+        messages().print(ONLY_NOISE, soft_wrap=True)
     with FlightProgress(messages(), arguments.runs) as progress:
         progress(0, 0)
 

@@ -261,8 +261,6 @@ def summary_table(summary: RunsSummary) -> Table:
     table = Table(title=f"{summary.completed} of {summary.runs} completed", title_justify="left")
     for column in ("", "median", "least", "most"):
         table.add_column(column, justify="left" if not column else "right")
-    if summary.plan_followed is not None:
-        table.add_row("plan followed", str(summary.plan_followed))
     for name, spread in (
         ("goal miss m", summary.goal_miss_m),
         ("final error m", summary.final_error_m),
@@ -271,6 +269,12 @@ def summary_table(summary: RunsSummary) -> Table:
     ):
         if spread is not None:
             table.add_row(name, *(f"{v:.3f}" for v in (spread.median, spread.low, spread.high)))
+    if summary.plan_followed is not None:
+        table.add_row(f"plan followed: {_flights(summary.plan_followed)}")
     for reason, count in summary.reasons.items():
-        table.add_row(styled((reason, "red")), str(count))
+        table.add_row(styled((f"{reason}: {_flights(count)}", "red")))
     return table
+
+
+def _flights(count: int) -> str:
+    return "1 flight" if count == 1 else f"{count} flights"

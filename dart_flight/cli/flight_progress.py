@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
+ONLY_NOISE = (
+    "the flights differ by sensor noise only; --vary all also draws vehicle, walls and lock (docs/draws.md)"
+)
 _LEAST_SHOWN = 10.0  # a rate below this is shown per hour, or with a decimal
 _SHOWN_IN_MINUTES_S = 120.0
 
@@ -22,7 +25,7 @@ class FlightProgress:
         line_every_s: interval of the lines without a terminal, seconds.
     """
 
-    def __init__(self, console: Console, flights: int, name: str = "", line_every_s: float = 60.0) -> None:
+    def __init__(self, console: Console, flights: int, name: str = "", line_every_s: float = 10.0) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         self._console, self._flights, self._line_every_s = console, flights, line_every_s

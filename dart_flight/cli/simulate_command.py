@@ -7,13 +7,14 @@ import contextlib
 from pathlib import Path
 
 from dart_flight.cli.live_options import add_live_options, live_view
-from dart_flight.cli.options import add_set_option, whole_number
+from dart_flight.cli.options import add_emulated_mocap_option, add_set_option, whole_number
 from dart_flight.cli.terminal import messages
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, load_empty_room, load_mission, parse_mission
 from dart_flight.config.provenance import find_vehicle
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import LockDriver, packaged
+from dart_flight.run.prepare import emulated_kind, with_simulated_mocap
 from dart_flight.sim.pipe import require_mavlink
 from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name
 
@@ -37,6 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="UDP port to send to (default 14540, for a companion computer; 14550 for a ground station)",
     )
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
+    add_emulated_mocap_option(parser)
     add_live_options(parser)
     add_set_option(parser)
 
@@ -44,9 +46,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit status."""
     require_mavlink()
+    from dart_flight.sim.pose_feed import EmulatedMotionCapture
+    from dart_flight.sim.simulated_vehicle import SimulatedVehicle
     from dart_flight.sim.standalone import VehiclePortLease, run_vehicle
 
-    mission = _load_room(arguments)
+    mission = with_simulated_mocap(_load_room(arguments), arguments.mocap)
+    kind = emulated_kind(mission)
     console = messages()
     print_vehicle(mission.flown_vehicle(), arguments)
     with contextlib.ExitStack() as held:
@@ -74,18 +79,24 @@ def run(arguments: argparse.Namespace) -> int:
             f"{servo}. In another terminal:",
             soft_wrap=True,
         )
+        vehicle = SimulatedVehicle(mission, arguments.seed, LockDriver.PX4)
+        mocap = None
+        if kind is not None:
+            vehicle.autopilot.use_external_poses()
+            mocap = EmulatedMotionCapture(kind, mission, vehicle.autopilot.plant)
         console.print(
-            f"  dart-flight fly {flown} {driver}--connection udpin://127.0.0.1:{arguments.port}",
+            f"  dart-flight fly {flown} {driver}--connection udpin://127.0.0.1:{arguments.port}"
+            + ("" if mocap is None else f" --mocap {mocap.url}"),
             soft_wrap=True,
         )
         viewer = held.enter_context(live_view(arguments, mission, from_truth=True)) or (lambda record: None)
         run_vehicle(
-            mission,
-            arguments.seed,
+            vehicle,
             tuple(ports),
             lambda line: console.print(line, soft_wrap=True),
             feed.own_port,
             viewer,
+            mocap,
         )
     return 0
 

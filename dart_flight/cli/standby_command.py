@@ -59,4 +59,5 @@ def run(arguments: argparse.Namespace) -> int:
     for number, (name, _) in enumerate(missions, 1):
         report("standby", f"Fly {number}: {name}")
     asyncio.run(Standby(missions, vehicle, url, options, report).run())
+    report("standby", "standby has ended")
     return 0

@@ -518,6 +518,7 @@ def _allowed_values(type_: Any) -> list[Any]:
     return [value for part in get_args(type_) for value in _allowed_values(part)]
 
 
+_TOWARDS = "; negative is towards the wall"
 _WORDS = {
     "`object`": "keys and values",
     "`array`": "a list",
@@ -540,7 +541,7 @@ def _range(type_: Any, value: Any, key: Key) -> str:
     if low is None or high is None:
         return ""
     shown = f"{low:g} to {high:g}{' ' if unit else ''}{unit}"
-    return f" (plausible: {shown}, not {value:g})"
+    return f" (plausible: {shown}, not {value:g}{_TOWARDS if key[-1:] == ('normal_m_s',) else ''})"
 
 
 def _limits(type_: Any) -> Iterator[msgspec.Meta]:
@@ -576,6 +577,9 @@ def unknown_name(name: str, known: list[str], what: str = "") -> str:
 def suggest_known(name: str, known: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the nearest known name, or all known names."""
     names = list(known)
+    parts = [other for other in names if other.startswith(f"{name}.")]
+    if parts:  # the faces of a partition
+        return f", expected {' or '.join(parts)}"
     return did_you_mean(name, names) or f", known: {', '.join(names)}"
 
 

@@ -70,7 +70,7 @@ def resolve_walls(
 
     Raises:
         InputError: a normal has length zero, a material is not in the vehicle's table, or a face of a
-            partition has the name of another wall.
+            partition has the name of another wall, or a partition does not say which point it gives.
     """
     walls: dict[str, Wall] = {}
     for name, spec in specs.items():
@@ -83,6 +83,12 @@ def resolve_walls(
             normal = (spec.normal[0] / length, spec.normal[1] / length)
         if spec.material not in vehicle.materials:
             raise document.error((*key, "material"), unknown_name(spec.material, list(vehicle.materials)))
+        if spec.thickness_m is not None and spec.given_at is None:
+            text = (
+                "a partition needs given_at: surface if point_m is on its front face, or centre if point_m "
+                f"is the vehicle's centre at first touch, {vehicle.airframe.contact_distance_m:g} m before it"
+            )
+            raise document.error(key, text)
         offset = vehicle.airframe.contact_distance_m if spec.given_at == "surface" else 0.0
         point = (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1])
         yaw_sd_rad = None if spec.yaw_sd_deg is None else math.radians(spec.yaw_sd_deg)
@@ -183,6 +189,7 @@ def _wall_as_written(wall: Wall) -> WallSpec:
         normal=wall.normal,
         length_m=wall.length_m,
         material=wall.material,
+        given_at="centre",
         position_sd_m=wall.position_sd_m,
         yaw_sd_deg=yaw_sd_deg,
         thickness_m=wall.thickness_m,

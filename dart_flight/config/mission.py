@@ -255,13 +255,15 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def digest(self) -> str:
-        """Fingerprint of mission and vehicle, without file names, autopilot connection and lock driver.
+        """Fingerprint of mission and vehicle, without file names, links and lock driver.
 
         Keys with default values are excluded, so a later version can add keys without changing the
         fingerprint.
         """
         bare = msgspec.structs.replace(self, source="", vehicle_source=None, flown=None, standoff_m=None)
-        bare = msgspec.structs.replace(bare, written=None)
+        mocap = msgspec.structs.replace(self.vehicle.mocap, url=None)
+        vehicle = msgspec.structs.replace(self.vehicle, mocap=mocap)
+        bare = msgspec.structs.replace(bare, written=None, vehicle=vehicle)
         tree = without_defaults(bare)
         tree["vehicle"].pop("connection", None)
         tree["vehicle"].get("lock", {}).pop("driver", None)

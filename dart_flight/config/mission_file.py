@@ -112,7 +112,8 @@ class WallSpec(Section, frozen=True):
         length_m: length along the wall, half of it to each side of the middle.
         material: a key of materials in the vehicle configuration.
         given_at: centre: point_m is the position of the vehicle's centre at first touch, as in the paper;
-            surface: point_m is on the wall itself, and airframe.contact_distance_m is added.
+            surface: point_m is on the wall itself, and airframe.contact_distance_m is added; null: centre,
+            but a partition must give this key.
         position_sd_m: standard deviation of the position along the normal; null: the position is known to a
             few centimetres, and the guard thresholds of the vehicle configuration cover this error.
         yaw_sd_deg: standard deviation of the wall's direction, as a rotation about the wall's middle; null:
@@ -125,10 +126,10 @@ class WallSpec(Section, frozen=True):
     normal: tuple[Direction, Direction]
     length_m: Annotated[float, Meta(gt=0.0, le=1000.0)]
     material: str
-    given_at: Literal["centre", "surface"] = "centre"
+    given_at: Literal["centre", "surface"] | None = None
     position_sd_m: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     yaw_sd_deg: Annotated[float, Meta(ge=0.0, le=30.0)] | None = None
-    thickness_m: Annotated[float, Meta(ge=0.0, le=10.0)] | None = None
+    thickness_m: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
 
 
 class PostSpec(Section, frozen=True):
@@ -525,9 +526,9 @@ class FlownRecord(Section, frozen=True):
         if nominal.outcome is not Outcome.COMPLETED:
             return f"the nominal flight does not complete ({nominal.reason or nominal.outcome.value})"
         if self.drawn is not None and self.drawn.uncontrolled:
-            return (
-                f"{self.drawn.uncontrolled} of {self.drawn.flights} flights in random worlds are uncontrolled"
-            )
+            of = f"of the {self.drawn.flights} flights flown in random worlds"
+            one = self.drawn.uncontrolled == 1
+            return f"1 {of} is uncontrolled" if one else f"{self.drawn.uncontrolled} {of} are uncontrolled"
         return None
 
     @property

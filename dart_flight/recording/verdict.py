@@ -332,7 +332,9 @@ class VerdictBuilder:
             own_lateness_ms=None if self._late_us is None else self._late_us * 1e-3,
             ekf_error_m=self._position_error.worst_m,
             vehicle=self._mission.flown_vehicle(),
-            plan_followed=all(one.within for one in differ) if differ else None,
+            plan_followed=(
+                so_far.outcome is Outcome.COMPLETED and all(one.within for one in differ) if differ else None
+            ),
             deviations=differ,
             drawn=dict(drawn or {}),
             walls=self._walls.build(self.end.t_us if self.end else 0, drawn or {}),

@@ -67,7 +67,7 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
     if driver is None:
         return mission
     if mission.vehicle.lock is None:
-        raise InputError("this vehicle has no lock", key=("--driver",))
+        raise InputError("this vehicle has no lock: leave the option out", key=("--driver",))
     lock = msgspec.structs.replace(mission.vehicle.lock, driver=driver)
     vehicle = msgspec.structs.replace(mission.vehicle, lock=lock)
     return msgspec.structs.replace(mission, vehicle=vehicle)

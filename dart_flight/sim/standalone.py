@@ -15,9 +15,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from dart_flight.base.records import Record
 from dart_flight.base.signals import StopSignals
 from dart_flight.config.document import InputError
-from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import LockDriver
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
+from dart_flight.sim.pose_feed import EmulatedMotionCapture
 from dart_flight.sim.served_world import ticks_in_real_time
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name, owner_of_udp_port, udp_port_is_free
@@ -99,19 +98,19 @@ def _listen(port: int) -> str | None:
 
 
 def run_vehicle(
-    mission: Mission,
-    seed: int,
+    vehicle: SimulatedVehicle,
     ports: tuple[int, ...],
     print_line: Callable[[str], None],
     own_port: int = 0,
     viewer: Callable[[Record], None] = lambda record: None,
+    mocap: EmulatedMotionCapture | None = None,
 ) -> None:
     """Simulate in real time until SIGINT, SIGTERM or SIGHUP; `print_line` prints a line in the terminal.
 
     The vehicle sends to each of the UDP ports `ports`. To the first of them it sends from the local UDP port
-    `own_port`; 0 selects any local port. `viewer` receives the true motion of the vehicle.
+    `own_port`; 0 selects any local port. `viewer` receives the true motion of the vehicle. `mocap` sends the
+    vehicle's poses, and is closed at the end.
     """
-    vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)
     to_link = vehicle.autopilot.send_text
     stopped: list[signal.Signals] = []
@@ -121,6 +120,8 @@ def run_vehicle(
         print_line(f"{vehicle.autopilot.now_s:8.2f} s  {text}")
 
     def step() -> None:
+        if mocap is not None:
+            mocap.publish(vehicle.autopilot.now_s, vehicle.autopilot.pose)
         vehicle.advance()
         endpoint.exchange()
         plant = vehicle.autopilot.plant
@@ -142,3 +143,5 @@ def run_vehicle(
             if stopped:
                 break
     endpoint.close()
+    if mocap is not None:
+        mocap.close()

@@ -143,5 +143,15 @@ def test_shipped_missions_are_go_at_their_start(name: str) -> None:
     assert place_findings(mission, *mission.start)["place"].go
 
 
+def test_the_hidden_face_of_a_partition_is_not_listed() -> None:
+    changes = {"walls.wood.thickness_m": 0.02, "walls.wood.given_at": "centre"}
+    hits = [f"collisions[{i}].wall" for i, c in enumerate(DUAL.collisions) if c.wall.name == "wood"]
+    mission = DUAL.replace(changes | dict.fromkeys(hits, "wood.front"))
+    says = place_findings(mission, *mission.start, heading_deg=359.8)["place"].says
+    assert "wood.front" in says
+    assert "wood.back" not in says
+    assert "heading 0 deg" in says
+
+
 def test_a_vehicle_without_a_position_has_no_findings() -> None:
     assert evaluate_place(DUAL, None, None) == []

@@ -75,14 +75,14 @@ def test_simulate_uses_the_mass_that_was_set(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flown: list[Any] = []
-    run: Callable[..., None] = lambda mission, *rest: flown.append(mission)  # noqa: E731
+    run: Callable[..., None] = lambda vehicle, *rest: flown.append(vehicle)  # noqa: E731
     monkeypatch.setattr(standalone, "run_vehicle", run)
     monkeypatch.setattr(
         standalone.VehiclePortLease, "__init__", lambda self, port: setattr(self, "own_port", port)
     )
     monkeypatch.setattr(standalone.VehiclePortLease, "release", lambda self: None)
     assert main([*COMMANDS["simulate"], "--set", "airframe.mass_kg=1.5"]) == 0
-    assert flown[0].vehicle.airframe.mass_kg == 1.5
+    assert flown[0].autopilot.plant.mass == 1.5
     assert "with airframe.mass_kg=1.5" in capsys.readouterr().err
 
 

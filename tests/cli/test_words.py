@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -89,6 +90,24 @@ def test_the_wrong_kind_of_file_is_named(
     words: list[str], kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert kind in refusal_of(capsys, *words)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (
+            ["--config", CONFIG, "check", MISSION],
+            "options come after the command: dart-flight check --config",
+        ),
+        (["-v", "tables"], "options come after the command: dart-flight tables -v"),
+        (["check", MISSION, "--mocap", "udp://0.0.0.0:9763/dart"], "--mocap: .* give --connection too"),
+        (["mocap", "--mocap", "optitrack"], "only dry-run and simulate emulate .* optitrack://SERVER/BODY"),
+    ],
+)
+def test_an_option_in_the_wrong_place_is_answered_with_the_right_one(
+    capsys: pytest.CaptureFixture[str], words: list[str], says: str
+) -> None:
+    assert re.search(says, refusal_of(capsys, *words))
 
 
 @pytest.mark.parametrize(

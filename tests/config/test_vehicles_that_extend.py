@@ -67,7 +67,7 @@ def test_the_only_vehicle_that_extends_dart_is_the_default(
     (tmp_path / "configs" / "cage.yaml").write_text("extends: dart.yaml  # DART\n")
     assert default_config_path().name == "cage.yaml"
     (tmp_path / "configs" / "stiff.yaml").write_text("# a variant\nextends: 'dart.yaml'\n")
-    with pytest.raises(InputError, match=r"contains several vehicles \(cage.yaml, stiff.yaml\)"):
+    with pytest.raises(InputError, match=r"contains several vehicles \(cage.yaml, stiff.yaml; not dart.yaml"):
         default_config_path()
     monkeypatch.setenv("DART_FLIGHT_CONFIG", "configs/stiff.yaml")
     assert default_config_path().name == "stiff.yaml"

@@ -8,14 +8,15 @@ from __future__ import annotations
 import sys
 
 from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 from dart_flight.sim.standalone import run_vehicle
 
 
 def main() -> None:
     mission, config, port, ground_port = sys.argv[1:]
-    run_vehicle(
-        load_mission(mission, config), 1, (int(port), int(ground_port)), lambda line: print(line, flush=True)
-    )
+    vehicle = SimulatedVehicle(load_mission(mission, config), 1, LockDriver.PX4)
+    run_vehicle(vehicle, (int(port), int(ground_port)), lambda line: print(line, flush=True))
 
 
 if __name__ == "__main__":

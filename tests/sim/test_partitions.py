@@ -169,6 +169,22 @@ def test_one_entry_gives_both_faces(given_at: str) -> None:
     assert load_mission(mission.to_dict()).walls == mission.walls
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            {"walls.board.given_at": None},
+            r"walls\.board.*: a partition needs given_at: .* 0\.18 m before",
+        ),
+        ({"collisions[0].wall": "board"}, r"unknown board, expected board\.front or board\.back"),
+        ({"walls.board.thickness_m": 12}, r"thickness_m=12: .* 0 to 1 m"),  # millimetres
+    ],
+)
+def test_a_partition_that_is_half_described_is_refused(change: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        load_mission(written()).replace(change)
+
+
 def test_the_name_of_a_face_must_be_free() -> None:
     tree = written()
     tree["walls"]["board.back"] = tree["walls"]["board"] | {"thickness_m": None, "point_m": [5.0, 0.0]}

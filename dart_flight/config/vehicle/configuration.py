@@ -144,7 +144,9 @@ def default_config_path() -> Path:
         return last[0]
     if any(not _is_unchanged(path) for path in last):
         names = ", ".join(path.name for path in last)
-        text = f"contains several vehicles ({names}): choose one by --config or $DART_FLIGHT_CONFIG"
+        extended = ", ".join(sorted(path.name for path in there if path in bases))
+        others = f"; not {extended}, which they extend" if extended else ""
+        text = f"contains several vehicles ({names}{others}): choose one by --config or $DART_FLIGHT_CONFIG"
         raise InputError(text, source=str(local.parent))
     return local if local.exists() else packaged("configs", "dart.yaml")
 

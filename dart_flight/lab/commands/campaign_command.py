@@ -10,13 +10,13 @@ from typing import Any
 import msgspec
 
 from dart_flight.cli import EXIT_INTERRUPTED
-from dart_flight.cli.flight_progress import FlightProgress
+from dart_flight.cli.flight_progress import ONLY_NOISE, FlightProgress
 from dart_flight.cli.options import add_vary_option, whole_number
 from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, tables
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 
-_MAX_SHOWN = 5  # printed flights with unexplained modes; the summary lists all of them
+_MAX_SHOWN = 5  # lines of a kind; the page and the summary have all of them
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -82,7 +82,9 @@ def run(arguments: argparse.Namespace) -> int:
         engine = campaigns.fly_locally(arguments.jobs or usable_cores())
     print_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
     if len(opened.points) > 1:
-        console.print(f"the campaign also flies {len(opened.points) - 1} other missions or settings")
+        console.print(f"the campaign flies {len(opened.points)} combinations of mission and settings")
+    if not any(point.spreads for point in opened.points):
+        console.print(ONLY_NOISE, soft_wrap=True)
     for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):
         console.print(line, style="yellow", soft_wrap=True)
     with FlightProgress(console, opened.flights) as progress, Interrupt(progress.interrupted) as interrupt:
@@ -160,9 +162,17 @@ def _table(summary: Any) -> Any:
         table.add_row(name, str(point.completed.of), *point.completed.words("-"))
     if summary.plan_followed.of:
         table.add_row("plan followed", str(summary.plan_followed.of), *summary.plan_followed.words("-"))
+    for one in summary.not_followed[:_MAX_SHOWN]:
+        flown = "not flown" if one.flown is None else f"{_short(one.flown)} flown"
+        planned = f"  off the plan: {one.what}: {_short(one.planned)} planned, {flown}"
+        table.add_row(planned, str(one.flights), "", "")
     for rule in summary.rules:
         table.add_row(styled((rule.rule, "red")), str(rule.flights), "", "")
     for flight in summary.unexplained_modes[:_MAX_SHOWN]:
         line = f"{flight.mission}, seed {flight.seed}: {flight.reason}; no fault of the lock was simulated"
         table.add_row(styled((line, "red")), "", "", "")
     return table
+
+
+def _short(value: float | str) -> str:
+    return f"{value:.2f}" if isinstance(value, float) else value

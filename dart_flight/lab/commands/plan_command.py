@@ -17,6 +17,7 @@ from dart_flight.cli.terminal import emit_json, messages, print_status, tables
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
+from dart_flight.config.mission_file import FlownRecord
 from dart_flight.lab.search import flown_plan
 from dart_flight.lab.search.flown_plan import Done, FlightWatch, PlanChoice, fly_mission, fly_on_all_cores
 from dart_flight.lab.search.limited_sight import plan_limited_sight
@@ -128,11 +129,15 @@ def run(arguments: argparse.Namespace) -> int:
             except RunsInterruptedError:
                 status = watch.end(arguments.output)
     if record is not None and record.failure is not None:
-        print_status(f"plan {plan.rank} fails in simulation: {record.failure}")
+        print_status(
+            f"plan {plan.rank} fails in simulation: {record.failure}", *_ways_out(plan, result, record)
+        )
     elif record is not None and not arguments.json:
         tables().print(f"plan {plan.rank} in simulation: {record.summary}", soft_wrap=True)
     elif arguments.output is not None and not arguments.verify and not arguments.json:
         print_status(NOT_VERIFIED)
+    if record is not None and record.danger is not None:
+        status = 1
     if status == 0 and arguments.output is not None:
         write_mission(scenario, plan, arguments.output, record)
         console.print(f"plan {plan.rank} written to {arguments.output}", soft_wrap=True)
@@ -142,6 +147,17 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         emit_json({**plan_summary(result, refused), "flown": record})
     return status
+
+
+def _ways_out(plan: Plan, result: SearchResult, record: FlownRecord) -> Iterator[str]:
+    """Yield what to do about a plan that fails in simulation."""
+    drawn = record.drawn
+    if drawn is not None and drawn.flights < flown_plan.DRAWN:
+        yield f"the other {flown_plan.DRAWN - drawn.flights} flights were not flown: they cannot change this"
+    ways = [f"--rank {plan.rank + 1}"] if plan.rank < len(result.plans) else []
+    ways += [f"--objective {other}" for other in (Objective.ROBUST, Objective.QUICKEST)]
+    kept = "" if record.danger is None else "; no mission was written (--no-verify writes it)"
+    yield f"try {', '.join(ways)}, or slower approaches in `search`{kept}"
 
 
 def _first_flyable(result: SearchResult, rank: int) -> tuple[Plan, Mission, dict[int, str]]:

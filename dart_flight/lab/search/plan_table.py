@@ -68,9 +68,9 @@ def plan_table(result: SearchResult) -> Table:
     )
     for column in ("", "wall", "mode"):
         table.add_column(column, overflow="fold")
-    columns = ["normal\nm/s", "along\nm/s", _FORCE, "miss\nm", "goal\ns", "score"]
+    columns = ["normal\nm/s", "along\nm/s", _FORCE, "goal\nmiss m", "goal\nat s"]
     if objective is Objective.ROBUST:
-        columns += ["expect.\nm", "worst\nm", "failed"]
+        columns += ["mean\nmiss m", "worst\nmiss m", "draws\nfailed"]
     for column in columns:
         table.add_column(column, justify="right", no_wrap=True)
     for plan in result.plans:
@@ -89,9 +89,26 @@ def plan_table(result: SearchResult) -> Table:
         f"{result.feasible} of {result.candidates} candidates feasible, {result.trajectories} trajectories "
         f"in {result.elapsed_s:.3f} s"
     )
+    edge = _at_edge(result.scenario, result.plans[0])
+    if edge:
+        table.caption += f"\nplan 1 is at the edge of `search` ({edge}): a wider grid may have a better one"
     table.caption += "\n" + describe_free(result.free, result.plans[0])
     table.caption_justify = "left"
     return table
+
+
+def _at_edge(scenario: Scenario, best: Plan) -> str:
+    """Return the approach velocities of a plan that are the first or last of their grid, as text."""
+    spec = scenario.spec.search
+    if spec is None:
+        return ""
+    chosen = {"normal_m_s": best.normal_m_s, "tangential_m_s": best.tangential_m_s}
+    grids = {name: getattr(spec, name) for name in chosen}
+    return ", ".join(
+        f"{name} {value:g}"
+        for name, value in chosen.items()
+        if grids[name].min < grids[name].max and value in (grids[name].min, grids[name].max)
+    )
 
 
 def describe_free(free: FreePlan | None, best: Plan) -> str:
@@ -202,7 +219,7 @@ def _force(normal_n: float, friction_n: float) -> str:
 
 
 def _tail(plan: Plan) -> list[str]:
-    tail = [f"{plan.goal_miss_m:.3f}", f"{plan.time_to_goal_s:.2f}", f"{plan.score:.3f}"]
+    tail = [f"{plan.goal_miss_m:.3f}", f"{plan.time_to_goal_s:.2f}"]
     if plan.expected_miss_m is not None:
         tail += [f"{plan.expected_miss_m:.3f}", f"{plan.worst_miss_m:.3f}", f"{plan.failed_draws or 0.0:.0%}"]
     return tail

@@ -129,6 +129,11 @@ def parse_url(url: str) -> tuple[str, PoseAddress]:
         options = parse_qs(parts.query, strict_parsing=True) if parts.query else {}
     except ValueError as error:
         raise InputError(f"mocap URL {url}: {error}; {_EXAMPLES}") from None
+    if url in _SYSTEMS:
+        raise InputError(
+            f"mocap URL {url}: only dry-run and simulate emulate a system by its name; a real one needs "
+            f"{_EXAMPLES.removeprefix('use ')}"
+        )
     if parts.scheme not in _SYSTEMS or not host or not body or parts.fragment:
         raise InputError(f"mocap URL {url}: {_EXAMPLES}")
     (interface,) = options.pop("interface", [None])[-1:]

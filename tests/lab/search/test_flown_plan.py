@@ -15,7 +15,7 @@ from dart_flight.base.records import Outcome, World
 from dart_flight.cli import EXIT_INTERRUPTED, main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import LockDriver
+from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.lab.report.figures.mission_figure import prediction_lines
 from dart_flight.lab.search import flown_plan
 from dart_flight.lab.search.flown_plan import DRAWN, FIRST_SEED, OfferedPlan, PlanChoice
@@ -301,7 +301,7 @@ def test_check_rejects_a_mission_that_lost_control_in_simulation(
     record = msgspec.structs.replace(mission.flown, drawn=bad)
     finding = flown_finding(msgspec.structs.replace(mission, flown=record))
     assert not finding.go
-    assert "1 of 20 flights in random worlds are uncontrolled" in finding.says
+    assert "1 of the 20 flights flown in random worlds is uncontrolled" in finding.says
     assert msgspec.structs.replace(mission, flown=record).digest == mission.digest
 
 
@@ -309,7 +309,7 @@ def test_check_remarks_on_a_mission_without_a_flight_record() -> None:
     finding = flown_finding(dart_flight.load_mission(dart_flight.packaged("missions", "single_wall.yaml")))
     assert finding.go
     assert finding.remark
-    assert "no simulated flight of this mission is on record" in finding.says
+    assert "contains no record of simulated flights" in finding.says
 
 
 def test_an_invalid_flight_record_is_refused(planned: QuickestResult, tmp_path: Path) -> None:
@@ -385,3 +385,18 @@ def test_an_interrupted_command_prints_what_is_known_and_keeps_the_file(
     known = json.loads(capsys.readouterr().out)
     assert known["flown"]["free"]["drawn"]["completed"] == DRAWN
     assert "colliding" not in known["flown"]
+
+
+def test_a_plan_of_the_grid_that_tumbles_in_simulation_is_not_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly = FakeFlights(lambda mission, seed: (9.0, True, seed != FIRST_SEED + 2))
+    run: Callable[..., list[Verdict]] = lambda m, seeds, log, done, spreads, _: fly(m, seeds, spreads, done)  # noqa: E731
+    monkeypatch.setattr(flown_plan, "fly_fast_many", run)
+    scenario, target = str(packaged("missions", "scenarios", "one_wall.yaml")), tmp_path / "mission.yaml"
+    assert main(["plan", scenario, "-o", str(target)]) == 1
+    assert not target.exists()
+    err = capsys.readouterr().err
+    assert "1 of the 3 flights flown in random worlds is uncontrolled" in err
+    assert "the other 17 flights were not flown: they cannot change this" in err
+    assert "try --rank 2" in err
