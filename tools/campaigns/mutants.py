@@ -55,7 +55,8 @@ _COMMANDS = {
     ),
     "test-rest": ("rest", "tests"),
 }
-_COPIED = ("dart_flight", "tests", "tools", "configs", "missions", "docs", "pyproject.toml")
+# Everything of a checkout: the pages' tests read README, Makefile and deploy too.
+_LEFT_OUT = shutil.ignore_patterns(".git", ".venv", ".*_cache", "__pycache__")
 _LONGEST_S = 3600.0
 _LEAST_CHANGE = 1e-3  # of a number, relative; one microsecond of a second shows nowhere
 
@@ -96,14 +97,11 @@ def try_mutant(_: Point, seed: int) -> Mutant:
     drawn = rng.choice([mutation for mutation in found if mutation[0] == kind])
     path, before = file.relative_to(ROOT), file.read_text("utf-8")
     after = mutate_code(before, get_operator(f"core/{drawn[1]}")(), drawn[2]) if seed else before
-    with tempfile.TemporaryDirectory(prefix="mutant-") as tree:
-        for name in _COPIED:  # keep symbolic links, because some test data are broken links
-            if (ROOT / name).is_dir():
-                shutil.copytree(ROOT / name, Path(tree) / name, symlinks=True)
-            else:
-                shutil.copy(ROOT / name, tree)
-        (Path(tree) / path).write_text(after, "utf-8")
-        command, detected_by = _first_detection(Path(tree))
+    with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
+        tree = Path(folder) / "tree"
+        shutil.copytree(ROOT, tree, symlinks=True, ignore=_LEFT_OUT)  # some test data are broken links
+        (tree / path).write_text(after, "utf-8")
+        command, detected_by = _first_detection(tree)
     if not seed:
         return Mutant("", "", "", "", detected_by, command)
     pairs = zip(before.splitlines(), after.splitlines(), strict=False)
