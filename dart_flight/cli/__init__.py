@@ -14,7 +14,6 @@ import os
 import re
 import sys
 import traceback
-import warnings
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -24,7 +23,6 @@ from dart_flight.base.errors import FlightError
 from dart_flight.base.processes import exit_within, use_idle_priority
 from dart_flight.cli.terminal import OutputError, open_closed_streams, print_status, write_output
 from dart_flight.config.document import InputError, did_you_mean, suggest_known, write_problem
-from dart_flight.config.retired_keys import RetiredKeyWarning
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 from dart_flight.lab_entries import load_entry
 
@@ -178,7 +176,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             level=logging.DEBUG if parsed.verbose > 1 else logging.ERROR,
             format="%(name)s: %(message)s",
         )
-        warnings.showwarning = _show_warning
         return int(_module(parsed.command).run(parsed))
     except InputError as error:
         print_status(error.one_line())
@@ -203,16 +200,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run() -> NoReturn:
     """Run `dart-flight` as a program, which ends at most 5 s after its command."""
     exit_within(main(), _EXIT_S)
-
-
-def _show_warning(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, *rest: Any, **more: Any
-) -> None:
-    """Print a warning about the user's file as one line; print any other warning in Python's format."""
-    if issubclass(category, RetiredKeyWarning):
-        print_status(message)
-    else:
-        print_status(warnings.formatwarning(message, category, filename, lineno).rstrip())
 
 
 def _need_working_folder() -> None:

@@ -20,7 +20,6 @@ from dart_flight import __version__
 from dart_flight.base.records import StatusSample, World
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
-from dart_flight.config.retired_keys import changed_retired, ignore_retired, remove_retired
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.recording.reader import Log, MissingDataError
 
@@ -84,7 +83,7 @@ def software_version() -> str:
 def flown_mission(about: dict[str, str], source: str) -> Mission:
     """Return the mission as flown, from a log's description.
 
-    A key that is not in the log gets its default value. A retired key is ignored (`changed_keys`).
+    A key that is not in the log gets its default value.
 
     Raises:
         InputError: the mission is missing, or does not fit this version of the program.
@@ -93,10 +92,7 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
     if text is None:
         raise MissingDataError("the log does not contain its mission", source=source)
     try:
-        tree = msgspec.json.decode(text)
-        if isinstance(tree, dict) and isinstance(tree.get("vehicle"), dict):
-            remove_retired(tree["vehicle"])
-        return msgspec.convert(tree, Mission)
+        return msgspec.json.decode(text, type=Mission)
     except msgspec.MsgspecError as error:
         raise InputError(f"this version cannot read the mission in the log: {error}", source=source) from None
 
@@ -110,17 +106,7 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
     if "mission_text" not in about or "vehicle" not in about:
         raise InputError("the log does not contain its mission's text", source=source)
     text = msgspec.json.format(about["vehicle"], indent=2)
-    vehicle = Document(text, f"{source}: vehicle")
-    remove_retired(vehicle.tree)
-    return Document(about["mission_text"], f"{source}: mission"), vehicle
-
-
-def changed_keys(about: dict[str, str]) -> list[str]:
-    """Return descriptions of retired keys whose flown value differs from the present constant.
-
-    A retired key was part of the vehicle configuration. Its value is now a constant of the program.
-    """
-    return changed_retired(msgspec.json.decode(about["vehicle"])) if "vehicle" in about else []
+    return Document(about["mission_text"], f"{source}: mission"), Document(text, f"{source}: vehicle")
 
 
 def parse_written(mission: Document, vehicle: Document) -> Mission:
@@ -129,7 +115,6 @@ def parse_written(mission: Document, vehicle: Document) -> Mission:
     Raises:
         InputError: a key is unknown, or a value has the wrong type or is out of range.
     """
-    ignore_retired(vehicle)
     return parse_mission(mission, vehicle.convert(VehicleConfig))
 
 

@@ -42,7 +42,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.settings import apply_settings
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
-from dart_flight.recording.about import changed_keys, flown_mission, machine, parse_written, written_mission
+from dart_flight.recording.about import flown_mission, machine, parse_written, written_mission
 from dart_flight.recording.encoding import encode
 from dart_flight.recording.flight_time import find_zero
 from dart_flight.recording.reader import Log
@@ -177,13 +177,9 @@ def _missing(numbers: list[int]) -> int:
 
 
 def _note(log: Log, result: Replay) -> str:
-    notes = changed_keys(log.about)
     if result.missing:
-        lost = f"the log lost {result.missing} inputs; after the first lost input the replay may differ"
-        notes.append(lost)
-    elif not log.complete:
-        notes.append("the log is cut short; the replay ends where the log ends")
-    return "; ".join(notes)
+        return f"the log lost {result.missing} inputs; after the first lost input the replay may differ"
+    return "" if log.complete else "the log is cut short; the replay ends where the log ends"
 
 
 def _compare(

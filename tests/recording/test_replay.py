@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
@@ -13,7 +12,6 @@ from dart_flight.base.records import ImpactOnset, ImpactPeak, ImuSample, Phase, 
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.config.retired_keys import RETIRED
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.reader import Log, LogEntry, read_log
 from dart_flight.run.fast import FastFlight
@@ -168,32 +166,6 @@ def test_a_cut_log_replays_up_to_the_cut(flight: Log) -> None:
         result = replay(log)
         assert result.equal
         assert result.note.startswith("the log is cut short")
-
-
-def add_retired_keys(vehicle: dict[str, Any]) -> None:
-    """Add the retired keys to a configuration, as in an older log."""
-    for key, retired in RETIRED.items():
-        *above, name = key.split(".")
-        node = vehicle
-        for part in above:
-            node = node.setdefault(part, {})
-        node[name] = retired.value
-
-
-def test_replay_reports_a_retired_key_with_another_value(flight: Log) -> None:
-    about = dict(flight.about)
-    for name in ("flown", "vehicle"):
-        tree = msgspec.json.decode(about[name])
-        add_retired_keys(tree["vehicle"] if name == "flown" else tree)
-        about[name] = msgspec.json.encode(tree).decode()
-    result = replay(beginning(flight, 1000, about))
-    assert (result.equal, result.note) == (True, "")
-    tree = msgspec.json.decode(about["vehicle"])
-    tree["guard"]["imu_stuck_s"] = 0.5
-    about["vehicle"] = msgspec.json.encode(tree).decode()
-    old = Log(flight.source, about, flight.end, flight.entries, True)
-    assert replay(beginning(old, 1000)).note == "guard.imu_stuck_s was 0.5 and is now 0.1"
-    assert replay(old, ["detection.force_threshold_n=15"]).differences
 
 
 def test_replay_reports_lost_inputs(flight: Log) -> None:

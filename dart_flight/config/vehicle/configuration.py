@@ -16,7 +16,6 @@ from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, InputError, Key, iterate_leaves, read_text, unknown_name
 from dart_flight.config.file_kinds import EXTENDS
-from dart_flight.config.retired_keys import ignore_retired
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes, apply_settings
 from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust, effectiveness
@@ -199,13 +198,12 @@ def load_vehicle(
 
 
 def parse_vehicle(document: Document) -> VehicleConfig:
-    """Return the configuration in a document; a retired key is ignored with a warning.
+    """Return the configuration in a document.
 
     Raises:
         InputError: a key is unknown or missing; a value has the wrong type or is out of range; a material
         lacks a mode of the vehicle; or the motors cannot carry the mass or control every axis.
     """
-    ignore_retired(document)
     lock = document.tree.get("lock")
     if isinstance(lock, dict) and lock.get("driver") == NO_LOCK:
         document.tree["lock"] = None
