@@ -245,7 +245,8 @@ class Standby:
                 session.send_text(text)
                 await asyncio.sleep(_TEXT_PAUSE_S)
             self._news.clear()
-            bridge, problem = None, None
+            bridge: MotionCaptureBridge | None = None
+            problem: str | None = None
             while not self._wake.is_set():
                 before = problem
                 if bridge is None and vehicle.mocap.url is not None:
