@@ -7,9 +7,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from tests.doubles.scripted_peer import Mavlink, ScriptedPeer, UdpLink
 from tests.real_time import TooSlow, wait_until
 
-PX4_PORT = 18570  # of instance 0: PX4's link for a ground station
 PROGRAM = 195  # component
 _BUTTONS = mavlink.MAV_CMD_USER_1
+_PX4_PORT = 18570  # of instance 0: PX4's link for a ground station
 _WAIT_S, _TRY_S = 30.0, 3.0
 
 
@@ -40,6 +40,11 @@ class OperatorStation(ScriptedPeer):
         self.texts: list[str] = []
         self.beats = self.poses = 0
         self.vehicle_system, self.armed, self.was_armed, self.sticks = vehicle_system, False, False, False
+
+    @classmethod
+    def of_px4(cls, instance: int) -> OperatorStation:
+        """Return a station on the link of one of the computer's simulated PX4s."""
+        return cls(vehicle_port=_PX4_PORT + instance, vehicle_system=instance + 1)
 
     @property
     def system(self) -> int:

@@ -16,7 +16,8 @@ from dart_flight.config.parameter_file import Parameter, PositionSource
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.simulator_process import Px4SimulatorProcess
 from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
-from dart_flight.sim.px4.launch import flight_parameters
+from dart_flight.sim.px4.launch import ONBOARD_PORT, flight_parameters
+from tests.doubles.operator_station import OperatorStation
 
 pytestmark = pytest.mark.px4
 
@@ -39,6 +40,11 @@ def waiting_px4(
         yield f"udpin://127.0.0.1:{world.port}"
     finally:
         world.close()
+
+
+def station_of(url: str) -> OperatorStation:
+    """Return the ground station of a waiting PX4, whose instance is 0 only if no other PX4 runs."""
+    return OperatorStation.of_px4(int(url.rpartition(":")[2]) - ONBOARD_PORT)
 
 
 def findings_by_item(findings: list[CheckFinding]) -> dict[str, CheckFinding]:

@@ -38,7 +38,7 @@ from dart_flight.recording.verdict import Verdict
 from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.pipe import FULL_SPEED
-from tests.doubles.operator_station import PX4_PORT, OperatorStation
+from tests.doubles.operator_station import OperatorStation
 from tests.real_time import TooSlow, assert_flown, wait_until
 
 pytestmark = pytest.mark.px4
@@ -169,7 +169,7 @@ def test_a_switch_to_position_mode_releases_the_flight_only_with_sticks(
             found = re.search(r"PX4 instance (\d+)", next(tmp_path.glob("*/autopilot.log")).read_text())
             assert found is not None
             number = int(found[1])
-            station = OperatorStation(vehicle_port=PX4_PORT + number, vehicle_system=number + 1)
+            station = OperatorStation.of_px4(number)
             station.sticks = sticks
             stations.append(held.enter_context(station))
         elif isinstance(record, PhaseChange) and record.after is Phase.APPROACH:

@@ -11,8 +11,7 @@ from dart_flight.base.records import FlightMode, Input, StatusSample
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.run.prepare import load_flyable
 from dart_flight.vehicle.vehicle_session import connect
-from tests.doubles.operator_station import PX4_PORT, OperatorStation
-from tests.px4.test_px4_check import MISSION, waiting_px4
+from tests.px4.test_px4_check import MISSION, station_of, waiting_px4
 from tests.real_time import TooSlow
 
 pytestmark = [pytest.mark.px4, pytest.mark.realtime]
@@ -28,7 +27,7 @@ def test_a_mode_held_for_a_fifth_of_a_second_is_noticed_on_px4(px4_dir: Path, tm
             seen.append(record.flight_mode)
 
     async def switch(url: str) -> None:
-        with OperatorStation(vehicle_port=PX4_PORT) as station:
+        with station_of(url) as station:
             async with connect(url, 30.0, keep) as session:
                 mission = load_flyable(MISSION)
                 session.subscribe(mission.vehicle.estimation, len(mission.vehicle.airframe.motors))

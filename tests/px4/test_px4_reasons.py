@@ -15,7 +15,7 @@ from dart_flight.base.records import GuardEvent, HealthReport, StatusText
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
-from tests.doubles.operator_station import PX4_PORT, OperatorStation
+from tests.doubles.operator_station import OperatorStation
 from tests.px4.test_px4_check import waiting_px4
 from tests.real_time import wait_until
 
@@ -110,7 +110,7 @@ def test_an_offboard_refusal_is_explained_in_terminal_log_and_verdict(px4_dir: P
     changes: dict[str, int | float] = {"COM_OF_LOSS_T": 0.0, "COM_DISARM_PRFLT": -1.0}
     flight = DryRun(px4_dir, tmp_path, changes, "--outdoor", "--speed", "0.4")
     number = flight.instance()
-    with OperatorStation(vehicle_port=PX4_PORT + number, vehicle_system=number + 1) as station:
+    with OperatorStation.of_px4(number) as station:
         station.arm()
     assert_reason_is_quoted(
         flight.wait_for_refusal(), "offboard_refused: PX4 refused offboard mode; PX4 ", "No offboard signal"

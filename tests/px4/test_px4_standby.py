@@ -18,8 +18,7 @@ from dart_flight.run.operator_buttons import Button
 from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.ground_link import GroundLink
-from tests.doubles.operator_station import PX4_PORT, OperatorStation
-from tests.px4.test_px4_check import waiting_px4
+from tests.px4.test_px4_check import station_of, waiting_px4
 from tests.real_time import limited
 from tests.run.test_standby_day import MISSION, ROOT
 from tests.shared_flights import patient
@@ -53,7 +52,7 @@ def test_every_button_is_answered_in_standby_and_in_flight(px4_dir: Path, tmp_pa
     mission = with_driver(load_flyable(tmp_path / "one.yaml"), LockDriver.PX4)
     with (
         waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"COM_RC_IN_MODE": 1}) as url,
-        OperatorStation(vehicle_port=PX4_PORT) as station,
+        station_of(url) as station,
     ):
         with standing_by(tmp_path, url, "one.yaml", "--driver", "px4"):
             station.wait_for_text("standby", timeout_s=120.0)
@@ -111,7 +110,7 @@ def test_the_buttons_reach_a_program_on_a_vehicle_with_another_system_id(
 
     with (
         waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"MAV_SYS_ID": system}) as url,
-        OperatorStation(vehicle_port=PX4_PORT) as station,
+        station_of(url) as station,
         GroundLink(url, 30.0) as link,
     ):
         assert link.system_id == system
