@@ -98,7 +98,7 @@ def assert_values_are_known(arguments: argparse.Namespace) -> None:
     changes, spreads, fault = (getattr(arguments, name, None) for name in ("set", "vary", "fault"))
     if fault is not None:
         parse_fault(fault)
-    mission = str(getattr(arguments, "mission", None) or getattr(arguments, "missions", [""])[0])
+    mission = getattr(arguments, "mission", None) or next(iter(getattr(arguments, "missions", ())), "")
     if (changes or spreads) and mission.startswith("missions/"):
         settings = [setting.partition(",")[0] for setting in changes or ()]  # the first value of a campaign's
         parse_vary(spreads or (), load_flyable(ROOT / mission, settings=settings).vehicle)

@@ -126,7 +126,7 @@ def test_the_recipes_work_as_written(tmp_path: Path) -> None:
     checks = [recipe.check for recipe in RECIPES]
     assert all(check[:2] == ["-m", "pytest"] for check in checks)
     files = dict.fromkeys(word for check in checks for word in check if word.endswith(".py"))
-    words = ["-v", "-p", "no:cacheprovider", "-p", "no:xdist", "-k", " or ".join(map(selection, checks))]
+    words = ["-vv", "-p", "no:cacheprovider", "-p", "no:xdist", "-k", " or ".join(map(selection, checks))]
     status, output = python(tmp_path, "-m", "pytest", *files, *words)
     assert status == 0, output
     assert {line.partition("::")[0] for line in output.splitlines() if " PASSED" in line} == set(files)
