@@ -19,6 +19,7 @@ import pytest
 from dart_flight.cli import COMMANDS, build_parser, main
 from dart_flight.lab.commands import plan_command
 from dart_flight.lab.search import flown_plan
+from dart_flight.lab.search.flown_plan import fly_in_process
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.fault_table import parse_fault
@@ -48,10 +49,8 @@ NOT_RUN: list[tuple[str, str]] = [
     ),
     (r":14541", "needs the lossy proxy, which waits"),
     (r"> /srv/", "needs the installed service"),
-    (
-        r"missions/unknown_room\.yaml|^dart-flight survey \S+dual",
-        "takes seconds; tests/cli/test_survey.py runs it",
-    ),
+    (r"^dart-flight survey", "takes seconds; tests/cli/test_survey.py runs it"),
+    (r"--pdf", "takes seconds; tests/lab/report/test_page.py runs it"),
 ]
 # Commands that fly through MAVSDK, which test_a_documented_flight_through_mavsdk_succeeds runs.
 REAL_TIME = re.compile(r"^dart-flight (simulate|fly .*udpin://127\.0\.0\.1:14540|dry-run (?!.*--fast))")
@@ -238,11 +237,16 @@ RUNNABLE = [
 
 @pytest.fixture
 def short_plans(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Share the plan of a scenario with `sight` between tests, and fly a plan in one drawn world."""
+    """Share the plan of a scenario with `sight` between tests; fly a plan in one drawn world, in this process."""
     monkeypatch.setattr(
         plan_command, "plan_limited_sight", lambda scenario, progress: limited_sight_plan(flown, scenario)
     )
     monkeypatch.setattr(flown_plan, "DRAWN", 1)
+    monkeypatch.setattr(
+        flown_plan,
+        "fly_fast_many",
+        lambda mission, seeds, _, done, spreads, *__: fly_in_process(mission, seeds, spreads, done),
+    )
 
 
 @pytest.mark.rest

@@ -283,7 +283,6 @@ def test_a_rehearsal_has_a_page(tmp_path: Path) -> None:
 # --- several flights -----------------------------------------------------------------------------------
 
 
-@pytest.mark.rest
 def test_the_comparison_shows_the_statistics_of_its_flights(
     flights: list[RecordedFlight], comparison: str
 ) -> None:
