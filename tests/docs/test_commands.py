@@ -237,7 +237,7 @@ RUNNABLE = [
 
 @pytest.fixture
 def short_plans(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Share the plan of a scenario with `sight` between tests; fly a plan in one drawn world, in this process."""
+    """Share the plan of a scenario with `sight`; fly a plan in one drawn world, in this process."""
     monkeypatch.setattr(
         plan_command, "plan_limited_sight", lambda scenario, progress: limited_sight_plan(flown, scenario)
     )
@@ -250,7 +250,7 @@ def short_plans(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.rest
-@pytest.mark.usefixtures("short_plans")
+@pytest.mark.usefixtures("every_package", "short_plans")
 @pytest.mark.parametrize("page", RUNNABLE, ids=name_of)
 def test_the_commands_of_a_page_run_as_written(
     page: Path, laboratory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -76,6 +76,7 @@ def test_every_configuration_key_is_in_the_table() -> None:
 
 
 @pytest.mark.rest
+@pytest.mark.usefixtures("every_package")
 def test_the_concept_figures_can_be_drawn(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "tools.docs.concept_figures", tmp_path], cwd=ROOT, check=True)
     drawn = {path.name for path in tmp_path.iterdir()}
@@ -134,6 +135,7 @@ def test_an_ini_block_parses_and_has_sections(block: Block) -> None:
 
 
 @pytest.mark.rest
+@pytest.mark.usefixtures("every_package")
 @pytest.mark.parametrize("block", blocks_in("python"), ids=lambda b: b.place)
 def test_a_python_block_runs_without_leaving_files(
     block: Block, recorded: Path, monkeypatch: pytest.MonkeyPatch
@@ -197,10 +199,13 @@ def _json_blocks() -> Iterator[object]:
 def test_a_json_block_has_the_shape_of_the_commands_output(
     block: Block,
     recorded: Path,
+    request: pytest.FixtureRequest,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
+    if _SLOW.match(block.produced_by):
+        request.getfixturevalue("every_package")
     shown = json.loads(block.text)
     monkeypatch.chdir(recorded)
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path))
