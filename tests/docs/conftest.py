@@ -41,11 +41,6 @@ def prepare_laboratory(folder: Path) -> None:
     with contextlib.chdir(folder):
         assert main(["dry-run", "missions/single_wall.yaml", "--fast"]) == 0
     (folder / "hits.csv").write_text("mode,normal_m_s,tangential_m_s\nrigid,-1.0,0.5\nflexible,-0.6,0.5\n")
-    with contextlib.suppress(ImportError):  # without SciPy, no page is run
-        write_trials(folder)
-
-
-def write_trials(folder: Path) -> None:
     materials, random = load_vehicle(folder / "configs" / "dart.yaml").materials, np.random.default_rng(1)
     acrylic = materials["acrylic"].coefficients(Mode.FLEXIBLE)
     for i, speed in enumerate((-0.6, -1.2)):

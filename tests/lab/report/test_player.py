@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 
 from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.page import flight_page
-from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.replay import Replay
@@ -126,15 +124,6 @@ def _first_hits(flight: RecordedFlight, count: int) -> RecordedFlight:
     other = RecordedFlight(flight.log)
     other.impacts = other.impacts[:count]
     return other
-
-
-def test_a_log_without_flight_data_has_no_animation(trials: list[Path], tmp_path: Path) -> None:
-    cut = tmp_path / "flight.mcap"
-    whole = trials[0].read_bytes()
-    cut.write_bytes(whole[: len(whole) // 50])
-    flight = RecordedFlight.read(cut)
-    assert player_data(flight) is None
-    assert "<script" not in flight_page(flight)
 
 
 def test_the_content_security_policy_forbids_external_content(page: str, comparison: str) -> None:
