@@ -53,10 +53,19 @@ def log_paths(folder: Path) -> list[str]:
     return [str(path) for path in sorted((folder / "flights").glob("*/flight.mcap"))]
 
 
-@pytest.mark.rest
-def test_replay_accepts_a_folder(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Single logs: `test_incomplete_logs_are_skipped`."""
-    assert main(["replay", "flights", "--json"]) == 0
+def test_replay_accepts_a_folder(
+    flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The logs end in the climb; `test_incomplete_logs_are_skipped` replays a whole log."""
+    whole = read_log(flown("paper_single_wall", 1).log)
+    end = whole.entries[4000].number
+    for name in ("one", "two"):
+        (tmp_path / "flights" / name).mkdir(parents=True)
+        log = FlightLog(tmp_path / "flights" / name / "flight.mcap", whole.about)
+        for entry in (e for e in whole.entries[:4000] if e.number < end):
+            log.put(entry.record, entry.number)
+        log.close()
+    assert main(["replay", str(tmp_path / "flights"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["equal"] is True
     assert [len(printed["replays"]), len({r["log"] for r in printed["replays"]})] == [2, 2]
@@ -101,17 +110,16 @@ def test_incomplete_logs_are_skipped(
     words: list[str], count: Callable[[Any], int], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("scipy")
-    stub, whole = write_incomplete_log(folder), log_paths(folder)[-1]
-    for is_empty in (False, True):  # a log that ends after its description, and an empty file
-        if is_empty:
-            stub.write_bytes(b"")
-        elif words == ["replay"]:
-            continue  # nothing to decide is replayed as equal
-        assert main([*words, str(stub), whole, "--json"]) == 0
-        streams = capsys.readouterr()
-        assert count(json.loads(streams.out)) == 1
-        assert "skipped" in streams.err
-        assert "stub" in streams.err
+    empty, whole = folder / "empty.mcap", log_paths(folder)[-1]
+    empty.touch()
+    incomplete = [str(empty)]
+    if words != ["replay"]:  # nothing to decide is replayed as equal
+        incomplete.append(str(write_incomplete_log(folder)))
+    assert main([*words, *incomplete, whole, "--json"]) == 0
+    streams = capsys.readouterr()
+    assert count(json.loads(streams.out)) == 1
+    for name in incomplete:
+        assert any(name in line and "skipped" in line for line in streams.err.splitlines())
 
 
 def test_an_incomplete_log_alone_is_refused(folder: Path) -> None:
@@ -119,14 +127,17 @@ def test_an_incomplete_log_alone_is_refused(folder: Path) -> None:
 
 
 @pytest.mark.rest
-def test_all_outputs_share_one_time_origin(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_outputs_of_an_oddly_named_log_share_one_time_origin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A phase change has the same time in the terminal, the CSV file, the replay and the report."""
     pytest.importorskip("matplotlib")
-    assert main(["dry-run", MISSION, "--fast", "--log-dir", "one"]) == 0
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/logs [/y]\xff"))
+    assert main(["dry-run", MISSION, "--fast", "--log-dir", str(folder)]) == 0
     shown = re.search(r"([\d.]+) s +→ CONTACT 1", capsys.readouterr().err)
     assert shown is not None
     terminal_s = float(shown[1])
-    (log,) = Path("one").glob("*/flight.mcap")
+    (log,) = folder.glob("*/flight.mcap")
     assert main(["export", str(log)]) == 0
     (changed,) = (p for p in (log.parent / "csv").glob("*.csv") if "before,after" in p.read_text())
     with open(changed, newline="") as file:
@@ -139,6 +150,7 @@ def test_all_outputs_share_one_time_origin(folder: Path, capsys: pytest.CaptureF
     replayed_s = next(row[0] for row in rows if "after contact" in row[2])
     assert replayed_s == pytest.approx(table_s, abs=1e-6)
     assert main(["report", str(log)]) == 0
+    assert "logs [/y]\\xff" in capsys.readouterr().err
     page = (log.parent / "report.html").read_text()
     cell = re.search(r"<td[^>]*>([\d.]+)</td>\s*<td[^>]*>approach</td>\s*<td[^>]*>contact</td>", page)
     assert cell is not None
@@ -181,7 +193,6 @@ def test_tables_fit_eighty_columns(
     for words, status in (
         (["plan", str(scenarios / "dual_collision.yaml"), "--top", "3"], 0),
         (["plan", str(scenarios / "one_wall.yaml"), "--objective", "robust", "--top", "2"], 0),
-        (["dry-run", str(packaged("missions", "paper_dual_collision.yaml")), "--fast"], 0),
         (["dry-run", MISSION, "--fast", "--runs", "1"], 0),
         (["predict", "--surface", "acrylic", "--mode", "rigid", "--drop", "0.2"], 0),
         (["calibrate", "thrust", "flights"], 0),

@@ -10,17 +10,21 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from dart_flight.base.records import World
 from dart_flight.check.vehicle_check import evaluate_autopilot
 from dart_flight.cli import main
 from dart_flight.config.link_url import link_problem
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.commands.export_command import _files
-from dart_flight.run.fast import fly_fast
+from dart_flight.recording.about import describe_flight
+from dart_flight.recording.reader import read_log
+from dart_flight.recording.writer import FlightLog
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.baud_rate import console_line
 from dart_flight.vehicle.ground_link import HeartbeatMode
 from dart_flight.vehicle.messages import Unusable
+from tests.shared_flights import SharedFlights
 
 MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))
@@ -301,14 +305,16 @@ def test_a_serial_console_is_distinguished_from_noise(data: bytes, line: str) ->
     assert console_line(data) == line
 
 
-@pytest.mark.rest
 def test_two_plans_of_one_name_are_refused_with_their_difference(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    flown: SharedFlights, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     logs = []
     for speed in (-0.8, -1.0):
         mission = load_mission(MISSION).replace({"collisions[0].approach.normal_m_s": speed})
-        fly_fast(mission, 1, tmp_path / str(speed))
-        logs += [str(path) for path in (tmp_path / str(speed)).rglob("flight.mcap")]
+        logs.append(str(tmp_path / f"{speed}.mcap"))
+        log = FlightLog(Path(logs[-1]), describe_flight(mission, World.FAST, 1))
+        for entry in read_log(flown("paper_single_wall", 1).log).entries[:2000]:
+            log.put(entry.record, entry.number)
+        log.close()
     output = refusal_of(capsys, "report", *logs, "-o", str(tmp_path / "x.html"))
     assert "the names agree, but collisions[0].approach.normal_m_s is -" in output

@@ -40,6 +40,12 @@ class Block(NamedTuple):
         """Page and line."""
         return f"{self.page.relative_to(ROOT)}:{self.line}"
 
+    @property
+    def produced_by(self) -> str:
+        """The command whose JSON the block shows, or an empty string."""
+        found = re.match("<!-- json: (.*) -->", self.before)
+        return found[1] if found else ""
+
 
 class Command(NamedTuple):
     """A command line, and the exit status that the page states."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import glob
 import importlib.util
@@ -10,7 +11,6 @@ import re
 import shlex
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,7 +18,12 @@ import pytest
 
 from dart_flight.cli import COMMANDS, build_parser, main
 from dart_flight.lab.commands import plan_command
-from tests.docs.snippets import PAGES, ROOT, Command, commands, name_of
+from dart_flight.lab.search import flown_plan
+from dart_flight.lab.search.flown_plan import fly_in_process
+from dart_flight.run.prepare import load_flyable
+from dart_flight.sim.draws import parse_vary
+from dart_flight.sim.faults.fault_table import parse_fault
+from tests.docs.snippets import PAGES, ROOT, Command, blocks, commands, name_of
 from tests.shared_flights import LiveFlights, SharedFlights
 from tests.shared_plans import limited_sight_plan
 
@@ -44,7 +49,8 @@ NOT_RUN: list[tuple[str, str]] = [
     ),
     (r":14541", "needs the lossy proxy, which waits"),
     (r"> /srv/", "needs the installed service"),
-    (r"missions/unknown_room\.yaml", "takes 12 s; tests/cli/test_survey.py flies it"),
+    (r"^dart-flight survey", "takes seconds; tests/cli/test_survey.py runs it"),
+    (r"--pdf", "takes seconds; tests/lab/report/test_page.py runs it"),
 ]
 # Commands that fly through MAVSDK, which test_a_documented_flight_through_mavsdk_succeeds runs.
 REAL_TIME = re.compile(r"^dart-flight (simulate|fly .*udpin://127\.0\.0\.1:14540|dry-run (?!.*--fast))")
@@ -80,10 +86,21 @@ def test_a_documented_command_parses(command: Command) -> None:
             words = [word for word in arguments if word.startswith("--")]
             assert all(word.split("=")[0] in _options(known, arguments[0]) for word in words), command.text
         else:
-            build_parser([arguments[0]]).parse_args(arguments)
+            assert_values_are_known(build_parser([arguments[0]]).parse_args(arguments))
     module = re.match(r"python -m (\S+)", command.text)
     if module:
         assert importlib.util.find_spec(module[1]) is not None, command.text
+
+
+def assert_values_are_known(arguments: argparse.Namespace) -> None:
+    """Check the values that a command itself reads: its fault, and what it varies and changes."""
+    changes, spreads, fault = (getattr(arguments, name, None) for name in ("set", "vary", "fault"))
+    if fault is not None:
+        parse_fault(fault)
+    mission = getattr(arguments, "mission", None) or next(iter(getattr(arguments, "missions", ())), "")
+    if (changes or spreads) and mission.startswith("missions/"):
+        settings = [setting.partition(",")[0] for setting in changes or ()]  # the first value of a campaign's
+        parse_vary(spreads or (), load_flyable(ROOT / mission, settings=settings).vehicle)
 
 
 def _options(parser: object, command: str) -> set[str]:
@@ -99,31 +116,6 @@ def test_every_reason_not_to_run_applies_to_a_command(pattern: str, reason: str)
 # --- running ---------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def laboratory(flown: SharedFlights) -> Path:
-    """A folder made by `init`, with the files that pages assume: a flight, trials, a list of hits."""
-    return flown.once("laboratory", lambda folder: prepare_laboratory(folder / "lab")) / "lab"
-
-
-def prepare_laboratory(folder: Path) -> None:
-    tools = folder.parent / "bin"
-    tools.mkdir()
-    for name, start in (("dart-flight", "-m dart_flight"), ("python", "")):
-        shim = tools / name
-        shim.write_text(f'#!/bin/sh\nexec {sys.executable} {start} "$@"\n')
-        shim.chmod(0o755)
-    _run(["dart-flight", "init", str(folder)], folder.parent, folder.parent)
-    _run(["dart-flight", "dry-run", "missions/single_wall.yaml", "--fast"], folder, folder.parent)
-    (folder / "hits.csv").write_text("mode,normal_m_s,tangential_m_s\nrigid,-1.0,0.5\nflexible,-0.6,0.5\n")
-    trials = ["python", "-m", "tools.synthetic_trials"]
-    hits = ["--surface", "acrylic", "--mode", "flexible", "--wall", "0.6", "1.2"]
-    drops = ["--surface", "concrete", "--mode", "rigid", "--drop", "0.05", "0.2", "--plane", "0.2"]
-    for name, what in (("hit", hits), ("drop", drops)):
-        _run([*trials, name, *what], folder.parent, folder.parent)
-        for i, path in enumerate(sorted((folder.parent / name).glob("*.csv"))):
-            path.rename(folder / f"{name}_{i}.csv")
-
-
 def _environment(root: Path) -> dict[str, str]:
     return os.environ | {
         "PATH": f"{root / 'bin'}:{os.environ['PATH']}",
@@ -134,14 +126,14 @@ def _environment(root: Path) -> dict[str, str]:
     }
 
 
-def _run(words: list[str], folder: Path, root: Path) -> None:
-    subprocess.run(words, cwd=folder, env=_environment(root), check=True, capture_output=True, timeout=120)
-
-
-# These commands run on one page only: the same command on the same flight gives the same result.
+# These commands run once: the same command on the same flight gives the same result.
 RUN_ONCE = re.compile(
     r"^dart-flight (campaign|check|predict|replay|report|identify|calibrate|export|survey|dry-run .*--fast)\b"
+    r"(?!.*--log-dir)"  # later commands read its flight
 )
+# Of these, a command with the options of another is the same, whatever their values and its mission: other
+# tests fly every mission, and `test_a_documented_command_parses` checks the values.
+SAME_OPTIONS = re.compile(r"^dart-flight (campaign [^-]|check|survey|dry-run)")
 # The command that made the flight of `laboratory`, with any log folder.
 LABORATORY_FLIGHT = re.compile(
     r"^dart-flight dry-run missions/single_wall\.yaml --fast( --runs 1)? --log-dir (\S+)$"
@@ -149,33 +141,48 @@ LABORATORY_FLIGHT = re.compile(
 
 
 def as_run(command: Command) -> str:
-    """Return the command with one seed, and a plan without its twenty flights except on the quickstart."""
+    """Return the command with one seed, and a plan in a second, without flights except on the quickstart."""
     text = re.sub(r"--runs \d+", "--runs 1", command.text)
+    if "scenarios/shuttle.yaml" in text:
+        text += " --within 1"
     flies = not text.startswith("dart-flight plan") or command.page.name == "quickstart.md"
     return text if flies or "--no-verify" in text else f"{text} --no-verify"
 
 
-def _without_outputs(text: str) -> str:
-    """Return a command without the names of its outputs and of the folder of flights that it reads.
+def _form(command: Command) -> tuple[str, int]:
+    """Return what must agree with a command that has run: its words without outputs, and the exit status.
 
-    A flight that no later command reads also loses its missions, because another test flies each of them.
+    The output with `--json` is tested with the pages' JSON.
     """
-    flies = re.match(r"dart-flight (campaign|survey|dry-run .*--fast)\b", text) and "--log-dir" not in text
-    text = re.sub(r"[\w.]+(?=/\*/flight\.mcap)", "", re.sub(r" (-o|--output|--log-dir|--out) \S+", "", text))
-    return re.sub(r" missions/\S+", " MISSION", text) if flies else text
+    text = re.sub(r" (-o|--output|--out) \S+| --json\b", "", as_run(command))
+    text = re.sub(r"[\w.]+(?=/\*/flight\.mcap)", "", text)  # the folder of flights that it reads
+    if SAME_OPTIONS.match(text):
+        own = r"(?!missions/)\S+\.yaml$"  # a file that another command has written
+        words = text.split()
+        text = " ".join([*words[:2], *(w for w in words[2:] if w.startswith("-") or re.match(own, w))])
+    return text, command.status
 
 
-def _find_repeated() -> set[tuple[str, str]]:
-    """Return (page, command) of the commands that an earlier page runs; the quickstart comes first."""
-    runs: dict[str, str] = {}
-    repeated = set()
-    for page in sorted(PAGES, key=lambda page: page.name != "quickstart.md"):
-        for command in commands(page):
-            text = as_run(command)
-            runs_here = reason_not_to_run(command) is None and RUN_ONCE.match(text)
-            if runs_here and runs.setdefault(_without_outputs(text), name_of(page)) != name_of(page):
-                repeated.add((name_of(page), text))
-    return repeated
+def _find_repeated() -> set[str]:
+    """Return the places of the commands that run at another place.
+
+    The quickstart runs whole. The next ones are those that produce the pages' JSON.
+    """
+    quickstart = [c for c in ALL if c.page.name == "quickstart.md"]
+    shown = [
+        Command(page, block.line, f"dart-flight {block.produced_by}", 0)
+        for page in PAGES
+        for block in blocks(page)
+        if block.produced_by
+    ]
+    runs: dict[tuple[str, int], str] = {}
+    for command in filter(_runs_once, [*quickstart, *shown, *ALL]):
+        runs.setdefault(_form(command), command.place)
+    return {c.place for c in ALL if _runs_once(c) and runs[_form(c)] != c.place}
+
+
+def _runs_once(command: Command) -> bool:
+    return reason_not_to_run(command) is None and bool(RUN_ONCE.match(as_run(command)))
 
 
 REPEATED = _find_repeated()
@@ -184,16 +191,11 @@ REPEATED = _find_repeated()
 def lines_to_run(page: Path, laboratory: Path) -> Iterator[tuple[Command, str]]:
     """Yield the page's commands, each with the line that is run for it."""
     for command in commands(page):
-        if reason_not_to_run(command) is not None or is_real_time(command):
+        if reason_not_to_run(command) is not None or is_real_time(command) or command.place in REPEATED:
             continue
         text = as_run(command)
-        if (name_of(page), text) in REPEATED:
-            flight = LABORATORY_FLIGHT.match(text)
-            if flight is None:
-                assert "--log-dir" not in text, "later commands need its flight"
-                continue
-            text = f"cp -r {laboratory}/flights {flight[2]}"
-        yield command, text
+        flight = LABORATORY_FLIGHT.match(text)
+        yield command, text if flight is None else f"cp -r {laboratory}/flights {flight[2]}"
 
 
 # Pipes, variables and lists of commands need a shell.
@@ -226,34 +228,29 @@ def _main(text: str) -> int:
             return int(end.code or 0)
 
 
-def _is_runnable(page: Path) -> bool:
-    run = [c for c in commands(page) if reason_not_to_run(c) is None and not is_real_time(c)]
-    return any((name_of(page), as_run(command)) not in REPEATED for command in run)
-
-
-RUNNABLE = [page for page in PAGES if _is_runnable(page)]
-
-
-def test_every_repeated_command_runs_on_another_page() -> None:
-    run = {
-        _without_outputs(as_run(c))
-        for p in RUNNABLE
-        for c in commands(p)
-        if (name_of(p), as_run(c)) not in REPEATED
-    }
-    assert {_without_outputs(text) for _, text in REPEATED} <= run
+RUNNABLE = [
+    page
+    for page in PAGES
+    if any(not text.startswith("cp ") for _, text in lines_to_run(page, Path("laboratory")))
+]
 
 
 @pytest.fixture
-def shared_plan(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Share the plan of a scenario with `sight` between tests, because planning takes seconds."""
+def short_plans(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Share the plan of a scenario with `sight`; fly a plan in one drawn world, in this process."""
     monkeypatch.setattr(
         plan_command, "plan_limited_sight", lambda scenario, progress: limited_sight_plan(flown, scenario)
+    )
+    monkeypatch.setattr(flown_plan, "DRAWN", 1)
+    monkeypatch.setattr(
+        flown_plan,
+        "fly_fast_many",
+        lambda mission, seeds, _, done, spreads, *__: fly_in_process(mission, seeds, spreads, done),
     )
 
 
 @pytest.mark.rest
-@pytest.mark.usefixtures("shared_plan")
+@pytest.mark.usefixtures("every_package", "short_plans")
 @pytest.mark.parametrize("page", RUNNABLE, ids=name_of)
 def test_the_commands_of_a_page_run_as_written(
     page: Path, laboratory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -288,19 +285,20 @@ def test_the_error_shown_in_the_quickstart_is_the_actual_one(
 def real_time_flights() -> list[tuple[str, str | None]]:
     """Return the dry-runs, and the flights with the `simulate` that precedes them on the page.
 
-    Commands that differ only in the mission are returned once, because other tests fly every mission.
+    Dry-runs that differ only in the mission are returned once, with a short mission, because other tests fly
+    every mission. tests/flights/test_embedded_flights.py flies at full speed.
     """
-    found: dict[str, tuple[str, str | None]] = {}
+    found: dict[str, str | None] = {}
     for page in PAGES:
         simulate: str | None = None
         for command in filter(is_real_time, commands(page)):
             if command.text.startswith("dart-flight simulate"):
                 simulate = command.text
-            else:
-                flies = command.text.startswith("dart-flight fly")
-                form = re.sub(r"missions/\S+", "MISSION", command.text)
-                found.setdefault(form, (command.text, simulate if flies else None))
-    return list(found.values())
+            elif command.text.startswith("dart-flight fly"):
+                found.setdefault(command.text, simulate)
+            elif not re.fullmatch(r"dart-flight dry-run \S+( --speed max)?", command.text):
+                found[re.sub(r"missions/\S+", "missions/single_wall.yaml", command.text)] = None
+    return list(found.items())
 
 
 def _flights() -> list[object]:

@@ -99,7 +99,7 @@ def python(root: Path, *arguments: str) -> tuple[int, str]:
     done = subprocess.run(
         [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, check=False
     )
-    return done.returncode, done.stdout[-4000:] + done.stderr[-2000:]
+    return done.returncode, done.stdout + done.stderr
 
 
 def test_the_lines_that_a_recipe_changes_exist_once(tmp_path: Path) -> None:
@@ -111,14 +111,25 @@ def test_the_lines_that_a_recipe_changes_exist_once(tmp_path: Path) -> None:
             assert not change.before or ("\n" + path.read_text("utf-8")).count(text) == 1, recipe.title
 
 
+def selection(check: list[str]) -> str:
+    """Return the tests of a check as an expression for `-k`."""
+    files = " or ".join(Path(word).stem for word in check if word.endswith(".py"))
+    return f"(({files}) and ({check[check.index('-k') + 1]}))" if "-k" in check else f"({files})"
+
+
 @pytest.mark.rest
-@pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.title)
-def test_a_recipe_works_as_written(recipe: Recipe, tmp_path: Path) -> None:
+def test_the_recipes_work_as_written(tmp_path: Path) -> None:
+    """All are applied to one copy, whose checks run in one process: no recipe disturbs another."""
     copy_project(tmp_path)
-    for change in recipe.changes:
+    for change in (change for recipe in RECIPES for change in recipe.changes):
         apply(change, tmp_path)
-    status, output = python(tmp_path, *recipe.check, "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+    checks = [recipe.check for recipe in RECIPES]
+    assert all(check[:2] == ["-m", "pytest"] for check in checks)
+    files = dict.fromkeys(word for check in checks for word in check if word.endswith(".py"))
+    words = ["-vv", "-p", "no:cacheprovider", "-p", "no:xdist", "-k", " or ".join(map(selection, checks))]
+    status, output = python(tmp_path, "-m", "pytest", *files, *words)
     assert status == 0, output
+    assert {line.partition("::")[0] for line in output.splitlines() if " PASSED" in line} == set(files)
 
 
 def test_a_lock_driver_without_an_entry_is_rejected_on_import(tmp_path: Path) -> None:

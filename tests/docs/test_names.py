@@ -67,7 +67,9 @@ def is_python(name: str) -> bool:
     for end in range(len(parts), 0, -1):
         try:
             found: object = importlib.import_module(".".join(parts[:end]))
-        except ModuleNotFoundError:
+        except ModuleNotFoundError as error:
+            if error.name is not None and error.name.split(".")[0] not in {"dart_flight", "tools", "tests"}:
+                return True  # a package that the module needs is not installed
             continue
         for part in parts[end:]:
             found = getattr(found, part, None) or getattr(found, "__annotations__", {}).get(part)

@@ -26,7 +26,6 @@ from dart_flight.config.mission_file import WallSpec
 from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
 from dart_flight.lab.search.scenario import load_scenario
 from tests.docs.snippets import MANUAL, PAGES, RESULTS, ROOT, Block, blocks, name_of
-from tests.shared_flights import SharedFlights
 
 ALL = [block for page in PAGES for block in blocks(page)]
 LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python", "diff"}
@@ -77,6 +76,7 @@ def test_every_configuration_key_is_in_the_table() -> None:
 
 
 @pytest.mark.rest
+@pytest.mark.usefixtures("every_package")
 def test_the_concept_figures_can_be_drawn(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "tools.docs.concept_figures", tmp_path], cwd=ROOT, check=True)
     drawn = {path.name for path in tmp_path.iterdir()}
@@ -135,6 +135,7 @@ def test_an_ini_block_parses_and_has_sections(block: Block) -> None:
 
 
 @pytest.mark.rest
+@pytest.mark.usefixtures("every_package")
 @pytest.mark.parametrize("block", blocks_in("python"), ids=lambda b: b.place)
 def test_a_python_block_runs_without_leaving_files(
     block: Block, recorded: Path, monkeypatch: pytest.MonkeyPatch
@@ -148,7 +149,6 @@ def test_a_python_block_runs_without_leaving_files(
 
 # Objects whose keys are data, so that a page may show other ones.
 OPEN = {"refused", "reasons", "residuals", "coefficients", "figures"}
-_PRODUCED_BY = re.compile(r"<!-- json: (.*) -->")
 
 
 def _shape_differences(shown: Any, real: Any, place: str) -> Iterator[str]:
@@ -178,27 +178,20 @@ def test_differences_of_shape_are_detected() -> None:
 
 
 @pytest.fixture(scope="module")
-def recorded(flown: SharedFlights, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder made by `init`, with one flight."""
-    return shutil.copytree(
-        flown.once("recorded", record_flight) / "lab", tmp_path_factory.mktemp("recorded") / "lab"
-    )
+def recorded(laboratory: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder made by `init`, with one flight in its folder `demo`."""
+    folder = shutil.copytree(laboratory, tmp_path_factory.mktemp("recorded") / "lab")
+    return (folder / "flights").rename(folder / "demo").parent
 
 
-def record_flight(folder: Path) -> None:
-    assert main(["init", str(folder / "lab")]) == 0
-    mission = str(folder / "lab" / "missions" / "single_wall.yaml")
-    assert main(["dry-run", mission, "--fast", "--log-dir", str(folder / "lab" / "demo")]) == 0
-
-
-_SLOW = re.compile("<!-- json: (dry-run .*--runs|survey|plan|identify|campaign|report)")
+_SLOW = re.compile("dry-run .*--runs|survey|plan|identify|campaign|report")
 
 
 def _json_blocks() -> Iterator[object]:
     """Yield the JSON blocks; those of commands that take a second or more run in the rest."""
     for block in blocks_in("json"):
-        if _PRODUCED_BY.match(block.before):
-            marks = [pytest.mark.rest] if _SLOW.match(block.before) else []
+        if block.produced_by:
+            marks = [pytest.mark.rest] if _SLOW.match(block.produced_by) else []
             yield pytest.param(block, marks=marks, id=block.place)
 
 
@@ -206,16 +199,18 @@ def _json_blocks() -> Iterator[object]:
 def test_a_json_block_has_the_shape_of_the_commands_output(
     block: Block,
     recorded: Path,
+    request: pytest.FixtureRequest,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
-    shown, produced = json.loads(block.text), _PRODUCED_BY.match(block.before)
-    assert produced is not None
+    if _SLOW.match(block.produced_by):
+        request.getfixturevalue("every_package")
+    shown = json.loads(block.text)
     monkeypatch.chdir(recorded)
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path))
     words = []
-    for word in shlex.split(produced[1]):
+    for word in shlex.split(block.produced_by):
         words += [str(path) for path in recorded.glob(word)] if "*" in word else [word]
     assert main([*words, "--json"]) == 0
     real = json.loads(capsys.readouterr().out)

@@ -171,11 +171,13 @@ def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> 
 
 @pytest.mark.rest
 @pytest.mark.mavlink
-def test_control_c_in_the_approach_aborts_without_a_contact(tmp_path: Path) -> None:
-    flights = tmp_path / "flights"
-    flight = start_command("dry-run", NEAR, "--log-dir", str(flights), "--json")
-    read_until(flight, "APPROACH")
-    time.sleep(1.0)
+def test_control_c_in_a_pause_aborts_without_a_contact(tmp_path: Path) -> None:
+    """tests/core/test_core.py has the same request in an approach."""
+    flights, mission = tmp_path / "flights", tmp_path / "mission.yaml"
+    text = Path(NEAR).read_text(encoding="utf-8").replace("../../configs", str(ROOT / "configs"))
+    mission.write_text(f"{text}waypoints: [{{pause: operator, timeout_s: 30.0}}]\n")
+    flight = start_command("dry-run", str(mission), "--speed", "max", "--log-dir", str(flights), "--json")
+    read_until(flight, "for the operator")
     flight.send_signal(signal.SIGINT)
     output, _ = end_within(60.0, flight)
     verdict = json.loads(output)

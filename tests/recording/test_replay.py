@@ -49,10 +49,8 @@ def test_a_flight_replays_bit_for_bit(flight: Log) -> None:
         *(
             pytest.param(name, settings, marks=pytest.mark.rest)
             for name, settings in (
-                ("dual_collision_replan", ()),  # plans
                 ("find_a_wall", ()),  # probes
                 ("dual_collision_gps", PLAIN_GPS),  # a frame that contacts correct
-                ("rigid_cage/single_wall", ()),  # no lock
             )
         ),
     ],

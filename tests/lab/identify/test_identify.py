@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
 from pathlib import Path
@@ -50,6 +51,12 @@ def impacts(
     ]  # fmt: skip
 
 
+@functools.cache
+def identified(mode: Mode = Mode.FLEXIBLE, onset: Onset = Onset.LCP) -> Identification:
+    """Return the identification of three clean impacts on acrylic."""
+    return identify(impacts(ACRYLIC.coefficients(mode), mode, onset=onset), MASS_KG, onset)
+
+
 def estimate_of(found: Identification, mode: Mode, name: str) -> Estimate:
     estimate = found.coefficients[mode.value][name]
     assert estimate is not None
@@ -63,11 +70,10 @@ def relative_width(e: Estimate) -> float:
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("onset", list(Onset))
 def test_wall_impacts_give_the_true_coefficients(mode: Mode, onset: Onset) -> None:
-    c = ACRYLIC.coefficients(mode)
-    found = identify(impacts(c, mode, onset=onset), MASS_KG, onset)
+    found = identified(mode, onset)
     for name in ("k", "f"):
         estimate = estimate_of(found, mode, name)
-        true = getattr(c, name)
+        true = getattr(ACRYLIC.coefficients(mode), name)
         # The full width of the interval is 3.9 standard deviations.
         assert abs(estimate.value - true) < estimate.high - estimate.low
         assert 0.002 < relative_width(estimate) < 0.08
@@ -106,7 +112,7 @@ def test_friction_and_vertical_coefficients_are_identified() -> None:
 
 def test_trials_at_one_speed_give_a_wide_interval() -> None:
     c = ACRYLIC.rigid
-    spread = identify(impacts(c, Mode.RIGID), MASS_KG, Onset.LCP)
+    spread = identified(Mode.RIGID)
     single = identify(impacts(c, Mode.RIGID, speeds=(1.0, 1.0, 1.0)), MASS_KG, Onset.LCP)
     assert relative_width(estimate_of(single, Mode.RIGID, "k")) > 2.0 * relative_width(
         estimate_of(spread, Mode.RIGID, "k")
@@ -191,9 +197,7 @@ def test_filtered_recordings_get_wider_intervals() -> None:
             noise = 0.8 * noise + random.normal(0.0, 0.0006)
             trial.normal.value[i] += noise
     estimate = estimate_of(identify(trials, MASS_KG, Onset.LCP), Mode.FLEXIBLE, "k")
-    white = estimate_of(
-        identify(impacts(ACRYLIC.coefficients(Mode.FLEXIBLE)), MASS_KG, Onset.LCP), Mode.FLEXIBLE, "k"
-    )
+    white = estimate_of(identified(), Mode.FLEXIBLE, "k")
     assert relative_width(estimate) > 1.5 * relative_width(white)
     assert abs(estimate.value - ACRYLIC.coefficients(Mode.FLEXIBLE).k) < estimate.high - estimate.low
 
@@ -208,8 +212,8 @@ def test_derived_velocities_count_once() -> None:
         )
         for t in trials
     ]
-    plain, double = (identify(ts, MASS_KG, Onset.LCP) for ts in (trials, derived))
-    assert estimate_of(double, Mode.FLEXIBLE, "k") == estimate_of(plain, Mode.FLEXIBLE, "k")
+    double = identify(derived, MASS_KG, Onset.LCP)
+    assert estimate_of(double, Mode.FLEXIBLE, "k") == estimate_of(identified(), Mode.FLEXIBLE, "k")
     assert any("derivative" in note for note in double.notes)
 
 

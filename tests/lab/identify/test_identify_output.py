@@ -70,15 +70,19 @@ def test_a_partial_entry_lists_identified_and_assumed_coefficients(
     assert "mu of rigid, nu of rigid" in streams.err
 
 
-def test_an_entry_with_both_modes_is_accepted_by_the_configuration(
+def test_an_entry_with_both_modes_of_good_fits_is_accepted_by_the_configuration(
     drops: list[str], hits: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "felt.yaml"
-    assert main(["identify", *hits, "--mode", "flexible", "--surface", "felt", "-o", str(out)]) == 0
-    flexible = next(line for line in out.read_text().splitlines() if line.startswith("    flexible:"))
-    assert main(["identify", *drops, "--mode", "rigid", "--drop", "--surface", "felt", "-o", str(out)]) == 0
-    entry = out.read_text().splitlines()
-    entry = [flexible if "# flexible" in line else line for line in entry]
+    out, entries = tmp_path / "felt.yaml", []
+    for trials in ([*hits, "--mode", "flexible"], [*drops, "--mode", "rigid", "--drop"]):
+        assert main(["identify", *trials, "--surface", "felt", "-o", str(out)]) == 0
+        streams = capsys.readouterr()
+        assert "fit: good" in streams.out
+        assert "95 %" in streams.out
+        assert "poor" not in streams.err
+        entries.append(out.read_text().splitlines())
+    flexible = next(line for line in entries[0] if line.startswith("    flexible:"))
+    entry = [flexible if "# flexible" in line else line for line in entries[1]]
     config = tmp_path / "dart.yaml"
     text = packaged("configs", "dart.yaml").read_text()
     config.write_text(text.replace("\n  concrete:\n", "\n" + "\n".join(entry[1:]) + "\n  concrete:\n", 1))
@@ -107,17 +111,6 @@ def test_the_result_is_printed_although_the_file_cannot_be_written(
     streams = capsys.readouterr()
     assert json.loads(streams.out)["coefficients"]["rigid"]["k"]["value"] > 0.0
     assert "cannot write" in streams.err
-
-
-def test_a_good_fit_is_reported_as_good(
-    drops: list[str], hits: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    for arguments in ([*drops, "--drop", "--mode", "rigid"], [*hits, "--mode", "flexible"]):
-        assert main(["identify", *arguments]) == 0
-        streams = capsys.readouterr()
-        assert "fit: good" in streams.out
-        assert "95 %" in streams.out
-        assert "poor" not in streams.err
 
 
 @pytest.mark.rest

@@ -23,6 +23,7 @@ from dart_flight.lab.report.figures import forces, motion
 from dart_flight.lab.report.figures import lock_timeline as lock
 from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import Compared, RecordedFlight
 from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.about import describe_flight
@@ -225,7 +226,7 @@ def test_the_page_of_an_aborted_flight_shows_the_reason_and_the_guards_action(
     assert any(row[1:3] == ["wall_not_met", "break_off"] for row in page.rows if len(row) == 4)
 
 
-def test_a_truncated_log_gives_a_page(trials: list[Path], tmp_path: Path) -> None:
+def test_a_truncated_log_gives_a_page_without_animation(trials: list[Path], tmp_path: Path) -> None:
     whole = trials[0].read_bytes()
     path = tmp_path / "flight.mcap"
     path.write_bytes(whole[: len(whole) // 50])
@@ -233,6 +234,8 @@ def test_a_truncated_log_gives_a_page(trials: list[Path], tmp_path: Path) -> Non
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     Page(text)
     assert "cut short: the end of the flight is missing" in text
+    assert "<script" not in text
+    assert player_data(RecordedFlight.read(path)) is None
 
 
 def test_a_log_truncated_before_its_mission_is_refused(
@@ -283,7 +286,6 @@ def test_a_rehearsal_has_a_page(tmp_path: Path) -> None:
 # --- several flights -----------------------------------------------------------------------------------
 
 
-@pytest.mark.rest
 def test_the_comparison_shows_the_statistics_of_its_flights(
     flights: list[RecordedFlight], comparison: str
 ) -> None:

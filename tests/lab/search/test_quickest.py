@@ -143,22 +143,14 @@ def visits_at(*x_m: float) -> list[Any]:
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("count", [4])  # 6 visits take 5 s
-def test_every_visit_may_be_a_collision(count: int) -> None:
-    room = scenario_between_walls(1.25, visits_at(*([1.25, -2.0] * 4)[:count]))
-    result = plan_quickest(room)
-    assert result.best.sequence == (("east", "west") * 4)[:count]
-    assert result.most_hits is None
-    assert result.gap_s == 0.0
-    assert "hits were not computed" not in describe_quickest(result)
-
-
-@pytest.mark.rest
-def test_sequences_with_too_many_collisions_are_reported_as_not_computed(
+def test_every_visit_may_be_a_collision_up_to_the_number_that_is_computed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     room = scenario_between_walls(1.25, visits_at(1.25, -2.0, 1.25))
     whole = plan_quickest(room)
+    assert whole.best.sequence == ("east", "west", "east")
+    assert (whole.most_hits, whole.gap_s) == (None, 0.0)
+    assert "hits were not computed" not in describe_quickest(whole)
     monkeypatch.setattr(quickest, "MOST_HITS", 2)
     limited = plan_quickest(room)
     assert len(limited.best.sequence) <= 2
@@ -169,8 +161,8 @@ def test_sequences_with_too_many_collisions_are_reported_as_not_computed(
 
 @pytest.mark.rest
 def test_a_required_sequence_may_have_up_to_sixteen_walls() -> None:
-    result = plan_quickest(scenario_between_walls(1.25, [], ["east", "west"] * 3))
-    assert result.best.sequence == ("east", "west") * 3
+    result = plan_quickest(scenario_between_walls(1.25, [], ["east", "west"] * 2))
+    assert result.best.sequence == ("east", "west") * 2
     with pytest.raises(InputError, match="expected a list of 1 to 16 walls or the word `any`, not 18"):
         scenario_between_walls(1.25, [], ["east", "west"] * 9)
 
