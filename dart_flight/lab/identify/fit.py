@@ -39,7 +39,6 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
 
     Args:
         trials: recordings. All trials hit the same plane, and trials of one mode have the same coefficients.
-        mass_kg: vehicle mass.
         onset: onset rule of the fitted model; the rule affects k and f slightly.
 
     Raises:
@@ -121,11 +120,7 @@ def _coefficients(
     onset: Onset,
     notes: list[str],
 ) -> dict[str, Estimate | None]:
-    """Return the coefficients of a mode.
-
-    If the law fits the samples, the coefficients come from the samples. Otherwise they come from whole hits
-    (`hit_fit`).
-    """
+    """Return the coefficients of a mode, from the samples if the law fits them, else from whole hits."""
     sampled = result.coefficients.get(mode)
     bad = mode in result.bad
     if bad and sampled is not None:

@@ -27,12 +27,9 @@ _TURNS = 0.1  # ratio from which the rotation is reported
 def widen_intervals(
     found: dict[str, Estimate | None], trials: Sequence[Trial], hits: Sequence[MeasuredImpact]
 ) -> tuple[dict[str, Estimate | None], list[str]]:
-    """Widen the intervals of coefficients by the systematic errors of the trials; return notes, too.
+    """Widen the intervals of one mode's coefficients by the trials' systematic errors; return notes, too.
 
-    Args:
-        found: k, f, mu, nu of one mode.
-        trials: the trials to which the coefficients are fitted.
-        hits: hits of these trials, in the same order.
+    The trials are those to which the coefficients are fitted, and `hits` are theirs in the same order.
     """
     shares = {name: max(trial.allowance.get(name, 0.0) for trial in trials) for name in found}
     notes = []

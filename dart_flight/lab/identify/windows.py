@@ -39,7 +39,6 @@ class TrialWindow(NamedTuple):
     """The fitted samples of a trial, by channel.
 
     Attributes:
-        series: the samples.
         counts: weight of each residual. Weight 0 ignores the sample, weight 1 assumes the noise of free
             flight.
         contact: mask of the samples in contact: in the contact that the law predicts, or in the contact that
@@ -52,11 +51,7 @@ class TrialWindow(NamedTuple):
 
 
 def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
-    """Return the samples of a trial from `begin` to `end`, seconds, all with weight 1.
-
-    Raises:
-        InputError: there are too few samples.
-    """
+    """Return the samples of a trial from `begin` to `end`, all with weight 1; refuse too few samples."""
     series, counts, contact = {}, {}, {}
     for name in CHANNELS:
         if name in trial.series:
@@ -72,15 +67,9 @@ def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
 
 
 def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float]:
-    """Return the weights of the samples of one channel.
+    """Return the weights of one channel's residuals per trial, and the standard deviation in free flight.
 
-    Args:
-        errors: residuals, one array per trial.
-        contacts: masks of the samples in contact.
-
-    Returns:
-        The weights of the residuals per trial, and the standard deviation in free flight. The weight of a
-        sample with this standard deviation is 1.
+    A sample with this standard deviation has weight 1. `contacts` are masks of the samples in contact.
     """
     free = np.concatenate([e[~c] for e, c in zip(errors, contacts, strict=True)])
     hit = np.concatenate([e[c] for e, c in zip(errors, contacts, strict=True)])
