@@ -64,12 +64,7 @@ def fly_point(point: Point, seed: int) -> FlownFlight:
 
 
 class ItemFlyer:
-    """A picklable function that flies the items of a campaign, also on other machines.
-
-    Args:
-        campaign: the campaign with the columns of its table.
-        points: points of the grid.
-    """
+    """A picklable function that flies the items of a campaign, also on other machines."""
 
     def __init__(self, campaign: Campaign, points: Sequence[Point]) -> None:
         self._columns, self._keys = campaign.columns, keys_of(campaign.asked, points)
@@ -78,7 +73,6 @@ class ItemFlyer:
         self._points = {point.number: point for point in points}
 
     def __call__(self, item: Item) -> Flown:
-        """Fly one item."""
         point = self._points[item.point]
         if self._asked.makes_row:
             fly: Callable[[Point, int], Any] = (
@@ -173,7 +167,7 @@ def _field(text: str, kind: Any) -> Any:
 
 
 def _not_followed(verdict: Verdict) -> str | None:
-    """Return the deviations out of tolerance as JSON, or None if there are none."""
+    """Return the deviations out of tolerance as JSON."""
     outside = out_of_tolerance(verdict.deviations)
     return msgspec.json.encode(outside).decode() if outside else None
 
