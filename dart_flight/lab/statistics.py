@@ -63,7 +63,7 @@ def bin_of(value: float, edges: Sequence[float]) -> int:
 
 
 class Separation(NamedTuple):
-    """How well a quantity separates two groups (Mann and Whitney's U).
+    """The separation of two groups by a quantity (Mann and Whitney's U).
 
     Attributes:
         chance: probability that a value of the first group exceeds a value of the second group. A tie counts

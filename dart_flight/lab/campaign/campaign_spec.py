@@ -28,7 +28,7 @@ from dart_flight.sim.draws import draw_world, parse_vary
 
 
 class Keep(StrEnum):
-    """Which flights keep their logs."""
+    """The flights whose logs are kept."""
 
     FAILED = "failed"  # flights that did not complete
     ALL = "all"

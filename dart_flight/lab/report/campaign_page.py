@@ -14,7 +14,6 @@ _SHOWN = 12  # figures and failed flights shown; the others are folded
 
 
 def campaign_page(summary: CampaignSummary) -> str:
-    """Return the page of a campaign."""
     correlated = {trend.figure for trend in summary.varied}
     success = _pictures(
         (success_figure(drawn), f"{drawn.name}: share of completed flights over the drawn value")
