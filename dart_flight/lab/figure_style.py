@@ -136,7 +136,6 @@ def _shorten(coordinates: str) -> str:
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Write a figure in the format that the file's extension names: png, svg or pdf."""
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError("the picture must be a .png, .svg or .pdf file", source=str(path))
     drawn = io.BytesIO()  # a failed drawing keeps the previous picture

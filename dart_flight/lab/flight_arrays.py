@@ -129,7 +129,7 @@ class FlightArrays:
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
     def frame_at(self, t_us: int) -> MissionFrame | None:
-        """Return the mission frame valid at a time, and the first frame before it begins."""
+        """Return the mission frame valid at a time; the first frame also counts before it begins."""
         laid = [frame for from_us, frame in self._frames if from_us <= t_us]
         return laid[-1] if laid else self.frame
 

@@ -6,13 +6,15 @@ Over a short window the motors' torque changes the rates:
 
 The motors' torque follows from their commands through the thrust curve, their lag, their positions and the
 propellers' drag. A plot of rate change over integral, with a point for each window, therefore has the slope
-1/J. The gyro and disturbances cause errors of the rates. Motor behaviour between the recorded commands causes
-errors of the torques. If all errors are assigned to the rates, the fit gives the upper bound of J; if
-they are assigned to the torques, it gives the lower bound. The estimate lies between the two bounds, and its
-interval contains both bounds. The rates at a window's ends are averages over some samples, because a
-controller responds to the noise of a single sample. The fit tries several lags of the motors and keeps the
-lag that leaves the least variance unexplained. If the torques about an axis are too small, or the two bounds
-differ too much, the axis gets no estimate.
+1/J. The rates have errors from the gyro and from disturbances, and the torques have errors from motor
+behaviour between the recorded commands. If all errors are assigned to the rates, the fit gives the upper
+bound of J; if they are assigned to the torques, it gives the lower bound. The estimate lies between the two
+bounds, and its interval contains both.
+
+The rates at a window's ends are averages over some samples, because a controller responds to the noise of a
+single sample. The fit tries several lags of the motors and keeps the lag that leaves the least variance
+unexplained. If the torques about an axis are too small, or the two bounds differ too much, the axis gets no
+estimate.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Fit of the motors' thrust curve to the hover segments of flights (docs/force.md).
 
 During slow, steady flight the thrust equals the mass times the specific force along the thrust axis. Each
-quiet segment of a log therefore gives one point of the curve: the commands and the force. Vibration
-changes single samples of a real vehicle in hover by several m/s2. The averages over a segment therefore
-decide whether the segment is quiet. The curve
+quiet segment of a log therefore gives one point of the curve: the commands and the force. Vibration changes
+single samples in a real hover by several m/s2, so averages decide whether a segment is quiet. The curve
 
     T = full_n * sum over the motors of (factor u^2 + (1 - factor) u)
 
@@ -196,7 +195,6 @@ class Curve(msgspec.Struct):
     reference: float | None
 
     def by_volts(self, p: Points) -> Array:
-        """Return the factor by which the voltage scales the force."""
         return (
             np.ones(len(p.force)) if self.reference is None else (p.volts / self.reference) ** self.exponent
         )

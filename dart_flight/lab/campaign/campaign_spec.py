@@ -170,7 +170,6 @@ def named_function(name: str) -> Callable[..., Any]:
 
 
 def row_type(name: str) -> type[msgspec.Struct]:
-    """Return the type of the rows that a function returns, from its return annotation."""
     found = typing.get_type_hints(named_function(name)).get("return")
     if not (isinstance(found, type) and issubclass(found, msgspec.Struct)):
         raise InputError(f"{name}: annotate the return type of this function as a msgspec.Struct")
@@ -271,7 +270,6 @@ def _format_setting(value: object) -> str:
 
 
 def log_name(point: Point, seed: int) -> str:
-    """Return the name of a kept log's folder in `logs/`."""
     stem = "".join(c if c.isalnum() else "-" for c in Path(point.path).stem)
     return f"{stem}-{point.number}-{seed}"
 

@@ -177,7 +177,6 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         errors: number of flights without a verdict, because a program error ended them. The rates leave out
             these flights.
         figures: distributions by column.
-        points: success rates by mission and settings.
         rules: causes of failure.
         drawn: success rate as a function of each drawn quantity; empty if all or no flights completed.
         varied: goal miss and peak forces as functions of the drawn quantities, in the completed flights.
@@ -408,14 +407,12 @@ def _departures(rows: Sequence[_SummaryRow]) -> list[Departure]:
 
 
 def _typical(values: Sequence[float | str | None]) -> float | str | None:
-    """Return the median of the numbers; without numbers, the most frequent word; without words, None."""
     numbers = [value for value in values if isinstance(value, float)]
     words = Counter(value for value in values if isinstance(value, str))
     return median(numbers) if numbers else words.most_common(1)[0][0] if words else None
 
 
 def _bins(rows: Sequence[_SummaryRow], i: int) -> list[Bin]:
-    """Return the success rate in each bin of one drawn quantity; each word has a bin of its own."""
     words = {value for row in rows if isinstance(value := row.drawn[i], str)}
     bins = [
         Bin(_completed([row for row in rows if row.drawn[i] == word]), value=word) for word in sorted(words)
@@ -483,7 +480,6 @@ def _separations(
 
 
 def _numbers(rows: Sequence[_SummaryRow], i: int, word: str | None) -> list[float]:
-    """Return a drawn quantity of each flight; with `word`, 1 if the flight drew this word, else 0."""
     if word is not None:
         return [float(row.drawn[i] == word) for row in rows]
     return [value for row in rows if isinstance(value := row.drawn[i], float)]

@@ -1,8 +1,8 @@
 """An engine that flies a campaign on several machines, through a Dask scheduler (extra `cluster`).
 
-The scheduler distributes the flights. If a worker dies, another worker repeats its flights. If a flight kills
-one worker after the other, the scheduler reports this flight. The rows equal those of a local run, because a
-flight depends only on its mission and seed.
+If a worker dies, another worker repeats its flights. If a flight kills one worker after the other, the
+scheduler reports this flight. The rows equal those of a local run, because a flight depends only on its
+mission and seed.
 """
 
 from __future__ import annotations

@@ -90,7 +90,6 @@ class ItemFlyer:
         return Flown(line, completed, _file_of(records[0].log) if wanted else None)
 
     def failed(self, item: Item, why: str) -> Flown:
-        """Return the row of a flight without a verdict."""
         return Flown(self._line(item, {"outcome": ERROR, "reason": why, "error": why}), False, None)
 
     def _line(self, item: Item, cells: Mapping[str, Cell]) -> bytes:
@@ -101,7 +100,6 @@ class ItemFlyer:
 
 
 def cells_of(verdict: Verdict) -> dict[str, Cell]:
-    """Return the figures of a flight by column name."""
     cells: dict[str, Cell] = dict(verdict.drawn)
     fired = (event.rule for event in verdict.guard if event.action is not Override.NONE)
     cells |= {
@@ -167,7 +165,6 @@ def _field(text: str, kind: Any) -> Any:
 
 
 def _not_followed(verdict: Verdict) -> str | None:
-    """Return the deviations out of tolerance as JSON."""
     outside = out_of_tolerance(verdict.deviations)
     return msgspec.json.encode(outside).decode() if outside else None
 

@@ -95,7 +95,6 @@ def _complete_length(path: Path) -> int:
 
 
 def rows_in(path: Path) -> Iterator[dict[str, str]]:
-    """Yield the rows of a table: column -> text."""
     try:
         with io.TextIOWrapper(open_file(path), encoding="utf-8", newline="") as file:
             reader = csv.reader(file)

@@ -245,7 +245,6 @@ def _warn_about_settings(arguments: argparse.Namespace) -> None:
 
 
 def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
-    """Search for the quickest flight, fly it in simulation and write it; return the exit status."""
     console = messages()
     with _search_bar() as progress:
         if scenario.sight is not None:

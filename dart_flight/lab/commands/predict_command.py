@@ -106,7 +106,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _from_ratios(arguments: argparse.Namespace) -> int:
-    """Predict the outgoing speeds from restitution and tangential ratio; other fields are null."""
     from dart_flight.lab.predict import prediction
 
     if arguments.restitution is None:

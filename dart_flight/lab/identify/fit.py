@@ -80,7 +80,6 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
 def _fit_samples(
     trials: Sequence[Trial], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
 ) -> SampleResult:
-    """Fit the samples of the trials that have enough position samples in contact."""
     positions = [i for i, trial in enumerate(trials) if hits[i].turn is not None and trial.position_measured]
     # With slow sampling the measured extent of the hit, widened to whole samples, decides. With fast sampling
     # that extent begins too late, so the fit decides.

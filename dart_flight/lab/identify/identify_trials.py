@@ -117,7 +117,6 @@ def _labelled(trials: Sequence[Trial], vehicle: VehicleConfig) -> list[Trial]:
 
 
 def _alike(first: VehicleConfig, other: VehicleConfig) -> bool:
-    """Return whether trials of both vehicles can be fitted together."""
     own = (first.airframe.mass_kg, first.modes, first.onset)
     return own == (other.airframe.mass_kg, other.modes, other.onset)
 
@@ -140,7 +139,6 @@ def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> LoadedVehicle | N
 
 
 def _mass_notes(trials: Sequence[Trial], mass_kg: float, replaced: VehicleConfig | None) -> list[str]:
-    """Return a note if the fit's mass differs from the mass in the configuration or in the logs."""
     logged = {trial.flown.config.airframe.mass_kg for trial in trials if trial.flown is not None}
     other = sorted(logged - {mass_kg})
     if other:

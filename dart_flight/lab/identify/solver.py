@@ -1,10 +1,9 @@
 """The solver of all fits of the law, and the intervals of its unknowns.
 
-A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns.
-The intervals hold even if the law is wrong. Every unknown has two intervals. The statistical interval follows
-from the information in data and priors, and holds if the law is right. The resampled interval follows from
-the change of the estimate, to first order, if the data are resampled. If the resampled interval is wider than
-chance explains, it is used. Otherwise the statistical interval is used.
+A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns,
+which hold even if the law is wrong. The statistical interval follows from the information in data and priors,
+and holds if the law is right. The resampled interval follows from the change of the estimate, to first order,
+if the data are resampled. It is used if it is wider than chance explains.
 """
 
 from __future__ import annotations

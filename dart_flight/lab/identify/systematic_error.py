@@ -1,10 +1,9 @@
-"""Widening of intervals by the systematic errors of one kind of recording.
+"""Widening of intervals by the systematic errors of one kind of recording, which more data do not reduce.
 
-More data do not reduce systematic errors. If a vehicle turns during the contact, its guards slide faster or
-slower than its centre. In the law the vehicle is a point, so the friction depends on the velocity of the
-centre. Flights at one speed do not determine the lever arm from the centre to the sliding guard
-(docs/results/real_data.md). The intervals of the coefficients therefore include the possible effect of the
-rotation.
+If a vehicle turns during the contact, its guards slide faster or slower than its centre. In the law the
+vehicle is a point, so the friction depends on the velocity of the centre. Flights at one speed do not
+determine the lever arm from the centre to the sliding guard (docs/results/real_data.md). The intervals of the
+coefficients therefore include the possible effect of the rotation.
 """
 
 from __future__ import annotations

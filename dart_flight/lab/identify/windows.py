@@ -1,11 +1,10 @@
 """Selection and weights of the samples in a fit.
 
-A window has two parts. In *free flight*, a sample that deviates by more than five standard deviations is a
-recording error and is ignored. In *contact*, this test would ignore good samples, because most large
-deviations are errors of the law. The contact therefore has its own scale, estimated from its own residuals.
-Outlying samples of the contact get smaller weights (Huber). A sample in contact is set aside only if the
-samples before and after it fit well. At most a tenth of a contact's samples is set aside, and a note gives
-their number.
+In *free flight*, a sample that deviates by more than five standard deviations is a recording error and is
+ignored. In *contact*, this test would ignore good samples, because most large deviations are errors of the
+law. The contact therefore has its own scale, estimated from its own residuals, and its outlying samples get
+smaller weights (Huber). A sample in contact is set aside only if the samples before and after it fit well. At
+most a tenth of a contact's samples is set aside, and a note gives their number.
 """
 
 from __future__ import annotations

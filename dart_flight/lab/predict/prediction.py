@@ -53,7 +53,6 @@ class Condition(NamedTuple):
 def condition(
     vehicle: VehicleConfig, surface: str, mode: str, onset: str | None, incidence_deg: float
 ) -> Condition:
-    """Validate the user's choices and return the condition."""
     if mode not in list(Mode):
         raise InputError(f"{mode!r} is not allowed, only: {', '.join(Mode)}", key=("mode",))
     if surface not in vehicle.materials:

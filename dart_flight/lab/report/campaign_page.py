@@ -61,7 +61,6 @@ def _pictures(figures: Iterable[tuple[Any, str]]) -> dict[str, Any]:
 
 
 def _words(figure: str) -> str:
-    """Return the display name of a column, with its unit."""
     name, unit = (figure[:-2], "m") if figure.endswith("_m") else (figure[:-2], "N")
     return f"{name.replace('_', ' ')}, {unit}"
 

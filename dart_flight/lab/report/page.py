@@ -204,7 +204,6 @@ def _facts(flight: RecordedFlight) -> list[tuple[str, str]]:
 
 
 def _missing_parts(named: Iterable[tuple[RecordedFlight, str]]) -> list[tuple[str, str]]:
-    """Return (name, missing parts) for each log that was cut or has holes."""
     lines = [(name, "; ".join(describe_missing_parts(flight.log))) for flight, name in named]
     return [(name, line) for name, line in lines if line]
 

@@ -79,10 +79,8 @@ class Impact:
     """One impact of a flight, with the contact law's prediction for the measured velocity.
 
     Attributes:
-        verdict: the impact, with planned, measured and true figures.
         at_s: time of detection, s, counted as in `FlightArrays`.
         prediction: the predicted hit over time; its times count from the predicted onset.
-        predicted: figures of the predicted hit.
         onset_s: time of the predicted onset, s, counted as in `FlightArrays`. The predicted and the measured
             peak coincide. If no peak was measured, the predicted force reaches the detection threshold at
             `at_s`.

@@ -44,7 +44,6 @@ class PageTable(NamedTuple):
         return [(head or "", is_number(cell)) for head, cell in zip_longest(self.heads, first)]
 
     def folded(self, count: int) -> tuple[PageTable, PageTable]:
-        """Split the table after the first `count` rows."""
         return self._replace(rows=self.rows[:count]), self._replace(rows=self.rows[count:])
 
 

@@ -285,7 +285,6 @@ class PlanChoice:
         self._watch.report(line)
 
     def _mission(self, one: _Candidate) -> Mission | None:
-        """Return the mission of a plan, or None if it is refused."""
         try:
             return planned_mission(one.scenario, one.plan)
         except RefusedPlanError as error:
@@ -294,7 +293,6 @@ class PlanChoice:
             return None
 
     def _fly(self, one: _Candidate, fly: FlyMany) -> FlownMission | None:
-        """Fly a plan; return None if its mission is refused."""
         mission = self._mission(one)
         if mission is None:
             return None
@@ -327,7 +325,6 @@ def _colliding(scenario: Scenario, hits: QuickestPlan) -> Iterator[_Candidate]:
 
 
 def _is_demanded(scenario: Scenario) -> bool:
-    """Return whether the file demands hits or touches."""
     return not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
 
 

@@ -88,7 +88,6 @@ class ContactResponse(NamedTuple):
 
     Attributes:
         restitution: outgoing over incoming normal velocity.
-        contact_s: duration of the contact.
         lead_s: distance from the plane of first touch at which the force begins or ends, divided by the
             normal speed there. With `onset: lcp`, the force begins before the vehicle reaches the plane, and
             ends before the vehicle is back at the plane. With the other rule, `lead_s` is 0.
@@ -214,7 +213,6 @@ class TrajectoryHit(msgspec.Struct, frozen=True):
         t_s: time from the start of the trajectory to the onset.
         position_m: position of the vehicle's centre at the onset, mission frame.
         acceleration_m_s2: acceleration at the onset, along normal and tangent.
-        peak_force_n, peak_friction_n: peaks of the normal force and of the friction force.
     """
 
     wall: str
@@ -265,7 +263,6 @@ class _Transcription:
         return symbol
 
     def require(self, value: Any, low: float, high: float) -> None:
-        """Add bounds on every entry of an expression."""
         entries = self.ca.vec(value)
         self.constraints.append(entries)
         self.g_low += [low] * entries.shape[0]
@@ -281,7 +278,6 @@ class _Transcription:
         )
 
     def add_part(self, i: int, part: Part, begin: _GuessedEnd, end: _GuessedEnd) -> None:
-        """Add the unknowns of one part with its motion, limits and half-planes."""
         ca, n, limits = self.ca, self.intervals, self.problem.limits
         jerk_most = limits.jerk_m_s3 or _ANY_JERK_M_S3
         length = distance2(begin.place, end.place)

@@ -1,11 +1,11 @@
 """The fastest flight from the start through the visits to the goal, with any number of hits that save time.
 
-The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time. The
-bound follows from the shortest path through the events: it is the sum of the contact times and of the least
-times along the path's straight legs. The sequence with the lowest bound is computed first. A sequence whose
-bound exceeds the time of the best flight found is not computed. For a computed sequence, optimal control
-(`optimal_trajectory`) finds places, velocities and times. Flexible arms are tried first. A hit is changed to
-rigid arms if this is faster and the servo has enough time.
+The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time: the
+sum of the contact times and of the least times along the straight legs of the shortest path through the
+events. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of the
+best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds
+places, velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is faster
+and the servo has enough time.
 """
 
 from __future__ import annotations

@@ -327,7 +327,6 @@ def resolve_scenario(
 
 
 def _check_sight(spec: ScenarioFile, sight: SightSpec, walls: list[Wall], document: Document) -> None:
-    """Reject scenarios that limited sight does not support."""
     start = spec.start.position_m
     for valid, problem in (
         (

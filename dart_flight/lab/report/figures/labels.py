@@ -37,13 +37,11 @@ class _Box(NamedTuple):
     high: float
 
     def overlap(self, other: _Box) -> float:
-        """Return the common area."""
         width = min(self.right, other.right) - max(self.left, other.left)
         height = min(self.high, other.high) - max(self.low, other.low)
         return max(width, 0.0) * max(height, 0.0)
 
     def holds(self, points: Array) -> int:
-        """Return the number of points (n, 2) inside."""
         x, y = points[:, 0], points[:, 1]
         return int(((x > self.left) & (x < self.right) & (y > self.low) & (y < self.high)).sum())
 

@@ -27,7 +27,6 @@ THICKNESS_M = 0.12  # drawn thickness of a wall; the true one is unknown
 
 
 def draw_room(axis: Any, mission: Mission) -> None:
-    """Draw bounds, walls, waypoints, start and goal from above."""
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     axis.plot(
         [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#666666", linewidth=1.0, linestyle=(0, (1, 2)),
@@ -61,7 +60,6 @@ def draw_room(axis: Any, mission: Mission) -> None:
 
 
 def draw_north(axis: Any, mission: Mission) -> None:
-    """Draw a north arrow above the right end of the map."""
     from matplotlib.offsetbox import AnchoredOffsetbox, DrawingArea, TextArea, VPacker  # noqa: PLC0415  (slow)
     from matplotlib.patches import FancyArrow  # noqa: PLC0415
 
@@ -176,7 +174,6 @@ def name_walls(axis: Any, mission: Mission, font_pt: float, lines: Sequence[Arra
 
 
 def set_view(axis: Any, view: Array) -> None:
-    """Set an equal aspect and the limits from `view_of`."""
     (x0, y0), (x1, y1) = view
     axis.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
 

@@ -146,7 +146,6 @@ def prediction_lines(
 
 
 def _flown_line(mission: Mission) -> str:
-    """Return a sentence on the simulated flights recorded in the mission file."""
     record = mission.flown
     if record is None or record.digest != mission.digest:
         return (
@@ -181,7 +180,6 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
 
 
 def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
-    """Draw the line that each probe flies; return the label and the line of each probe."""
     found = []
     for collision in mission.collisions:
         if collision.probe is None:
