@@ -182,8 +182,11 @@ def _joined(parts: list[Points]) -> Points:
 class Curve(msgspec.Struct):
     """A thrust curve with its standard errors, None for a value that was given, not fitted.
 
-    The thrust is the sum over the motors of `full` * (`factor` * u^2 + (1 - `factor`) * u) * (volts /
-    `reference`) ** `exponent`. Without a reference voltage, the voltage term is 1.
+    The thrust is the sum over the motors of
+
+        full * (factor u^2 + (1 - factor) u) * (volts / reference)^exponent
+
+    Without a reference voltage, the voltage term is 1.
     """
 
     full: float

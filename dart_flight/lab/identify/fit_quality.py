@@ -81,7 +81,7 @@ def compare_residuals(off: Mapping[str, float], expected: Mapping[str, float]) -
 def expected_residuals(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) -> dict[str, float]:
     """Return the largest residuals of a good fit of these trials, by quantity.
 
-    Each is three times the noise of the recordings, or a small fraction of the change of the quantity in the
+    Each is three times the noise of the recordings, or a small fraction of the quantity's change in the
     contact (such as the penetration), whichever is larger.
     """
     noise: dict[str, list[float]] = {}

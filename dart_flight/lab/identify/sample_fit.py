@@ -165,7 +165,7 @@ class SampleFit:
 
     @staticmethod
     def _pushed(theta: Array, own: dict[str, int], name: str, since: Array, end_s: float) -> Array:
-        """Return the effect of the controller's accelerations before and after the contact on a channel."""
+        """Return what the controller's accelerations before and after the contact add to a channel."""
         late, early = np.maximum(since - end_s, 0.0), np.minimum(since, 0.0)
         after, before = theta[own[f"{name[0]}_after"]], theta[own[f"{name[0]}_before"]]
         if name.startswith("n"):  # the contact's shape already includes its own acceleration

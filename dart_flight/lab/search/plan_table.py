@@ -33,7 +33,7 @@ def with_objective(scenario: Scenario, objective: Objective) -> Scenario:
 def plan_summary(result: SearchResult, refused: Mapping[int, str] | None = None) -> dict[str, Any]:
     """Return the object of `plan --json`: ranking, rejected candidates by reason, and time used.
 
-    `refused` maps the ranks of the plans whose missions are refused to the reasons.
+    `refused` gives the reason for each plan whose mission is refused, by rank.
     """
     missions = {"mission": {"count": len(refused), "advice": "; ".join(refused.values())}} if refused else {}
     return {
