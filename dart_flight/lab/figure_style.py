@@ -58,7 +58,7 @@ class Look(NamedTuple):
 
     @property
     def small_pt(self) -> float:
-        """The size of legends and of labels inside a plot, points."""
+        """The size of legends and of labels inside a plot."""
         return self.font_pt - 1.0
 
 
@@ -67,12 +67,9 @@ PAGE, COLUMN = Look(4.6, 9.0), Look(3.5, 8.0)
 
 
 def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Any, Any]:
-    """Return a figure and its axes; the aspect of the figure does not depend on `look`.
+    """Return a figure and its axes; `height` is in inches for a figure as wide as `PAGE`.
 
-    Args:
-        look: width and text size.
-        height: height of the figure, inches, if it is as wide as `PAGE`.
-        rows, columns, options: arguments of `Figure.subplots`.
+    The aspect of the figure does not depend on `look`. `options` are those of `Figure.subplots`.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415  (an extra, and slow)
 
@@ -81,7 +78,7 @@ def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **opt
 
 
 def panels(look: Look, rows: int) -> tuple[Any, Any]:
-    """Return a figure of stacked panels with a shared time axis, each with a line at zero."""
+    """Return a figure of stacked panels that share a time axis."""
     figure, axes = new_figure(look, 1.4 * rows + 0.6, rows, 1, sharex=True, squeeze=False)
     for axis in axes[:, 0]:
         axis.axhline(0.0, color=GREY, linewidth=0.8)
@@ -89,15 +86,11 @@ def panels(look: Look, rows: int) -> tuple[Any, Any]:
 
 
 def shade(axis: Any, begin: float, end: float) -> None:
-    """Mark a time interval, such as a contact."""
     axis.axvspan(begin, end, color=ESTIMATED["color"], alpha=0.08, linewidth=0)
 
 
 def in_style(draw: Callable[P, Any]) -> Callable[P, Any]:
-    """Decorate a drawing function so that it draws in the style of its keyword `look` (default `PAGE`).
-
-    The decorated function raises an `InputError` if matplotlib is not installed.
-    """
+    """Decorate a drawing function so that it draws in the style of its keyword `look` (default `PAGE`)."""
 
     @functools.wraps(draw)
     def drawn(*args: P.args, **options: P.kwargs) -> Any:
@@ -129,10 +122,7 @@ def _styled(look: Look) -> Iterator[None]:
 
 
 def as_svg(figure: Any) -> str:
-    """Return the figure as SVG text for a page.
-
-    The SVG has no background. Its coordinates have a resolution of a tenth of a point.
-    """
+    """Return the figure as SVG text without a background, coordinates rounded to a tenth of a point."""
     text = io.StringIO()
     with _styled(PAGE):
         figure.savefig(text, format="svg", metadata={"Date": None}, transparent=True)
@@ -146,11 +136,6 @@ def _shorten(coordinates: str) -> str:
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Write a figure in the format of the file's extension: png, svg or pdf.
-
-    Raises:
-        InputError: the extension is unknown, or the file cannot be written.
-    """
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError("the picture must be a .png, .svg or .pdf file", source=str(path))
     drawn = io.BytesIO()  # a failed drawing keeps the previous picture
@@ -161,11 +146,7 @@ def save_figure(figure: Any, path: Path) -> None:
 
 
 def save_pages(figures: Iterable[Any], path: Path) -> None:
-    """Write figures into one PDF, each on a page of its own size.
-
-    Raises:
-        InputError: matplotlib is not installed, or the file cannot be written.
-    """
+    """Write figures into one PDF, each on a page of its own size."""
     with _styled(PAGE):
         from matplotlib.backends.backend_pdf import PdfPages  # noqa: PLC0415
 

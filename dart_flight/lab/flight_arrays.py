@@ -61,13 +61,9 @@ class ForceArrays(NamedTuple):
 
 
 class FlightArrays:
-    """The arrays of one flight.
-
-    Times are in seconds and count from the first IMU sample (`flight_time`). `time_of` converts stamps of the
-    autopilot.
+    """The arrays of one flight. Times are in seconds since the first IMU sample.
 
     Attributes:
-        log: the flight log.
         records: every record of the log in order.
         start_us: the autopilot's time at 0 s.
         frame: the first mission frame in local NED, or None if the flight never became ready. Contacts may
@@ -119,11 +115,9 @@ class FlightArrays:
         return PoseArrays(time_s[rising], position[rising], delay_s is not None)
 
     def topic(self, kind: type[Record]) -> Topic:
-        """Return the records of a kind, field by field."""
         return self.log[kind.topic]
 
     def all(self, kind: type[R]) -> list[R]:
-        """Return every record of a kind, in the order written."""
         return list(self.topic(kind).records)  # type: ignore[arg-type]
 
     def time_of(self, t_us: int) -> float:
@@ -135,15 +129,12 @@ class FlightArrays:
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
     def frame_at(self, t_us: int) -> MissionFrame | None:
-        """Return the mission frame valid at a time, or None if the flight has no mission frame.
-
-        Before the first frame begins, the first frame is returned.
-        """
+        """Return the mission frame valid at a time; the first frame also counts before it begins."""
         laid = [frame for from_us, frame in self._frames if from_us <= t_us]
         return laid[-1] if laid else self.frame
 
     def from_ned(self, vectors: Array) -> Array:
-        """Return directions (n, 3) in local NED as directions in the mission frame."""
+        """Rotate directions (n, 3) from local NED into the mission frame."""
         frame = self.frame or MissionFrame()
         return np.asarray(vectors @ np.array([frame.vector_from_ned(axis) for axis in _AXES]))
 
@@ -158,10 +149,7 @@ class FlightArrays:
 
 
 def turned(q_frd_to_ned: Array, body: Array) -> Array:
-    """Return body vectors, rotated from FRD to NED by attitudes (n, 4).
-
-    `body` has one vector for each attitude, (n, 3), or one vector for all attitudes.
-    """
+    """Rotate one vector, or one vector per attitude, from FRD to NED by attitudes (n, 4)."""
     scalar, vector = q_frd_to_ned[:, :1], q_frd_to_ned[:, 1:]
     turn = 2.0 * np.cross(vector, body)
     return np.asarray(body + scalar * turn + np.cross(vector, turn))

@@ -16,12 +16,9 @@ _SHOWN = 3
 
 
 def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None = None) -> list[str]:
-    """Return a line for each of the longest holes in a recording, and one line for the other holes.
+    """Return a line for each of the longest holes between increasing stamps, and one for the remaining holes.
 
-    Args:
-        time_s: stamps, increasing.
-        what: name of the recorded data.
-        begin_s: stamp from which the printed times count. By default, they count from the first stamp.
+    The printed times count from `begin_s`, by default from the first stamp.
     """
     if len(time_s) < 3:
         return []
@@ -43,10 +40,7 @@ def describe_cut_end(at_s: float, where: str = "") -> str:
 
 
 def describe_missing_parts(log: Log) -> list[str]:
-    """Return the lines that describe the cut end and the holes of a flight log.
-
-    The printed times count from the first IMU sample.
-    """
+    """Describe the cut end and the holes of a flight log; times count from the first IMU sample."""
     time_s = log[ImuSample.topic].t_s
     lines = describe_holes(time_s, "the IMU samples", begin_s=0.0)
     if log.complete:

@@ -16,11 +16,9 @@ _T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.262
 
 
 class Share(msgspec.Struct, frozen=True):
-    """A success rate with its 95 % interval (Wilson's score interval).
+    """A success rate (`count` of `of`) with its 95 % interval (Wilson's score interval), 0 to 1.
 
-    Attributes:
-        count, of: number of successes and of flights.
-        share, low, high: the rate and its interval, 0 to 1; None without flights.
+    Rate and interval are None without flights.
     """
 
     count: int
@@ -37,7 +35,6 @@ class Share(msgspec.Struct, frozen=True):
 
 
 def share(successes: int, flights: int) -> Share:
-    """Return a success rate with its interval."""
     if not flights:
         return Share(0, 0, None, None, None)
     return Share(successes, flights, successes / flights, *wilson(successes, flights))
@@ -88,7 +85,7 @@ def separation(first: Sequence[float], second: Sequence[float]) -> Separation:
 
 
 def rank_correlation(pairs: Sequence[tuple[float, float]]) -> float:
-    """Return Spearman's rank correlation. Equal values share a rank.
+    """Return Spearman's rank correlation; equal values share a rank.
 
     The pairs must have at least two different first values and two different second values.
     """
@@ -101,11 +98,9 @@ def rank_correlation(pairs: Sequence[tuple[float, float]]) -> float:
 
 
 def rank_correlation_chance(correlation: float, pairs: int) -> float:
-    """Return the two-sided p value of a rank correlation, by Fisher's z with variance 1.06 / (n - 3).
+    """Return the two-sided p value of Spearman's rank correlation; 1 for fewer than ten pairs.
 
-    Args:
-        correlation: Spearman's rank correlation.
-        pairs: number of pairs; with fewer than ten the result is 1.
+    Fisher's z has the variance 1.06 / (n - 3).
     """
     if pairs < _FEWEST_PAIRS:
         return 1.0
@@ -114,10 +109,10 @@ def rank_correlation_chance(correlation: float, pairs: int) -> float:
 
 
 def student_t(freedom: int) -> float:
-    """Return the 97.5 % point of Student's t for a number of degrees of freedom.
+    """Return the 97.5 % point of Student's t.
 
-    For up to ten degrees of freedom the value comes from a table, because the expansion about the normal
-    quantile is inaccurate there.
+    Up to ten degrees of freedom it comes from a table: the expansion about the normal quantile is inaccurate
+    there.
     """
     if freedom <= len(_T_FEW):
         return _T_FEW[freedom - 1]

@@ -84,7 +84,6 @@ class SteppedObservation(NamedTuple):
 
 
 def _to_ned(vector_mission: Vec3 | None, convert: Callable[[Vec3], Vec3]) -> Vec3:
-    """Return a vector of a setpoint in NED. Components that are not controlled are NaN."""
     if vector_mission is None:
         return _FREE
     x, y, z = vector_mission

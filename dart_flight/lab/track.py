@@ -46,9 +46,7 @@ NO_MOTORS = MotorCommands(_NONE, _NO_FOURS, "")
 
 
 class Track(msgspec.Struct):
-    """Measurements of one flight. Stamps are the autopilot's time in seconds.
-
-    If the log lacks a measurement, its array is empty.
+    """Measurements of one flight; stamps are the autopilot's time in seconds. Missing measurements are empty.
 
     Attributes:
         source: name of the file, for messages.
@@ -80,7 +78,7 @@ class Track(msgspec.Struct):
     notes: tuple[str, ...] = ()
 
     def to_ned(self, body: Array) -> Array:
-        """Return vectors (n, 3) at the IMU's stamps, rotated from FRD to NED by the interpolated attitude."""
+        """Rotate vectors (n, 3) at the IMU's stamps from FRD to NED by the interpolated attitude."""
         # A quaternion and its negative are the same attitude, so choose the sign closer to the neighbour.
         signs = np.where(np.sum(self.q[1:] * self.q[:-1], axis=1) < 0.0, -1.0, 1.0)
         continuous = self.q * np.cumprod([1.0, *signs])[:, None]
@@ -89,11 +87,7 @@ class Track(msgspec.Struct):
 
 
 def read_calibration_series(path: str | Path) -> Track:
-    """Read one flight with its motor commands from our own log (`.mcap`) or a PX4 ULog (`.ulg`).
-
-    Raises:
-        InputError: the log cannot be read, lacks IMU data or motor commands, or is not from a multicopter.
-    """
+    """Read one flight with its motor commands from our own log (`.mcap`) or a PX4 ULog (`.ulg`)."""
     if Path(path).suffix.lower() != ".ulg":
         return _own_track(read_log(path))
     log = open_ulog(path, _TOPICS)
@@ -164,10 +158,7 @@ def calibration_series_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> T
 
 
 def _ground(log: ULogFile) -> list[tuple[float, float]]:
-    """Return the intervals in which PX4's land detector reports a landed vehicle or a stage of landing.
-
-    The stages are `ground_contact` and `maybe_landed`.
-    """
+    """Return the intervals in which PX4 reports a landed vehicle, `maybe_landed` or `ground_contact`."""
     landed = log.first("vehicle_land_detected")
     if landed is None:
         return []
@@ -178,7 +169,7 @@ def _ground(log: ULogFile) -> list[tuple[float, float]]:
 def _intervals(times: Array, holds: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Return (begin, end) in s for each sample for which `holds` is True.
 
-    Each interval ends at the time of the next sample. The interval of the last sample has no end (infinity).
+    Each interval ends at the next sample; the interval of the last sample ends at infinity.
     """
     ends = np.append(times, np.inf)[1:]
     return list(zip(times[holds].tolist(), ends[holds].tolist(), strict=True))

@@ -57,10 +57,10 @@ class ULogFile(msgspec.Struct):
 
     Attributes:
         source: name of the file, for messages.
-        topics: name -> instance -> field -> array as PX4 wrote the array. Topics without samples are absent.
+        topics: name -> instance -> field -> array as PX4 wrote it. Topics without samples are absent.
         parameters: PX4's parameters at the start of the log.
-        version: PX4's version, or None if the version is not logged or PX4 was built between releases.
-        gaps_s: total duration that the logger lost, seconds.
+        version: None if it is not logged or PX4 was built between releases.
+        gaps_s: total duration that the logger lost, s.
         damage: descriptions of damaged parts that were left out.
     """
 
@@ -85,12 +85,9 @@ class ULogFile(msgspec.Struct):
 
 
 class MotorCommands(msgspec.Struct):
-    """Commands to the motors over time.
+    """Commands to the motors, 0 to 1, (n, motors), at stamps in s, (n,).
 
-    Attributes:
-        time_s: stamps, seconds, (n,).
-        values: commands, 0 to 1, (n, motors).
-        description: the topic and the way in which its values were decoded.
+    `description` names the topic and the way in which its values were decoded.
     """
 
     time_s: Array
@@ -107,11 +104,6 @@ class Battery(msgspec.Struct):
 
 
 def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
-    """Open a log and read some of its topics.
-
-    Raises:
-        InputError: pyulog is missing, the file cannot be read or is not a ULog.
-    """
     source = str(path)
     try:
         from pyulog import ULog  # noqa: PLC0415  (an extra, slow to import)
@@ -148,11 +140,7 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
 
 
 def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
-    """Return a mask of a topic's plausible samples.
-
-    A sample is plausible if its stamp is close to the neighbouring stamps, and each value is within range or
-    NaN.
-    """
+    """Return a mask of the samples whose stamps and values are plausible; NaN is a plausible value."""
     stamps = np.asarray(data["timestamp"]).astype(float)
     good = np.ones(len(stamps), dtype=bool)
     if len(stamps) > 4:
@@ -171,9 +159,6 @@ def refuse_other_vehicles(log: ULogFile) -> None:
     """Reject a log if PX4's version or the vehicle type is unsupported, or the vehicle was never armed.
 
     A log that lacks this information is accepted.
-
-    Raises:
-        InputError: the log is rejected.
     """
     if log.version is not None and log.version < _OLDEST:
         raise InputError(
@@ -190,7 +175,6 @@ def refuse_other_vehicles(log: ULogFile) -> None:
 
 
 def _other_than_multicopter(log: ULogFile) -> str | None:
-    """Return the type of a vehicle that is not a multicopter, or None."""
     status, kind = log.first("vehicle_status") or {}, log.parameters.get("MAV_TYPE", 0.0)
     if "system_type" in status:
         kind = float(status["system_type"][-1])
@@ -203,11 +187,7 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 
 
 def seconds(data: dict[str, Any]) -> Array:
-    """Return a topic's stamps, s on the autopilot's clock.
-
-    The stamps are the times of measurement. If the log lacks these times, the stamps are the times of
-    logging.
-    """
+    """Return a topic's stamps, s on the autopilot's clock: of measurement if logged, else of logging."""
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
     )
@@ -220,11 +200,7 @@ def columns(data: dict[str, Any], name: str, count: int) -> Array:
 
 
 def motor_commands(log: ULogFile) -> MotorCommands:
-    """Return PX4's commands to the motors, 0 to 1, decoded by version and output type.
-
-    Raises:
-        InputError: no topic has motor commands.
-    """
+    """Return PX4's commands to the motors, 0 to 1, decoded by version and output type."""
     motors = log.first("actuator_motors")
     if motors is not None:
         present = sum(1 for name in motors if name.startswith("control["))
@@ -244,7 +220,7 @@ def motor_commands(log: ULogFile) -> MotorCommands:
 
 
 def _motor_count(log: ULogFile) -> int:
-    """Return the number of motors according to the parameters; four if the parameters do not specify it."""
+    """Return the number of motors according to the parameters, four if they do not give it."""
     count = log.parameters.get(COUNT, 0.0) or _MOTORS_OF_TYPE.get(int(log.parameters.get("MAV_TYPE", 0.0)), 4)
     return int(min(count, _LONGEST_COUNT))
 
@@ -273,8 +249,8 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
 def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tuple[Array, Array]:
     """Return the shortest and longest pulse of each output.
 
-    Up to three parameters can set each limit: for the pin, for the port, or for all ports. The limit comes
-    from the first of these parameters that has a value.
+    Up to three parameters can set each limit: for the pin, for the port, or for all ports. The first with a
+    value counts.
     """
     bank = "MAIN" if instance == 0 else "AUX"
     ends = []

@@ -15,14 +15,7 @@ _PLACEHOLDERS = (0.0, 1.0)
 
 
 def read_airframe(path: Path) -> tuple[Motor, ...]:
-    """Return the motors that PX4 was configured with.
-
-    Args:
-        path: a ULog (`.ulg`), QGroundControl's parameter file, or the output of `param show -a`.
-
-    Raises:
-        InputError: the file cannot be read, or lacks the motors' positions.
-    """
+    """Read motors from a ULog (`.ulg`), QGroundControl's parameter file or the output of `param show -a`."""
     return motors_from_parameters(_parameters(path), str(path))
 
 
@@ -34,11 +27,7 @@ def _parameters(path: Path) -> dict[str, float]:
 
 
 def refuse_unmeasured(motors: Sequence[Motor], source: str) -> None:
-    """Reject the motors of a vehicle that is no multicopter, and motors at PX4's placeholder positions.
-
-    Raises:
-        InputError: the motors are rejected.
-    """
+    """Reject the motors of a vehicle that is no multicopter, and motors at PX4's placeholder positions."""
     if len(motors) < 3:
         raise InputError(f"{COUNT} is {len(motors)}: not a multicopter", source=source)
     if all(abs(m.x_m) in _PLACEHOLDERS and abs(m.y_m) in _PLACEHOLDERS for m in motors):

@@ -6,13 +6,15 @@ Over a short window the motors' torque changes the rates:
 
 The motors' torque follows from their commands through the thrust curve, their lag, their positions and the
 propellers' drag. A plot of rate change over integral, with a point for each window, therefore has the slope
-1/J. The gyro and disturbances cause errors of the rates. Motor behaviour between the recorded commands causes
-errors of the torques. If all errors are assigned to the rates, the fit gives the upper bound of J; if
-they are assigned to the torques, it gives the lower bound. The estimate lies between the two bounds, and its
-interval contains both bounds. The rates at a window's ends are averages over some samples, because a
-controller responds to the noise of a single sample. The fit tries several lags of the motors and keeps the
-lag that leaves the least variance unexplained. If the torques about an axis are too small, or the two bounds
-differ too much, the axis gets no estimate.
+1/J. The rates have errors from the gyro and from disturbances, and the torques have errors from motor
+behaviour between the recorded commands. If all errors are assigned to the rates, the fit gives the upper
+bound of J; if they are assigned to the torques, it gives the lower bound. The estimate lies between the two
+bounds, and its interval contains both.
+
+The rates at a window's ends are averages over some samples, because a controller responds to the noise of a
+single sample. The fit tries several lags of the motors and keeps the lag that leaves the least variance
+unexplained. If the torques about an axis are too small, or the two bounds differ too much, the axis gets no
+estimate.
 """
 
 from __future__ import annotations
@@ -49,12 +51,10 @@ _ROUNDS = 3  # the gyroscopic term depends on the estimated inertia
 class AxisInertia(msgspec.Struct):
     """Inertia about one axis, kg m2.
 
-    If the flights do not determine the inertia, `value`, `low` and `high` are None and `refused` gives the
-    reason.
-
     Attributes:
         axis: roll (forward), pitch (right) or yaw (down).
-        value, low, high: the estimate and its 95 % interval.
+        value, low, high: the estimate and its 95 % interval, or None if the flights do not determine the
+            inertia.
         torque_nm: standard deviation of the motors' mean torque over a window.
         rate_change_rad_s: standard deviation of the rate's change over a window.
         explained: fraction of the variance of the rate's change that the motors explain.
@@ -77,9 +77,9 @@ class InertiaCalibration(msgspec.Struct):
     Attributes:
         windows: number of windows of `WINDOW_S` seconds.
         axes: roll, pitch, yaw.
-        motor_lag_s: motor lag for which the motors explain the largest part of the rate changes, s.
-        drift_rad_s2: angular acceleration about the three axes that remains without motor torque. An
-            offset centre of mass causes this acceleration.
+        motor_lag_s: motor lag for which the motors explain the largest part of the rate changes.
+        drift_rad_s2: angular acceleration that remains without motor torque, as from an offset centre of
+            mass.
         notes: remarks on the logs.
     """
 
@@ -91,7 +91,6 @@ class InertiaCalibration(msgspec.Struct):
 
     @property
     def inertia_kg_m2(self) -> tuple[float | None, float | None, float | None]:
-        """The inertia about the three axes; None for a refused axis."""
         x, y, z = (axis.value for axis in self.axes)
         return (x, y, z)
 
@@ -103,7 +102,7 @@ class _Windows(msgspec.Struct):
         change: change of the rates, (n, 3).
         impulse: integral of the motors' torque, (n, 3).
         products: integral of (wy wz, wz wx, wx wy), (n, 3).
-        duration: (n,), seconds.
+        duration: (n,), s.
         noise: variance that the gyro's white noise causes in a change, (3,).
     """
 
@@ -115,15 +114,9 @@ class _Windows(msgspec.Struct):
 
 
 def calibrate_inertia(tracks: Iterable[Track], vehicle: VehicleConfig) -> InertiaCalibration:
-    """Fit the inertia to the rotation in some flights.
+    """Fit the inertia to the rotation in some flights of one vehicle.
 
-    Args:
-        tracks: flights of the same vehicle.
-        vehicle: supplies the thrust curve, the motors' positions and their lag.
-
-    Raises:
-        InputError: a log's number of motors differs from the vehicle's, its sample rate is too low, or no
-            axis can be estimated.
+    `vehicle` supplies the thrust curve, the motors' positions and the lag around which the fit searches.
     """
     tracks = list(tracks)
     for track in tracks:
@@ -179,7 +172,7 @@ def _refuse_unsuited(track: Track, motors: int) -> None:
 
 
 def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
-    """Return the time windows during which the vehicle is in the air and has no contact."""
+    """Return the windows in which the vehicle is in the air and has no contact."""
     t, w = track.imu_s, track.rate
     torque = _motor_torque(track, vehicle, lag_s)
     step = np.diff(t)
@@ -240,7 +233,6 @@ def _motor_torque(track: Track, vehicle: VehicleConfig, lag_s: float) -> Array:
 
 
 def _integral(values: Array, step: Array) -> Array:
-    """Return the running integral by trapezoids, starting from 0."""
     parts = 0.5 * (values[1:] + values[:-1]) * step[:, None]
     return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(parts, axis=0)])
 

@@ -1,9 +1,8 @@
 """Fit of the motors' thrust curve to the hover segments of flights (docs/force.md).
 
 During slow, steady flight the thrust equals the mass times the specific force along the thrust axis. Each
-quiet segment of a log therefore gives one point of the curve: the commands and the force. Vibration
-changes single samples of a real vehicle in hover by several m/s2. The averages over a segment therefore
-decide whether the segment is quiet. The curve
+quiet segment of a log therefore gives one point of the curve: the commands and the force. Vibration changes
+single samples in a real hover by several m/s2, so averages decide whether a segment is quiet. The curve
 
     T = full_n * sum over the motors of (factor u^2 + (1 - factor) u)
 
@@ -63,9 +62,8 @@ TESTS = {
 class Points(msgspec.Struct):
     """Quiet segments: mean force (N), mean sums of u^2 and u over the motors (u: motor command), voltage.
 
-    An unknown voltage is NaN.
-
     Attributes:
+        volts: NaN if unknown.
         start_s: start of each segment.
         motors: number of motors in the sums.
         rejected: test (`TESTS`) -> number of windows that failed this test and passed the earlier tests.
@@ -80,7 +78,6 @@ class Points(msgspec.Struct):
     rejected: dict[str, int]
 
     def chosen(self, which: NDArray[np.bool_]) -> Points:
-        """Return the selected segments."""
         return msgspec.structs.replace(self, **{name: getattr(self, name)[which] for name in _BY_STRETCH})
 
 
@@ -114,7 +111,6 @@ def quiet_points(
     """Return the quiet segments of a flight, half a second each.
 
     Args:
-        track: the flight.
         mass_kg: mass of the vehicle in this flight; 1 gives specific thrust.
         lag_s: lag of the motors, by which commands are delayed.
         most_speed_m_s: upper limit of a window's mean speed.
@@ -174,7 +170,6 @@ def _point(
 
 
 def format_rejected(rejected: dict[str, int]) -> str:
-    """Return the number of rejected windows of each test as text, or an empty string."""
     return ", ".join(f"{count} {name} ({TESTS[name]})" for name, count in rejected.items() if count)
 
 
@@ -185,11 +180,13 @@ def _joined(parts: list[Points]) -> Points:
 
 
 class Curve(msgspec.Struct):
-    """A thrust curve with its standard errors.
+    """A thrust curve with its standard errors, None for a value that was given, not fitted.
 
     The thrust is the sum over the motors of
-    `full` * (`factor` * u^2 + (1 - `factor`) * u) * (volts / `reference`) ** `exponent`. Without a reference
-    voltage, the voltage term is 1. The standard error of a value that was given, not fitted, is None.
+
+        full * (factor u^2 + (1 - factor) u) * (volts / reference)^exponent
+
+    Without a reference voltage, the voltage term is 1.
     """
 
     full: float
@@ -201,13 +198,11 @@ class Curve(msgspec.Struct):
     reference: float | None
 
     def by_volts(self, p: Points) -> Array:
-        """Return the factor by which the voltage scales the force."""
         return (
             np.ones(len(p.force)) if self.reference is None else (p.volts / self.reference) ** self.exponent
         )
 
     def force(self, p: Points) -> Array:
-        """Return the force that the curve gives at some points, N."""
         shape: Array = self.factor * p.square + (1.0 - self.factor) * p.linear
         return self.full * shape * self.by_volts(p)
 
@@ -216,10 +211,9 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
     """Fit the voltage exponent, assuming `factor`; then fit the curve, referred to the mean voltage.
 
     Args:
-        p: the points.
-        factor: value to use if the factor is not fitted, or if the points do not determine the factor.
-        exponent: exponent of the voltage. None means that the exponent is fitted if the voltage varies. If
-            the voltage is unknown, the exponent has no effect.
+        factor: value to use if the factor is not fitted, or if the points do not determine it.
+        exponent: exponent of the voltage; None fits it if the voltage varies. It has no effect if the voltage
+            is unknown.
         fit_factor: whether to fit the factor. A result outside 0 to 1 is clipped and has no standard error.
     """
     reference = float(p.volts.mean()) if np.isfinite(p.volts).all() else None
@@ -261,15 +255,7 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Points], Curve]]:
     """Return the cross-validation error of the best kind of curve, and the function that fits this kind.
 
-    A kind of curve uses or ignores the voltage, and its factor is fitted or configured. Each kind is fitted
-    to some of the segments and compared with the other segments.
-
-    Args:
-        points: quiet segments.
-        square_share: the configured factor (`Curve.factor`).
-
-    Returns:
-        The error (`_held_out`) of the best kind, and the function that fits a curve of this kind to points.
+    A kind of curve uses or ignores the voltage, and its factor is fitted or configured (`square_share`).
     """
     known = bool(np.isfinite(points.volts).all())
     choices = [
@@ -309,11 +295,6 @@ def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
 
 
 def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustCalibration:
-    """Fit the thrust curve to the quiet segments of some flights.
-
-    Raises:
-        InputError: there are too few quiet segments, or no curve fits them.
-    """
     tracks = list(tracks)
     mass, lag = vehicle.airframe.mass_kg, vehicle.thrust.motor_lag_s
     parts = [quiet_points(track, mass, lag) for track in tracks]

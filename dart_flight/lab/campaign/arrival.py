@@ -33,17 +33,14 @@ class GoalArrival(NamedTuple):
 
     @property
     def there_s(self) -> float | None:
-        """The duration of the flight to the goal, seconds."""
+        """The duration of the flight to the goal."""
         return None if self.there_us is None else (self.there_us - self.begin_us) * 1e-6
 
 
 def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]]) -> GoalArrival | None:
-    """Return the arrival of a flight, or None if its trajectories never began.
+    """Return the arrival of a simulated flight, or None if its trajectories never began.
 
-    Args:
-        log: log of a simulated flight; the log contains the truth.
-        mission: the mission that was flown.
-        visits: (place, largest distance in metres at which the vehicle may pass this place).
+    `visits` are (place, largest distance in metres at which the vehicle may pass this place).
     """
     truth, phases = log["/truth/state"], log["/event/phase"]
     changes = list(zip(phases["t_us"], map(str, phases["after"]), phases["collision"], strict=True))

@@ -44,7 +44,6 @@ class CampaignFolder(NamedTuple):
 
     @property
     def flights(self) -> int:
-        """The total number of flights."""
         return self.campaign.asked.runs * len(self.points)
 
     def log_of(self, item: Item) -> Path:
@@ -53,17 +52,9 @@ class CampaignFolder(NamedTuple):
 
 
 def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> CampaignFolder:
-    """Create a campaign, or open an existing one to continue it.
+    """Create a campaign, or open an existing one to continue it if `resume` is set.
 
-    Args:
-        asked: the specification. None means the specification of the existing campaign.
-        folder: folder of the campaign.
-        resume: whether to continue an existing campaign.
-
-    Raises:
-        InputError: the specification is invalid, or the folder contains a campaign that cannot be continued:
-            `resume` is False, or `asked` differs from the existing specification.
-        FlightError: the folder cannot be written.
+    A continued campaign must have the specification `asked`; None accepts any.
     """
     path = folder / ASKED
     if not path.exists():
@@ -110,11 +101,7 @@ def _write(path: Path, campaign: Campaign) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file completely or not at all, flush it to the disk and create its folder if necessary.
-
-    Raises:
-        FlightError: the file cannot be written.
-    """
+    """Write a file completely or not at all, flush it to the disk and create its folder if necessary."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, data)
@@ -123,11 +110,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def read_rows(opened: CampaignFolder) -> list[JudgedRow]:
-    """Return the existing rows of a campaign; the campaign must have a judge function.
-
-    Raises:
-        InputError: the table cannot be read.
-    """
+    """Return the existing rows of a campaign, which must have a judge function."""
     return list(judged_rows(opened.campaign, rows_in(opened.folder / TABLE)))
 
 
@@ -145,8 +128,6 @@ def fly(
     """Fly every item that has no row, and return the number of rows.
 
     Args:
-        opened: the campaign.
-        engine: executes the flights.
         interrupt: the operator's interrupt, which ends the campaign early; existing rows are kept.
         progress: called with two numbers: rows in the table, and flights of this call that did not complete.
 

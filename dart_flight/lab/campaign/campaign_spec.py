@@ -81,7 +81,6 @@ class Point(NamedTuple):
         number: number of the point, from 1.
         path: mission file, as given.
         values: values of the settings in order, then the values of the case.
-        mission: the resolved mission.
         spreads: standard deviations of the drawn quantities by name.
         digest: hash of the resolved mission and vehicle without their file names.
         case: key -> value; empty if the specification has no cases.
@@ -107,7 +106,6 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The content of `campaign.json`; a resumed campaign must agree with it.
 
     Attributes:
-        asked: the specification.
         digests: digests of the points in order.
         columns: columns of the table.
         software: version, with the commit if known.
@@ -121,11 +119,6 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def load_specification(path: Path) -> CampaignSpec:
-    """Read a campaign's specification file.
-
-    Raises:
-        InputError: the file cannot be read, or a key is unknown or has the wrong type.
-    """
     return Document.load(path).convert(CampaignSpec)
 
 
@@ -133,9 +126,6 @@ def parse_grid(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return the values of each key from settings in the form `KEY=V1,V2,...`.
 
     A comma within brackets or quotes belongs to a value.
-
-    Raises:
-        InputError: a setting has another form, or a key is given twice.
     """
     grid: dict[str, tuple[str, ...]] = {}
     for setting in settings:
@@ -170,11 +160,7 @@ def _split(text: str) -> Iterator[str]:
 
 
 def named_function(name: str) -> Callable[..., Any]:
-    """Import the function that a specification gives as `module:function`.
-
-    Raises:
-        InputError: the function does not exist.
-    """
+    """Import the function that a specification gives as `module:function`."""
     module, _, function = name.partition(":")
     try:
         found: Callable[..., Any] = getattr(importlib.import_module(module), function)
@@ -184,11 +170,6 @@ def named_function(name: str) -> Callable[..., Any]:
 
 
 def row_type(name: str) -> type[msgspec.Struct]:
-    """Return the type of the rows that a function returns, from the function's return annotation.
-
-    Raises:
-        InputError: the function is not annotated with a `msgspec.Struct`.
-    """
     found = typing.get_type_hints(named_function(name)).get("return")
     if not (isinstance(found, type) and issubclass(found, msgspec.Struct)):
         raise InputError(f"{name}: annotate the return type of this function as a msgspec.Struct")
@@ -196,11 +177,7 @@ def row_type(name: str) -> type[msgspec.Struct]:
 
 
 def cases_of(asked: CampaignSpec) -> tuple[dict[str, str], ...]:
-    """Return the cases of a specification, or one case without keys.
-
-    Raises:
-        InputError: the function does not exist, or the cases have different keys.
-    """
+    """Return the cases of a specification, or one case without keys; all must have the same keys."""
     cases = named_function(asked.cases)() if isinstance(asked.cases, str) else asked.cases
     if any(case.keys() != cases[0].keys() for case in cases):
         raise InputError("all cases must have the same keys", key=("cases",))
@@ -213,11 +190,7 @@ def keys_of(asked: CampaignSpec, points: Sequence[Point]) -> tuple[str, ...]:
 
 
 def points_of(asked: CampaignSpec) -> list[Point]:
-    """Load and check every mission with every combination of settings and every case.
-
-    Raises:
-        InputError: a mission, configuration, setting, case or draw is invalid, or a mission is given twice.
-    """
+    """Load and check every mission with every combination of settings and every case."""
     if len(set(asked.missions)) < len(asked.missions):
         raise InputError("a mission appears twice", key=("MISSION",))
     points: list[Point] = []
@@ -248,7 +221,6 @@ def items_of(asked: CampaignSpec, points: Sequence[Point]) -> Iterator[Item]:
 
 
 def campaign_of(asked: CampaignSpec, points: Sequence[Point]) -> Campaign:
-    """Return the content of `campaign.json`, which is written before the first flight."""
     digests, keys = tuple(p.digest for p in points), keys_of(asked, points)
     if asked.makes_row:
         judged = row_type(asked.makes_row).__struct_fields__
@@ -298,7 +270,6 @@ def _format_setting(value: object) -> str:
 
 
 def log_name(point: Point, seed: int) -> str:
-    """Return the name of a kept log's folder in `logs/`."""
     stem = "".join(c if c.isalnum() else "-" for c in Path(point.path).stem)
     return f"{stem}-{point.number}-{seed}"
 

@@ -46,7 +46,7 @@ _OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
 
 
 class FigureSpread(msgspec.Struct, frozen=True):
-    """The distribution of one numerical result of a campaign. Flights without this result are left out.
+    """The distribution of one numerical result of a campaign, without the flights that lack this result.
 
     Percentiles and `most` count by magnitude, so `most` of the normal velocities is the fastest hit.
     """
@@ -59,13 +59,7 @@ class FigureSpread(msgspec.Struct, frozen=True):
 
 
 class Bin(msgspec.Struct, frozen=True):
-    """The success rate of flights whose drawn quantity lies in a range or equals a word.
-
-    Attributes:
-        completed: success rate of these flights.
-        low, high: the range, if the quantity is a number.
-        value: the word, if the quantity is a word.
-    """
+    """The success rate of flights whose drawn quantity lies in a range, or equals a word (`value`)."""
 
     completed: Share
     low: float | None = None
@@ -77,12 +71,10 @@ class Drawn(msgspec.Struct, frozen=True):
     """The success rate as a function of one drawn quantity.
 
     Attributes:
-        name: name of the quantity.
         bins: bins of about equal counts, or one bin for each word.
-        z: Mann and Whitney's statistic, in standard deviations. The statistic is positive if the quantity is
-            higher in failed flights than in completed flights. If the quantity is a word, every word has a
-            statistic, and `z` is the statistic with the largest magnitude. `z` is None if all flights
-            completed or no flight completed.
+        z: Mann and Whitney's statistic, in standard deviations, positive if the quantity is higher in failed
+            flights. If the quantity is a word, every word has a statistic, and `z` is the statistic with the
+            largest magnitude. None if all flights completed or no flight completed.
     """
 
     name: str
@@ -112,12 +104,11 @@ class Departure(msgspec.Struct, frozen=True):
     """A planned value from which some flights deviated by more than the tolerance.
 
     Attributes:
-        mission: file of the mission.
         what: name of the figure with its unit.
         flights, of: number of flights out of tolerance, and number of flights with a plan.
         not_flown: number of flights out of tolerance in which the planned part was not flown.
-        planned, flown: medians (for words, the most frequent word) over the flights out of tolerance.
-            `flown` is None if the planned part was never flown.
+        planned, flown: medians (for words, the most frequent word) over the flights out of tolerance. `flown`
+            is None if the planned part was never flown.
         tolerance: tolerance from the mission, or None if the values must be equal.
     """
 
@@ -144,7 +135,6 @@ class DifferingQuantity(msgspec.Struct, frozen=True):
     """A drawn quantity that differs between completed flights and flights with the same end cause.
 
     Attributes:
-        name: name of the quantity.
         failed, completed: median over the flights of each group; for a word, the fraction that drew the word.
         chance: probability that the quantity is higher in a failed flight than in a completed flight; 0.5
             means no difference.
@@ -186,9 +176,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         flights, asked: number of rows in the table, and total number of flights.
         errors: number of flights without a verdict, because a program error ended them. The rates leave out
             these flights.
-        completed, plan_followed: rates of completed flights and of flights that followed the plan.
         figures: distributions by column.
-        points: success rates by mission and settings.
         rules: causes of failure.
         drawn: success rate as a function of each drawn quantity; empty if all or no flights completed.
         varied: goal miss and peak forces as functions of the drawn quantities, in the completed flights.
@@ -244,11 +232,6 @@ _FIGURES = ("goal_miss_m", "final_error_m", "max_tilt_deg", "flight_time_s")
 
 
 def summarise(opened: CampaignFolder) -> CampaignSummary:
-    """Read the table of a campaign and return its summary.
-
-    Raises:
-        InputError: the table cannot be read.
-    """
     columns = opened.campaign.columns
     names = columns[columns.index("seed") + 1 : columns.index("outcome")]
     figures = (*_FIGURES, *(c for c in columns if c.endswith(("_normal_m_s", "_peak_force_n"))))
@@ -424,14 +407,12 @@ def _departures(rows: Sequence[_SummaryRow]) -> list[Departure]:
 
 
 def _typical(values: Sequence[float | str | None]) -> float | str | None:
-    """Return the median of the numbers; without numbers, the most frequent word; without words, None."""
     numbers = [value for value in values if isinstance(value, float)]
     words = Counter(value for value in values if isinstance(value, str))
     return median(numbers) if numbers else words.most_common(1)[0][0] if words else None
 
 
 def _bins(rows: Sequence[_SummaryRow], i: int) -> list[Bin]:
-    """Return the success rate in each bin of one drawn quantity; each word has a bin of its own."""
     words = {value for row in rows if isinstance(value := row.drawn[i], str)}
     bins = [
         Bin(_completed([row for row in rows if row.drawn[i] == word]), value=word) for word in sorted(words)
@@ -465,13 +446,7 @@ def _end_causes(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[EndCa
 def _differing_quantities(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], names: Sequence[str]
 ) -> list[DifferingQuantity]:
-    """Return the drawn quantities that differ most between completed flights and flights with an end cause.
-
-    Args:
-        ended: flights with this end cause.
-        fine: completed flights.
-        names: names of the drawn quantities.
-    """
+    """Return the drawn quantities that differ most between the `ended` flights and the completed ones."""
     if min(len(ended), len(fine)) < _MIN_FAILED:
         return []
     found: list[tuple[float, DifferingQuantity]] = []
@@ -495,10 +470,7 @@ def _differing_quantities(
 def _separations(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], i: int, name: str
 ) -> Iterator[tuple[str, list[float], list[float], Separation]]:
-    """Yield the name of a drawn quantity, its values in both groups of flights, and their separation.
-
-    If the values are words, yield these items for each word.
-    """
+    """Yield name, values in both groups of flights, and separation of a drawn quantity, or of each word."""
     words = sorted({value for row in (*ended, *fine) if isinstance(value := row.drawn[i], str)})
     of_words: dict[str, str | None] = {f"share of {name} {word}": word for word in words}
     for shown, word in (of_words or {name: None}).items():
@@ -508,7 +480,6 @@ def _separations(
 
 
 def _numbers(rows: Sequence[_SummaryRow], i: int, word: str | None) -> list[float]:
-    """Return a drawn quantity of each flight; with `word`, return 1 if the flight drew this word, else 0."""
     if word is not None:
         return [float(row.drawn[i] == word) for row in rows]
     return [value for row in rows if isinstance(value := row.drawn[i], float)]

@@ -1,8 +1,8 @@
 """An engine that flies a campaign on several machines, through a Dask scheduler (extra `cluster`).
 
-The scheduler distributes the flights. If a worker dies, another worker repeats its flights. If a flight kills
-one worker after the other, the scheduler reports this flight. The rows equal those of a local run, because a
-flight depends only on its mission and seed.
+If a worker dies, another worker repeats its flights. If a flight kills one worker after the other, the
+scheduler reports this flight. The rows equal those of a local run, because a flight depends only on its
+mission and seed.
 """
 
 from __future__ import annotations
@@ -33,11 +33,7 @@ _AHEAD = 2  # submitted flights per thread, so that no thread waits for the next
 
 
 def on_cluster(url: str) -> Engine:
-    """Return an engine that flies on the workers of the scheduler at a URL (`tcp://host:8786`).
-
-    Raises:
-        InputError: the package `distributed` (Dask) is not installed.
-    """
+    """Return an engine that flies on the workers of the scheduler at a URL (`tcp://host:8786`)."""
     try:
         import distributed  # noqa: F401, PLC0415
     except ImportError:
@@ -65,12 +61,6 @@ def _work(url: str, flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrup
 
 
 def _connect(url: str) -> Any:
-    """Connect to the scheduler at a URL and return the client.
-
-    Raises:
-        FlightError: the scheduler does not answer.
-        InputError: the scheduler has an incompatible version of Dask.
-    """
     import distributed  # noqa: PLC0415
 
     class Client(distributed.Client):  # type: ignore[misc]
@@ -90,12 +80,7 @@ def _connect(url: str) -> Any:
 
 
 def _refuse_unfit(client: Any, url: str) -> None:
-    """Refuse a scheduler without workers, or with a worker that lacks this version of this program.
-
-    Raises:
-        FlightError: no worker connects, or the scheduler does not answer.
-        InputError: a worker lacks the program or has another version; the error names the worker.
-    """
+    """Refuse a scheduler without workers, or with a worker that lacks this version of this program."""
     try:
         client.wait_for_workers(1, timeout=_TIMEOUT_S)
     except TimeoutError:
@@ -179,12 +164,7 @@ class _UnfitWorkerError(Exception):
 
 
 def _result(future: Any) -> Flown | Failure:
-    """Return the result of a flight.
-
-    Raises:
-        OSError: lost connection to the scheduler.
-        _UnfitWorkerError: the worker could not begin the flight.
-    """
+    """Return the result of a flight, or raise an OSError if the connection to the scheduler is lost."""
     if future.status in ("cancelled", "lost"):
         raise OSError("lost connection to the scheduler")
     error = future.exception()

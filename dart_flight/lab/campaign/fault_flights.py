@@ -49,7 +49,6 @@ class FaultFlight(msgspec.Struct, frozen=True):
     """The result of one flight with a fault.
 
     Attributes:
-        fault: name of the fault.
         began: whether the fault occurred.
         came_of: `completed`, the rule that ended the flight, or `app gone`.
         decision_ms: time from the start of the fault to the first decision of guard or autopilot; None
@@ -124,17 +123,14 @@ def _log_problems(path: Path) -> Iterable[str]:
 
 
 def matrix_cases() -> list[dict[str, str]]:
-    """Return the cells of the fault matrix."""
     return [{"fault": row, "phase": phase} for row, phase in CELLS]
 
 
 def fly_cell(point: Point, seed: int) -> FaultFlight:
-    """Fly one cell of the fault matrix."""
     return fly_fault(point.mission, cell_fault(point.case["fault"], point.case["phase"]), seed)
 
 
 def cell_fault(row: str, phase: str) -> Fault:
-    """Return the fault of a cell."""
     return parse_fault(row if phase == ON_GROUND else f"{row}@{phase}")
 
 
@@ -144,7 +140,6 @@ def fly_random(point: Point, number: int) -> FaultFlight:
 
 
 def random_fault(number: int) -> tuple[Mission, Fault]:
-    """Return the mission and the fault of a random flight."""
     chance = random.Random(f"faults {number}")
     kind = KINDS[number % len(KINDS)]
     value = chance.uniform(kind.low, kind.high)

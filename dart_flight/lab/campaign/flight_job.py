@@ -64,12 +64,7 @@ def fly_point(point: Point, seed: int) -> FlownFlight:
 
 
 class ItemFlyer:
-    """A picklable function that flies the items of a campaign, also on other machines.
-
-    Args:
-        campaign: the campaign with the columns of its table.
-        points: points of the grid.
-    """
+    """A picklable function that flies the items of a campaign, also on other machines."""
 
     def __init__(self, campaign: Campaign, points: Sequence[Point]) -> None:
         self._columns, self._keys = campaign.columns, keys_of(campaign.asked, points)
@@ -78,7 +73,6 @@ class ItemFlyer:
         self._points = {point.number: point for point in points}
 
     def __call__(self, item: Item) -> Flown:
-        """Fly one item."""
         point = self._points[item.point]
         if self._asked.makes_row:
             fly: Callable[[Point, int], Any] = (
@@ -96,7 +90,6 @@ class ItemFlyer:
         return Flown(line, completed, _file_of(records[0].log) if wanted else None)
 
     def failed(self, item: Item, why: str) -> Flown:
-        """Return the row of a flight without a verdict."""
         return Flown(self._line(item, {"outcome": ERROR, "reason": why, "error": why}), False, None)
 
     def _line(self, item: Item, cells: Mapping[str, Cell]) -> bytes:
@@ -107,7 +100,6 @@ class ItemFlyer:
 
 
 def cells_of(verdict: Verdict) -> dict[str, Cell]:
-    """Return the figures of a flight by column name."""
     cells: dict[str, Cell] = dict(verdict.drawn)
     fired = (event.rule for event in verdict.guard if event.action is not Override.NONE)
     cells |= {
@@ -173,7 +165,6 @@ def _field(text: str, kind: Any) -> Any:
 
 
 def _not_followed(verdict: Verdict) -> str | None:
-    """Return the deviations out of tolerance as JSON, or None if there are none."""
     outside = out_of_tolerance(verdict.deviations)
     return msgspec.json.encode(outside).decode() if outside else None
 

@@ -26,13 +26,8 @@ _SYNC_S = 1.0
 class Table:
     """The table of a campaign; only this process may append rows.
 
-    Args:
-        path: the file; created with its header if it does not exist.
-        columns: columns of the rows.
-
-    Raises:
-        FlightError: the file cannot be written, or another process writes it.
-        InputError: the file is not the table of this campaign, or its file system does not support locks.
+    A missing file is created with its header. A file of another campaign, and a file system without locks,
+    are refused.
     """
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
@@ -70,11 +65,7 @@ class Table:
         os.close(self._file)
 
     def append(self, line: bytes) -> None:
-        """Append a row.
-
-        Raises:
-            FlightError: the disk rejects the row; the part written is removed.
-        """
+        """Append a row; if the disk rejects it, the part written is removed and a FlightError is raised."""
         try:
             written = os.write(self._file, line)
             if written < len(line):
@@ -92,7 +83,6 @@ class Table:
             self.sync()
 
     def sync(self) -> None:
-        """Flush the table to the disk."""
         os.fsync(self._file)
 
 
@@ -105,11 +95,6 @@ def _complete_length(path: Path) -> int:
 
 
 def rows_in(path: Path) -> Iterator[dict[str, str]]:
-    """Yield the rows of a table: column -> text.
-
-    Raises:
-        InputError: the file cannot be read, or a line has the wrong number of cells.
-    """
     try:
         with io.TextIOWrapper(open_file(path), encoding="utf-8", newline="") as file:
             reader = csv.reader(file)
@@ -129,12 +114,7 @@ def rows_in(path: Path) -> Iterator[dict[str, str]]:
 
 
 def flown_in(path: Path, keys: Sequence[str], points: Sequence[Point]) -> set[Item]:
-    """Return the flights that have a row.
-
-    Raises:
-        InputError: the table cannot be read (`rows_in`), or a row is a duplicate or belongs to no flight of
-            this campaign.
-    """
+    """Return the flights that have a row; refuse duplicates, and rows of no flight of this campaign."""
     numbers = {(point.path, *point.values): point.number for point in points}
     found: set[Item] = set()
     for line, row in enumerate(rows_in(path), start=2):

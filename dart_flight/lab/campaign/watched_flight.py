@@ -33,10 +33,7 @@ _RUN_OUT_S, _HELD_S = 60.0, 3.0
 def place_walls(
     world: DrawnWorld, away_m: Mapping[str, float], turned_deg: Mapping[str, float]
 ) -> DrawnWorld:
-    """Return the world with some walls moved along their normals and turned about their centres.
-
-    `away_m` and `turned_deg` contain the displacements and rotations by the names of the walls.
-    """
+    """Return the world with walls moved along their normals and turned about their centres, by name."""
     walls = {
         w.name: w.displaced(away_m.get(w.name, 0.0)).rotated(math.radians(turned_deg.get(w.name, 0.0)))
         for w in world.mission.walls
@@ -49,9 +46,7 @@ class WatchedFlight:
 
     Args:
         mission: the mission with the assumed walls.
-        seed: seed of the sensor noise.
         world: the drawn world. None means a world that equals the mission.
-        fault: the fault to inject.
 
     Attributes:
         onlookers: functions called with every record and its number.
@@ -74,7 +69,7 @@ class WatchedFlight:
         self.flight.autopilot.send_text = self._on_status_text
 
     def run(self) -> Verdict:
-        """Fly until the vehicle has landed or a pilot holds the vehicle; return the verdict."""
+        """Fly until the vehicle has landed or a pilot holds the vehicle."""
         try:
             self.flight.run()
             self._run_out()
@@ -131,7 +126,7 @@ class WatchedFlight:
 
 
 def excursion_allowed_m(fault: Fault | None) -> float:
-    """Return how far out of the mission's bounds a controlled flight may go, metres.
+    """Return how far out of the mission's bounds a controlled flight may go.
 
     The limit is half a metre for braking, plus the position error that the fault causes.
     """

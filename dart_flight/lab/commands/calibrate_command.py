@@ -40,7 +40,6 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
     parser.add_argument("what", choices=("thrust", "inertia", "airframe"))
     parser.add_argument(
         "logs",
@@ -56,7 +55,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status."""
     if arguments.what == "airframe":
         return _airframe(arguments)
     if arguments.connection is not None or not arguments.logs:

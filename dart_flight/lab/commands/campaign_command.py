@@ -20,7 +20,6 @@ _MAX_SHOWN = 5  # lines of a kind; the page and the summary have all of them
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
     parser.add_argument(
         "missions",
         nargs="*",
@@ -58,7 +57,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly the campaign, write summary and page, and return the exit status."""
     from dart_flight.lab.campaign import campaign_folder as campaigns
     from dart_flight.lab.campaign.campaign_summary import summarise
     from dart_flight.lab.report.campaign_page import campaign_page

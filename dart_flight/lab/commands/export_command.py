@@ -12,7 +12,6 @@ FOXGLOVE_NAME = "foxglove.mcap"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
     parser.add_argument("logs", nargs="+", metavar="LOG", help="flight.mcap, or a folder of flights")
     parser.add_argument(
         "--foxglove",
@@ -31,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status. --json prints one object, or a list for several logs."""
+    """Run the command; --json prints one object, or a list for several logs."""
     from dart_flight.recording.found import find_logs
 
     paths = find_logs(arguments.logs)

@@ -28,7 +28,6 @@ _FIT = {
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
     parser.add_argument(
         "trials",
         nargs="*",
@@ -84,7 +83,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Read and fit the trials, print and write the result, and return the exit status."""
     from dart_flight.config.provenance import find_vehicle
     from dart_flight.contact.law import Onset
     from dart_flight.lab.identify import identify_trials as identification

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
     parser.add_argument(
         "logs", nargs="+", metavar="LOG", help="PX4 ULog (.ulg) of any multirotor, PX4 1.9 or later"
     )
@@ -31,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Inspect the logs, print and write the results; the exit status is 2 if a log was rejected."""
+    """Run the command; the exit status is 2 if a log was rejected."""
     from dart_flight.config.vehicle import load_vehicle
     from dart_flight.lab.inspect.inspection import inspect_file
     from dart_flight.lab.inspect.trial_writer import write_trials

@@ -43,7 +43,6 @@ NOT_VERIFIED = "not flown in simulation (--no-verify): the plan may not be flyab
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
     parser.add_argument("scenario", metavar="SCENARIO", help="scenario file, see missions/scenarios/")
     parser.add_argument("-o", "--output", type=Path, metavar="MISSION", help="mission file to write")
     parser.add_argument(
@@ -94,7 +93,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status."""
     console = messages()
     scenario = load_scenario(arguments.scenario, arguments.config, settings=arguments.set)
     if arguments.connection is not None:
@@ -161,11 +159,7 @@ def _ways_out(plan: Plan, result: SearchResult, record: FlownRecord) -> Iterator
 
 
 def _first_flyable(result: SearchResult, rank: int) -> tuple[Plan, Mission, dict[int, str]]:
-    """Return the first plan from a rank on whose mission is not refused, and the refused ranks with reasons.
-
-    Raises:
-        RefusedPlanError: the mission of every plan is refused.
-    """
+    """Return the first plan from a rank on whose mission is not refused, and the refused ranks."""
     refused: dict[int, str] = {}
     for plan in result.plans[rank - 1 :]:
         try:
@@ -188,8 +182,7 @@ def _search_bar() -> Iterator[Progress]:
 class _Watch(FlightWatch):
     """The simulated flights on standard error: their number, and each result as soon as it is known.
 
-    Args:
-        on_output: whether the results are printed on standard output, as without `--json`.
+    With `on_output` the results are printed on standard output, as without `--json`.
     """
 
     def __init__(self, on_output: bool) -> None:
@@ -208,7 +201,6 @@ class _Watch(FlightWatch):
         self._close()
 
     def begin(self, plan: str) -> None:
-        """Begin the count of a plan's flights in drawn worlds."""
         self._close()
         self._progress = FlightProgress(messages(), flown_plan.DRAWN, plan, _LINE_EVERY_S)
         self._progress.__enter__()
@@ -216,18 +208,15 @@ class _Watch(FlightWatch):
         self._plan, self._known = plan, ""
 
     def landed(self, flown: int, failed: int) -> None:
-        """Count a flight."""
         if self._progress is not None:
             self._progress(flown, failed)
         self._known = f"; {self._plan}: {flown - failed} of {flown} flights in drawn worlds completed"
 
     def report(self, line: str) -> None:
-        """Print a result."""
         self._close()
         self._console.print(line, soft_wrap=True)
 
     def fly(self, mission: Mission, seeds: list[int], spreads: dict[str, float], done: Done) -> list[Verdict]:
-        """Fly on all cores, and report an interrupt at once."""
         return fly_on_all_cores(mission, seeds, spreads, done, self._interrupted)
 
     def end(self, output: Path | None) -> int:
@@ -256,7 +245,6 @@ def _warn_about_settings(arguments: argparse.Namespace) -> None:
 
 
 def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
-    """Search for the quickest flight, fly it in simulation and write it; return the exit status."""
     console = messages()
     with _search_bar() as progress:
         if scenario.sight is not None:

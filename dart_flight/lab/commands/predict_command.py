@@ -14,7 +14,6 @@ from dart_flight.config.document import InputError
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
     # argparse accepts -0.5 as a number but mistakes -5e-1 for an option; scripts print both.
     parser._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     parser.add_argument("--surface", help="a material of the configuration")
@@ -60,7 +59,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Predict the contacts, print and plot them, and return the exit status."""
     from dart_flight.config.provenance import find_vehicle
     from dart_flight.lab.predict import prediction
 
@@ -108,7 +106,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _from_ratios(arguments: argparse.Namespace) -> int:
-    """Predict the outgoing speeds from restitution and tangential ratio; other fields are null."""
     from dart_flight.lab.predict import prediction
 
     if arguments.restitution is None:

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
     parser.add_argument(
         "logs",
         nargs="+",
@@ -65,5 +64,4 @@ def _write_figures(arguments: argparse.Namespace, flights: list[RecordedFlight])
 
 
 def _default_output(logs: list[Path]) -> Path:
-    """Return the default output file, in the folder that contains all logs."""
     return Path(os.path.commonpath([log.parent.resolve() for log in logs])) / "report.html"

@@ -12,12 +12,10 @@ from dart_flight.contact.law import Onset
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
     parser.add_argument("-o", "--output", metavar="FILE", help="write the page (docs/paper_tables.md)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute the tables, print or write them, and return the exit status."""
     from dart_flight.config.provenance import find_vehicle
     from dart_flight.config.vehicle import packaged
     from dart_flight.lab.paper import tables as paper

@@ -39,7 +39,6 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
 
     Args:
         trials: recordings. All trials hit the same plane, and trials of one mode have the same coefficients.
-        mass_kg: vehicle mass.
         onset: onset rule of the fitted model; the rule affects k and f slightly.
 
     Raises:
@@ -81,7 +80,6 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
 def _fit_samples(
     trials: Sequence[Trial], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
 ) -> SampleResult:
-    """Fit the samples of the trials that have enough position samples in contact."""
     positions = [i for i, trial in enumerate(trials) if hits[i].turn is not None and trial.position_measured]
     # With slow sampling the measured extent of the hit, widened to whole samples, decides. With fast sampling
     # that extent begins too late, so the fit decides.
@@ -121,11 +119,7 @@ def _coefficients(
     onset: Onset,
     notes: list[str],
 ) -> dict[str, Estimate | None]:
-    """Return the coefficients of a mode.
-
-    If the law fits the samples, the coefficients come from the samples. Otherwise they come from whole hits
-    (`hit_fit`).
-    """
+    """Return the coefficients of a mode, from the samples if the law fits them, else from whole hits."""
     sampled = result.coefficients.get(mode)
     bad = mode in result.bad
     if bad and sampled is not None:

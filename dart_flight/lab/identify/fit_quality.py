@@ -52,11 +52,9 @@ def assess_fit(
     """Assess coefficients against the recordings to which the coefficients were fitted.
 
     Args:
-        coefficients: estimates by mode.
         whole: hits that were fitted as a whole, without their samples.
         residuals: quantity -> residual of the fitted samples.
         expected: quantity -> largest residual of a good fit.
-        mass_kg, onset: as for `identify`.
     """
     off, most = dict(residuals), dict(expected)
     for mode, found in coefficients.items():
@@ -83,8 +81,8 @@ def compare_residuals(off: Mapping[str, float], expected: Mapping[str, float]) -
 def expected_residuals(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) -> dict[str, float]:
     """Return the largest residuals of a good fit of these trials, by quantity.
 
-    The largest residual is three times the noise of the recordings, or a small fraction of the quantity's
-    change in the contact (such as the penetration), whichever is larger.
+    Each is three times the noise of the recordings, or a small fraction of the quantity's change in the
+    contact (such as the penetration), whichever is larger.
     """
     noise: dict[str, list[float]] = {}
     size: dict[str, list[float]] = {}

@@ -23,16 +23,13 @@ ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 
 
 def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
-    """Return the planned collisions of a flight as trials, by material.
+    """Return the planned collisions in a flight as trials, by material.
 
     `material` and `mode` select the collisions; None and `UNLABELLED` select all. If the age of the motion
     capture's poses is known, the positions are those of the poses. Otherwise they are PX4's estimate, which
     smooths the velocity change of a contact. The force is the flight core's estimate. All series are in the
     wall's collision frame and on the autopilot's clock. The wall's plane comes from the mission, or from the
     contact if a probe searched for the wall. The vehicle comes from the log.
-
-    Raises:
-        InputError: the log does not contain its mission.
     """
     mission = flown_mission(log.about, log.source)
     flown = LoadedVehicle(mission.vehicle, mission.flown_vehicle())
@@ -97,11 +94,7 @@ def _largest_turn_rate(flight: FlightArrays, onset_us: int) -> float | None:
 def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> list[Trial]:
     """Return the collisions with one material in a flight.
 
-    If `material` is None, all collisions of the flight must be with the same material.
-
-    Raises:
-        InputError: the collisions are with several materials.
-        MissingDataError: there is no collision.
+    If `material` is None, all collisions in the flight must be with the same material.
     """
     by_material = trials_of(log, material, mode)
     if not by_material:

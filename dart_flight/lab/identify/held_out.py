@@ -39,13 +39,9 @@ def speed_groups(speed: Array) -> NDArray[np.intp]:
 
 
 def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> HeldOut:
-    """Predict the hits at each speed from a fit to the hits at other speeds, and return the errors.
+    """Return the errors on the hits at each speed, predicted from a fit to the hits at other speeds.
 
-    If all hits have the same speed, predict each hit from the other hits.
-
-    Args:
-        hits: hits of one mode.
-        mass_kg, onset: as for `identify`.
+    The hits are of one mode. If all have the same speed, each hit is predicted from the other hits.
     """
     mode, n = hits[0].mode, len(hits)
     if n < _MIN_HITS:
@@ -85,11 +81,10 @@ def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> He
 def _errors(
     table: HitTable, folds: NDArray[np.intp], by: Callable[[HitTable, HitTable], tuple[Array, Array]]
 ) -> Errors:
-    """Return the errors of the function `by` on held-out hits.
+    """Return the errors on held-out hits.
 
     Args:
-        table: the hits.
-        folds: number of the fold of each hit. The hits of a fold are predicted from the other hits.
+        folds: fold of each hit. The hits of a fold are predicted from the other hits.
         by: called with the known hits and the held-out hits; returns the predicted peaks and outgoing speeds
             of the held-out hits.
     """
@@ -100,9 +95,9 @@ def _errors(
 
 
 def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
-    """Predict peak and outgoing speed in proportion to the incoming speed.
+    """Predict peak and outgoing speed in proportion to the incoming speed, by the median of the known ratios.
 
-    The factors are the median ratios of the known hits. If no known hit has a ratio, the prediction is NaN.
+    If no known hit has a ratio, the prediction is NaN.
     """
     ratios = (median(values / known.speed_in) for values in (known.peak, known.speed_out))
     peak, out = ((math.nan if ratio is None else ratio) * held.speed_in for ratio in ratios)

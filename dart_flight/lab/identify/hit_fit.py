@@ -40,7 +40,7 @@ _ENOUGH_HITS = 3  # fewer hits have no meaningful spread
 
 
 class HitTable(NamedTuple):
-    """Hits as arrays (n,) in SI units; unknown values are NaN."""
+    """Hits of one mode as arrays (n,) in SI units; unknown values are NaN."""
 
     speed_in: Array
     speed_out: Array
@@ -51,7 +51,6 @@ class HitTable(NamedTuple):
 
     @classmethod
     def from_hits(cls, hits: Sequence[MeasuredImpact]) -> HitTable:
-        """Return the table of hits of one mode."""
         rows = [
             (
                 h.normal_in_m_s, h.normal_out_m_s, h.peak_force_n, h.contact_s, h.compression_m,
@@ -62,7 +61,6 @@ class HitTable(NamedTuple):
         return cls(*np.array(rows, dtype=float).reshape(-1, 6).T)
 
     def only(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> HitTable:
-        """Return the hits that a mask or indices select."""
         return HitTable(*(column[which] for column in self))
 
     @property
@@ -77,7 +75,6 @@ class HitTable(NamedTuple):
         return bool(2 * informative.sum() >= informative.size and known.sum() >= 2)
 
     def errors(self, peak: Array, speed_out: Array) -> Errors:
-        """Return the median absolute errors of predicted peaks and outgoing speeds."""
         return Errors(
             median(np.abs(peak / self.peak - 1.0)),
             median(np.abs(speed_out - self.speed_out) / self.speed_in),
@@ -91,7 +88,6 @@ def median(values: Array) -> float | None:
 
 
 def predict(k: float, f: float, hits: HitTable, mass_kg: float, onset: Onset) -> WallHit[Array]:
-    """Apply the law to the incoming speeds of the hits, and return the predicted hits."""
     zero = np.zeros_like(hits.speed_in)
     push = hits.acceleration if hits.acceleration.any() else None
     coefficients = CoefficientArrays(zero + k, zero + f, zero, zero)
@@ -112,15 +108,9 @@ class HitFit:
         self._counts, self._moved = np.ones(known.size), np.zeros(known.size)
 
     def solve(self) -> Array:
-        """Return the logarithms of k and f that fit best.
-
-        Raises:
-            InputError: SciPy is missing.
-        """
         return descend(self, self._start, ("huber", "linear"))
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return the lowest and highest logarithms of k and f in the search."""
         return _LOW, _HIGH
 
     def _errors(self, theta: Array) -> Array:
@@ -137,12 +127,10 @@ class HitFit:
         return np.nan_to_num(np.concatenate(parts))
 
     def residuals(self, theta: Array) -> Array:
-        """Return the weighted errors of the hits, then the residuals of the prior."""
         errors = self._counts * (self._errors(theta) - self._moved)
         return np.concatenate((errors, (theta - self._start) / _PRIOR_SD))
 
     def jacobian(self, theta: Array) -> Array:
-        """Return the Jacobian by central differences."""
         return np.stack([difference(theta, j, self.residuals) for j in range(theta.size)], axis=1)
 
     def reweight(self, theta: Array) -> None:
@@ -170,14 +158,7 @@ class HitFit:
 def fit_hits(
     hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
 ) -> tuple[dict[str, Estimate | None], list[str]]:
-    """Fit k and f to hits of one mode.
-
-    Returns:
-        A dictionary of the estimates of `k` and `f` (None if unknown), and a list of notes.
-
-    Raises:
-        InputError: SciPy is missing.
-    """
+    """Fit k and f (None if unknown) to hits of one mode; return notes, too."""
     table = HitTable.from_hits(hits)
     if not table.is_enough:
         return {"k": None, "f": None}, []
@@ -189,8 +170,8 @@ def fit_hits(
 def _start(hits: HitTable, mass_kg: float) -> Array:
     """Return first guesses of the logarithms of k and f.
 
-    The guesses follow from the median restitution and the median ratio of peak force to incoming speed.
-    Without forces, the duration or the depth replaces the peak force.
+    They follow from the median restitution and the median ratio of peak force to incoming speed. Without
+    forces, the duration or the depth replaces the peak force.
     """
     out = hits.speed_out / hits.speed_in
     e = min(max(float(np.nanmedian(out)), 0.02), 0.98) if np.isfinite(out).any() else 0.5

@@ -28,8 +28,6 @@ class IdentifyResult(NamedTuple):
     """The trials, the coefficients identified from them, and the vehicle that the fit used.
 
     Attributes:
-        trials: the trials as read.
-        found: the result of the fit.
         vehicle: the vehicle whose mass, modes and onset rule were used.
         flown: the vehicle in the logs, with its source, if it replaced the given vehicle; otherwise None.
         mass_kg, onset: mass and onset rule used in the fit.
@@ -53,21 +51,16 @@ def identify_trials(
 ) -> IdentifyResult:
     """Read the trials and fit them.
 
-    If the trials contain the vehicle that flew, the mass, modes and onset rule of this vehicle are used. The
-    reason is that the forces in a log were computed for this vehicle.
-
-    If there are several logs, a log without a collision is left out, and a note names this log.
+    If the trials contain the vehicle that flew, its mass, modes and onset rule are used, because the forces
+    in a log were computed for this vehicle. If there are several logs, a log without a collision is left out,
+    and a note names it. Invalid options and trials, options that apply to no file, and trials of different
+    vehicles are refused.
 
     Args:
         paths: trial files, and folders of flight logs.
-        reading: options for reading the files.
         vehicle: vehicle of the trials that do not contain a vehicle.
         onset: onset rule to use instead of the vehicle's.
         given: trials in memory, used together with the trials of the files.
-
-    Raises:
-        InputError: an option or a trial is invalid, an option applies to no file, or the trials are of
-            different vehicles.
     """
     if not 0.0 <= reading.contact_distance_m <= 1.0:
         raise InputError(f"{reading.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
@@ -124,17 +117,12 @@ def _labelled(trials: Sequence[Trial], vehicle: VehicleConfig) -> list[Trial]:
 
 
 def _alike(first: VehicleConfig, other: VehicleConfig) -> bool:
-    """Return whether trials of both vehicles can be fitted together."""
     own = (first.airframe.mass_kg, first.modes, first.onset)
     return own == (other.airframe.mass_kg, other.modes, other.onset)
 
 
 def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> LoadedVehicle | None:
-    """Return the logged vehicle if its mass, modes or onset rule differ from those of `vehicle`, else None.
-
-    Raises:
-        InputError: the trials are of different vehicles.
-    """
+    """Return the logged vehicle if its mass, modes or onset rule differ from those of `vehicle`."""
     others = [trial.flown for trial in trials if trial.flown and not _alike(trial.flown.config, vehicle)]
     if not others:
         return None
@@ -151,7 +139,6 @@ def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> LoadedVehicle | N
 
 
 def _mass_notes(trials: Sequence[Trial], mass_kg: float, replaced: VehicleConfig | None) -> list[str]:
-    """Return a note if the fit's mass differs from the mass in the configuration or in the logs."""
     logged = {trial.flown.config.airframe.mass_kg for trial in trials if trial.flown is not None}
     other = sorted(logged - {mass_kg})
     if other:
@@ -167,7 +154,7 @@ def _mass_notes(trials: Sequence[Trial], mass_kg: float, replaced: VehicleConfig
 
 
 def _refuse_idle_options(reading: TrialReading, paths: Sequence[Path]) -> None:
-    """Raise an InputError if an option applies to a kind of file that is not among the trials."""
+    """Refuse an option that applies to a kind of file that is not among the trials."""
     csv, ulogs = (".csv",), (".ulg", ".ulog")
     idle = {"columns": (reading.columns, csv), "wall": (reading.wall, ulogs)}
     given = {path.suffix.lower() for path in paths}
@@ -179,11 +166,7 @@ def _refuse_idle_options(reading: TrialReading, paths: Sequence[Path]) -> None:
 
 
 def columns_of(text: str | None) -> dict[str, str]:
-    """Parse `time_s=t,normal_m=x` into a dictionary.
-
-    Raises:
-        InputError: the text has another form, or a name is unknown.
-    """
+    """Parse `time_s=t,normal_m=x` into a dictionary."""
     names = ("time_s", *COLUMNS)
     columns = {}
     for part in (text or "").split(","):
@@ -207,7 +190,6 @@ def _plain(value: Any) -> Any:
 
 
 def as_json(found: Identification) -> dict[str, Any]:
-    """Return the result as the object that `--json` prints."""
     plain: dict[str, Any] = _plain(found)
     for compared in plain["held_out"].values():
         del compared["mode"], compared["sentence"]

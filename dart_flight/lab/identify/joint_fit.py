@@ -37,14 +37,10 @@ def solve(
     Args:
         trials: trials with positions.
         hits: hits of the trials, in the same order.
-        mass_kg, onset: as for `identify`.
         least: required number of samples in contact. If any trial has fewer, the fit stops early.
 
     Returns:
         The fit, its parameters, and notes.
-
-    Raises:
-        InputError: SciPy is missing, or a trial cannot be used.
     """
     fit = SampleFit(trials, hits, mass_kg, onset)
     theta = descend(fit, fit.start(), _LOSSES)
@@ -115,9 +111,7 @@ class SampleResult:
 def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResult:
     """Return coefficients with intervals, the result of each trial, and notes.
 
-    Args:
-        fit, theta: the fit and its parameters.
-        places: for each fitted trial, its index among the trials given to `identify`.
+    `places` gives, for each fitted trial, its index among the trials given to `identify`.
     """
     halves = half_widths(fit, theta)
     plane_m = Estimate.about(float(theta[0]), float(halves[0]))
@@ -187,7 +181,7 @@ def _residuals(fit: SampleFit, theta: Array) -> dict[str, float]:
 
 
 def _misfit(fit: SampleFit, theta: Array, i: int) -> tuple[float | None, str]:
-    """Return the ratio of residual in contact to noise of the worst channel, and this channel's name."""
+    """Return the ratio of residual in contact to noise for the worst channel, and its name."""
     worst: float | None = None
     channel = ""
     window = fit.windows[i]

@@ -43,13 +43,11 @@ class MeasuredImpact:
     """One hit as measured; unknown values are None.
 
     Attributes:
-        name, mode: name and mode of the trial.
         normal_in_m_s: normal speed towards the wall at first touch, positive.
         normal_out_m_s: normal speed away from the wall at the release.
         tangential_in_m_s, tangential_out_m_s: velocity along the wall before and after the contact.
         sd_in_m_s, sd_out_m_s, sd_tangential_m_s: standard deviations of these speeds.
         peak_force_n: largest measured normal force.
-        contact_s: duration of the contact.
         compression_m: largest displacement into the wall since first touch.
         acceleration_m_s2: acceleration along the normal without a contact, -9.81 in a drop.
         begin_s, end_s: start and end of the contact in the recording, rounded outwards to samples.
@@ -81,15 +79,7 @@ class MeasuredImpact:
 
 
 def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
-    """Measure the hit of a trial.
-
-    Args:
-        trial: a trial with `normal_m`, or a drop with an accelerometer's `specific_force_m_s2`.
-        mass_kg: converts specific force to force.
-
-    Raises:
-        InputError: the trial has no impact, or is a wall hit that only an accelerometer recorded.
-    """
+    """Measure the hit in a trial, which has `normal_m`, or is a drop with `specific_force_m_s2`."""
     return _measure_motion(trial) if "normal_m" in trial.series else _measure_accelerometer(trial, mass_kg)
 
 

@@ -1,4 +1,7 @@
-"""The search for the impact in a recording of any length, and the rejection of unusable recordings."""
+"""The search for the impact in a recording of any length, and the rejection of unusable recordings.
+
+An `InputError` names the trial and the reason.
+"""
 
 from __future__ import annotations
 
@@ -38,11 +41,6 @@ class TrialImpact(NamedTuple):
 
 
 def refuse_unusable(trial: Trial) -> None:
-    """Reject samples in which no impact can be measured.
-
-    Raises:
-        InputError: the samples are unusable; the error names the trial and the reason.
-    """
     for name, series in trial.series.items():
         if series.time_s.size > 1 and not (np.diff(series.time_s) > 0.0).all():
             raise InputError("time does not increase", source=trial.name, key=(name,))
@@ -75,10 +73,9 @@ def _slopes(time: Array, value: Array, half_s: float) -> Array:
 
 
 def find_impact(trial: Trial) -> TrialImpact:
-    """Find the first strong turn from approach to departure in a recording of any length.
+    """Find the first strong turn from approach to departure.
 
-    Raises:
-        InputError: there is no impact, or its position or speed is implausible, as if a unit were wrong.
+    An implausible position or speed, as if a unit were wrong, is refused.
     """
     refuse_unusable(trial)
     time, value = trial.normal

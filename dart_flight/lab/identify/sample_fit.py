@@ -1,15 +1,13 @@
 """The residuals of the law at the samples of all trials of an identification.
 
-One parameter vector describes all trials. All trials share one plane. The position of the plane is known to
-one or two centimetres, and the fit estimates this position too. All trials of a mode share the coefficients
-of the mode. Every trial has its own onset time and approach velocity. A trial with both positions and forces
-also has a clock delay. The law is the paper's closed form in time (`dart_flight.lab.predict.path`): free
-flight, contact, free flight.
+One parameter vector describes all trials. They share one plane, whose position is known to one or two
+centimetres and is estimated too. The trials of a mode share its coefficients. Every trial has its own onset
+time and approach velocity, and a clock delay if it has both positions and forces. The law is the paper's
+closed form in time (`dart_flight.lab.predict.path`): free flight, contact, free flight.
 
 In real flights the controller accelerates the vehicle before and after a wall contact. If this curves the
 recorded free flight, every wall hit gets three unknown constant accelerations: before, in and after the
-contact.
-Otherwise straight flight is assumed, because fewer unknowns are determined more accurately.
+contact. Otherwise straight flight is assumed, because fewer unknowns are determined more accurately.
 """
 
 from __future__ import annotations
@@ -106,7 +104,6 @@ class SampleFit:
     Args:
         trials: trials with enough position samples in contact.
         hits: hits of the trials, in the same order.
-        mass_kg, onset: as for `identify`.
         pushed: whether the fit also estimates constant accelerations before, in and after each wall contact.
     """
 
@@ -137,7 +134,6 @@ class SampleFit:
         return free_spans_s(trial.acceleration_m_s2, speed_in_m_s, speed_out_m_s, longest)
 
     def contact(self, theta: Array, i: int) -> ContactMotion:
-        """Return the contact of trial i that follows from a parameter vector."""
         shared, own = self.parameters.mode_indices(self.trials[i].mode), self.parameters.own[i]
         law = (float(theta[shared[name]]) for name in ("k", "f", "mu"))
         push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
@@ -169,7 +165,7 @@ class SampleFit:
 
     @staticmethod
     def _pushed(theta: Array, own: dict[str, int], name: str, since: Array, end_s: float) -> Array:
-        """Return the effect on a channel of the controller's accelerations before and after the contact."""
+        """Return what the controller's accelerations before and after the contact add to a channel."""
         late, early = np.maximum(since - end_s, 0.0), np.minimum(since, 0.0)
         after, before = theta[own[f"{name[0]}_after"]], theta[own[f"{name[0]}_before"]]
         if name.startswith("n"):  # the contact's shape already includes its own acceleration
@@ -201,7 +197,6 @@ class SampleFit:
         return np.array([theta[0] / _PLANE_SD_M, *weak])
 
     def residuals(self, theta: Array) -> Array:
-        """Return the weighted residuals of all trials, then those of the priors."""
         return np.concatenate([self.block(theta, i) for i in range(len(self.trials))] + [self.prior(theta)])
 
     def jacobian(self, theta: Array) -> Array:
@@ -255,10 +250,7 @@ class SampleFit:
                 self.windows[i].counts[name][:] = weights
 
     def variance(self, theta: Array) -> float:
-        """Return the mean square of the residuals.
-
-        If the samples are correlated, for example by a filter, the result is increased accordingly.
-        """
+        """Return the mean square of the residuals, increased if the samples are correlated (by a filter)."""
         data = sum(int(sum((c > 0.0).sum() for c in window.counts.values())) for window in self.windows)
         misfit = sum(float(np.sum(self.block(theta, i) ** 2)) for i in range(len(self.trials)))
         squares, products, n = 0.0, 0.0, 0
@@ -274,10 +266,7 @@ class SampleFit:
         return max(misfit / max(data - self.parameters.size, 1), 1e-12) * correlated
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:
-        """Return the rows of each trial as one group.
-
-        If there are few trials, each channel of a trial is divided into segments. Each segment is a group.
-        """
+        """Return the rows of each trial as one group; with few trials, of each segment of each channel."""
         found: list[NDArray[np.intp]] = []
         row = 0
         for window in self.windows:
@@ -306,8 +295,6 @@ class SampleFit:
                 low[own["delay"]], high[own["delay"]] = -0.05, 0.05
             low[own["speed"]], high[own["speed"]] = 0.4 * -impact.approach_m_s, 2.0 * -impact.approach_m_s
         return low, high
-
-    # -- starting point --
 
     def start(self) -> Array:
         """Return a starting point: lines through each approach, and coefficients from a coarse search."""

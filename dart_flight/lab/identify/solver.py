@@ -1,10 +1,9 @@
 """The solver of all fits of the law, and the intervals of its unknowns.
 
-A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns.
-The intervals hold even if the law is wrong. Every unknown has two intervals. The statistical interval follows
-from the information in data and priors, and holds if the law is right. The resampled interval follows from
-the change of the estimate, to first order, if the data are resampled. If the resampled interval is wider than
-chance explains, it is used. Otherwise the statistical interval is used.
+A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns,
+which hold even if the law is wrong. The statistical interval follows from the information in data and priors,
+and holds if the law is right. The resampled interval follows from the change of the estimate, to first order,
+if the data are resampled. It is used if it is wider than chance explains.
 """
 
 from __future__ import annotations
@@ -51,11 +50,7 @@ class LawProblem(Protocol):
 
 
 def descend(problem: LawProblem, theta: Array, losses: Sequence[str]) -> Array:
-    """Minimise the residuals with each loss in turn; between two losses, reweight the data.
-
-    Raises:
-        InputError: SciPy is missing.
-    """
+    """Minimise the residuals with each loss in turn; between two losses, reweight the data."""
     try:
         from scipy.optimize import least_squares  # noqa: PLC0415
     except ImportError:
@@ -83,7 +78,7 @@ def difference(theta: Array, j: int, function: Callable[[Array], Array]) -> Arra
 
 
 def covariance(jacobian: Array) -> Array:
-    """Return the covariance of all unknowns: the inverse of J^T J, if J is the Jacobian."""
+    """Return the covariance of all unknowns: the inverse of J^T J."""
     scale = np.sqrt(np.sum(jacobian**2, axis=0))
     scale[scale == 0.0] = 1.0
     inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-14, hermitian=True)
@@ -110,9 +105,7 @@ def stiffness_and_damping(
 ) -> tuple[dict[str, Estimate | None], list[str]]:
     """Return k and f from their logarithms and half widths, and a note for each unknown coefficient.
 
-    Args:
-        logs, halves: logarithms and half widths of k and f, each (2,).
-        widest: a coefficient counts as unknown if the half width of its logarithm reaches this value.
+    A coefficient counts as unknown if the half width of its logarithm reaches `widest`.
     """
     found: dict[str, Estimate | None] = {"k": None, "f": None}
     notes = []

@@ -22,10 +22,10 @@ _MIN_ALONG_M_S = 0.1  # speed along the wall required for a ratio
 def _ratio(
     shares: Array, deviations: Array, least: float = -math.inf, most: float = math.inf
 ) -> Estimate | None:
-    """Return the median of ratios with a 95 % interval.
+    """Return the median of ratios with a 95 % interval, both clipped to `least` and `most`.
 
     The interval follows from the spread of the ratios or from their uncertainty, whichever gives the wider
-    interval. Value and interval are clipped to the limits `least` and `most`.
+    interval.
     """
     n = shares.size
     if not n:
@@ -40,10 +40,7 @@ def _ratio(
 
 
 def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """Return the ratio of outgoing to incoming normal speed.
-
-    In a drop, both are the speeds at the height of first touch.
-    """
+    """Return outgoing over incoming normal speed; in a drop, both at the height of first touch."""
     known = [(h, h.normal_out_m_s) for h in hits if h.normal_out_m_s is not None]
     shares = np.array([out / h.normal_in_m_s for h, out in known])
     sds = np.array(
@@ -66,10 +63,9 @@ def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpa
 
 
 def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """Return the velocity along the wall after a hit, divided by this velocity before the hit.
+    """Return outgoing over incoming velocity along the wall; None if no hit has motion along the wall.
 
-    The ratio is negative if the vehicle reverses along the wall. The result is None if no hit has
-    motion along the wall.
+    The ratio is negative if the vehicle reverses along the wall.
     """
     pairs = [
         (after / before, 1.5 * h.sd_tangential_m_s / abs(before)) for h, before, after in _sliding_hits(hits)
@@ -79,10 +75,10 @@ def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
 
 
 def friction(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """Return the paper's mu from the speeds before and after hits.
+    """Return the paper's mu = ln(v_in / v_out) / dv.
 
-    mu = ln(v_in / v_out) / dv, with the velocities v_in and v_out along the wall before and after the hit,
-    and the change dv of the normal velocity.
+    v_in and v_out are the velocities along the wall before and after the hit, and dv is the change of the
+    normal velocity.
     """
     pairs = []
     for h, before, after in _sliding_hits(hits):

@@ -46,14 +46,10 @@ def wall_trial(
     Args:
         c: true coefficients.
         normal_m_s: normal velocity at the onset (negative).
-        random: source of the noise.
-        onset: onset rule of the simulated contact.
         tangential_m_s: velocity along the wall. If None, no position along the wall is recorded.
-        rate_hz, noise_m: rate and noise of the pose.
         plane_m: position of the plane in the recording.
         with_vertical: whether the height is also recorded.
         force_noise_n: noise of the recorded normal force. If None, no force is recorded.
-        mode, name: mode and name of the trial.
         before_s, after_s: recorded time before and after the contact.
     """
     contact = ContactMotion(c, MASS_KG, normal_m_s, onset)

@@ -1,10 +1,9 @@
-"""Widening of intervals by the systematic errors of one kind of recording.
+"""Widening of intervals by the systematic errors of one kind of recording, which more data do not reduce.
 
-More data do not reduce systematic errors. If a vehicle turns during the contact, its guards slide faster or
-slower than its centre. In the law the vehicle is a point, so the friction depends on the velocity of the
-centre. Flights at one speed do not determine the lever arm from the centre to the sliding guard
-(docs/results/real_data.md). The intervals of the coefficients therefore include the possible effect of the
-rotation.
+If a vehicle turns during the contact, its guards slide faster or slower than its centre. In the law the
+vehicle is a point, so the friction depends on the velocity of the centre. Flights at one speed do not
+determine the lever arm from the centre to the sliding guard (docs/results/real_data.md). The intervals of the
+coefficients therefore include the possible effect of the rotation.
 """
 
 from __future__ import annotations
@@ -27,12 +26,9 @@ _TURNS = 0.1  # ratio from which the rotation is reported
 def widen_intervals(
     found: dict[str, Estimate | None], trials: Sequence[Trial], hits: Sequence[MeasuredImpact]
 ) -> tuple[dict[str, Estimate | None], list[str]]:
-    """Widen the intervals of coefficients by the systematic errors of the trials; return notes, too.
+    """Widen the intervals of one mode's coefficients by the trials' systematic errors; return notes, too.
 
-    Args:
-        found: k, f, mu, nu of one mode.
-        trials: the trials to which the coefficients are fitted.
-        hits: hits of these trials, in the same order.
+    The trials are those to which the coefficients are fitted, and `hits` are theirs in the same order.
     """
     shares = {name: max(trial.allowance.get(name, 0.0) for trial in trials) for name in found}
     notes = []

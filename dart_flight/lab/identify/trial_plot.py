@@ -22,11 +22,7 @@ _SETTLED_S = 0.5  # plotted duration of a contact that never ends
 def plot_fit(
     path: str | Path, trials: Sequence[Trial], found: Identification, mass_kg: float, onset: Onset
 ) -> None:
-    """Plot recorded positions and the fit into `path`, one panel for each of up to six trials.
-
-    Raises:
-        InputError: matplotlib is missing, or the file cannot be written.
-    """
+    """Plot recorded positions and the fit into `path`, one panel for each of up to six trials."""
     fitted = zip(trials, found.trials, strict=True)
     shown = [(trial, fit) for trial, fit in fitted if fit.used == "samples" and found.is_known(fit.mode)][:6]
     if not shown or found.plane_m is None:

@@ -32,15 +32,7 @@ _FARTHEST_M = 50.0
 
 
 def read_trials(path: str | Path, reading: TrialReading) -> list[Trial]:
-    """Read the trials of a file.
-
-    Args:
-        path: the file; its suffix selects the reader.
-        reading: options for reading it.
-
-    Raises:
-        InputError: the file cannot be read, its kind is unknown, or its content is invalid.
-    """
+    """Read the trials of a file; its suffix selects the reader."""
     reader = READERS.get(Path(path).suffix.lower())
     if reader is None:
         refuse_other_kind(path, FileKind.TRIAL, FileKind.ULOG, FileKind.FLIGHT_LOG)
@@ -78,9 +70,6 @@ def read_csv(path: Path, reading: TrialReading) -> list[Trial]:
     """Read a CSV file whose header contains `time_s`, one of `_ANY_OF`, and any others of `COLUMNS`.
 
     An empty cell means that the column has no sample at this time.
-
-    Raises:
-        InputError: the file is invalid; the error names file, line and column.
     """
     source = str(path)
     text = read_text(path)
@@ -182,9 +171,6 @@ def read_ulog(path: Path, reading: TrialReading) -> list[Trial]:
     At a wall, the mean horizontal specific force before the impact is subtracted, because thrust and tilt
     cause this mean in a steady approach. The force is the mass times the remaining specific force. In a drop,
     the specific force itself is read.
-
-    Raises:
-        InputError: pyulog is missing, the file is not a ULog, topics are missing, or no wall was given.
     """
     source = str(path)
     if reading.wall is None and not reading.drop:
@@ -235,11 +221,7 @@ def _increasing(time: Array, value: Array) -> Series:
 
 
 def read_flight(path: Path, reading: TrialReading) -> list[Trial]:
-    """Return the collisions of a flight log as trials.
-
-    Raises:
-        InputError: `trials_at_one` fails, or drops are requested (a flight log contains no drops).
-    """
+    """Return the collisions in a flight log as trials; a flight log contains no drops."""
     if reading.drop:
         raise InputError(
             "a flight log contains wall collisions, not drops: omit --drop",

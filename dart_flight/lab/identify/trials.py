@@ -93,12 +93,11 @@ class TrialReading:
     Attributes:
         mode: mode of trials that do not record their mode; for a flight, only collisions in this mode are
             used.
-        surface: for a flight, only collisions with this material are used. If `surface` is None, all
-            collisions must be with one material.
+        surface: for a flight, only collisions with this material are used. If it is None, all collisions must
+            be with one material.
         drop: whether gravity acts along the normal.
-        contact_distance_m: distance between the surface and the vehicle's centre when the vehicle first
-            touches the surface. The distance is subtracted from the normal positions. The distance is 0 if
-            the positions already count from first touch.
+        contact_distance_m: distance between the surface and the vehicle's centre at first touch. It is
+            subtracted from the normal positions; 0 if they already count from first touch.
         columns: our column name -> header in the file.
         wall: for logs in local NED: north and east (m) of the vehicle's centre when the vehicle touches the
             wall, and the heading of the wall's outward normal, degrees.

@@ -1,11 +1,10 @@
 """Selection and weights of the samples in a fit.
 
-A window has two parts. In *free flight*, a sample that deviates by more than five standard deviations is a
-recording error and is ignored. In *contact*, this test would ignore good samples, because most large
-deviations are errors of the law. The contact therefore has its own scale, estimated from its own residuals.
-Outlying samples of the contact get smaller weights (Huber). A sample in contact is set aside only if the
-samples before and after it fit well. At most a tenth of a contact's samples is set aside, and a note gives
-their number.
+In *free flight*, a sample that deviates by more than five standard deviations is a recording error and is
+ignored. In *contact*, this test would ignore good samples, because most large deviations are errors of the
+law. The contact therefore has its own scale, estimated from its own residuals, and its outlying samples get
+smaller weights (Huber). A sample in contact is set aside only if the samples before and after it fit well. At
+most a tenth of a contact's samples is set aside, and a note gives their number.
 """
 
 from __future__ import annotations
@@ -39,7 +38,6 @@ class TrialWindow(NamedTuple):
     """The fitted samples of a trial, by channel.
 
     Attributes:
-        series: the samples.
         counts: weight of each residual. Weight 0 ignores the sample, weight 1 assumes the noise of free
             flight.
         contact: mask of the samples in contact: in the contact that the law predicts, or in the contact that
@@ -52,11 +50,7 @@ class TrialWindow(NamedTuple):
 
 
 def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
-    """Return the samples of a trial from `begin` to `end`, seconds, all with weight 1.
-
-    Raises:
-        InputError: there are too few samples.
-    """
+    """Return the samples of a trial from `begin` to `end`, all with weight 1; refuse too few samples."""
     series, counts, contact = {}, {}, {}
     for name in CHANNELS:
         if name in trial.series:
@@ -72,15 +66,9 @@ def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
 
 
 def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float]:
-    """Return the weights of the samples of one channel.
+    """Return the weights of one channel's residuals per trial, and the standard deviation in free flight.
 
-    Args:
-        errors: residuals, one array per trial.
-        contacts: masks of the samples in contact.
-
-    Returns:
-        The weights of the residuals per trial, and the standard deviation in free flight. The weight of a
-        sample with this standard deviation is 1.
+    A sample with this standard deviation has weight 1. `contacts` are masks of the samples in contact.
     """
     free = np.concatenate([e[~c] for e, c in zip(errors, contacts, strict=True)])
     hit = np.concatenate([e[c] for e, c in zip(errors, contacts, strict=True)])

@@ -43,11 +43,7 @@ _PROFILE = (
 
 
 def missing(log: ULogFile) -> list[str]:
-    """Return descriptions of the topics that are missing or too slow.
-
-    Raises:
-        InputError: IMU or attitude is missing, so impacts cannot be detected.
-    """
+    """Describe the topics that are missing or too slow; refuse a log without IMU or attitude."""
     for name in ("sensor_combined", "vehicle_attitude"):
         if log.first(name) is None:
             raise InputError(f"the log has no {name}: impacts cannot be detected", source=log.source)
@@ -85,10 +81,7 @@ def _stamps(log: ULogFile, name: str) -> NDArray[np.float64]:
 
 
 def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """Return start and end (s) of the intervals on the ground.
-
-    An interval starts when PX4 first indicates the landing.
-    """
+    """Return start and end (s) of the intervals on the ground, each from PX4's first sign of a landing."""
     close = track.ground
     landed = [(min([a, *(x for x, y in close if x <= a <= y)]), b) for a, b in _landed(log, track)]
     return landed + [(a, b) for a, b in close if height_at(track, a) < _LOW_M]
@@ -97,15 +90,14 @@ def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
 def _landed(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     """Return start and end (s) of PX4's landed states.
 
-    A short landed state high above the ground is left out, because it means that the motors were cut in
-    the air.
+    A short landed state high above the ground means that the motors were cut in the air, and is left out.
     """
     found = _stretches(log, "vehicle_land_detected", "landed")
     return [(a, b) for a, b in found if b - a >= _LANDED_S or not height_at(track, a) > _HIGH_M]
 
 
 def height_at(track: Track, t_s: float) -> float:
-    """Return the height above the first position in the log, metres; NaN if PX4 has no estimate."""
+    """Return the height above the first position in the log, m; NaN if PX4 has no estimate."""
     if not track.position_s.size:
         return math.nan
     down = track.position[:, 2]
@@ -135,7 +127,7 @@ def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
 
 
 def describe_cut(log: ULogFile, track: Track, flying: list[tuple[float, float]]) -> list[str]:
-    """Return a line if the log begins in the air, and a line if the log ends in the air.
+    """Return a line if the log begins in the air, and a line if it ends in the air.
 
     Without PX4's land detector there are no lines.
     """
@@ -172,7 +164,7 @@ def _stretches(log: ULogFile, topic: str, field: str, value: int = 1) -> list[tu
 def _off_the_ground(track: Track, begin: float, end: float) -> float:
     """Return the time at which the vehicle has risen by 0.3 m.
 
-    PX4's land detector cannot give this time, because it already reports flight at the first thrust.
+    PX4's land detector already reports flight at the first thrust.
     """
     inside = (track.position_s >= begin) & (track.position_s <= end)
     height = -track.position[inside, 2]

@@ -58,10 +58,9 @@ class InspectedImpact(msgspec.Struct):
         direction_deg: direction of the force, clockwise from north.
         clipped: whether the accelerometer saturated, so that the peak is a lower bound.
         kind: `impact`, or one of the following. `touch-down`: PX4 reports a landing shortly after the impact.
-            `crash`: the impact ends a fall, or follows a crash within 3 s. `untold`: a manoeuvre
-            cannot be excluded. There are three possible reasons: the peak is below four standard deviations,
-            the vehicle has crashed before, or the vehicle does not hover and its thrust is unknown
-            (`is_thrust_known`).
+            `crash`: the impact ends a fall, or follows a crash within 3 s. `untold`: a manoeuvre cannot be
+            excluded, because the peak is below four standard deviations, the vehicle has crashed before, or
+            the vehicle does not hover and its thrust is unknown (`is_thrust_known`).
         speed_m_s: horizontal speed before the impact.
         height_m: height above the first position in the log, by PX4's estimate; None without an estimate.
     """
@@ -82,8 +81,6 @@ class Estimated(NamedTuple):
     """A force estimate, and the thrust that the estimate assumes.
 
     Attributes:
-        force: the estimate.
-        flying: whether the vehicle was in the air.
         up: direction of the thrust, mission frame.
         thrust_n: subtracted thrust.
         along_n: measured force along the thrust axis.
@@ -98,10 +95,10 @@ class Estimated(NamedTuple):
     full_n: float
 
     def beyond_thrust(self) -> Vec2:
-        """Return the horizontal force that no thrust explains, newton, mission frame.
+        """Return the horizontal force that no thrust explains, N, mission frame.
 
         The thrust is fitted or assumed, and the log contains the motor commands at only 10 Hz. A force along
-        the thrust axis may therefore be thrust and not a contact, if it lies between zero and full thrust.
+        the thrust axis between zero and full thrust may therefore be thrust and not a contact.
         """
         could_n = max(0.0, min(self.full_n, self.along_n)) - self.thrust_n
         x, y, _ = self.force.force_mission
@@ -115,13 +112,10 @@ class ThresholdCrossing(msgspec.Struct):
     """A crossing of the detection threshold by the force, with its peak.
 
     Attributes:
-        onset: the onset that the detector reported.
-        threshold_n: the crossed threshold.
         peak: the fitted peak; None if the log ends before the peak is known.
-        beyond_thrust: whether no thrust of the motors explains the crossing. `Estimated.beyond_thrust` gives
-            the part of the force that no thrust explains. The attribute is True if this part contributes at
-            least half of the impulse up to the peak. It is also True if the mean of this part over the
-            detector's short window exceeds the threshold.
+        beyond_thrust: whether no thrust of the motors explains the crossing: `Estimated.beyond_thrust`
+            contributes at least half of the impulse up to the peak, or its mean over the detector's short
+            window exceeds the threshold.
         noise_n: noise of the mean over the detector's short window.
         level: horizontal component of the thrust's direction, 0 for a level vehicle.
     """
@@ -136,10 +130,7 @@ class ThresholdCrossing(msgspec.Struct):
     def record_peak(self, peak: ImpactPeak, newest: Iterable[Estimated], short: int) -> None:
         """Record the peak, and compare the force with the possible thrust.
 
-        Args:
-            peak: the peak.
-            newest: the newest estimates, in order.
-            short: number of samples in the detector's short window.
+        `newest` are the newest estimates in order; the detector's short window has `short` samples.
         """
         self.peak = peak
         since = [e for e in newest if e.force.t_us >= self.onset.first_us]
@@ -164,7 +155,6 @@ class ThresholdCrossing(msgspec.Struct):
 
 
 def short_samples(vehicle: VehicleConfig) -> int:
-    """Return the number of samples in the detector's short window."""
     return max(1, round(SHORT_WINDOW_S / vehicle.imu.tick_s))
 
 
@@ -172,8 +162,7 @@ class InspectedFlight(msgspec.Struct):
     """The impacts and the noise of one log; forces are None without a mass.
 
     `weak` counts threshold crossings that are not impacts, because the fitted peak is below the threshold or
-    an error of the thrust explains the force. `untold` counts the impacts of kind `untold`, which may be
-    manoeuvres or contacts.
+    an error of the thrust explains the force. `untold` counts the impacts of kind `untold`.
     """
 
     log: str
@@ -199,7 +188,7 @@ class InspectedFlight(msgspec.Struct):
 
     @property
     def nothing_found(self) -> str:
-        """The text that replaces an empty table of impacts, with a remark if the log contains no flight."""
+        """The text that replaces an empty table of impacts."""
         return "no impact" if self.flight_s > 0.0 else "0 s in the air: no impact can be found"
 
 
@@ -218,7 +207,7 @@ class ImpactScan:
 
     Args:
         vehicle: the result of `vehicle_for`.
-        flying: intervals in which impacts are searched, seconds.
+        flying: intervals in which impacts are searched, s.
         listener: called with every estimate, also on the ground.
     """
 
@@ -247,7 +236,6 @@ class ImpactScan:
         return self._place < len(self._flying) and self._flying[self._place][0] <= t_s
 
     def process(self, sample: Sample) -> None:
-        """Process the next sample of the log."""
         if isinstance(sample, AttitudeSample):
             if self.state.update_attitude(sample):
                 self.estimator.add_attitude(sample)
@@ -314,7 +302,6 @@ class ImpactScan:
         mass_kg: float | None,
         unknown: list[str],
     ) -> InspectedFlight:
-        """Return the result of the scan."""
         begin = float(track.imu_s[0])
         table = np.array(self.rows).reshape(-1, 5)
         noise = (
@@ -415,7 +402,7 @@ class ImpactScan:
 
 
 def _thrust_sd(track: Track, curve: SpecificThrust | None, t_s: float) -> float:
-    """Return the standard deviation of the thrust at a time, as a fraction of gravity."""
+    """Return the standard deviation of the thrust, as a fraction of gravity."""
     if curve is None or not is_thrust_known(track, curve, t_s):
         return _ASSUMED_THRUST_SD
     return curve.held_out_percent / 100.0
@@ -446,7 +433,7 @@ def _mean_size(track: Track, window_s: float) -> Array:
 
 
 def _with_crashes(impacts: list[InspectedImpact], crashes: list[InspectedImpact]) -> list[InspectedImpact]:
-    """Return all impacts in order, with the crashes.
+    """Merge impacts and crashes in order.
 
     A crash replaces the impacts of its fall. Impacts in the next seconds are part of the crash, and later
     impacts are `untold`.
@@ -478,11 +465,10 @@ def _height(track: Track, t_s: float) -> float | None:
 
 
 def _is_certain(impact: InspectedImpact, thrust_known: bool, known_s: Array) -> bool:
-    """Return whether an impact is certainly a contact.
+    """Return whether neither noise nor a manoeuvre explains the peak of an impact.
 
-    The peak must be at least four times its standard deviation, and no manoeuvre may explain the peak. If the
-    thrust is unknown, hover thrust is assumed. The log must then show that the vehicle hovers, or the peak
-    must exceed 5 g.
+    If the thrust is unknown, hover thrust is assumed. The log must then show that the vehicle hovers, or the
+    peak must exceed 5 g.
     """
     hovers = bool(known_s.size) and impact.speed_m_s < _HOVERS_M_S
     beyond_motors = impact.acceleration_m_s2 > _CRASH_M_S2

@@ -21,15 +21,11 @@ from dart_flight.lab.ulog import ULogFile, motor_commands, open_ulog, refuse_oth
 
 
 def inspect_file(path: str | Path, vehicle: VehicleConfig, mass_kg: float | None = None) -> InspectedFlight:
-    """Detect the impacts in a log.
+    """Detect the impacts in a ULog of PX4 1.9 or later from an armed multicopter.
 
     Args:
-        path: a ULog of PX4 1.9 or later.
         vehicle: supplies the estimator settings and the thresholds, which hold for this vehicle's mass.
         mass_kg: mass of the vehicle that flew, or None if unknown.
-
-    Raises:
-        InputError: the file cannot be read, lacks IMU or attitude, or is not from an armed multicopter.
     """
     return inspect_log(open_ulog(path, TOPICS), vehicle, mass_kg)
 
@@ -42,8 +38,8 @@ def inspect_log(
 ) -> InspectedFlight:
     """Detect the impacts in an open log, as `inspect_file` does.
 
-    The function `listen` is called with the vehicle that the estimator uses and with the flights. It returns
-    a second function, which receives every estimate.
+    `listen` is called with the vehicle that the estimator uses and with the flights. It returns the function
+    that receives every estimate.
     """
     refuse_other_vehicles(log)
     unknown = missing(log)

@@ -60,7 +60,7 @@ def _within(topic: dict[str, Any], begin_us: int, end_us: int, field: str) -> An
 
 
 def _rise(counter: Any) -> int:
-    """Return the increase of a counter with eight or more bits, which may overflow."""
+    """Return the increase of a counter, which may overflow at 8 or 32 bits."""
     if len(counter) < 2:
         return 0
     values = [int(value) for value in counter]

@@ -40,11 +40,7 @@ class SpecificThrust(msgspec.Struct):
 
 
 def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust | str:
-    """Fit the specific thrust, as a function of the motor commands, to the quiet segments of a flight.
-
-    Returns:
-        The curve, or the reason why there is no curve.
-    """
+    """Fit the specific thrust to the quiet segments of a flight, or return why there is no curve."""
     lag = vehicle.thrust.motor_lag_s
     points = quiet_points(track, 1.0, lag)
     source = "slow flight"
@@ -75,8 +71,7 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
 def is_thrust_known(track: Track, curve: SpecificThrust | None, t_s: float) -> bool:
     """Return whether the thrust is known around a time on the log's clock.
 
-    The thrust is known if there is a curve, and if the motor outputs around that time are logged often enough
-    to resolve a change of the thrust.
+    There must be a curve, and motor outputs logged often enough to resolve a change of the thrust.
     """
     if curve is None:
         return False
@@ -97,10 +92,10 @@ def _is_too_far(apart_s: float) -> bool:
 
 
 def fit_drag(track: Track, flying: list[tuple[float, float]]) -> float:
-    """Fit the drag, 1/s; wind is ignored.
+    """Fit the drag, 1/s: the horizontal specific force across the thrust axis divided by the velocity.
 
-    The drag is the horizontal specific force across the thrust axis, divided by the velocity. The fit is
-    robust and uses half-second means over the whole flight. If the flight is too slow, the drag is 0.
+    The fit is robust, ignores wind, and uses half-second means over the whole flight. If the flight is too
+    slow, the drag is 0.
     """
     if not track.attitude_s.size or not track.position_s.size:
         return 0.0

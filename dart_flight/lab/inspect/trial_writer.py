@@ -14,9 +14,7 @@ _TRIAL_BEFORE_S, _TRIAL_AFTER_S = 0.5, 0.4
 
 
 def write_trials(flight: InspectedFlight, folder: Path) -> list[Path]:
-    """Write every impact of a flight as a CSV trial for `identify`.
-
-    The collision frame of a trial follows from the direction of the impact's force.
+    """Write every impact of a flight as a CSV trial, in the collision frame given by the impact's force.
 
     Normal positions count from the vehicle's position at the onset. Without a mass there is no force column.
     """

@@ -43,11 +43,6 @@ def _finish(figure: Any, axes: Sequence[Any], contact_ms: tuple[float, float], p
 
 @in_style
 def plot_wall(path: str | Path, condition: Condition, contact: ContactMotion, tangential_m_s: float) -> None:
-    """Plot position, velocity and force of a wall hit over time into `path`.
-
-    Raises:
-        InputError: matplotlib is missing, or the file cannot be written.
-    """
     figure, (position, velocity, force) = panels(PAGE, 3)
     span = contact.end_s if np.isfinite(contact.end_s) else _SETTLED_S
     t = np.linspace(-0.25 * span, 1.35 * span, 1601)
@@ -78,9 +73,6 @@ def plot_drop(
     """Plot height, velocity and force of a drop over time from the release into `path`.
 
     The plot includes the paper's contact time and rebound speed if the paper published this drop.
-
-    Raises:
-        InputError: matplotlib is missing, or the file cannot be written.
     """
     figure, (position, velocity, force) = panels(PAGE, 3)
     fallen = -contact.normal_m_s / -contact.acceleration_m_s2

@@ -45,7 +45,6 @@ STIFFNESS_RATIO = 7.0  # abstract and conclusion: "seven times higher stiffness"
 
 
 def published_drop(height_m: float, mode: Mode) -> PublishedDrop | None:
-    """Return the published drop of this height and mode, or None."""
     return next((row for row in DROPS if row.mode is mode and abs(row.height_m - height_m) < 1e-9), None)
 
 
@@ -62,11 +61,7 @@ class DropRow(NamedTuple):
 
 
 def drop_rows(vehicle: VehicleConfig) -> Iterator[DropRow]:
-    """Yield the drop tests for both heights, modes and onset rules.
-
-    Raises:
-        KeyError: the configuration has no material `concrete`.
-    """
+    """Yield the drop tests for both heights, modes and onset rules; the vehicle must have `concrete`."""
     for onset in Onset:
         for row in DROPS:
             c = vehicle.materials[DROP_SURFACE].coefficients(row.mode)
@@ -116,7 +111,7 @@ def refits(mass_kg: float, onset: Onset) -> Iterator[Refit]:
 def _refit(
     mass_kg: float, onset: Onset, rows: Sequence[PublishedDrop], fitted: Sequence[PublishedDrop]
 ) -> Refit:
-    """Fit k and f by searching a grid of their logarithms; the grid contracts around the best point."""
+    """Fit k and f by searching a grid of their logarithms, which contracts around the best point."""
     (low_k, high_k), (low_f, high_f) = np.log(_REFIT_RANGE)
     for _ in range(_REFIT_ROUNDS):
         k, f = np.meshgrid(np.linspace(low_k, high_k, _REFIT_STEPS), np.linspace(low_f, high_f, _REFIT_STEPS))
@@ -146,10 +141,7 @@ def _refit(
 def _drop_errors(
     row: PublishedDrop, log_k: Array, log_f: Array, mass_kg: float, onset: Onset
 ) -> tuple[Array, Array]:
-    """Return the relative errors of contact time and rebound speed.
-
-    The error of the contact time is very large if the model predicts no rebound.
-    """
+    """Return the relative errors of contact time (huge without a predicted rebound) and rebound speed."""
     k, f = np.exp(log_k), np.exp(log_f)
     got = drop_map(CoefficientArrays(k, f, np.zeros_like(k), np.zeros_like(k)), mass_kg, row.height_m, onset)
     time = np.where(np.isfinite(got.contact_time_s), got.contact_time_s, 1e3)
@@ -157,12 +149,9 @@ def _drop_errors(
 
 
 class DualRow(NamedTuple):
-    """One of the two impacts of the paper's dual collision (Sec. V-B).
+    """One of the two impacts of the paper's dual collision (Sec. V-B); velocities are (normal, tangential).
 
-    Attributes:
-        published_m_s: published (normal, tangential) velocity.
-        model_m_s: velocity that the flight model predicts; None if the model does not reach the wall.
-        model_peak_n: peak normal force that the flight model predicts, or None.
+    The model's entries are None if the flight model does not reach the wall.
     """
 
     wall: str
@@ -177,7 +166,7 @@ DUAL_PUBLISHED = ((-0.6, 0.5), (-1.6, 0.25))
 
 
 def dual_rows(vehicle: VehicleConfig) -> Iterator[DualRow]:
-    """Yield the impacts of the paper's dual collision, as published and as the flight model predicts them.
+    """Yield the impacts of the dual collision, as published and as the flight model predicts them.
 
     The flight model has PX4's default parameters.
     """
@@ -207,8 +196,7 @@ class FlightRow(NamedTuple):
 def flight_rows(vehicle: VehicleConfig) -> Iterator[FlightRow]:
     """Yield the paper's collision in flight (Sec. V-A), once for each mode and onset rule.
 
-    Raises:
-        KeyError: the configuration has no material `acrylic`.
+    The vehicle must have `acrylic`.
     """
     mass = vehicle.airframe.mass_kg
     for onset in Onset:
@@ -228,7 +216,7 @@ def flight_rows(vehicle: VehicleConfig) -> Iterator[FlightRow]:
 
 
 def stiffness_ratios(vehicle: VehicleConfig) -> dict[str, float]:
-    """Return the ratio of rigid to flexible stiffness for each material that has both."""
+    """Return rigid over flexible stiffness of each material that has both."""
     return {name: m.rigid.k / m.flexible.k for name, m in vehicle.materials.items() if m.flexible}
 
 

@@ -84,10 +84,7 @@ class _Integral:
         return at_nodes, self._primitive(at_nodes)
 
     def _inside(self, series: Array, t: Array) -> Array:
-        """Return the values of a series at the times `t`.
-
-        The values are 0 before the contact. After the contact they keep the last value.
-        """
+        """Return the values of a series at the times `t`: 0 before the contact, the last value after it."""
         value = np.where(t > 0.0, series.sum(), 0.0)
         inside = (t > 0.0) & (t < self._end)
         x = 2.0 * t[inside] / self._end - 1.0
@@ -97,10 +94,7 @@ class _Integral:
         return value
 
     def _outside(self, t: Array) -> tuple[Array, Array]:
-        """Return two arrays: the time relative to the onset, and the time since the end of the contact.
-
-        The first array is min(t, 0). The second array is 0 until the end of the contact.
-        """
+        """Return min(t, 0), and the time since the end of the contact (0 until then)."""
         return np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)
 
 
@@ -108,19 +102,15 @@ class ContactMotion:
     """One hit that can be evaluated at any time; times count from the onset.
 
     Args:
-        coefficients: contact coefficients of the wall's material in the vehicle's mode.
-        mass_kg: vehicle mass.
         normal_m_s: normal velocity at the onset, collision frame; negative or 0.
-        onset: onset rule.
         acceleration_m_s2: constant acceleration along the normal that the contact does not cause, such as
-            gravity in a drop. This acceleration also acts before and after the contact.
+            gravity in a drop. It also acts before and after the contact.
 
     Attributes:
-        has_contact: whether there is a contact.
         end_s: time of the release; infinite if the vehicle never leaves the wall, 0 without a contact.
         peak_s: time of the largest normal force.
         turn_s: time at which the outward speed is largest during the contact.
-        onset_m: normal position at the onset, m.
+        onset_m: normal position at the onset.
     """
 
     def __init__(
@@ -190,17 +180,17 @@ class ContactMotion:
         return self._slipped.once(t) if self.has_contact else t.copy()
 
     def rise(self, time_s: ArrayLike) -> Array:
-        """Return the velocity in m/s that the vertical force causes.
+        """Return the velocity that the vertical force causes, m/s, along the force and for nu = 1 N.
 
-        The velocity is positive along the force. It holds for nu = 1 N and is proportional to nu.
+        The velocity is proportional to nu.
         """
         t = np.asarray(time_s, dtype=float)
         return self._raised.once(t) if self.has_contact else np.zeros_like(t)
 
     def lift(self, time_s: ArrayLike) -> Array:
-        """Return the displacement in m that the vertical force causes.
+        """Return the displacement that the vertical force causes, m, along the force and for nu = 1 N.
 
-        The displacement is positive along the force. It holds for nu = 1 N and is proportional to nu.
+        The displacement is proportional to nu.
         """
         t = np.asarray(time_s, dtype=float)
         return self._raised.twice(t) if self.has_contact else np.zeros_like(t)
@@ -217,7 +207,7 @@ class ContactMotion:
         return _Integral(self._share, self._horizon, 0.0, held)
 
     def _share(self, time_s: Array) -> Array:
-        """Return the acceleration (m/s2) by the vertical force, for a coefficient nu of 1 N."""
+        """Return the acceleration by the vertical force for nu = 1 N, m/s2."""
         force = self.normal(time_s)[2]
         return force / (1.0 + force) / self.mass_kg
 
@@ -229,8 +219,6 @@ class HitHistory(NamedTuple):
         time_s: time since the onset of the contact.
         normal_m: signed distance of the vehicle's centre from the plane of first touch.
         tangential_m, vertical_m: displacement along Y and Z since the onset. Z points down at a wall.
-        normal_m_s, tangential_m_s, vertical_m_s: velocity.
-        normal_force_n, tangential_force_n, vertical_force_n: contact force.
     """
 
     time_s: Array
@@ -248,11 +236,9 @@ class HitHistory(NamedTuple):
 def trajectory(
     contact: ContactMotion, time_s: ArrayLike, tangential_m_s: float = 0.0, vertical_sign: int = -1
 ) -> HitHistory:
-    """Return the quantities of a hit at the given times.
+    """Evaluate a hit at times since the onset, (n,), which may be negative.
 
     Args:
-        contact: the hit.
-        time_s: times since the onset (n,), s; negative before the onset.
         tangential_m_s: velocity along the wall at the onset.
         vertical_sign: sign of the vertical force along Z of the collision frame. -1 is the paper's sign.
     """

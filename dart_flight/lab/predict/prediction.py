@@ -1,4 +1,7 @@
-"""The predictions of `dart-flight predict`: one hit, one drop, or a file of hits."""
+"""The predictions of `dart-flight predict`: one hit, one drop, or a file of hits.
+
+Invalid choices, velocities and heights raise `InputError`.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ _FASTEST_M_S = 100.0  # a larger input has the wrong unit
 
 
 class Condition(NamedTuple):
-    """The conditions of a prediction: surface, mode, onset rule, and the resulting coefficients."""
+    """The choices of a prediction, and the coefficients that follow from them."""
 
     surface: str
     mode: Mode
@@ -50,12 +53,6 @@ class Condition(NamedTuple):
 def condition(
     vehicle: VehicleConfig, surface: str, mode: str, onset: str | None, incidence_deg: float
 ) -> Condition:
-    """Validate the user's choices and return the condition.
-
-    Raises:
-        InputError: the surface, the mode or the onset rule is unknown, the vehicle does not support the mode,
-            or the incidence is outside 0 to 45°.
-    """
     if mode not in list(Mode):
         raise InputError(f"{mode!r} is not allowed, only: {', '.join(Mode)}", key=("mode",))
     if surface not in vehicle.materials:
@@ -78,11 +75,7 @@ def condition(
 
 
 def onset_rule(vehicle: VehicleConfig, onset: str | None) -> Onset:
-    """Return the onset rule `onset`; if `onset` is None, return the rule of the vehicle's configuration.
-
-    Raises:
-        InputError: the rule is unknown.
-    """
+    """Return the rule `onset`, or the vehicle's rule if `onset` is None."""
     rule = onset or vehicle.onset
     if rule not in list(Onset):
         raise InputError(f"{rule!r} is not allowed, only: {', '.join(Onset)}", key=("onset",))
@@ -100,32 +93,18 @@ def hit_problem(normal_m_s: float, tangential_m_s: float) -> tuple[str, str] | N
 
 
 def refuse_hit(normal_m_s: float, tangential_m_s: float) -> None:
-    """Reject a velocity that no wall hit can have.
-
-    Raises:
-        InputError: the velocity does not approach the wall, or is too large.
-    """
     problem = hit_problem(normal_m_s, tangential_m_s)
     if problem is not None:
         raise InputError(f"{problem[0]} {problem[1]}", key=("velocity",))
 
 
 def wall_contact(condition: Condition, normal_m_s: float, tangential_m_s: float) -> ContactMotion:
-    """Return the contact of a wall hit over time.
-
-    Raises:
-        InputError: as for `refuse_hit`.
-    """
     refuse_hit(normal_m_s, tangential_m_s)
     return ContactMotion(condition.coefficients, condition.mass_kg, normal_m_s, condition.onset)
 
 
 def predict_wall(condition: Condition, normal_m_s: float, tangential_m_s: float) -> dict[str, float]:
-    """Return the quantities of a wall hit, named with their units.
-
-    Raises:
-        InputError: as for `wall_contact`.
-    """
+    """Return the quantities of a wall hit, named with their units."""
     contact = wall_contact(condition, normal_m_s, tangential_m_s)
     r = collide(condition.coefficients, condition.mass_kg, normal_m_s, tangential_m_s, condition.onset)
     last = r.contact_time_s if math.isfinite(r.contact_time_s) else 0.0
@@ -140,12 +119,7 @@ class Ratios(NamedTuple):
     tangential_ratio: float | None
 
     def checked(self) -> Ratios:
-        """Return these ratios if they are valid.
-
-        Raises:
-            InputError: a ratio is above 1, which would create energy, or below 0, which would reverse the
-                motion.
-        """
+        """Refuse ratios above 1, which would create energy, or below 0, which would reverse the motion."""
         for key, value in (("restitution", self.restitution), ("tangential-ratio", self.tangential_ratio)):
             if value is not None and not 0.0 <= value <= 1.0:
                 raise InputError(f"{value:g} is not a ratio from 0 to 1", key=(key,))
@@ -155,11 +129,7 @@ class Ratios(NamedTuple):
 def predict_wall_from_ratios(
     ratios: Ratios, normal_m_s: float, tangential_m_s: float
 ) -> dict[str, float | None]:
-    """Return the quantities of `predict_wall`; forces, times and depth are None.
-
-    Raises:
-        InputError: a ratio is outside 0 to 1, or the velocity does not approach the wall.
-    """
+    """Return the quantities of `predict_wall`; forces, times and depth are None."""
     ratios.checked()
     refuse_hit(normal_m_s, tangential_m_s)
     numbers: dict[str, float | None] = dict.fromkeys((*WALL_COLUMNS, "vertical_impulse_n_s"))
@@ -170,11 +140,7 @@ def predict_wall_from_ratios(
 
 
 def predict_drop_from_ratios(ratios: Ratios, height_m: float) -> dict[str, float | None]:
-    """Return the quantities of `predict_drop`; all but the rebound speed are None.
-
-    Raises:
-        InputError: the ratio is outside 0 to 1, or the height is out of range.
-    """
+    """Return the quantities of `predict_drop`; all but the rebound speed are None."""
     ratios.checked()
     if not 0.0 < height_m <= 100.0:
         raise InputError(f"{height_m:g} m, expected a height above 0 and up to 100", key=("drop",))
@@ -184,11 +150,7 @@ def predict_drop_from_ratios(ratios: Ratios, height_m: float) -> dict[str, float
 
 
 def drop_contact(condition: Condition, height_m: float) -> ContactMotion:
-    """Return the first contact of a drop over time.
-
-    Raises:
-        InputError: the height is not above 0, or exceeds 100 m.
-    """
+    """Return the first contact of a drop; the height must be above 0 and at most 100 m."""
     if not 0.0 < height_m <= 100.0:
         raise InputError(f"{height_m:g} m, expected a height above 0 and up to 100", key=("drop",))
     r = drop(condition.coefficients, condition.mass_kg, height_m, condition.onset)
@@ -202,11 +164,7 @@ def drop_contact(condition: Condition, height_m: float) -> ContactMotion:
 
 
 def predict_drop(condition: Condition, height_m: float) -> dict[str, float]:
-    """Return the quantities of a drop, named with their units.
-
-    Raises:
-        InputError: as for `drop_contact`.
-    """
+    """Return the quantities of a drop, named with their units."""
     drop_contact(condition, height_m)
     return drop(condition.coefficients, condition.mass_kg, height_m, condition.onset)._asdict()
 
@@ -216,12 +174,7 @@ def predict_batch_rows(
 ) -> list[dict[str, str | float]]:
     """Predict the wall hits of a CSV file with the columns mode, normal_m_s and tangential_m_s.
 
-    Returns:
-        One dictionary per row of the file. Its keys are the three input columns and `WALL_COLUMNS`.
-
-    Raises:
-        InputError: the file cannot be read, a column is missing, or a value is invalid; the error names the
-            line.
+    Each row becomes a dictionary whose keys are the three input columns and `WALL_COLUMNS`.
     """
     table = [condition(vehicle, surface, mode.value, onset, incidence_deg) for mode in vehicle.modes]
     modes = [mode.value for mode in vehicle.modes]
@@ -246,11 +199,7 @@ def predict_batch_rows(
 def predict_batch(
     vehicle: VehicleConfig, surface: str, onset: str | None, incidence_deg: float, *, path: str | Path
 ) -> str:
-    """Return the rows of `predict_batch_rows` as CSV text in full double precision.
-
-    Raises:
-        InputError: as for `predict_batch_rows`.
-    """
+    """Return the rows of `predict_batch_rows` as CSV text in full double precision."""
     out = io.StringIO()
     writer = csv.DictWriter(out, (*BATCH_COLUMNS, *WALL_COLUMNS), lineterminator="\n")
     writer.writeheader()
@@ -299,7 +248,7 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
 
 
 def described(name: str, value: float | None) -> tuple[str, str, str]:
-    """Return three texts for a number: quantity, value and unit. The `name` must end in the unit."""
+    """Return quantity, value and unit of a number as texts. The `name` must end in the unit."""
     stem, unit = split_unit(name)
     words = stem.replace("_", " ")
     if value is None or math.isnan(value):

@@ -14,7 +14,6 @@ _SHOWN = 12  # figures and failed flights shown; the others are folded
 
 
 def campaign_page(summary: CampaignSummary) -> str:
-    """Return the page of a campaign."""
     correlated = {trend.figure for trend in summary.varied}
     success = _pictures(
         (success_figure(drawn), f"{drawn.name}: share of completed flights over the drawn value")
@@ -62,7 +61,6 @@ def _pictures(figures: Iterable[tuple[Any, str]]) -> dict[str, Any]:
 
 
 def _words(figure: str) -> str:
-    """Return the display name of a column, with its unit."""
     name, unit = (figure[:-2], "m") if figure.endswith("_m") else (figure[:-2], "N")
     return f"{name.replace('_', ' ')}, {unit}"
 

@@ -103,11 +103,7 @@ def flight_page(flight: RecordedFlight) -> str:
 
 
 def comparison_page(flights: Sequence[RecordedFlight]) -> str:
-    """Return the page of several flights of one mission, ordered by their start.
-
-    Raises:
-        InputError: the flights are of different missions.
-    """
+    """Return the page of several flights of one mission, ordered by their start."""
     flights = sorted(flights, key=lambda f: (f.log.about.get("started_utc", ""), f.log.seed or 0))
     _check_same_mission(flights)
     done = sum(f.verdict.outcome == "completed" for f in flights)
@@ -128,7 +124,7 @@ def comparison_page(flights: Sequence[RecordedFlight]) -> str:
 
 
 def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
-    """Raise an InputError if the missions of the flights differ; vehicles and file names may differ."""
+    """Refuse flights of different missions; vehicles and file names may differ."""
     first = flights[0]
     for other in flights[1:]:
         alike = msgspec.structs.replace(
@@ -208,13 +204,11 @@ def _facts(flight: RecordedFlight) -> list[tuple[str, str]]:
 
 
 def _missing_parts(named: Iterable[tuple[RecordedFlight, str]]) -> list[tuple[str, str]]:
-    """Return (name, missing parts) for each log that was cut or has holes."""
     lines = [(name, "; ".join(describe_missing_parts(flight.log))) for flight, name in named]
     return [(name, line) for name, line in lines if line]
 
 
 def outcome_sentence(flight: RecordedFlight) -> str:
-    """Return the outcome of a flight as a sentence."""
     v, planned, hit = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
     if flight.mission.standoff_m is not None:
         hits = "in this rehearsal, the vehicle stopped before each wall"
@@ -342,10 +336,7 @@ def _timing_table(flight: RecordedFlight) -> PageTable:
 
 
 def _noise_table(flight: RecordedFlight) -> PageTable:
-    """Return the table of the detection limits at the start of each approach.
-
-    The table is empty if the log does not contain detection limits.
-    """
+    """Return the detection limits at the start of each approach; empty if the log lacks them."""
     time_of = flight.course.time_of
     rows: list[Row] = [
         [time_of(f.t_us), f.threshold_n, f.noise_short_n, f.noise_long_n, f.rigid_n, f.flexible_n]
@@ -359,8 +350,7 @@ def _noise_table(flight: RecordedFlight) -> PageTable:
 def disagreements(flights: Sequence[RecordedFlight]) -> dict[str, dict[str, tuple[float, float]]]:
     """Compare measured peak forces with the contact law at the measured velocity.
 
-    Args:
-        flights: flights of vehicles with the same materials.
+    The flights are of vehicles with the same materials.
 
     Returns:
         Material -> mode and force (such as `rigid, normal`) -> (mean disagreement, half the width of the

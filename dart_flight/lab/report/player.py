@@ -1,8 +1,4 @@
-"""The data of a flight's animation, which `player.js` draws.
-
-All data are in the page. The animation starts only on request. If the browser runs no scripts, the page shows
-the map instead.
-"""
+"""The data of a flight's animation, which `player.js` draws on request; they are all in the page."""
 
 from __future__ import annotations
 

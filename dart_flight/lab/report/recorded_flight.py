@@ -48,7 +48,6 @@ class Compared(msgspec.Struct):
     """One quantity of a collision from every available source; a missing value is None.
 
     Attributes:
-        name, unit: name and unit of the quantity.
         planned: value from the mission and the flight model.
         predicted: value from the contact law at the measured velocity.
         measured: value from the flight core, or from PX4's estimate.
@@ -64,12 +63,9 @@ class Compared(msgspec.Struct):
 
     @property
     def error_percent(self) -> float | None:
-        """The error of the measured value relative to the true value, in percent.
+        """The error of the measured value relative to the true, else the predicted, else the planned value.
 
-        If the true value is unknown, the error is relative to the predicted value. If both are unknown, the
-        error is relative to the planned value.
-
-        For a velocity near 0 the error is None, because the ratio is meaningless.
+        It is None for a velocity near 0, because the ratio is meaningless.
         """
         sources = (self.true, self.predicted, self.planned)
         reference = next((v for v in sources if v is not None), None)
@@ -83,14 +79,11 @@ class Impact:
     """One impact of a flight, with the contact law's prediction for the measured velocity.
 
     Attributes:
-        verdict: the impact, with planned, measured and true figures.
-        collision, material: the planned collision, and the material of its wall.
         at_s: time of detection, s, counted as in `FlightArrays`.
         prediction: the predicted hit over time; its times count from the predicted onset.
-        predicted: figures of the predicted hit.
-        onset_s: time of the predicted onset, s, counted as in `FlightArrays`. The onset is chosen so that the
-            predicted and the measured peak coincide. If no peak was measured, the onset is chosen so that the
-            predicted force reaches the detection threshold at `at_s`.
+        onset_s: time of the predicted onset, s, counted as in `FlightArrays`. The predicted and the measured
+            peak coincide. If no peak was measured, the predicted force reaches the detection threshold at
+            `at_s`.
         compared: planned, predicted, measured and true figures.
     """
 
@@ -162,7 +155,6 @@ class Impact:
 
     @property
     def title(self) -> str:
-        """The collision's number, wall and mode as text."""
         return f"Collision {self.verdict.index}: {self.verdict.wall}, {self.verdict.mode}"
 
     @property
@@ -192,7 +184,7 @@ class GuardAct(NamedTuple):
 
 
 class Timing(msgspec.Struct):
-    """Latencies and jitter of a flight, milliseconds; arrays (n,).
+    """Latencies and jitter of a flight, ms; arrays (n,).
 
     Attributes:
         setpoint_interval_ms: intervals between the times at which the triggers of successive setpoints were
@@ -208,11 +200,7 @@ class Timing(msgspec.Struct):
 
 
 class RecordedFlight:
-    """A recorded flight with a newly computed verdict; `replay` repeats the core's decisions on request.
-
-    Raises:
-        InputError: the log does not contain its mission.
-    """
+    """A recorded flight with a newly computed verdict; the log must contain its mission."""
 
     def __init__(self, log: Log) -> None:
         self.log = log
@@ -230,16 +218,11 @@ class RecordedFlight:
 
     @classmethod
     def read(cls, path: str | Path) -> RecordedFlight:
-        """Read a flight from a file.
-
-        Raises:
-            InputError: the file is not a flight log, or lacks its mission.
-        """
         return cls(read_log(path))
 
     @property
     def name(self) -> str:
-        """The name of the flight: its folder and, if the flight was simulated, its seed."""
+        """The folder of the flight and, if the flight was simulated, its seed."""
         folder = Path(self.log.source).resolve().parent.name
         return f"{folder} (seed {self.log.seed})" if self.log.seed is not None else folder
 
@@ -266,7 +249,6 @@ class RecordedFlight:
         return begin, min(float(times[-1]), end + 1.0)
 
     def guard_acts(self) -> list[GuardAct]:
-        """Return the guard's actions in order, with the estimated positions."""
         motion, found = self.course.estimated, []
         for event in self.verdict.guard:
             at_s, place = self.course.time_of(event.t_us), None
@@ -284,8 +266,8 @@ class RecordedFlight:
     def replanned(self) -> list[tuple[PlanRequest, PlanAnswer | None, PlanTaken | None]]:
         """Return (request, answer, decision) for each request that the core sent to the planner in flight.
 
-        The answer is None if the planner did not answer. The decision states whether the plan was used. The
-        decision is None if the log contains no decision.
+        The answer is None if the planner did not answer. The decision states whether the plan was used; it is
+        None if the log contains no decision.
         """
         answers = {a.number: a for a in self.course.all(PlanAnswer)}
         taken = {t.number: t for t in self.course.all(PlanTaken)}
@@ -295,15 +277,15 @@ class RecordedFlight:
         ]
 
     def answered_ms(self, request: PlanRequest, answer: PlanAnswer) -> float | None:
-        """Return the planner's response time, ms; None if the sample that triggered the request is unknown.
+        """Return the time from the receipt of the request's trigger to the receipt of the answer.
 
-        The response time begins at the receipt of this sample and ends at the receipt of the answer.
+        The trigger is the IMU sample that caused the request; if it is unknown, the time is None.
         """
         before = [s.received_us for s in self.course.all(ImuSample) if s.t_us <= request.t_us]
         return (answer.received_us - before[-1]) * 1e-3 if before else None
 
     def planned_trajectories(self) -> list[Array]:
-        """Return the trajectories that were planned in flight and used: (n, 2), mission frame, metres."""
+        """Return the trajectories that were planned in flight and used: (n, 2), mission frame, m."""
         found = []
         for _, answer, taken in self.replanned():
             if answer is not None and taken is not None and taken.taken and answer.x_mission:
@@ -313,7 +295,7 @@ class RecordedFlight:
         return found
 
     def planned_lines(self) -> list[Array]:
-        """Return the planned path, seen from above, as lines: (n, 2), mission frame, metres."""
+        """Return the planned path, seen from above, as lines: (n, 2), mission frame, m."""
         planned = self.planned
         approaches = [np.array(line) for line in planned.approaches.values()]
         from_rest = [

@@ -44,7 +44,6 @@ class PageTable(NamedTuple):
         return [(head or "", is_number(cell)) for head, cell in zip_longest(self.heads, first)]
 
     def folded(self, count: int) -> tuple[PageTable, PageTable]:
-        """Return two tables: the first `count` rows, and the other rows."""
         return self._replace(rows=self.rows[:count]), self._replace(rows=self.rows[count:])
 
 
@@ -69,24 +68,15 @@ def signed(value: float | None) -> Cell:
 
 
 def picture(figure: Any) -> str:
-    """Return a figure of `dart_flight.lab.report.figures` as base64 for a page."""
+    """Return a figure as base64 for a page."""
     return base64.b64encode(as_svg(figure).encode()).decode()
 
 
 def render(template: str, title: str, *, script: str = "", **values: Any) -> str:
-    """Return a complete HTML file.
+    """Return a complete HTML file from a template in `templates/`.
 
-    The file loads nothing. Its content security policy allows only embedded pictures and the given script.
-    The policy identifies the script by a hash.
-
-    Args:
-        template: file name in `templates/`.
-        title: title of the page.
-        script: JavaScript to run when the page is loaded.
-        values: values for the template.
-
-    Raises:
-        InputError: jinja2 is not installed.
+    The file loads nothing. Its content security policy allows only embedded pictures and the given script,
+    which it identifies by a hash. `script` is JavaScript to run when the page is loaded.
     """
     environment = _environment()
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()

@@ -94,7 +94,6 @@ def angles(course: FlightArrays, *, true: bool = False) -> Angles:
 
 
 def setpoint_series(course: FlightArrays) -> SetpointSeries:
-    """Return every setpoint that was sent."""
     sent = course.topic_in_ned(Setpoint)
     position, velocity = (
         course.places_from_ned(sent["position_ned"], sent.t_s),
@@ -104,10 +103,7 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """For each time in `at_s`, return the index of the last entry of `times` that is not later.
-
-    A second array states whether such an entry exists.
-    """
+    """Return the index of the last of `times` not later than each of `at_s`, and whether there is one."""
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0
 
@@ -129,7 +125,6 @@ def tracking(course: FlightArrays) -> tuple[Array, Array, Array]:
 
 
 def power(course: FlightArrays, mission: Mission) -> Power:
-    """Return the thrust from the core's model, the motors' commands, and the battery."""
     model = ThrustModel(mission.vehicle)
     thrust: list[tuple[float, float]] = []
     for record in course.records:

@@ -14,11 +14,7 @@ from dart_flight.recording.schema import schema
 
 
 class Channels:
-    """Every channel of a flight, in a separate foxglove context.
-
-    Attributes:
-        context: the context for opening a file or a server.
-    """
+    """Every channel of a flight, in a foxglove context of its own (`context`), for a file or a server."""
 
     def __init__(self) -> None:
         self.context = Context()

@@ -27,9 +27,6 @@ def export_csv(log: Log, folder: Path) -> list[Path]:
     not an input has the number of the input that caused it. Each component of a vector has its own column
     (`position_ned_x`). `columns.csv` lists unit and frame of every column. Floats keep their full precision;
     a missing value is an empty cell.
-
-    Raises:
-        InputError: a file cannot be written.
     """
     with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)

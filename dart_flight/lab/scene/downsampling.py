@@ -68,7 +68,7 @@ class Downsampler:
         self._held: dict[type[Record], tuple[int, float, Record]] = {}
 
     def select(self, record: Record) -> Iterable[Record]:
-        """Process a record and return the records to pass on, at most one."""
+        """Return the records to pass on, at most one."""
         kind = type(record)
         if kind in _ALL:
             return (record,)

@@ -61,7 +61,6 @@ def timestamp(t_us: int) -> Timestamp:
 
 
 def pose(at: Vec3, q: Rotation = IDENTITY) -> Pose:
-    """Return the pose of a position and attitude."""
     x, y, z = at
     return Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(w=q[0], x=q[1], y=q[2], z=q[3]))
 
@@ -88,14 +87,13 @@ def text(at: Vec3, words: str) -> TextPrimitive:
 
 
 def ball(at: Vec3, diameter_m: float, colour: Color) -> SpherePrimitive:
-    """Return a sphere."""
     return SpherePrimitive(
         pose=pose(at), size=Vector3(x=diameter_m, y=diameter_m, z=diameter_m), color=colour
     )
 
 
 def arrow(at: Vec3, force_n: Vec3, colour: Color) -> ArrowPrimitive:
-    """Return an arrow for a force; the length of the arrow is proportional to the force."""
+    """Return an arrow whose length is proportional to the force."""
     x, y, z = force_n
     length = FORCE_SCALE_M_PER_N * math.sqrt(x * x + y * y + z * z)
     head = min(0.08, 0.5 * length)
@@ -117,7 +115,7 @@ def _turned_to(v: Vec3) -> Rotation:
 
 
 def entity(t_us: int, name: str, frame: str = MISSION, **primitives: Sequence[object]) -> SceneEntity:
-    """Return an entity that consists of primitives. A later entity of the same name replaces this entity."""
+    """Return an entity; it replaces an earlier entity of the same name."""
     return SceneEntity(
         timestamp=timestamp(t_us),
         frame_id=frame,
@@ -149,7 +147,7 @@ def _bounds(mission: Mission, t_us: int) -> SceneEntity:
 
 
 def height_over(mission: Mission) -> float:
-    """Return the height up to which walls are drawn, metres: somewhat above the bounds."""
+    """Return the height up to which walls are drawn: somewhat above the bounds."""
     return mission.bounds.z[1] + _OVER_BOUNDS_M
 
 
@@ -215,10 +213,7 @@ def goal_altitude_m(mission: Mission) -> float:
 
 
 def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity:
-    """Return the path that mission and flight model predict.
-
-    The path consists of lines, balls at hits, and small balls at waypoints.
-    """
+    """Return the predicted path of the mission, with balls at hits and small ones at waypoints."""
     lines = [[leg.begin, leg.end] for leg in transit_segments(mission) if leg.begin is not None]
     for index, approach in flight.approaches.items():
         z = mission.altitude_at(index - 1)
@@ -268,7 +263,7 @@ def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
 
 
 def _arm(x: float, y: float, colour: Color) -> CylinderPrimitive:
-    """Return a cylinder from the centre to a motor; the cylinder's axis z is rotated to the motor."""
+    """Return a cylinder from the centre to a motor; its axis z is rotated to the motor."""
     length, yaw = math.hypot(x, y), math.atan2(y, x)
     half = math.sqrt(0.5)
     # Pitched by a quarter turn, then turned to the motor.

@@ -14,12 +14,7 @@ _KEPT = ("mission", "world", "seed", "software", "host", "started_utc")
 
 
 def export_foxglove(log: Log, path: Path) -> int:
-    """Write the file and return its number of messages; times are the autopilot's, as in the log.
-
-    Raises:
-        InputError: the log does not contain its mission, the file cannot be written, or foxglove-sdk is
-            missing.
-    """
+    """Write the file and return its number of messages; times are the autopilot's, as in the log."""
     mission = flown_mission(log.about, log.source)
     try:
         import foxglove  # noqa: PLC0415  (an extra)

@@ -39,9 +39,7 @@ class LiveViewSpec(msgspec.Struct):
     """The content and the address of a live view.
 
     Attributes:
-        mission: the mission with its room and vehicle.
         host, port: address to listen at.
-        show_room: whether to show the mission's room.
         frame_known: whether the origin of the mission frame is known from the beginning of the flight. If
             not, the flight's anchor record provides the origin.
         from_truth: whether to show the true pose of a simulated vehicle (`SceneTranslator`).
@@ -66,7 +64,6 @@ class LiveViewProcess:
     """A live view of one flight; call the object with every record.
 
     Args:
-        show: content and address.
         print_line: called with lines for the terminal, on a thread of the view.
 
     Attributes:
@@ -127,7 +124,6 @@ class LiveViewProcess:
         self(record)
 
     def close(self) -> None:
-        """End the view and report the number of dropped records."""
         self._closing.set()
         self._thread.join(_END_S)
         self.process.end(_END_S)
@@ -165,5 +161,4 @@ def open_live_view(
     from_truth: bool,
     print_line: Callable[[str], None],
 ) -> LiveViewProcess:
-    """Open a live view (`LiveViewSpec`); raises the same errors as `LiveViewProcess`."""
     return LiveViewProcess(LiveViewSpec(mission, host, port, show_room, frame_known, from_truth), print_line)

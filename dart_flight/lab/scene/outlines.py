@@ -40,7 +40,6 @@ ARMS: dict[str, Rgb] = {
 
 
 def cloud(t_us: int, frame: str, coloured: Iterable[tuple[Iterable[Vec3], Rgb]]) -> PointCloud:
-    """Return one cloud of points in several colours."""
     data = b"".join(_POINT.pack(*point, *colour, 255) for points, colour in coloured for point in points)
     return PointCloud(
         timestamp=timestamp(t_us),

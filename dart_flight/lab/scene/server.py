@@ -44,11 +44,7 @@ class SubscriptionListener(ServerListener):
 
 
 class Broadcast:
-    """The broadcast of one flight to every viewer.
-
-    Raises:
-        RuntimeError: the port cannot be opened.
-    """
+    """The broadcast of one flight to every viewer; a RuntimeError means that the port cannot be opened."""
 
     def __init__(self, show: LiveViewSpec) -> None:
         mission: Mission = show.mission
@@ -71,7 +67,6 @@ class Broadcast:
         threading.Thread(target=self._welcome, name="newcomers", daemon=True).start()
 
     def publish(self, line: bytes) -> None:
-        """Publish one record."""
         topic, _, data = line.partition(b" ")
         record = decode(data, DECODERS[topic.decode()])
         messages = self._translation.translate(record)
@@ -85,7 +80,6 @@ class Broadcast:
             self._server.broadcast_time(t_us * 1000)
 
     def close(self) -> None:
-        """Disconnect the viewers."""
         self._server.stop()
 
     def _welcome(self) -> None:

@@ -100,7 +100,6 @@ class FlownTrajectory:
         self._step_m = _PATH_STEP_M
 
     def add(self, point: Vec3) -> None:
-        """Append the vehicle's current position."""
         if self.points and norm(subtract(point, self.points[-1])) < self._step_m:
             return
         self.points.append(point)
@@ -113,7 +112,6 @@ class SceneTranslator:
     """A translator that receives the records of a flight in order and returns messages for them.
 
     Args:
-        mission: the mission.
         frame: the mission frame in local NED, if known beforehand. If not, the frame comes from the flight's
             anchor record. Until that record, each reported position counts as the take-off point.
         show_room: whether to show the mission's room and plan.
@@ -160,7 +158,6 @@ class SceneTranslator:
         }
 
     def translate(self, record: Record) -> list[Message]:
-        """Return the messages for a record."""
         t_us = getattr(record, "t_us", 0)
         messages = [] if self._begun else self._begin(t_us)
         self._anchor.add(record)
@@ -189,8 +186,6 @@ class SceneTranslator:
             points = outlines.cloud(t_us, drawing.MISSION, outlines.room(self._mission))
             messages.append(Message(OUTLINES[0], t_us, points))
         return messages
-
-    # -- pose --
 
     def _on_attitude(self, sample: AttitudeSample) -> list[Message]:
         self._q = sample.q_frd_to_ned
@@ -261,8 +256,6 @@ class SceneTranslator:
             t_us, truth.position_mission, truth.velocity_mission, truth.q_frd_to_ned, frame
         )
 
-    # -- forces and hits --
-
     def _on_force(self, estimate: ForceEstimate) -> list[Message]:
         force, t_us = estimate.force_mission, estimate.t_us
         self._estimated_n = _stronger(self._estimated_n, force)
@@ -270,10 +263,9 @@ class SceneTranslator:
         return [Message(ForceState.topic, t_us, ForceState(t_us, *parts, estimate.clipped))]
 
     def _along_wall(self, force: Vec3, position: Vec3 | None) -> tuple[float, float, float, float]:
-        """Return a force as (magnitude, normal, tangential, upward component).
+        """Return a force as (magnitude, normal, tangential, upward component) at the nearest wall.
 
-        Normal and tangential components refer to the nearest wall. Without a wall, they are the components
-        along x and y.
+        Without a wall, normal and tangential components are those along x and y.
         """
         walls = self._mission.walls if self._show_room and position is not None else ()
         if not walls or position is None:
@@ -316,8 +308,6 @@ class SceneTranslator:
             texts=[drawing.text((at[0], at[1], at[2] + 0.3), words) for at, words in self._hits],
         )
         return _scene(HITS, t_us, marks)
-
-    # -- setpoint, lock, status, phase --
 
     def _on_setpoint(self, point: Setpoint) -> list[Message]:
         frame = self._frame

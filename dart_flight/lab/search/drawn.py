@@ -11,16 +11,11 @@ from dart_flight.planning.rollout import MIN_FACTOR, UncertaintyDraw, draw_wall
 
 
 def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list[PredictedFlight]:
-    """Predict the path of a mission for many sets of walls that differ at random from the mission's walls.
+    """Predict the path of a mission for `count` sets of walls that differ at random from the mission's walls.
 
     The contact coefficients k, f and mu are drawn for every wall and mode. Their relative standard deviation
     is `estimation.walls.spread`, as in the prior of a wall's estimate. If the mission gives a wall an
     uncertainty, the position and direction of this wall are drawn too. Approaches stay as planned.
-
-    Args:
-        mission: supplies approaches, modes and gains.
-        count: number of sets.
-        seed: seed of the random differences.
     """
     rng, spread = np.random.default_rng(seed), mission.vehicle.estimation.walls.spread
     place_rng = np.random.default_rng([seed, 1])  # separate, so that the coefficients do not depend on it

@@ -100,15 +100,7 @@ def fly_mission(
     """Fly a mission once nominally. If that flight succeeds, fly the mission in twenty drawn worlds.
 
     As soon as the flights of the first seeds decide that the plan fails, the remaining flights are skipped.
-
-    Args:
-        mission: the mission as loaded from its file.
-        watch: callbacks during the flights.
-        fly: function that flies the seeds.
-        name: the plan in messages.
-
-    Raises:
-        RunsInterruptedError: the operator pressed Ctrl-C.
+    `name` is the plan in messages. Ctrl-C raises `RunsInterruptedError`.
     """
     (first,) = fly(mission, [FIRST_SEED], {}, lambda verdict: None)
     nominal = NominalFlight(
@@ -172,7 +164,7 @@ def _duration(time_s: float | None) -> str:
 
 
 def compare(colliding: FlownMission, free: FlownMission) -> FlownRecord:
-    """Return the record of the mission with hits, and add the median time that the hits save.
+    """Return the record of the mission with hits, with the median time that the hits save.
 
     The median is taken over the drawn worlds in which both missions were completed.
     """
@@ -223,13 +215,8 @@ class _Candidate(NamedTuple):
 class PlanChoice:
     """The choice between the plans of a search; it grows while the plans fly.
 
-    Args:
-        result: result of the search.
-        free_only: whether to offer the plan without a collision.
-        watch: callbacks during the flights.
-
-    Attributes:
-        says, flown, refused: as in `OfferedPlan`, for the plans so far.
+    With `free_only`, only the plan without a collision is offered. `says`, `flown` and `refused` are those of
+    `OfferedPlan`, for the plans so far.
     """
 
     def __init__(self, result: QuickestResult, free_only: bool, watch: FlightWatch = _NO_WATCH) -> None:
@@ -248,9 +235,6 @@ class PlanChoice:
         from take-off to landing, or if the scenario demands its hits or touches. A plan that succeeds only
         with touches before the hits is offered with these touches. A plan whose mission is refused is not
         flown. Neither is a plan whose hits are optional and hardly save time.
-
-        Raises:
-            RunsInterruptedError: the operator pressed Ctrl-C.
         """
         free = None if self._free is None else self._fly(self._free, fly)
         if free is not None and free.record.failure is not None:
@@ -301,7 +285,6 @@ class PlanChoice:
         self._watch.report(line)
 
     def _mission(self, one: _Candidate) -> Mission | None:
-        """Return the mission of a plan, or None if it is refused."""
         try:
             return planned_mission(one.scenario, one.plan)
         except RefusedPlanError as error:
@@ -310,7 +293,6 @@ class PlanChoice:
             return None
 
     def _fly(self, one: _Candidate, fly: FlyMany) -> FlownMission | None:
-        """Fly a plan; return None if its mission is refused."""
         mission = self._mission(one)
         if mission is None:
             return None
@@ -343,7 +325,6 @@ def _colliding(scenario: Scenario, hits: QuickestPlan) -> Iterator[_Candidate]:
 
 
 def _is_demanded(scenario: Scenario) -> bool:
-    """Return whether the file demands hits or touches."""
     return not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
 
 

@@ -51,7 +51,6 @@ class FreePlan(msgspec.Struct, frozen=True):
 
 
 def limits_of(scenario: Scenario) -> MotionLimits:
-    """Return the motion limits that a scenario's flights use."""
     flying, px4 = scenario.vehicle.flying, scenario.vehicle.px4
     tilt = math.degrees(math.atan2(flying.acceleration_m_s2, GRAVITY_M_S2))
     speed = scenario.limits.speed_m_s
@@ -63,11 +62,6 @@ def limits_of(scenario: Scenario) -> MotionLimits:
 
 
 def plan_free(scenario: Scenario) -> FreePlan:
-    """Plan the free flight of a scenario.
-
-    Raises:
-        InputError: Ruckig is not installed.
-    """
     limits = limits_of(scenario)
     obstacles, goal = Obstacles.from_scenario(scenario), scenario.goal.position_m
     corners = shortest_path(scenario.start, goal, obstacles)
@@ -92,11 +86,7 @@ def _time_past_corners_s(
 
 
 def straight_time_s(length_m: float, limits: MotionLimits) -> float:
-    """Return the shortest time along a straight line from rest to rest.
-
-    Raises:
-        InputError: Ruckig is not installed.
-    """
+    """Return the shortest time along a straight line from rest to rest."""
     return _leg_s((0.0,), (0.0,), (length_m,), (0.0,), limits, 1.0)
 
 
@@ -121,10 +111,7 @@ def _leg_s(
     limits: MotionLimits,
     share: float,
 ) -> float:
-    """Return the shortest time between two states whose acceleration is zero, seconds.
-
-    The result is infinite if no motion within the limits is found.
-    """
+    """Return the shortest time between two states without acceleration; infinite if no motion is found."""
     try:
         import ruckig  # noqa: PLC0415  (an extra)
     except ImportError:

@@ -43,7 +43,7 @@ _AT_LIMIT = 0.998  # share of a limit for cruising, because the solver needs som
 
 
 def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> float:
-    """Return the highest speed at which the vehicle needs at most the distance `room_m` to react and stop."""
+    """Return the highest speed at which the vehicle needs at most `room_m` to react and stop."""
     a, j = limits.acceleration_m_s2, limits.jerk_m_s3 or math.inf
 
     def needs_m(v: float) -> float:
@@ -57,17 +57,12 @@ def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> fl
 def plan_limited_sight(
     scenario: Scenario, progress: Callable[[int, int], None] = lambda done, of: None
 ) -> QuickestResult:
-    """Plan the flights with and without a hit for a scenario with `sight`.
+    """Plan the flights with and without a hit for a scenario with `sight`: one wall, in front of the start.
 
-    If the scenario demands the hit, the flight with the hit is the best plan. If the scenario does not demand
-    the hit, the faster flight is the best plan.
+    The best plan is the flight with the hit if the scenario demands the hit, and otherwise the faster flight.
 
     Args:
-        scenario: a scenario with one wall, in front of the start.
         progress: called with the number of computed flights and the number of flights to compute.
-
-    Raises:
-        InputError: no flight reaches the goal within the limits.
     """
     began = time.perf_counter()
     sight = scenario.sight
@@ -89,10 +84,7 @@ def plan_limited_sight(
 
 
 def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | None) -> QuickestPlan | None:
-    """Return the fastest flight that cruises at `speed_m_s` until the reaction ends.
-
-    The result is None if the solver fails.
-    """
+    """Return the fastest flight that cruises at `speed_m_s` until the reaction ends."""
     (wall,) = scenario.walls.values()
     (nx, ny), (x, y) = wall.normal, wall.foot(scenario.start)
     begins_m = sight.distance_m - sight.reaction_s * speed_m_s  # before the wall

@@ -34,14 +34,7 @@ _LEAST_FRICTION_N = 2.0  # a smaller friction force cannot move the setpoint alo
 def mission_text(
     scenario: Scenario, plan: Plan | QuickestPlan, target: Path, flown: FlownRecord | None = None
 ) -> str:
-    """Return the text of the mission file.
-
-    Args:
-        scenario: the planned scenario.
-        plan: the chosen plan.
-        target: path of the mission file. Paths in the file are relative to its folder.
-        flown: record of the mission's simulated flights.
-    """
+    """Return the text of the mission file; paths in it are relative to the folder of `target`."""
     spec = scenario.spec
     tree: dict[str, Any] = {"version": 1, "name": scenario.name}
     if scenario.vehicle_path is not None:
@@ -78,13 +71,7 @@ def mission_text(
 def trajectory_keys(
     vehicle: VehicleConfig, walls: Mapping[str, Wall], trajectory: OptimalTrajectory
 ) -> dict[str, Any]:
-    """Return the keys of a mission that flies to its collisions and its goal along trajectories.
-
-    Args:
-        vehicle: the vehicle.
-        walls: walls by name.
-        trajectory: trajectory of the whole flight.
-    """
+    """Return the keys of a mission that flies to its collisions and its goal along trajectories."""
     collisions: list[dict[str, Any]] = []
     for hit, leg in zip(trajectory.hits, trajectory.legs, strict=False):
         body: dict[str, Any] = {"wall": hit.wall, "mode": hit.mode}
@@ -107,11 +94,9 @@ def trajectory_keys(
 def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec2) -> dict[str, Any]:
     """Return the keys of a mission that touches its walls before it hits them.
 
-    Each wall to be hit is touched once, and the vehicle rests at the start after each touch.
-
-    The touches measure each wall's direction and vertical force. If the assumed direction is wrong, a hit
-    turns the vehicle. Without touches, a first hit succeeds only at up to 2 m/s
-    (docs/results/faster_hits.md).
+    Each wall to be hit is touched once, and the vehicle rests at the start after each touch. The touches
+    measure each wall's direction and vertical force. If the assumed direction is wrong, a hit turns the
+    vehicle. Without touches, a first hit succeeds only at up to 2 m/s (docs/results/faster_hits.md).
     """
     modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # a wall's first hit decides
     touches = [
@@ -128,7 +113,7 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
 
 
 def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
-    """Return a trajectory with rounded numbers; rounding moves the trajectory's end by a few micrometres."""
+    """Return a trajectory with rounded numbers, which moves its end by a few micrometres."""
     pieces = [[round(t, 5), round(jx, 4) + 0.0, round(jy, 4) + 0.0] for t, jx, jy in leg.pieces]
     vectors = ("position_m", "velocity_m_s", "acceleration_m_s2")
     return {name: [round(v, 5) + 0.0 for v in getattr(leg, name)] for name in vectors} | {"pieces": pieces}
@@ -190,15 +175,9 @@ class RefusedPlanError(InputError):
 
 
 def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | None = None) -> Mission:
-    """Return the mission of a plan, parsed from the text of its mission file, once it is known to be flyable.
+    """Return the mission of a plan, parsed from its text (by default `mission_text`), once it is flyable.
 
-    Args:
-        scenario: the planned scenario.
-        plan: the chosen plan.
-        text: text of the mission file; by default the text from `mission_text`.
-
-    Raises:
-        RefusedPlanError: the mission is refused, as `dry-run` would refuse it.
+    If `dry-run` would refuse the mission, `RefusedPlanError` is raised.
     """
     source = Path(scenario.source)
     document = Document(text or mission_text(scenario, plan, source), str(source))
@@ -214,11 +193,9 @@ def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | N
 def write_mission(
     scenario: Scenario, plan: Plan | QuickestPlan, target: Path, flown: FlownRecord | None = None
 ) -> str:
-    """Write the mission file, validate the file in the same way as `dry-run`, and return its text.
+    """Write the mission file, validated as by `dry-run`, and return its text.
 
-    Raises:
-        RefusedPlanError: as in `planned_mission`; an existing file is kept.
-        InputError: the file cannot be written; an existing file is kept.
+    After a `RefusedPlanError` or a failed write, an existing file is kept.
     """
     text = mission_text(scenario, plan, target, flown)
     planned_mission(scenario, plan, text)

@@ -88,7 +88,6 @@ class ContactResponse(NamedTuple):
 
     Attributes:
         restitution: outgoing over incoming normal velocity.
-        contact_s: duration of the contact.
         lead_s: distance from the plane of first touch at which the force begins or ends, divided by the
             normal speed there. With `onset: lcp`, the force begins before the vehicle reaches the plane, and
             ends before the vehicle is back at the plane. With the other rule, `lead_s` is 0.
@@ -107,7 +106,6 @@ class ContactResponse(NamedTuple):
 
     @classmethod
     def at_wall(cls, vehicle: VehicleConfig, wall: Wall, mode: Mode) -> ContactResponse:
-        """Return the response of a vehicle in a mode at a wall."""
         c = vehicle.materials[wall.material].coefficients(mode)
         mass_kg, onset = vehicle.airframe.mass_kg, Onset(vehicle.onset)
         hit = contact_map(CoefficientArrays.from_table(c), mass_kg, np.array(-1.0), np.array(0.0), onset)
@@ -143,7 +141,7 @@ class Hit(NamedTuple):
     """A wall to hit.
 
     Attributes:
-        visit: the visit that the vehicle passes at the moment of the hit; None if there is no such visit.
+        visit: the visit that the vehicle passes at the moment of the hit.
         guess: initial guess of the position.
         velocity_m_s: (normal, tangential) velocity of the hit; None if the solver chooses the velocity.
     """
@@ -156,9 +154,9 @@ class Hit(NamedTuple):
 
 
 class RouteCorner(NamedTuple):
-    """A corner of a path around a wall's end; there the path passes from one half-plane to another.
+    """A corner of a path around a wall's end, at which the path passes into another half-plane.
 
-    `place` is an initial guess of the corner.
+    `place` is an initial guess.
     """
 
     place: Vec2
@@ -215,7 +213,6 @@ class TrajectoryHit(msgspec.Struct, frozen=True):
         t_s: time from the start of the trajectory to the onset.
         position_m: position of the vehicle's centre at the onset, mission frame.
         acceleration_m_s2: acceleration at the onset, along normal and tangent.
-        peak_force_n, peak_friction_n: peaks of the normal force and of the friction force.
     """
 
     wall: str
@@ -256,8 +253,6 @@ class _Transcription:
         self.states: list[Any] = []  # (6, n + 1) of each part
         self.jerks: list[Any] = []  # (2, n)
 
-    # -- building blocks --
-
     def variable(self, name: str, guess: Array, low: float, high: float) -> Any:
         """Add an array of unknowns with the shape of `guess`, and return the unknowns."""
         symbol = self.ca.SX.sym(name, *guess.shape)
@@ -268,7 +263,6 @@ class _Transcription:
         return symbol
 
     def require(self, value: Any, low: float, high: float) -> None:
-        """Add bounds on every entry of an expression."""
         entries = self.ca.vec(value)
         self.constraints.append(entries)
         self.g_low += [low] * entries.shape[0]
@@ -283,10 +277,7 @@ class _Transcription:
             a + jerks * dt,
         )
 
-    # -- the problem --
-
     def add_part(self, i: int, part: Part, begin: _GuessedEnd, end: _GuessedEnd) -> None:
-        """Add the unknowns of one part with its motion, limits and half-planes."""
         ca, n, limits = self.ca, self.intervals, self.problem.limits
         jerk_most = limits.jerk_m_s3 or _ANY_JERK_M_S3
         length = distance2(begin.place, end.place)
@@ -330,7 +321,6 @@ class _Transcription:
             self.require(before - pinned, 0.0, 0.0)
 
     def require_near(self, state: Any, visit: Visit) -> None:
-        """Require that the position in a state is at most `within_m` from the place of a visit."""
         away = self.ca.sumsqr(state[:2] - self.ca.DM(visit.place))
         self.require(away / visit.within_m**2, -math.inf, 1.0)
 
@@ -374,10 +364,7 @@ class _GuessedEnd(NamedTuple):
 
 
 def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
-    """Return the guessed begin and end of every part.
-
-    The guessed velocity is 0, except at hits and cruises.
-    """
+    """Return the guessed begin and end of every part; the velocity is 0, except at hits and cruises."""
     found = []
     here = _GuessedEnd(problem.start, (0.0, 0.0))
     for part in problem.parts:
@@ -410,13 +397,9 @@ def solve(problem: Problem, intervals: int = INTERVALS, tolerance: float = 1e-6)
     """Return the fastest flight through the events of a problem; None if the solver fails.
 
     Args:
-        problem: events and limits.
         intervals: number of intervals of constant jerk in each part.
         tolerance: tolerance of the solver. With 1e-4 the duration of a flight of 6 s is inaccurate by 2 ms,
             and 80 % of the iterations are saved.
-
-    Raises:
-        InputError: CasADi is not installed.
     """
     try:
         import casadi  # noqa: PLC0415  (an extra)

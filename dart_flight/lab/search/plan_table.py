@@ -27,14 +27,13 @@ _UNITS = {
 
 
 def with_objective(scenario: Scenario, objective: Objective) -> Scenario:
-    """Return the scenario with another objective."""
     return msgspec.structs.replace(scenario, objective=objective)
 
 
 def plan_summary(result: SearchResult, refused: Mapping[int, str] | None = None) -> dict[str, Any]:
     """Return the object of `plan --json`: ranking, rejected candidates by reason, and time used.
 
-    `refused` contains the ranks of the plans whose missions are refused, with the reasons.
+    `refused` gives the reason for each plan whose mission is refused, by rank.
     """
     missions = {"mission": {"count": len(refused), "advice": "; ".join(refused.values())}} if refused else {}
     return {
@@ -112,7 +111,6 @@ def _at_edge(scenario: Scenario, best: Plan) -> str:
 
 
 def describe_free(free: FreePlan | None, best: Plan) -> str:
-    """Return a sentence that compares the free plan with the best colliding plan."""
     if free is None:
         return (
             "without any collision: the time is unknown, because ruckig is not installed: "

@@ -1,11 +1,11 @@
 """The fastest flight from the start through the visits to the goal, with any number of hits that save time.
 
-The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time. The
-bound follows from the shortest path through the events: it is the sum of the contact times and of the least
-times along the path's straight legs. The sequence with the lowest bound is computed first. A sequence whose
-bound exceeds the time of the best flight found is not computed. For a computed sequence, optimal control
-(`optimal_trajectory`) finds places, velocities and times. Flexible arms are tried first. A hit is changed to
-rigid arms if this is faster and the servo has enough time.
+The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time: the
+sum of the contact times and of the least times along the straight legs of the shortest path through the
+events. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of the
+best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds
+places, velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is faster
+and the servo has enough time.
 """
 
 from __future__ import annotations
@@ -82,7 +82,6 @@ class QuickestPlan(msgspec.Struct, frozen=True):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """The modes of the hits."""
         return tuple(hit.mode for hit in self.trajectory.hits)
 
 
@@ -96,8 +95,7 @@ class QuickestResult(msgspec.Struct, frozen=True):
         computed, pruned: number of computed sequences, and number of sequences excluded by their bounds.
         gap_s: largest time by which one of the sequences not computed could be faster than the best plan.
         most_hits: limit of the search on the number of hits, if a sequence with more hits could be faster
-            than the best plan; otherwise None.
-        elapsed_s: duration of the search.
+            than the best plan.
     """
 
     scenario: Scenario
@@ -123,14 +121,11 @@ def plan_quickest(
 ) -> QuickestResult:
     """Search a scenario with the objective `quickest`.
 
-    Args:
-        scenario: supplies visits, walls and limits. The plan must hit the walls of the scenario's sequence,
-            if there is a sequence.
-        within_s: time limit of the search, seconds; the best plan found until then is refined and returned.
-        progress: called with the number of computed sequences and the number of known sequences.
+    The plan must hit the walls of the scenario's sequence, if there is a sequence.
 
-    Raises:
-        InputError: no flight reaches the goal within the limits.
+    Args:
+        within_s: time limit of the search; the best plan found until then is refined and returned.
+        progress: called with the number of computed sequences and the number of known sequences.
     """
     began = time.perf_counter()
     search = _Search(scenario)
@@ -150,11 +145,7 @@ def plan_quickest(
 
 
 def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPlan | None) -> QuickestPlan:
-    """Return the fastest plan that a scenario allows.
-
-    Raises:
-        InputError: the scenario allows neither the plan with hits nor the plan without hits.
-    """
+    """Return the fastest plan that a scenario allows; refuse a scenario that allows neither."""
     demanded = _demanded(scenario)
     found = [colliding] if demanded else [free, colliding]
     best = min((plan for plan in found if plan is not None), key=lambda plan: plan.time_s, default=None)
@@ -168,7 +159,6 @@ def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPl
 
 
 def hit_limits_of(scenario: Scenario) -> HitLimits:
-    """Return the limits of hits in a scenario's plans."""
     limits = scenario.limits
     return HitLimits(
         _FORCE_USED * limits.peak_force_n,
@@ -212,9 +202,7 @@ class LegEnd(Enum):
 class LeastTimes:
     """Lower bounds on the flight times of straight legs.
 
-    Args:
-        limits: limits of the motion.
-        left_m_s: largest speed at which the vehicle leaves a wall after a hit.
+    `left_m_s` is the largest speed at which the vehicle leaves a wall after a hit.
     """
 
     def __init__(self, limits: MotionLimits, left_m_s: float) -> None:
@@ -236,10 +224,9 @@ class LeastTimes:
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
-        """Return the time and the distance in which the vehicle gains or loses speed at an end of a leg.
+        """Return the time and distance to gain or lose each of `_speeds` at a leg's end.
 
-        Time and distance are arrays with one entry for each speed of `_speeds`. If `levels` is True, the
-        acceleration must be zero at this speed.
+        If `levels` is True, the acceleration must be zero at this speed.
         """
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)
@@ -389,9 +376,9 @@ class _Search:
         return total + sum(self._least_contact_s(e.wall) for e in events if isinstance(e, Hit))
 
     def _end_of_leg(self, events: Sequence[Event], places: Sequence[Vec2], k: int) -> LegEnd:
-        """Return the constraint that event `k` sets for the two legs that meet at this event.
+        """Return what event `k` demands of the two legs that meet there.
 
-        `k` = -1 is the start, and `k` = len(events) is the goal.
+        -1 is the start, and len(events) is the goal.
         """
         if not 0 <= k < len(events):
             return LegEnd.REST
@@ -430,9 +417,9 @@ class _Search:
     # -- flights --
 
     def _solved(self, events: tuple[Event, ...]) -> QuickestPlan | None:
-        """Return the plan of a sequence, for comparison with other sequences.
+        """Return the plan of a sequence, for comparison with other sequences; it is computed once and kept.
 
-        The duration of the plan is inaccurate by a few milliseconds. Each plan is computed once and kept.
+        Its duration is inaccurate by a few milliseconds.
         """
         if events not in self._compared:
             self._compared[events] = self._computed_plan(events, INTERVALS, _COMPARED_TO)
@@ -486,7 +473,7 @@ class _Search:
         )
 
     def _with_best_modes(self, plan: QuickestPlan) -> QuickestPlan:
-        """Return the plan with the faster mode for each hit. The hits are examined one after the other."""
+        """Return the plan with the faster mode for each hit, examined one after the other."""
         for k, mode in itertools.product(range(len(plan.events)), self.scenario.modes):
             event = plan.events[k]
             if isinstance(event, Hit) and event.mode is not mode:
@@ -512,7 +499,7 @@ def _count_hits(events: Sequence[Event]) -> int:
 
 
 def _serves(wall: Wall, visit: Visit) -> bool:
-    """Return whether a hit of a wall can be near enough to a visit's place to count as the visit."""
+    """Return whether a hit at a wall can be near enough to a visit's place to count as the visit."""
     off_m = math.hypot(wall.signed_distance(visit.place), min(0.0, wall.end_distance_m(visit.place)))
     return off_m <= visit.within_m
 
@@ -568,7 +555,6 @@ def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
 
 
 def _nearest_in(visit: Visit, place: Vec2) -> Vec2:
-    """Return the point in a visit's disc that is nearest to a place."""
     away = distance2(visit.place, place)
     if away <= visit.within_m:
         return place

@@ -37,7 +37,6 @@ class Obstacles(NamedTuple):
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Obstacles:
-        """Return the obstacles of a scenario."""
         airframe = scenario.vehicle.airframe
         kept_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m) + CLEARANCE_M
         discs = (Disc(post.centre, post.radius_m + kept_m) for post in scenario.posts)
@@ -45,10 +44,9 @@ class Obstacles(NamedTuple):
 
 
 def shortest_path(begin: Vec2, end: Vec2, obstacles: Obstacles) -> list[Vec2] | None:
-    """Return the shortest path past posts and walls as a polyline, or None if there is no path.
+    """Return the shortest polyline past posts and walls, with both ends, or None if there is no path.
 
-    The polyline includes both ends. If an end is nearer to a wall than `CLEARANCE_M`, no clearance from this
-    wall is required at that end.
+    If an end is nearer to a wall than `CLEARANCE_M`, no clearance from this wall is required at that end.
     """
     walls, discs, bounds = obstacles
 
@@ -66,7 +64,7 @@ def shortest_path(begin: Vec2, end: Vec2, obstacles: Obstacles) -> list[Vec2] | 
 def least_length_m(begin: Vec2, end: Vec2, obstacles: Obstacles) -> float:
     """Return a lower bound on the length of the paths that go around the ends of walls.
 
-    Posts are ignored. The result is still a lower bound, because posts only lengthen a path.
+    Posts are ignored, because they only lengthen a path.
     """
     tips: list[Vec2] = []
     for wall in obstacles.walls:
@@ -221,7 +219,6 @@ def regions(
 
     Args:
         begin, end: ends of the path. The path must be unobstructed.
-        obstacles: all obstacles.
         touched: walls hit at the begin or end of the path; the path may reach the planes of these walls.
         after_hit: whether the previous event was a hit.
     """

@@ -248,9 +248,7 @@ def load_scenario(
 def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
     """Return the scenario with the PX4 parameters of the vehicle that is connected at `url`.
 
-    Raises:
-        VehicleError: the vehicle does not answer, or has none of the parameters.
-        InputError: a parameter is out of the flight model's range.
+    `VehicleError` is raised if the vehicle does not answer or has none of the parameters.
     """
     from dart_flight.vehicle.ground_link import GroundLink  # noqa: PLC0415  (an extra, slow to import)
     from dart_flight.vehicle.vehicle_session import VehicleError  # noqa: PLC0415
@@ -271,11 +269,7 @@ def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
 def resolve_scenario(
     spec: ScenarioFile, vehicle: VehicleConfig, vehicle_path: Path | None, document: Document
 ) -> Scenario:
-    """Resolve a scenario file for a vehicle.
-
-    Raises:
-        InputError: the parts of the scenario contradict each other, or the search is empty or too large.
-    """
+    """Resolve a scenario for a vehicle; refuse contradictions, and a search that is empty or too large."""
     vehicle = apply_limits(vehicle, spec.limits)
     walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     posts = resolve_posts(spec.posts, walls, vehicle, document)
@@ -333,7 +327,6 @@ def resolve_scenario(
 
 
 def _check_sight(spec: ScenarioFile, sight: SightSpec, walls: list[Wall], document: Document) -> None:
-    """Reject scenarios that limited sight does not support."""
     start = spec.start.position_m
     for valid, problem in (
         (

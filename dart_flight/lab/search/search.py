@@ -187,7 +187,6 @@ def search(
     """Evaluate every candidate of a scenario and rank the feasible ones.
 
     Args:
-        scenario: the scenario.
         top: number of plans to return.
         seed: seed of the random sets of values (draws) of `robust`.
         progress: called with the number of finished trajectories and the number of all trajectories.
@@ -233,7 +232,6 @@ class ScenarioSearch:
         self.flown = 0
 
     def run(self) -> list[Candidates]:
-        """Return all feasible candidates with their scores."""
         found: list[Candidates] = []
         for sequence, arrivals, grid in self._nominal(frozenset()):
             found.extend(self._candidates(sequence, a, grid) for a in arrivals)
@@ -368,10 +366,7 @@ class ScenarioSearch:
         return next(a for a in arrivals if a.modes == c.modes)
 
     def why_infeasible(self) -> str:
-        """Return a sentence that lists the reasons for rejection, the most frequent first.
-
-        The sentence also says what to relax.
-        """
+        """List the reasons for rejection in a sentence, the most frequent first, and say what to relax."""
         counts = sorted(
             ((int(n), r) for r, n in zip(REFUSALS, self.refused[1:], strict=True) if n), reverse=True
         )

@@ -80,8 +80,7 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
 def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Array]]:
     """Draw everything but the labels; return the labels, and the lines that the labels should not cover.
 
-    The labels are ordered by importance: hits, guard actions, seconds. `place_labels` places the first labels
-    first.
+    The labels are ordered by importance: hits, guard actions, seconds.
     """
     paths = _paths(flight)
     for line in flight.planned_lines():

@@ -28,7 +28,7 @@ _SHOWN_MS = (-60.0, 175.0)
 def impact_forces(flight: RecordedFlight, impact: Impact, *, look: Look = PAGE) -> Any:
     """Draw normal, friction and vertical force of one collision over time: predicted, estimated, true.
 
-    The vertical force is positive upwards. The law predicts the force along Z of the collision frame. Z
+    The vertical force is positive upwards. The law predicts the force along Z of the collision frame, which
     points down, so the sign of the prediction is reversed.
     """
     figure, axes = new_figure(look, 5.0, 3, 1, sharex=True)

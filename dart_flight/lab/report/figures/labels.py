@@ -18,13 +18,10 @@ _PAD_PT = 1.5
 
 
 class Label(NamedTuple):
-    """A text at a point.
+    """A text at a point in data coordinates.
 
     Attributes:
-        text: one or more lines.
-        at: the point, in data coordinates.
         away: preferred direction from the point to the label, in data coordinates. (0, 0): no preference.
-        colour: colour of the text.
     """
 
     text: str
@@ -40,13 +37,11 @@ class _Box(NamedTuple):
     high: float
 
     def overlap(self, other: _Box) -> float:
-        """Return the common area, square points."""
         width = min(self.right, other.right) - max(self.left, other.left)
         height = min(self.high, other.high) - max(self.low, other.low)
         return max(width, 0.0) * max(height, 0.0)
 
     def holds(self, points: Array) -> int:
-        """Return the number of points (n, 2) inside."""
         x, y = points[:, 0], points[:, 1]
         return int(((x > self.left) & (x < self.right) & (y > self.low) & (y < self.high)).sum())
 
@@ -58,10 +53,9 @@ def place_labels(
 
     If a label is far from its point, a thin line connects the two. The possible positions lie on several
     rings around the point. The cost of a position grows with the overlap with existing text, with the covered
-    lines, and with the distance. Set the limits and the aspect of the axis before the call.
+    lines, and with the distance. Set the limits and the equal aspect of the axis before the call.
 
     Args:
-        axis: an axis with an equal aspect.
         labels: labels, the most important first.
         lines: lines that should stay visible, each (n, 2) in data coordinates.
         taken: areas of other texts, each [[low x, low y], [high x, high y]] in data coordinates.
@@ -101,11 +95,7 @@ def place_labels(
 def _places(
     anchor: tuple[float, float], half: tuple[float, float], away: tuple[float, float]
 ) -> Iterable[tuple[tuple[float, float], float, float]]:
-    """Yield candidate positions of a text around its point.
-
-    Yields:
-        Centre of the text, distance from the point to the edge of the text, and cost of the position.
-    """
+    """Yield positions of a text around its point: centre, distance from the point to its edge, and cost."""
     for reach in _REACHES_PT:
         for i in range(_DIRECTIONS):
             angle = 2.0 * math.pi * i / _DIRECTIONS

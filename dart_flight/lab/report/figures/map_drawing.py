@@ -27,7 +27,6 @@ THICKNESS_M = 0.12  # drawn thickness of a wall; the true one is unknown
 
 
 def draw_room(axis: Any, mission: Mission) -> None:
-    """Draw bounds, walls, waypoints, start and goal from above."""
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     axis.plot(
         [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#666666", linewidth=1.0, linestyle=(0, (1, 2)),
@@ -61,7 +60,6 @@ def draw_room(axis: Any, mission: Mission) -> None:
 
 
 def draw_north(axis: Any, mission: Mission) -> None:
-    """Draw a north arrow above the right end of the map."""
     from matplotlib.offsetbox import AnchoredOffsetbox, DrawingArea, TextArea, VPacker  # noqa: PLC0415  (slow)
     from matplotlib.patches import FancyArrow  # noqa: PLC0415
 
@@ -113,10 +111,7 @@ def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = TH
 
 
 def _gap_behind_m(mission: Mission, wall: Wall) -> float:
-    """Return the distance from a wall's surface to the nearest opposite surface behind the wall.
-
-    If there is no such surface, the distance is infinite.
-    """
+    """Return the distance from a wall's surface to the nearest opposite surface behind it, or infinity."""
     surface_of = mission.vehicle.airframe.wall_surface
     own, gaps = surface_of(wall), [math.inf]
     for other in mission.flat_walls:
@@ -131,10 +126,7 @@ def _gap_behind_m(mission: Mission, wall: Wall) -> float:
 
 
 def drawn_thickness_m(mission: Mission, wall: Wall) -> float:
-    """Return the thickness with which to draw a wall.
-
-    If the wall is one face of a partition, the result is at most half of the partition's thickness.
-    """
+    """Return the thickness with which to draw a wall: at most half of a partition, if it is a face of one."""
     return min(THICKNESS_M, 0.5 * _gap_behind_m(mission, wall))
 
 
@@ -182,13 +174,12 @@ def name_walls(axis: Any, mission: Mission, font_pt: float, lines: Sequence[Arra
 
 
 def set_view(axis: Any, view: Array) -> None:
-    """Set an equal aspect and the limits from `view_of`."""
     (x0, y0), (x1, y1) = view
     axis.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
 
 
 def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
-    """Return the limits of a view that contains the points (n, 2) and a margin around the points.
+    """Return the limits of a view that contains the points (n, 2) and a margin around them.
 
     The limits are [[low x, low y], [high x, high y]], metres. The view includes the nearest part of every
     wall, unless that part is outside of the bounds. The view does not extend beyond the room, which consists
@@ -250,16 +241,9 @@ def arms_m(airframe: Airframe) -> list[tuple[Vec2, Vec2]]:
 def draw_vehicle(
     axis: Any, airframe: Airframe, at: Vec2, yaw_rad: float, mode: Mode | None, colour: str = "#000000"
 ) -> None:
-    """Draw the vehicle from above: guards, four arms, a mark at the leading edge.
+    """Draw the vehicle from above, at `at` and `yaw_rad` in the mission frame.
 
-    Args:
-        axis: axis in metres, mission frame.
-        airframe: supplies the sizes.
-        at: position of the centre, mission frame.
-        yaw_rad: yaw in the mission frame.
-        mode: state of the arms, which sets the style of their lines. Rigid arms are thick and solid, flexible
-            arms are thin and dashed, and arms in an unknown state (None) are dotted.
-        colour: colour of the lines.
+    Rigid arms are thick and solid, flexible arms thin and dashed, and arms in an unknown state (None) dotted.
     """
     outline = placed(airframe.outline_m, at, yaw_rad)
     axis.fill(*outline.T, facecolor="white", edgecolor=colour, linewidth=0.9, alpha=0.55, zorder=3.0)
@@ -280,7 +264,6 @@ def draw_vehicle(
 
 
 def draw_arrow(axis: Any, begin: Array | Vec2, end: Array | Vec2, colour: str, **style: Any) -> None:
-    """Draw an arrow between two points of the map."""
     axis.annotate(
         "", end, begin, zorder=5,
         arrowprops={"arrowstyle": "-|>", "color": colour, "shrinkA": 0, "shrinkB": 0, "linewidth": 1.6,
@@ -326,7 +309,6 @@ def fit_map(figure: Any, axis: Any, *, below: Any = None, note: str = "") -> Non
 
     Args:
         figure: a figure with constrained layout.
-        axis: the map.
         below: another view under the map, with an equal aspect and the map's width.
         note: lines of text under the legend.
     """

@@ -57,15 +57,9 @@ _EDGE_ON = 0.26  # sine of 15 degrees, the largest angle of a wall in side view
 
 @in_style
 def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: Look = SHEET) -> Any:
-    """Draw plan view and side view of a mission.
+    """Draw plan view and side view of a mission, with the effect of uncertain walls on the prediction.
 
-    The figure shows the flight model's prediction and the effect of uncertain walls.
-
-    Args:
-        mission: the mission.
-        planned: prediction of the flight model, or None if an approach cannot be flown. With None the figure
-            shows only the room.
-        look: size of the figure.
+    Without a prediction (`planned`), as for an approach that cannot be flown, only the room is drawn.
     """
     # Trajectories end at their goal in every draw, but uncertain walls still move.
     varies = mission.goal_trajectory is None or any(wall.is_uncertain for wall in mission.walls)
@@ -152,7 +146,6 @@ def prediction_lines(
 
 
 def _flown_line(mission: Mission) -> str:
-    """Return a sentence on the simulated flights recorded in the mission file."""
     record = mission.flown
     if record is None or record.digest != mission.digest:
         return (
@@ -187,7 +180,6 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
 
 
 def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
-    """Draw the line that each probe flies; return the label and the line of each probe."""
     found = []
     for collision in mission.collisions:
         if collision.probe is None:
@@ -364,5 +356,4 @@ def _side_by_side(mission: Mission, planned: PredictedFlight) -> list[tuple[Vec2
 
 
 def write_mission_picture(mission: Mission, planned: PredictedFlight | None, path: Path) -> None:
-    """Write `mission_figure` to a file; raises the same errors as `save_figure`."""
     save_figure(mission_figure(mission, planned), path)

@@ -23,7 +23,6 @@ _MAX_POINTS = 700  # of a line over a whole flight, more than the page's pixels
 
 
 def mark_impacts(axis: Any, flight: RecordedFlight) -> None:
-    """Draw a thin vertical line at each detection."""
     for impact in flight.impacts:
         axis.axvline(impact.at_s, color=GREY, linewidth=0.7, zorder=1)
 
@@ -55,7 +54,6 @@ def _over_time(axis: Any, flight: RecordedFlight) -> None:
 
 
 def _label(axes: Any, names: tuple[str, ...], flight: RecordedFlight) -> None:
-    """Label stacked axes, mark the detections, and add one legend."""
     for axis, name in zip(axes, names, strict=True):
         axis.set_ylabel(name)
         mark_impacts(axis, flight)

@@ -15,10 +15,7 @@ from dart_flight.lab.report.recorded_flight import RecordedFlight
 
 
 def figures_of(flights: Sequence[RecordedFlight]) -> Iterator[tuple[str, Any]]:
-    """Yield (name, figure) for each figure of a report; each figure is `COLUMN` wide.
-
-    All flights must be of the same mission.
-    """
+    """Yield (name, figure), `COLUMN` wide, for each figure of a report on flights of one mission."""
     yield "map", flight_map(flights, look=COLUMN)
     if len(flights) > 1:
         yield "errors", forces.errors_over_trials(flights, look=COLUMN)
@@ -36,11 +33,7 @@ def figures_of(flights: Sequence[RecordedFlight]) -> Iterator[tuple[str, Any]]:
 
 
 def write_svgs(flights: Sequence[RecordedFlight], folder: Path) -> list[Path]:
-    """Write one SVG file for each figure; text in the figures stays text and is not converted to outlines.
-
-    Raises:
-        InputError: the folder cannot be made or written to, or matplotlib is missing.
-    """
+    """Write one SVG file for each figure; text stays text and is not converted to outlines."""
     with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     written = []
@@ -52,9 +45,5 @@ def write_svgs(flights: Sequence[RecordedFlight], folder: Path) -> list[Path]:
 
 
 def write_pdf(flights: Sequence[RecordedFlight], path: Path) -> None:
-    """Write all figures into one PDF, one per page, with fonts embedded as TrueType.
-
-    Raises:
-        InputError: the file cannot be written, or matplotlib is missing.
-    """
+    """Write all figures into one PDF, one per page, with fonts embedded as TrueType."""
     save_pages((figure for _, figure in figures_of(flights)), path)

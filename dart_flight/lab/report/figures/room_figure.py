@@ -25,13 +25,8 @@ _MARGIN_M = 0.4
 def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *, look: Look = _SHEET) -> Any:
     """Draw the plan view of a room: contacts, and walls with a band of three standard deviations.
 
-    For a simulated room the true walls are drawn as well.
-
-    Args:
-        mission: mission with the start and the simulated walls.
-        room: the measured room.
-        touches: contacts from which the room was measured.
-        look: size of the figure.
+    The mission gives the start and, for a simulated room, the true walls. `touches` are the contacts from
+    which the room was measured.
     """
     figure, axis = new_figure(look, 5.0)
     airframe = mission.vehicle.airframe
@@ -84,5 +79,4 @@ def _draw_wall(
 
 
 def write_room_picture(mission: Mission, room: Room, touches: Sequence[RoomContact], path: Path) -> None:
-    """Write `room_figure` to a file; raises the same errors as `save_figure`."""
     save_figure(room_figure(mission, room, touches), path)
