@@ -556,3 +556,21 @@ def test_waypoints_follow_the_altitude_and_speed_they_default_to() -> None:
     assert [w.position[2] for w in lower.waypoints[:3] if w.position] == [0.8, 0.8, 1.4]
     assert lower.waypoints[0].speed_m_s == 0.3
     assert lower.waypoints[-1].speed_m_s == 1.0, "a waypoint's own speed is kept"
+
+
+def test_everything_that_the_package_offers_is_described() -> None:
+    """The reference of the manual is built from these docstrings."""
+    silent = []
+    for name in dart_flight.__all__:
+        offered = getattr(dart_flight, name)
+        found = {name: offered}
+        if isinstance(offered, type):
+            own = (base for base in offered.__mro__ if base.__module__.startswith("dart_flight."))
+            public = {key: value for base in own for key, value in vars(base).items() if key[0] != "_"}
+            found |= {
+                f"{name}.{key}": value
+                for key, value in public.items()
+                if callable(value) or isinstance(value, property)
+            }
+        silent += [path for path, value in found.items() if not (value.__doc__ or "").strip()]
+    assert silent == []
