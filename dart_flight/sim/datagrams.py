@@ -10,8 +10,7 @@ Address = tuple[str, int]
 
 
 def send_datagram(link: socket.socket, data: bytes, address: Address) -> None:
-    """Send through a non-blocking socket. The datagram is lost if no peer listens; other failures raise
-    FlightError."""
+    """Send a datagram, which is lost if no peer listens; any other failure raises FlightError."""
     try:
         link.sendto(data, address)
     except (BlockingIOError, ConnectionRefusedError):

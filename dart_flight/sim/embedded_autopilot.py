@@ -40,7 +40,7 @@ _OFFBOARD_PROOF_S: Final = 0.5  # largest age of a setpoint with which offboard 
 
 
 class ImuReading:
-    """The IMU sample of one tick as the autopilot reports it."""
+    """The IMU sample of one tick, as reported."""
 
     __slots__ = ("rate_frd", "specific_force_frd", "t_us")
 

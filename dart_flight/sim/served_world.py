@@ -58,7 +58,7 @@ class ServedWorld(Protocol):
 
     @property
     def time_us(self) -> int:
-        """The autopilot's time, microseconds."""
+        """The autopilot's time."""
 
     def set_horn(self, pulse_us: float) -> None:
         """Set the position of the mock servo's horn."""
