@@ -253,8 +253,7 @@ class Plant:
     # -- one step --
 
     def advance(self, motor_commands: Sequence[float], steps: int = 1) -> Vec3:
-        """Advance by `steps` milliseconds; return the mean specific force at the IMU, FRD, m/s2, without
-        noise.
+        """Advance by `steps` milliseconds; return the IMU's mean specific force, FRD, m/s2, without noise.
 
         The force includes the arms' vibration. In each millisecond it passes the anti-alias filter and is
         limited to full scale.
@@ -422,8 +421,8 @@ class Plant:
     ) -> Vec3:
         """Move and rotate the body near walls and posts; return the mean acceleration by contact, NED.
 
-        The integration uses the midpoint rule over position, velocity, attitude and rate. The steps are 0.1
-        ms long, and shorter near a wall's end. Thrust and drag are constant during a call (1 ms).
+        The integration uses the midpoint rule over position, velocity, attitude and rate. The steps are
+        0.1 ms long, and shorter near a wall's end. Thrust and drag are constant during a call (1 ms).
         """
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
         ends = any(isinstance(obstacle, _WallPlane) and obstacle.near_end for obstacle, _ in obstacles)
@@ -478,8 +477,7 @@ class Plant:
         return (angles[0], angles[1], angles[2], angles[3])
 
     def _fold_share(self, incidence: float) -> float:
-        """Return an arm's movement as a share of its guard's penetration, from the angle of incidence in
-        radians."""
+        """Return an arm's movement as a share of its guard's penetration; `incidence` is in radians."""
         if abs(incidence) >= math.radians(self.vehicle.airframe.incidence_rigid_deg):
             return 0.0
         return self.body.fold_share * self._arm_freedom()
@@ -714,8 +712,8 @@ class Plant:
         Arms and body vibrate against each other. The vibration moves the IMU but not the centre of mass, so
         the contact force does not depend on it. Let q be the arms' displacement relative to the body, s the
         arms' share of the mass, w the natural frequency (rad/s), zeta the damping ratio, and c the
-        acceleration by the contact. The body's displacement from the centre of mass is -s q. Then q'' = -w^2
-        q - 2 zeta w q' - c, and the IMU measures the additional acceleration -s q''.
+        acceleration by the contact. The body's displacement from the centre of mass is -s q. With
+        q'' = -w^2 q - 2 zeta w q' - c, the IMU measures the additional acceleration -s q''.
         """
         freedom = self._arm_freedom() if self._arm_share else 0.0
         if freedom == 0.0:
