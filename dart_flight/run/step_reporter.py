@@ -50,7 +50,7 @@ class StepReporter:
     """Reporter of the application's progress to the simulated world; all methods are thread-safe.
 
     Args:
-        send: function that writes one line to the world; must not block.
+        send: writes one line to the world; must not block.
         batches: whether the world may advance by a batch of ticks at once. This must be False if poses are
             forwarded, because the order of poses and samples in a batch would depend on the computer's load.
 
@@ -81,7 +81,7 @@ class StepReporter:
             self._report()
 
     def end(self) -> None:
-        """Let the world continue without the application. The application must send nothing afterwards."""
+        """Let the world continue without the application, which must send nothing afterwards."""
         with self._guard:
             self._flies = False
             self._report()
