@@ -89,7 +89,7 @@ class CoreThread:
             try:
                 self._step_queued()
             except BaseException as fault:
-                # MAVSDK's thread would swallow the exception, so the core's thread raises it: the deadman acts.
+                # MAVSDK's thread would swallow it, so the core's thread raises it and the deadman acts.
                 self._fault, self._pace = fault, Pace.BATCHED
             finally:
                 self._owner.release()

@@ -70,7 +70,6 @@ class Deadman:
 
     @property
     def pid(self) -> int:
-        """Process id of the watcher."""
         return self._process.pid
 
     def arm(self) -> None:

@@ -305,7 +305,6 @@ class FastFlight:
             self._runner.step(item)
 
     def _request_time(self) -> None:
-        """Send TIMESYNC, as the app does."""
         if self.faulted is None:
             self.deliver(TimeRequest(self.host_us))
         else:
@@ -384,7 +383,6 @@ class FastFlight:
             self.deliver(order)
 
     def deliver(self, order: Order) -> None:
-        """Deliver an order to the autopilot."""
         if isinstance(order, Setpoint):
             self.autopilot.set_trajectory(
                 TrajectorySetpoint(
@@ -413,7 +411,6 @@ class FastFlight:
 
 
 def time_limit_s(mission: Mission) -> float:
-    """Return the simulated time after which a flight of this mission is ended."""
     return _LONGEST_S + mission.goal.hold_s + sum(waypoint.hold_s for waypoint in mission.waypoints)
 
 

@@ -220,7 +220,6 @@ class TelemetryMonitor:
             self._phase = text.removeprefix("phase ")
 
     def view(self) -> MonitorView:
-        """Return the present state for a screen."""
         self.process_queued()
         now, state, e = host_us(), self._senses.state, self._estimate
         newest = state.imu.t_us if state.imu else 0

@@ -81,7 +81,6 @@ class SimulatorProcess:
 
     @property
     def mocap_url(self) -> str | None:
-        """URL of the emulated motion capture."""
         return self.ready.mocap_url if self.ready is not None else None
 
     @property

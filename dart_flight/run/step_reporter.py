@@ -133,7 +133,6 @@ class StepReporter:
 
     @contextmanager
     def command(self) -> Iterator[None]:
-        """Count a request to the autopilot as an unfinished task within the context."""
         self.open_command()
         try:
             yield
@@ -177,7 +176,6 @@ class StepReporter:
             )
 
     def sent_pose(self, position_ned: Vec3) -> None:
-        """Store the position of the pose that was passed to MAVSDK."""
         with self._guard:
             self._sent["pose"] = position_ned
 

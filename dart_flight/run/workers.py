@@ -37,7 +37,6 @@ _PRELOADED = ["dart_flight.run.fast", "dart_flight.recording.verdict"]
 
 
 def usable_cores() -> int:
-    """Return the number of cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -138,7 +138,8 @@ class Estimator:
 
     def correct_gps(self, t_s: float, position_ned: Vec3, velocity_ned: Vec3, weights: GpsWeights) -> None:
         """Correct by a fix measured at `t_s`, which may be in the past; `weights` has the assumed noise and
-        bias."""
+        bias.
+        """
         self._updates += 1
         if self._gps is None or not self._history:
             self._gps, self._bias = GpsFilter(weights), weights.standing_bias_ned
@@ -154,7 +155,8 @@ class Estimator:
 
     def _at(self, t_s: float) -> tuple[float, Vec3, Vec3, Quaternion]:
         """Return the prediction nearest to a time; discard older ones, because measurements arrive in time
-        order."""
+        order.
+        """
         history = self._history
         while len(history) > 1 and abs(history[1][0] - t_s) < abs(history[0][0] - t_s):
             history.popleft()

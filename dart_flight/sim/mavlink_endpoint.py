@@ -145,7 +145,6 @@ class MavlinkEndpoint:
             link.to_app.impairment = link.from_app.impairment = impairment
 
     def stop_imu(self) -> None:
-        """Stop sending HIGHRES_IMU."""
         self.stopped.add(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU)
 
     def close(self) -> None:

@@ -793,7 +793,7 @@ def _between(a: Coefficients, b: Coefficients) -> Coefficients:
 
 
 def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]) -> _WallPlane:
-    """Convert a wall to NED. Its surface is `out_m` behind the vehicle's centre at the first touch."""
+    """Convert a wall to NED; its surface is `out_m` behind the vehicle's centre at the first touch."""
     point = frame.point_to_ned((wall.point[0], wall.point[1], 0.0))
     normal = frame.vector_to_ned(wall.from_collision((1.0, 0.0, 0.0)))
     tangent = frame.vector_to_ned(wall.from_collision((0.0, 1.0, 0.0)))

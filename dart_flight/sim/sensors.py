@@ -95,7 +95,7 @@ class _Ringing:
 
 
 def _saturate(true: float, noisy: float, scale: float) -> float:
-    """Limit a reading to full scale; if the true value is beyond a limit, the limit has no noise."""
+    """Limit a reading to full scale; a true value beyond a limit gives the limit without noise."""
     if not -scale < true < scale:
         return math.copysign(scale, true)
     return noisy if -scale < noisy < scale else math.copysign(scale, noisy)

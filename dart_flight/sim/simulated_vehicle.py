@@ -57,7 +57,6 @@ class SimulatedVehicle:
             self._servo.set_horn(pulse_us)
 
     def advance(self) -> None:
-        """Advance by one tick."""
         self._wind.step(self.autopilot.plant)
         if self._by_autopilot and self._servo is not None:
             self._servo.track_pulse(self.autopilot.time_us, self.autopilot.lock_pulse_us())

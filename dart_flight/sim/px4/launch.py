@@ -449,7 +449,7 @@ class Px4:
             os.unlink(f"/tmp/px4-sock-{self.instance}")
 
     def keep_log(self) -> Path | None:
-        """Move PX4's ULog, if there is one, into the flight's folder and delete the working folder."""
+        """If PX4 has written a ULog, move it to the flight's folder and delete the working folder."""
         logs = sorted(self.work.glob("log/**/*.ulg"), key=lambda path: path.stat().st_size)
         if not logs:
             return None
