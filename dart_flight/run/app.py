@@ -112,7 +112,6 @@ class LockThread:
     Args:
         make_session: makes the session from a callback for each state. It is called only when the autopilot's
             time is known, because otherwise the lock's stamps could be later than that time.
-        after_poll: callback after every poll of the driver.
         lockstep: reporter of progress to the simulated world, or None in real time. In lockstep, the world
             waits for the app, and the driver is polled in simulated time.
     """
@@ -211,7 +210,6 @@ class AppOptions(NamedTuple):
     Attributes:
         progress: callback for every record. It runs on a separate thread, because a terminal may block.
         deadman_note: file in which the deadman reports why it killed the program, or None for no deadman.
-        opened: callback for the moment when the link is open.
         unwanted: numbers of MAVLink messages; the app asks the vehicle not to send them on this link.
     """
 
@@ -232,7 +230,6 @@ class FlightApp:
         world_link: link to the simulated world, or None for a real vehicle.
 
     Attributes:
-        loop: event loop during the flight.
         mock: driver of the mock servo, or None if the lock has another driver.
     """
 

@@ -436,12 +436,9 @@ def fly_fast(
     """Fly in process and in simulated time, and return the verdict.
 
     Args:
-        seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
-        progress: callback for every record.
         lock_faults: faults of the mock servo from the start of the flight, or None for those drawn with the
             seed.
-        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
         keep_record: callback for the complete record; without `log_dir` the record's log is in memory.
 
     Raises:

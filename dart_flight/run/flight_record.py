@@ -43,7 +43,6 @@ class FlightRecord:
     """Recorder of one flight; call it once for each record, in order.
 
     Args:
-        world: world of the flight.
         log_dir: folder for the flight's folder, `IN_MEMORY`, or None for no log (campaigns).
         drawn: random quantities of the simulated world: name -> value.
 

@@ -45,13 +45,8 @@ def fly_hitl(
         mission: mission with the driver of the real servo.
         hitl_url: URL of the flight controller's port for simulated sensors.
         url: MAVSDK connection URL of the app's own link.
-        seed: seed of the sensor noise and of the random quantities.
-        log_dir: folder for the flight's folder.
-        progress: callback for every record, on a separate thread.
         motors: motor geometry from the flight controller's parameters, or None to use the configuration's
             geometry.
-        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
-        viewer: callback for every record, on the thread that processed it.
 
     Raises:
         InputError: the log cannot be written.

@@ -67,9 +67,6 @@ def fly_fast_many(
     """Fly many fast flights on the processor's cores (`run.workers`); return verdicts in seed order.
 
     Args:
-        log_dir: folder for the flights' folders, or None for no logs.
-        done: callback for the verdict of every flight.
-        spreads: quantities to draw at random for each seed (`sim.draws`): name -> standard deviation.
         announce: called after the first Ctrl-C, with the number of flights in progress.
 
     Raises:
@@ -102,7 +99,6 @@ def fly_one_by_one(
 
     Args:
         fly: flies one seed and passes its records to an onlooker.
-        done: callback for the verdict of every flight.
 
     Raises:
         RunsInterruptedError: the operator has pressed Ctrl-C. The flight in progress has landed, and its

@@ -304,7 +304,6 @@ async def monitor_vehicle(
     Args:
         timeout_s: timeout of the connection, at most `seconds`.
         seconds: duration, or None to run until cancelled.
-        opened: callback for the moment when the link is open.
 
     Raises:
         VehicleError: there is no autopilot at the URL.

@@ -46,7 +46,6 @@ class PlannerProcess:
     """Process that plans trajectories for one mission, or fits the contacts of that mission.
 
     Args:
-        kind: kind of request that the process answers.
         deliver: callback for every answer, on a thread of the planner; must not block.
         host_us: returns the host's time; in lockstep this is simulated time.
     """

@@ -30,7 +30,6 @@ async def forward_poses(
     Args:
         source: the opened source of `mocap.url`; it is closed at the end.
         seconds: duration, or None to run until cancelled.
-        opened: callback for the moment when the link is open.
 
     Raises:
         VehicleError: there is no autopilot at the URL.

@@ -22,8 +22,6 @@ class ProgramFault:
     """Onlooker that begins one fault when it is due; called on the core thread.
 
     Args:
-        app: app with the event loop and the mock servo.
-        world: simulated vehicle, for faults of the vehicle.
         log: path of the flight log. With the fault `disk-full`, writing to this file fails.
     """
 

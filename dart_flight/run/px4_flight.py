@@ -49,15 +49,10 @@ def fly_px4(
 
     Args:
         directory: PX4's folder with bin and etc, or None to use the environment variable DART_PX4_DIR.
-        seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder. The flight's folder also receives PX4's ULog as `px4.ulg`.
-        progress: callback for every record, on a separate thread.
-        speed: highest number of simulated seconds per second.
         realtime: whether simulated time advances without waiting for this program.
         parameter_files: PX4 parameters in addition to `configs/px4/`.
-        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
         fault: fault of the motion capture.
-        viewer: callback for every record, on the thread that processed it.
 
     Raises:
         InputError: PX4 is not found, a parameter file is wrong, or the mission's frame is not valid with GPS.

@@ -43,7 +43,6 @@ def fetch_px4_log(
         armed: arming time and end time of the flight, or None if not known.
         before: logs that existed before the flight, or None if not known.
         choose: selects a log if several logs may belong to the flight.
-        print_line: callback for lines to the operator.
         progress: callback for the received share, 0 to 1.
         opened: callback for the moment when the link is open (`LinkLease.lock_device`).
     """

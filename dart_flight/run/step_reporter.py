@@ -53,9 +53,6 @@ class StepReporter:
         send: writes one line to the world; must not block.
         batches: whether the world may advance by a batch of ticks at once. This must be False if poses are
             forwarded, because the order of poses and samples in a batch would depend on the computer's load.
-
-    Attributes:
-        clock: clock of simulated time.
     """
 
     def __init__(self, send: Callable[[bytes], object], batches: bool = True) -> None:
@@ -103,7 +100,6 @@ class StepReporter:
         """Remove finished tasks from the count, and report to the world if no task is left.
 
         Args:
-            items: inputs that the core has processed.
             work: number of finished tasks; telemetry does not count as a task.
             batched: whether the core processes the next samples in batches, or None for no change.
         """

@@ -52,7 +52,6 @@ class DrawnWorld(NamedTuple):
 
     Attributes:
         mission: mission with the true vehicle and the true walls; only the simulated vehicle uses it.
-        lock_faults: drawn faults of the mock servo.
         drawn: drawn values by name, for log and verdict.
     """
 

@@ -52,7 +52,6 @@ class Autopilot:
     """The simulated vehicle's autopilot: arming, modes, failsafes and control.
 
     Args:
-        seed: seed of the noise of all sensors.
         send_text: receives (severity, text) of every STATUSTEXT.
     """
 

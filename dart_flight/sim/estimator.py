@@ -137,9 +137,7 @@ class Estimator:
             self.q = q
 
     def correct_gps(self, t_s: float, position_ned: Vec3, velocity_ned: Vec3, weights: GpsWeights) -> None:
-        """Correct by a fix measured at `t_s`, which may be in the past; `weights` has the assumed noise and
-        bias.
-        """
+        """Correct by a fix measured at `t_s`, which may be in the past, with the assumed noise and bias."""
         self._updates += 1
         if self._gps is None or not self._history:
             self._gps, self._bias = GpsFilter(weights), weights.standing_bias_ned
@@ -154,9 +152,7 @@ class Estimator:
         self.ok = self._updates > 5
 
     def _at(self, t_s: float) -> tuple[float, Vec3, Vec3, Quaternion]:
-        """Return the prediction nearest to a time; discard older ones, because measurements arrive in time
-        order.
-        """
+        """Return the prediction nearest to a time; discard older ones: measurements arrive in order."""
         history = self._history
         while len(history) > 1 and abs(history[1][0] - t_s) < abs(history[0][0] - t_s):
             history.popleft()

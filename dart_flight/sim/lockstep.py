@@ -64,14 +64,12 @@ class Lockstep:
     """The rule that decides whether simulated time may advance.
 
     Args:
-        autopilot: the autopilot's side of the link.
         answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not
             answer, so time advances while PX4 has an outstanding request. Even then, time waits for the core
             to process telemetry.
         waits_at_first: whether time stands still until the application's first report.
         sender_lag_us: largest delay of the autopilot's telemetry in simulated time; 0 unless the autopilot
             sends in a separate thread.
-        log: writer of the world's log.
     """
 
     def __init__(
@@ -150,7 +148,6 @@ class Lockstep:
         """Block until simulated time may advance to `next_us`.
 
         Args:
-            next_us: simulated time of the next tick.
             wake: descriptors that become readable when data has arrived.
             look: processes the application's lines and returns whether the application is still connected.
 

@@ -86,7 +86,6 @@ class EmulatedMotionCapture:
 
     Attributes:
         url: URL of the pose source for this server.
-        feed: converter that feeds the server.
     """
 
     def __init__(self, kind: str, mission: Mission, plant: Plant) -> None:

@@ -104,7 +104,6 @@ def run_vehicle(
 
     Args:
         ports: remote UDP ports, all of which receive the vehicle's messages.
-        print_line: prints a line in the terminal.
         own_port: local UDP port from which the vehicle sends to the first remote port; 0 selects any port.
         viewer: receives the true motion and contacts.
         mocap: sends the vehicle's poses, and is closed at the end.

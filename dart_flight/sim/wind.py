@@ -14,9 +14,7 @@ GUST_TIME_S: Final = 2.0  # correlation time: gusts in a room, slower than a con
 
 
 class Wind:
-    """The wind on the plant; call `step` every `tick_s`. The seed of the gusts leaves the sensors' noise
-    alone.
-    """
+    """The wind on the plant; call `step` every `tick_s`. The gusts do not affect the sensors' noise."""
 
     def __init__(self, simulation: Simulation, seed: int, tick_s: float) -> None:
         self._steady, self._sigma = simulation.wind_north_east_m_s, simulation.gust_m_s

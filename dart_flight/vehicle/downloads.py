@@ -42,8 +42,6 @@ def wait_for_end(
     Args:
         arrived: queue of (result, progress), filled by the download's callback.
         what: name of the download, for error messages.
-        progress: receives each progress report.
-        silent_s: timeout without progress.
 
     Raises:
         DownloadError: the download failed, or made no progress for `silent_s`.
@@ -122,7 +120,6 @@ def logs_of_flight(
     """Return the logs that may belong to a flight; return only one log if the flight's log is identified.
 
     Args:
-        entries: logs on the flight controller.
         armed: arming time and end time of the flight, or None if unknown.
         before: logs on the flight controller before the flight, or None if unknown.
     """

@@ -72,10 +72,6 @@ class LinkLease(Lease):
     """The exclusive right to use one link, until `release` or the end of the process.
 
     Entering raises what `acquire` raises.
-
-    Args:
-        command: command of this software that requests the link.
-        log: path of the flight's log.
     """
 
     def __init__(self, url: str, command: str, log: Path | None = None) -> None:

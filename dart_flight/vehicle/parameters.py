@@ -70,7 +70,6 @@ class VehicleParameters:
 
     Args:
         plugin: MAVSDK's parameter plugin of the same vehicle.
-        system_id: the vehicle's MAVLink system id.
         perform: performs a request and raises `NoAnswerError` if the vehicle answers no requests at all.
     """
 

@@ -117,11 +117,9 @@ class VehicleSession:
     Args:
         mavsdk: the connection, kept open by the caller.
         deliver: receives every record, on MAVSDK's thread.
-        clock: relation of the autopilot's time to the host's.
 
     Attributes:
         senders: one `SenderCount` for each sender of each subscribed message, including ignored senders.
-        batteries: the newest reading of each battery.
         motor_outputs: decoder of the motor outputs, or None before `subscribe`.
         checked: whether PX4 has sent a report of its arming checks.
     """

@@ -87,7 +87,6 @@ class PoseStatistics:
     Call `update` for every input in the order of receipt; any thread may call it.
 
     Args:
-        room: conversion of the poses to local NED.
         delay_ms: measured shortest age of a pose (`mocap.delay_ms`).
     """
 
