@@ -316,8 +316,7 @@ class VehicleSession:
             await asyncio.to_thread(self._request_interval, number, -1)
 
     async def measure_link(self, timeout_s: float) -> list[str]:
-        """Wait for the first answer to a request; return the names of the unanswered requests if none
-        arrives.
+        """Wait for the first answer to a request; if none arrives, return the names of the requests.
 
         The request is TIMESYNC, or a rate request if the vehicle does not answer TIMESYNC.
         """
