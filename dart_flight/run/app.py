@@ -97,7 +97,7 @@ class Simulator(Protocol):
 
     @property
     def cause(self) -> str:
-        """The reason why the world has ended, as text."""
+        """The reason why the world has ended."""
 
     def send_horn(self, pulse_us: float) -> None:
         """Send the position of the mock servo's horn to the plant."""
@@ -110,13 +110,8 @@ class LockThread:
     """Thread that runs the lock's state machine on the core's time base. The driver may block this thread.
 
     Args:
-        make_session: function that makes the session, which contains the state machine and the driver. Its
-            argument is the callback that the session calls with each state. The thread calls the function
-            only when the autopilot's time is known. Otherwise the lock's stamps could be later than the
-            autopilot's time.
-        clock_known: function that returns whether the autopilot's time is known.
-        deliver: callback for every state of the lock.
-        after_poll: callback after every poll of the driver.
+        make_session: makes the session from a callback for each state. It is called only when the autopilot's
+            time is known, because otherwise the lock's stamps could be later than that time.
         lockstep: reporter of progress to the simulated world, or None in real time. In lockstep, the world
             waits for the app, and the driver is polled in simulated time.
     """
@@ -151,7 +146,6 @@ class LockThread:
             self._orders.put(None)
 
     def stop(self) -> None:
-        """End the thread."""
         self._stop.set()
         self._orders.put(None)
         self.thread.join(timeout=2.0)
@@ -197,7 +191,6 @@ class WorldLink(NamedTuple):
     """The link to a simulated world, and the clock that the app shares with it.
 
     Attributes:
-        world: process of the world.
         clock: autopilot's clock, or None if the autopilot's time advances with real time.
         lockstep: whether the world waits for this program. If so, the program's clock is simulated time.
         lock_faults: faults of the mock servo from the start of the flight.
@@ -217,7 +210,6 @@ class AppOptions(NamedTuple):
     Attributes:
         progress: callback for every record. It runs on a separate thread, because a terminal may block.
         deadman_note: file in which the deadman reports why it killed the program, or None for no deadman.
-        opened: callback for the moment when the link is open.
         unwanted: numbers of MAVLink messages; the app asks the vehicle not to send them on this link.
     """
 
@@ -234,14 +226,10 @@ class FlightApp:
     """One flight over MAVSDK.
 
     Args:
-        mission: mission to fly.
-        url: MAVSDK connection URL.
         observe: callback for every record and the record's input number, on the core thread.
-        options: what the command sets.
         world_link: link to the simulated world, or None for a real vehicle.
 
     Attributes:
-        loop: event loop during the flight.
         mock: driver of the mock servo, or None if the lock has another driver.
     """
 
@@ -386,11 +374,10 @@ class FlightApp:
         self._core.put(OperatorRequest(self._host_us(), request))
 
     def resume(self) -> None:
-        """End a pause of the mission. If the mission is not in a pause, this has no effect."""
+        """End a pause of the mission; otherwise this has no effect."""
         self._core.put(OperatorRequest(self._host_us(), Request.CONTINUE))
 
     def _answer_button(self, press: Press) -> tuple[Result, str]:
-        """Carry out the request of a pressed ground-station button and return the answer."""
         reply = reply_in_flight(press, self._phase, self._lock_text)
         if isinstance(reply.effect, Request):
             self._core.put(OperatorRequest(self._host_us(), reply.effect))
@@ -526,8 +513,7 @@ class FlightApp:
     def _owned_driver(self) -> Iterator[Driver | None]:
         """Within the context, own the servo and return its driver, or None if there is no lock.
 
-        Raises:
-            InputError: another process owns the servo, or the hardware of the servo is missing.
+        Raise InputError if another process owns the servo, or its hardware is missing.
         """
         config = self._mission.vehicle.lock
         if config is None:
@@ -577,7 +563,7 @@ class FlightApp:
         )
 
     def _after_step(self) -> None:
-        """In lockstep, poll the lock's driver if a poll is due, and deliver due answers of the planners."""
+        """In lockstep, poll the lock's driver if a poll is due, and deliver due answers from the planners."""
         if self._lock is not None:
             self._lock.poll_if_due()
         self._deliver_answers()
@@ -675,7 +661,7 @@ class FlightApp:
 
 
 def _in_background(terminal: int) -> bool:
-    """Return whether this process is in the background because another job has the terminal."""
+    """Return whether another job has the terminal."""
     try:
         return os.tcgetpgrp(terminal) != os.getpgrp()
     except OSError:  # not the terminal of this session, so there is no job control

@@ -23,11 +23,7 @@ _SINCE_START = 16  # shift of the same flags since power-on
 
 
 def read_computer(root: Path = Path("/")) -> ComputerSample:
-    """Return the present state from the kernel. A field that the kernel does not report is None.
-
-    Args:
-        root: root of the file system.
-    """
+    """Return the present state from the kernel; a field that the kernel does not report is None."""
     flags = None
     with contextlib.suppress(OSError, ValueError):
         flags = int((root / _FLAGS).read_text(), 16)
@@ -51,11 +47,7 @@ def _hottest_c(root: Path) -> float | None:
 
 
 class ComputerWatch(ThreadContext):
-    """Context in which a thread samples the state of the computer once per second.
-
-    Args:
-        deliver: callback for every sample, on the sampling thread.
-    """
+    """Context in which a thread delivers a sample of the computer's state once per second."""
 
     def __init__(self, deliver: Callable[[Record], None]) -> None:
         super().__init__()

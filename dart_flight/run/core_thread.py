@@ -1,7 +1,7 @@
 """Stepping of the core in flights over MAVSDK, with one queue of inputs and one thread at a time.
 
 Only the thread that holds `_owner` steps the core. This thread also sends the setpoints, without delay. In
-real time the core chooses this thread (`core.pace`). Near a wall MAVSDK's thread steps the core. Samples
+real time the core chooses this thread (`core.pace`). Near a wall MAVSDK's thread steps the core: samples
 arrive on that thread, so no other thread has to wake up first (docs/latency.md). Away from walls the core's
 own thread steps the core.
 
@@ -33,8 +33,7 @@ class CoreThread:
     """Thread that steps the core with the inputs of one queue.
 
     Args:
-        runner: runner that steps the core and carries out the core's outputs.
-        alive: callback that feeds the deadman, called at least every 20 ms unless a step hangs.
+        alive: feeds the deadman, called at least every 20 ms unless a step hangs.
         lockstep: reporter of progress to a simulated world that waits for the app, or None in real time.
         after_step: callback after every step in lockstep, before the report to the world.
     """
@@ -61,7 +60,7 @@ class CoreThread:
         self.thread = threading.Thread(target=self._run, name="core", daemon=True)
 
     def age_s(self) -> float:
-        """Return the time since the thread last began a round of its loop, seconds."""
+        """Return the time since the thread last began a round of its loop."""
         return (host_us() - self._turned_us) * 1e-6
 
     def put(self, item: Input) -> None:
@@ -75,7 +74,7 @@ class CoreThread:
             self._step_now()
 
     def arrive(self, item: Input) -> None:
-        """Queue an input of a stream, from any thread.
+        """Queue an input from a stream, from any thread.
 
         If a step is due at once, the calling thread steps the core with the queued inputs.
         """
@@ -90,8 +89,7 @@ class CoreThread:
             try:
                 self._step_queued()
             except BaseException as fault:
-                # MAVSDK's thread would swallow the exception. The core's thread therefore raises it, and the
-                # deadman acts.
+                # MAVSDK's thread would swallow it, so the core's thread raises it and the deadman acts.
                 self._fault, self._pace = fault, Pace.BATCHED
             finally:
                 self._owner.release()

@@ -37,14 +37,11 @@ class Deadman:
     """The app's side of the deadman.
 
     Args:
-        starve_s: longest permitted time without a feed from the core thread or the event loop, seconds.
-        note: text file that gets a line when the app is killed, or None.
+        starve_s: longest permitted time without a feed from the core thread or the event loop.
+        note: text file that gets a line when the app is killed.
 
     Attributes:
-        feed_period_s: period at which core thread and event loop should feed the deadman, seconds.
-
-    Raises:
-        OSError: the process cannot be started.
+        feed_period_s: period at which core thread and event loop should feed the deadman.
     """
 
     def __init__(self, starve_s: float, note: Path | None = None) -> None:
@@ -73,11 +70,10 @@ class Deadman:
 
     @property
     def pid(self) -> int:
-        """Process id of the watcher."""
         return self._process.pid
 
     def arm(self) -> None:
-        """Activate the deadman: from now on a missing feed makes the process kill the app."""
+        """From now on a missing feed makes the process kill the app."""
         self._armed = True
         self._write(_ARM)
 
@@ -89,7 +85,6 @@ class Deadman:
             self._write(part)
 
     def restart_if_dead(self) -> None:
-        """Start another watcher if the present watcher has died."""
         if self._process.poll() is not None:
             self._start()
             if self._armed:
@@ -127,18 +122,13 @@ class SystemdNotice:
         self._sent_s = -math.inf
 
     def ready(self, status: str) -> None:
-        """Report that the app is ready."""
         self._send(f"READY=1\nSTATUS={status}")
 
     def stopping(self) -> None:
-        """Report that the app is about to end."""
         self._send("STOPPING=1")
 
     def alive(self) -> None:
-        """Feed systemd's watchdog at most twice per period of the watchdog.
-
-        Call this method more often than twice per period.
-        """
+        """Feed systemd's watchdog at most twice per period of the watchdog; call this more often."""
         now = time.monotonic()
         if self._period_s is not None and now - self._sent_s >= self._period_s:
             self._sent_s = now
@@ -195,11 +185,7 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
 
 
 def _read_messages() -> list[tuple[bytes, float]]:
-    """Return the app's messages since the last call, with their times.
-
-    Raises:
-        EOFError: the app has ended.
-    """
+    """Return the messages since the last call, with their times; raise EOFError if the app has ended."""
     words: list[tuple[bytes, float]] = []
     while True:
         try:

@@ -27,12 +27,7 @@ def fly_vehicle(
     """Fly a mission with the vehicle at a connection URL and return the verdict.
 
     Args:
-        mission: mission to fly.
-        url: MAVSDK connection URL.
-        log_dir: folder for the flight's folder.
-        progress: callback for every record, on a separate thread.
         lease: lease of the link, or None to acquire a lease for this flight. The lease stores the log's path.
-        viewer: callback for every record, on the thread that processed the record.
 
     Raises:
         InputError: the log cannot be written.

@@ -1,7 +1,4 @@
-"""Embedded world: MAVSDK over UDP to the project's own small autopilot, which controls the simulated vehicle.
-
-The world runs in lockstep or in real time.
-"""
+"""Embedded world: MAVSDK over UDP to the project's own small autopilot, in lockstep or in real time."""
 
 from __future__ import annotations
 
@@ -42,17 +39,9 @@ def fly_embedded(
     """Fly through MAVSDK over UDP with the embedded autopilot and return the verdict.
 
     Args:
-        mission: mission to fly.
-        seed: seed of the sensor noise and of the random quantities.
-        log_dir: folder for the flight's folder.
-        progress: callback for every record, on a separate thread.
         deadman: whether to start the deadman, which kills this program if it hangs. Used in real time only.
-        fault: fault to inject, or None.
-        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
-        speed: highest number of simulated seconds per real second.
         realtime: whether simulated time advances without waiting for this program. If so, timeouts use the
             host's time.
-        viewer: callback for every record, on the thread that produced the record.
 
     Raises:
         InputError: the log cannot be written.

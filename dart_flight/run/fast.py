@@ -93,9 +93,7 @@ FLIGHT_MODES: Final = {
 class TelemetrySender:
     """Telemetry of one simulated vehicle, at the rates of the stream table.
 
-    Args:
-        vehicle: vehicle whose telemetry is sent.
-        begins: whether the vehicle has just been switched on. Only such a vehicle sends its status at once.
+    Only a vehicle that has just been switched on (`begins`) sends its status at once.
     """
 
     def __init__(self, vehicle: SimulatedVehicle, begins: bool = True) -> None:
@@ -134,7 +132,6 @@ class _FastClock(SimulatedTime):
         self._flight = flight
 
     def host_us(self) -> int:
-        """Return the host's time."""
         return self._flight.host_us
 
     def to_autopilot(self, host_time_us: int) -> int:
@@ -143,18 +140,14 @@ class _FastClock(SimulatedTime):
 
 
 class FastFlight:
-    """One simulated flight.
+    """One simulated flight. A lock driver that does not work in simulated time is replaced by `mock`.
 
     Args:
-        mission: mission to fly.
         seed: seed of the sensor noise.
-        observe: callback that receives each input with the input's number. Afterwards the callback receives,
-            with the same number, each output and note (such as `SetpointSent`) that the input causes.
-        fault: fault to inject, with its time.
+        observe: receives each input with the input's number. Afterwards it receives, with the same number,
+            each output and note (such as `SetpointSent`) that the input causes.
         world: simulated world that differs at random from the mission (`sim.draws`), with the faults of the
             mock servo, or None for a world without differences.
-
-    A lock driver that does not work in simulated time is replaced by `mock`.
     """
 
     def __init__(
@@ -244,7 +237,7 @@ class FastFlight:
 
     @property
     def host_us(self) -> int:
-        """Host's monotonic time as the app would read it, microseconds."""
+        """Host's monotonic time as the app would read it."""
         # Independent of the autopilot's clock, which may jump.
         return round(self.autopilot.now_s * 1e6) + _HOST_OFFSET_US
 
@@ -312,7 +305,6 @@ class FastFlight:
             self._runner.step(item)
 
     def _request_time(self) -> None:
-        """Send TIMESYNC, as the app does."""
         if self.faulted is None:
             self.deliver(TimeRequest(self.host_us))
         else:
@@ -339,7 +331,6 @@ class FastFlight:
         self._transmit(setpoint)
 
     def execute(self, output: Output) -> None:
-        """Carry out a command of the core that is not a setpoint."""
         if isinstance(output, VehicleCommand):
             self._transmit(output.action)
         elif isinstance(output, LockCommand | LockPermission):
@@ -392,7 +383,6 @@ class FastFlight:
             self.deliver(order)
 
     def deliver(self, order: Order) -> None:
-        """Deliver a setpoint, an action or a request to the autopilot."""
         if isinstance(order, Setpoint):
             self.autopilot.set_trajectory(
                 TrajectorySetpoint(
@@ -421,16 +411,11 @@ class FastFlight:
 
 
 def time_limit_s(mission: Mission) -> float:
-    """Return the simulated time after which a flight of this mission is ended, seconds."""
     return _LONGEST_S + mission.goal.hold_s + sum(waypoint.hold_s for waypoint in mission.waypoints)
 
 
 def simulated_driver(mission: Mission) -> LockDriver:
-    """Return the mission's lock driver, or `mock` for a vehicle without a lock.
-
-    Raises:
-        InputError: the driver does not work in simulated time.
-    """
+    """Return the lock driver, or `mock` without a lock; raise InputError if it cannot be simulated."""
     driver = mission.vehicle.lock_driver or LockDriver.MOCK
     if not DRIVERS[driver].simulated:
         others = driver_names(lambda entry: entry.simulated)
@@ -451,14 +436,9 @@ def fly_fast(
     """Fly in process and in simulated time, and return the verdict.
 
     Args:
-        mission: mission to fly.
-        seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
-        progress: callback for every record.
-        lock_faults: faults of the mock servo from the start of the flight, or None for the faults drawn with
-            the seed.
-        fault: fault to inject, with its time.
-        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
+        lock_faults: faults of the mock servo from the start of the flight, or None for those drawn with the
+            seed.
         keep_record: callback for the complete record; without `log_dir` the record's log is in memory.
 
     Raises:

@@ -30,17 +30,15 @@ class _PlantPoses:
         self._frame = 0
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Begin to pass every published pose to `deliver`."""
         self._deliver = deliver
 
     def stop(self) -> None:
-        """Stop delivering."""
         self._deliver = lambda raw: None
 
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Deliver one frame: position (metres) and attitude, both in room axes."""
+        """Deliver one frame in room axes."""
         frame, self._frame = self._frame, self._frame + 1
         if tracked:
             self._deliver(RawPose(BODY, True, position_room, q_body_to_room, frame, t_us, _SENDER))
@@ -49,14 +47,7 @@ class _PlantPoses:
 
 
 class FastPoses:
-    """Motion capture of one fast flight: the bridge passes the plant's poses to core and autopilot.
-
-    Args:
-        mission: mission with the `mocap` section of its vehicle.
-        autopilot: autopilot that fuses the forwarded poses.
-        clock: clock of the flight.
-        deliver: callback for each pose as an input of the core.
-    """
+    """Motion capture of one fast flight: the bridge passes the plant's poses to core and autopilot."""
 
     def __init__(
         self, mission: Mission, autopilot: Autopilot, clock: Clock, deliver: Callable[[PoseSample], None]
@@ -78,7 +69,6 @@ class FastPoses:
         self._bridge.withhold(attitude_only=attitude_only)
 
     def begin_fault(self, fault: Fault) -> None:
-        """Begin a fault of the motion capture."""
         self._feed.begin_fault(fault, self._autopilot.now_s)
 
     def _send(self, message: Any) -> None:

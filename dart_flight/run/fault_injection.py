@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class TimeRequest(NamedTuple):
-    """TIMESYNC request to the autopilot; `sent_us` is the host time of sending."""
+    """TIMESYNC request to the autopilot; `sent_us` is the host time."""
 
     sent_us: int
 
@@ -52,9 +52,7 @@ class FaultyFlight(Protocol):
     deadman_s: float
 
     @property
-    def host_us(self) -> int:
-        """Host time, microseconds."""
-        ...
+    def host_us(self) -> int: ...
 
     def forget_setpoint(self) -> None:
         """Stop repeating the last setpoint."""
@@ -64,7 +62,7 @@ class FaultyFlight(Protocol):
 
 
 class FlightWithFault:
-    """Injector of a fault into a flight of the fast world; it also models the link of app and vehicle.
+    """Injector of a fault into a flight of the fast world; it also models the link between app and vehicle.
 
     As in a flight over MAVSDK, the last setpoint of a hung app is repeated until the deadman kills the app.
     """
@@ -95,11 +93,10 @@ class FlightWithFault:
         return self._flight.host_us - self.began_us >= starve_s * 1e6
 
     def observe(self, record: Record) -> None:
-        """Update the trigger with a record of the flight."""
         self._trigger.process(record)
 
     def tick(self) -> None:
-        """Advance by one tick: begin the fault when it is due; afterwards update its effects."""
+        """Begin the fault when it is due; afterwards update its effects."""
         flight = self._flight
         if self.began_us is None:
             if not self._trigger.is_due(flight.autopilot.time_us):
@@ -149,7 +146,7 @@ class FlightWithFault:
         ]
 
     def send_out(self, order: Order) -> None:
-        """Put a setpoint, an action or a request on the link to the autopilot."""
+        """Put an order on the link to the autopilot."""
         self._out.push(self._flight.autopilot.now_s, order)
         for one in self._out.pop(self._flight.autopilot.now_s):
             self._flight.deliver(one)

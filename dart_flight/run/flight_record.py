@@ -32,10 +32,7 @@ class MemoryLog:
         self.log = Log(IN_MEMORY, about, {}, [], complete=True)
 
     def put(self, record: Record, number: int) -> None:
-        """Append a record.
-
-        `number` is the number of the recorded input, or of the input that caused the record.
-        """
+        """Append a record with the number of its input, or of the input that caused it."""
         self.log.entries.append(LogEntry(number, record))
 
     def close(self) -> None:
@@ -43,14 +40,9 @@ class MemoryLog:
 
 
 class FlightRecord:
-    """Recorder of one flight.
-
-    Call the recorder once for each record, in the order of the records.
+    """Recorder of one flight; call it once for each record, in order.
 
     Args:
-        mission: mission that is flown.
-        world: world of the flight.
-        seed: seed of a simulated flight, or None.
         log_dir: folder for the flight's folder, `IN_MEMORY`, or None for no log (campaigns).
         drawn: random quantities of the simulated world: name -> value.
 
@@ -97,25 +89,20 @@ class FlightRecord:
 
     @property
     def path(self) -> Path:
-        """Path of the log's file."""
         assert isinstance(self._log, FlightLog)
         return self._log.path
 
     @property
     def log(self) -> Log:
-        """The log as an object: the log in memory, or the log that is read from the file."""
+        """The log in memory, or read from the file."""
         return self._log.log if isinstance(self._log, MemoryLog) else read_log(self.path)
 
     @property
     def folder(self) -> Path:
-        """Folder of the flight."""
         return self.path.parent
 
     def __call__(self, record: Record, number: int) -> None:
-        """Log a record, and pass it to the verdict, the onlookers and the viewers.
-
-        `number` is the number of the recorded input, or of the input that caused the record.
-        """
+        """Log a record, and pass it to verdict, onlookers and viewers (`number`: `MemoryLog.put`)."""
         log = self._log
         if log is not None:
             log.put(record, number)
@@ -148,18 +135,17 @@ class FlightRecord:
 
     @property
     def _speed(self) -> float | None:
-        """Simulated seconds per second of the computer's time, or None without a simulated vehicle."""
+        """Simulated seconds per second of host time, or None without a simulated vehicle."""
         if self._first is None or self._last is None or self._last[1] <= self._first[1]:
             return None
         return 1e-6 * (self._last[0] - self._first[0]) / (self._last[1] - self._first[1])
 
     def close(self) -> None:
-        """Close the log."""
         if self._log is not None:
             self._log.close()
 
     def build(self, px4_log: Path | None = None) -> Verdict:
-        """Return the verdict so far; `px4_log` is the path of PX4's own log, if there is one."""
+        """Return the verdict so far; `px4_log` is the path of PX4's own log."""
         log = display_path(self.path) if isinstance(self._log, FlightLog) else None
         kept = display_path(px4_log) if px4_log is not None and px4_log.exists() else None
         built = self.verdict.build(self._world, self._seed, log, kept, self._drawn)

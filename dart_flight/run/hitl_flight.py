@@ -42,17 +42,11 @@ def fly_hitl(
     """Fly with a flight controller that `check.hitl_check` has found ready; the propellers must be removed.
 
     Args:
-        mission: mission to fly, with the driver of the real servo.
+        mission: mission with the driver of the real servo.
         hitl_url: URL of the flight controller's port for simulated sensors.
         url: MAVSDK connection URL of the app's own link.
-        seed: seed of the sensor noise and of the random quantities.
-        log_dir: folder for the flight's folder.
-        progress: callback for every record, on a separate thread.
         motors: motor geometry from the flight controller's parameters, or None to use the configuration's
             geometry.
-        position_from: source of PX4's position: a simulated motion capture or a simulated GPS receiver.
-        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
-        viewer: callback for every record, on the thread that processed it.
 
     Raises:
         InputError: the log cannot be written.
@@ -86,8 +80,7 @@ def fly_hitl(
 def _leave_disarmed(mission: Mission, url: str) -> None:
     """Disarm the flight controller: when the simulated sensors stop, PX4 does not disarm by itself.
 
-    Raises:
-        FlightError: the flight controller does not answer, or refuses.
+    Raise FlightError if it does not answer or refuses.
     """
     try:
         with GroundLink(url, mission.vehicle.connection.timeout_s) as link:

@@ -31,12 +31,7 @@ class RunSpread(msgspec.Struct):
 
 
 class RunsSummary(msgspec.Struct):
-    """Summary of many flights of one mission.
-
-    Attributes:
-        unexplained_modes: seed -> texts, each about a difference between the arms' mode and the lock's mode
-            (see the function `unexplained_modes`).
-    """
+    """Summary of many flights; `unexplained_modes` has the findings of the function of that name by seed."""
 
     runs: int
     completed: int
@@ -50,10 +45,7 @@ class RunsSummary(msgspec.Struct):
 
 
 class RunsInterruptedError(Exception):
-    """Ctrl-C, SIGTERM or SIGHUP has interrupted the flights.
-
-    `verdicts` contains the verdicts of the completed flights.
-    """
+    """Ctrl-C, SIGTERM or SIGHUP has interrupted the flights; `verdicts` are of the completed flights."""
 
     def __init__(self, verdicts: list[Verdict]) -> None:
         super().__init__(f"interrupted after {len(verdicts)} flights")
@@ -75,11 +67,6 @@ def fly_fast_many(
     """Fly many fast flights on the processor's cores (`run.workers`); return verdicts in seed order.
 
     Args:
-        mission: mission to fly.
-        seeds: seeds of the flights.
-        log_dir: folder for the flights' folders, or None for no logs.
-        done: callback for the verdict of every flight.
-        spreads: quantities to draw at random for each seed (`sim.draws`): name -> standard deviation.
         announce: called after the first Ctrl-C, with the number of flights in progress.
 
     Raises:
@@ -111,9 +98,7 @@ def fly_one_by_one(
     """Fly one seed after the other and return the verdicts.
 
     Args:
-        fly: function that flies one seed and passes its records to an onlooker.
-        seeds: seeds of the flights.
-        done: callback for the verdict of every flight.
+        fly: flies one seed and passes its records to an onlooker.
 
     Raises:
         RunsInterruptedError: the operator has pressed Ctrl-C. The flight in progress has landed, and its
@@ -139,7 +124,6 @@ def fly_one_by_one(
 
 
 def summarise(verdicts: list[Verdict]) -> RunsSummary:
-    """Return counts and spreads over many flights."""
     reasons: dict[str, int] = {}
     for v in verdicts:
         if v.reason is not None:
@@ -161,7 +145,7 @@ def summarise(verdicts: list[Verdict]) -> RunsSummary:
 
 
 def unexplained_modes(verdict: Verdict) -> list[str]:
-    """Return findings: texts, each about a difference between the arms' mode and the lock's mode.
+    """Return texts, each about a difference between the arms' mode and the lock's mode.
 
     A flight with a simulated fault of the lock has no findings. In any other simulated flight, a finding
     means that the simulation or the estimated mode is wrong, so the flight is invalid.

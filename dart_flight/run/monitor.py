@@ -2,9 +2,9 @@
 
 MAVSDK's thread passes every record to `TelemetryMonitor`. Another thread processes the records in batches
 several times per second. A batch takes a third of the processor time that its records would take one by one.
-`view` returns the data for a screen. The monitor sends nothing except requests for slow streams and the poses
-of a motion capture. If another `dart-flight` process flies over the same link, the monitor does not slow down
-the streams of that flight. `dart-flight monitor` uses this module.
+The monitor sends nothing except requests for slow streams and the poses of a motion capture. If another
+`dart-flight` process flies over the same link, the monitor does not slow down the streams of that flight.
+`dart-flight monitor` uses this module.
 """
 
 from __future__ import annotations
@@ -118,7 +118,6 @@ class TelemetryMonitor:
     """Estimator and detector on live telemetry.
 
     Args:
-        mission: mission with the frame and the vehicle's configuration.
         frame_known: whether to use the mission's frame; otherwise forces are along north, west and up.
         viewer: callback for every record and for the results of the core's `Senses`; must not block.
     """
@@ -148,7 +147,7 @@ class TelemetryMonitor:
         self._cpu = (time.monotonic(), time.process_time())
 
     def process_record(self, record: Record) -> None:
-        """Process a record of a flight's log.
+        """Process a record from a flight's log.
 
         Only inputs, phases, wall estimates and results of plans are used. All other records are ignored.
         """
@@ -175,11 +174,10 @@ class TelemetryMonitor:
         )
 
     def put(self, item: Input) -> None:
-        """Queue a record of the telemetry for `process_queued`, from any thread, without blocking."""
+        """Queue a record for `process_queued`, from any thread, without blocking."""
         self._queued.append(item)
 
     def process_queued(self) -> None:
-        """Process the queued records in order."""
         while self._queued:
             self._process(self._queued.popleft())
 
@@ -222,7 +220,6 @@ class TelemetryMonitor:
             self._phase = text.removeprefix("phase ")
 
     def view(self) -> MonitorView:
-        """Return the present state for a screen."""
         self.process_queued()
         now, state, e = host_us(), self._senses.state, self._estimate
         newest = state.imu.t_us if state.imu else 0
@@ -305,13 +302,8 @@ async def monitor_vehicle(
     """Connect as a ground station, run the watcher and show a view every period.
 
     Args:
-        watcher: monitor to run.
-        url: MAVSDK connection URL.
         timeout_s: timeout of the connection, at most `seconds`.
-        show: callback for each view.
-        period_s: time between two views.
         seconds: duration, or None to run until cancelled.
-        opened: callback for the moment when the link is open.
 
     Raises:
         VehicleError: there is no autopilot at the URL.
@@ -353,20 +345,9 @@ def monitor_log(
 ) -> None:
     """Run the watcher on the log of a flight in progress and show a view every period.
 
-    This function does not use the link and does not affect the flight. The function ends after `seconds`, at
-    the end of the log, or when the flight's process has ended.
-
-    Args:
-        watcher: monitor to run.
-        log: log to follow.
-        show: callback for each view.
-        period_s: time between two views.
-        seconds: duration, or None for no limit.
-        flying: function that returns whether the flight's process is alive.
-        viewer: callback for every record.
-
-    Raises:
-        InputError: the log cannot be read, or is damaged.
+    This function does not use the link and does not affect the flight. It ends after `seconds`, at the end of
+    the log, or when the flight's process has ended (`flying`). Raise InputError if the log cannot be read, or
+    is damaged.
     """
     end = None if seconds is None else time.monotonic() + seconds
     shown_s = -math.inf

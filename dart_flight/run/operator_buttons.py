@@ -29,10 +29,7 @@ _MODES: Final = {Button.LOCK_RIGID: Mode.RIGID, Button.LOCK_FLEXIBLE: Mode.FLEXI
 
 
 class Errand(NamedTuple):
-    """Task for which standby passes the link to another process.
-
-    `missions` contains the numbers of the missions, which begin at 1.
-    """
+    """Task for which standby passes the link to another process; mission numbers begin at 1."""
 
     fly: bool
     missions: tuple[int, ...]
@@ -59,20 +56,14 @@ CANCELLED: Final = "take-off cancelled"
 
 
 def reply_before_take_off(press: Press) -> Reply:
-    """Return the answer to a button while a flight that was requested checks the vehicle."""
+    """Return the answer while a requested flight checks the vehicle."""
     if button_of(press) is Button.LAND:
         return Reply(Result.ACCEPTED, CANCELLED, Request.LAND)
     return Reply(Result.TEMPORARILY_REJECTED, "checking before the flight: only Land has an effect")
 
 
 def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
-    """Return the answer to a button while a mission flies.
-
-    Args:
-        press: press of the button.
-        phase: phase of the mission.
-        lock: state of the lock as text, empty without a lock.
-    """
+    """Return the answer while a mission flies; `lock` is the state of the lock, empty without a lock."""
     button, over = button_of(press), phase is Phase.DONE
     if button is Button.CHECK:
         return Reply(Result.ACCEPTED, f"in flight: {phase}" + (f"; {lock}" if lock else ""))
@@ -108,7 +99,6 @@ class StandbyState(NamedTuple):
 
     Attributes:
         missions: names of the missions, in the order of their numbers.
-        has_lock: whether the vehicle has a lock.
         travelling: mode to which the lock travels, or None while it rests.
         armed: whether the motors may turn, or None before PX4's first heartbeat.
         remote_control: whether PX4 receives the remote control.
@@ -128,7 +118,6 @@ class StandbyButtons:
         self._asked: tuple[int, float] | None = None  # mission of the first press, and its time
 
     def reply(self, press: Press, state: StandbyState, now_s: float) -> Reply:
-        """Return the answer to a button."""
         button, asked = button_of(press), self._asked
         self._asked = None  # any other button between the two presses cancels the first
         if button is None:
@@ -189,7 +178,7 @@ class RcSwitch:
         self._seen_s: float | None = None
 
     def update(self, pulse_us: int, now_s: float) -> Mode | None:
-        """Process the channel's next pulse; return the mode to which the lock must move, or None."""
+        """Process the channel's next pulse; return the mode to which the lock must move."""
         if pulse_us not in _PULSES_US:
             return None
         if self._seen_s is None or now_s - self._seen_s > _GAP_S:

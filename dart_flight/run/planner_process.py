@@ -46,13 +46,8 @@ class PlannerProcess:
     """Process that plans trajectories for one mission, or fits the contacts of that mission.
 
     Args:
-        mission: mission that is flown.
-        kind: kind of request that the process answers.
         deliver: callback for every answer, on a thread of the planner; must not block.
-        host_us: function that returns the host's time in microseconds. In lockstep this is simulated time.
-
-    Raises:
-        OSError: the process cannot be started.
+        host_us: returns the host's time; in lockstep this is simulated time.
     """
 
     def __init__(
@@ -68,10 +63,7 @@ class PlannerProcess:
         self.process = ChildProcess(__name__, _KINDS[kind] + msgspec.json.encode(mission), self._receive)
 
     def send(self, item: PlanRequest | ContactRequest | WallEstimate | FrameAnchor) -> None:
-        """Send a request, a wall estimate or a frame correction; never blocks.
-
-        If the planner has died, an answer with a `problem` is delivered at once.
-        """
+        """Send without blocking. If the planner has died, an answer with a `problem` is delivered at once."""
         if isinstance(item, PlanRequest | ContactRequest):
             self._open[item.number] = item
         if self.process.poll() is not None or not self.process.send(
@@ -80,7 +72,6 @@ class PlannerProcess:
             self._answer_open()
 
     def stop(self) -> None:
-        """End the process."""
         self.process.end(_END_S)
 
     def _answer_open(self) -> None:
@@ -105,10 +96,7 @@ class PlannerProcess:
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer requests until the stream of requests ends.
-
-    The first line of the stream contains the kind of the requests and the mission.
-    """
+    """Answer requests until their stream ends; its first line has the requests' kind and the mission."""
     first = requests.readline()
     mission = msgspec.json.decode(first[1:], type=Mission)
     plans = first.startswith(_KINDS[PlanRequest])

@@ -28,13 +28,8 @@ async def forward_poses(
     """Forward the poses of `mocap.url` to PX4, and call `show` once per period.
 
     Args:
-        mission: mission with the vehicle's configuration.
         source: the opened source of `mocap.url`; it is closed at the end.
-        url: MAVSDK connection URL.
-        show: callback for the statistics, and for the bridge with its problem.
-        period_s: time between two calls of `show`.
         seconds: duration, or None to run until cancelled.
-        opened: callback for the moment when the link is open.
 
     Raises:
         VehicleError: there is no autopilot at the URL.

@@ -1,4 +1,7 @@
-"""Preparation of missions: check space and force, change the lock driver or pose source, rehearse."""
+"""Preparation of missions: check space and force, change the lock driver or pose source, rehearse.
+
+InputError means that the mission, or the option for it, cannot be flown.
+"""
 
 from __future__ import annotations
 
@@ -24,22 +27,14 @@ _PX4_DELAYS_S = {"setpoint_delay_s": 0.024, "attitude_delay_s": 0.05}
 
 
 def load_flyable(path: str | Path, config: str | Path | None = None, settings: Sequence[str] = ()) -> Mission:
-    """Load a mission whose approaches have enough space and whose impacts are within the force limit.
-
-    Raises:
-        InputError: the file is wrong, an approach cannot be flown, or an impact exceeds the force limit.
-    """
+    """Load a mission whose approaches have enough space and whose impacts are within the force limit."""
     mission = load_mission(path, config, settings)
     refuse_unflyable(mission)
     return mission
 
 
 def refuse_unflyable(mission: Mission) -> None:
-    """Check that a mission's approaches have enough space and its impacts are within the force limit.
-
-    Raises:
-        InputError: an approach cannot be flown, or an impact exceeds the force limit.
-    """
+    """Raise InputError if an approach cannot be flown, or an impact exceeds the force limit."""
     flight_core_of(mission)
     problem = impact_problem(mission)
     if problem is not None:
@@ -47,11 +42,7 @@ def refuse_unflyable(mission: Mission) -> None:
 
 
 def flight_core_of(mission: Mission) -> FlightCore:
-    """Return the flight core of a mission.
-
-    Raises:
-        InputError: an approach cannot be flown, or a wall blocks a transit.
-    """
+    """Return the flight core; raise InputError if an approach cannot be flown, or a wall blocks a transit."""
     try:
         return FlightCore(mission)
     except NoApproachError as error:
@@ -59,11 +50,7 @@ def flight_core_of(mission: Mission) -> FlightCore:
 
 
 def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
-    """Return the mission with another lock driver. If `driver` is None, return the mission unchanged.
-
-    Raises:
-        InputError: the vehicle has no lock.
-    """
+    """Return the mission with another lock driver; None changes nothing."""
     if driver is None:
         return mission
     if mission.vehicle.lock is None:
@@ -79,10 +66,7 @@ NO_MOCAP = "none"  # value of `--mocap` that switches `mocap.url` off for one co
 def with_mocap(mission: Mission, url: str | None) -> Mission:
     """Return the mission with another source of poses, or with none if `url` is `NO_MOCAP`.
 
-    If `url` is None, return the mission unchanged.
-
-    Raises:
-        InputError: the URL does not name a pose source.
+    If `url` is None, the mission's own URL is checked and kept.
     """
     url = url if url is not None else mission.vehicle.mocap.url
     if url is None:
@@ -102,12 +86,8 @@ def with_simulated_mocap(
     """Return the mission for a simulated vehicle with an emulated motion capture, or without one.
 
     Args:
-        mission: mission to fly.
         kind: one of `sim.motion_capture.KINDS`; None or `NO_MOCAP` if the simulated autopilot needs no poses.
         source: position source of the simulated autopilot.
-
-    Raises:
-        InputError: the kind is unknown, or the position comes from GPS.
     """
     kind = None if kind == NO_MOCAP else kind
     if kind is not None and kind not in KINDS:
@@ -123,16 +103,13 @@ def with_simulated_mocap(
 
 
 def emulated_kind(mission: Mission) -> str | None:
-    """Return the kind of motion capture that a simulated world emulates for a mission, or None."""
+    """Return the kind of motion capture that a simulated world emulates for a mission."""
     url = mission.vehicle.mocap.url
     return None if url is None else url.partition(":")[0]
 
 
 def with_px4_delays(mission: Mission) -> Mission:
-    """Return the mission with PX4's values of `setpoint_delay_s` and `attitude_delay_s`.
-
-    If the configuration sets a delay, its value is kept.
-    """
+    """Set `setpoint_delay_s` and `attitude_delay_s` to PX4's values where the configuration sets none."""
     flying = mission.vehicle.flying
     own = {name: default_s for name, default_s in _PX4_DELAYS_S.items() if getattr(flying, name) is None}
     flying = msgspec.structs.replace(flying, **own)
@@ -141,14 +118,9 @@ def with_px4_delays(mission: Mission) -> Mission:
 
 
 def as_rehearsal(mission: Mission, standoff_m: float | None) -> Mission:
-    """Return the rehearsal of a mission. In a rehearsal the vehicle stops in front of each wall.
+    """Return the rehearsal of a mission, in which the vehicle stops `standoff_m` in front of each wall.
 
-    Args:
-        mission: mission to rehearse.
-        standoff_m: distance from the wall at the stop, or None to return the mission unchanged.
-
-    Raises:
-        InputError: the distance is below 0.1 m or above 2 m.
+    None returns the mission unchanged.
     """
     if standoff_m is None:
         return mission

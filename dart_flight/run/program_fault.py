@@ -22,9 +22,6 @@ class ProgramFault:
     """Onlooker that begins one fault when it is due; called on the core thread.
 
     Args:
-        fault: fault to inject, with its phase.
-        app: app with the event loop and the mock servo.
-        world: simulated vehicle, for faults of the vehicle, or None.
         log: path of the flight log. With the fault `disk-full`, writing to this file fails.
     """
 
@@ -36,7 +33,6 @@ class ProgramFault:
         self._begun = False
 
     def __call__(self, record: Record) -> None:
-        """Process a record, and begin the fault when it is due."""
         if self._begun or not self._trigger.process(record):
             return
         now_us = getattr(record, "t_us", 0)

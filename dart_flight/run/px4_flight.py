@@ -48,18 +48,11 @@ def fly_px4(
     """Fly through MAVSDK over UDP with a real PX4 SITL on our plant, and return the verdict.
 
     Args:
-        mission: mission to fly.
         directory: PX4's folder with bin and etc, or None to use the environment variable DART_PX4_DIR.
-        seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder. The flight's folder also receives PX4's ULog as `px4.ulg`.
-        progress: callback for every record, on a separate thread.
-        position_from: source of PX4's position: motion capture (indoors, no GPS) or a GPS receiver.
-        speed: highest number of simulated seconds per second.
         realtime: whether simulated time advances without waiting for this program.
         parameter_files: PX4 parameters in addition to `configs/px4/`.
-        spreads: quantities to draw at random (`sim.draws`): name -> standard deviation.
-        fault: fault of the motion capture, or None.
-        viewer: callback for every record, on the thread that processed it.
+        fault: fault of the motion capture.
 
     Raises:
         InputError: PX4 is not found, a parameter file is wrong, or the mission's frame is not valid with GPS.
@@ -118,10 +111,7 @@ def fly_px4(
 
 
 def _px4_figures(ulog: Path, version: str | None, notify: Onlooker) -> Px4Figures:
-    """Return the values from PX4's own log.
-
-    If the log cannot be read, report this through `notify` and return only PX4's version.
-    """
+    """Return the values from PX4's own log; if it cannot be read, report this and return only the version."""
     try:
         figures: Px4Figures = load_entry(PX4_FIGURES)(ulog, version)
     except ImportError:

@@ -1,4 +1,8 @@
-"""Download of PX4's own log into the flight's folder, for `fly` and `px4-log`."""
+"""Download of PX4's own log into the flight's folder, for `fly` and `px4-log`.
+
+Both functions raise VehicleError if no vehicle answers at the URL, and DownloadError if it does not answer
+the request.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +20,6 @@ _WRITTEN_S = 2.0  # time for PX4 to finish writing after disarming
 
 
 def list_px4_logs(url: str, timeout_s: float) -> list[Px4LogEntry]:
-    """Return the logs on the flight controller.
-
-    Raises:
-        VehicleError: no vehicle answers at the URL.
-        DownloadError: the flight controller does not answer the request.
-    """
     with GroundLink(url, timeout_s) as link, contextlib.closing(link.px4_logs()) as logs:
         return logs.entries()
 
@@ -42,18 +40,11 @@ def fetch_px4_log(
 
     Args:
         url: MAVLink URL of the vehicle, which must be disarmed.
-        timeout_s: timeout of the connection.
-        folder: folder of the flight.
         armed: arming time and end time of the flight, or None if not known.
         before: logs that existed before the flight, or None if not known.
-        choose: function that selects a log if several logs may belong to the flight.
-        print_line: callback for lines to the operator.
+        choose: selects a log if several logs may belong to the flight.
         progress: callback for the received share, 0 to 1.
         opened: callback for the moment when the link is open (`LinkLease.lock_device`).
-
-    Raises:
-        VehicleError: no vehicle answers at the URL, or the vehicle is armed.
-        DownloadError: there is no log of the flight, or the download failed.
     """
     path = folder / PX4_LOG
     with GroundLink(url, timeout_s) as link, contextlib.closing(link.px4_logs()) as logs:

@@ -69,10 +69,7 @@ _IN_FLIGHT = 3  # inputs at the end of a cut log whose outputs may be missing
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """An output that differs from the recording.
-
-    `recorded` or `replayed` is None if the recording or the replay does not have this output.
-    """
+    """An output that differs from the recording; None: one side does not have this output."""
 
     number: int
     t_us: int
@@ -80,7 +77,6 @@ class Difference(msgspec.Struct, frozen=True):
     replayed: Record | None
 
     def text(self) -> str:
-        """Return the difference in one line."""
         kind = type(self.recorded or self.replayed).__name__
         if self.recorded is None:
             return f"{kind} is not in the recording: {_show(self.replayed)}"
@@ -100,7 +96,6 @@ class Replay(msgspec.Struct):
         inputs: number of inputs that the core has processed.
         outputs: number of outputs that were compared.
         exact: whether the comparison was bit for bit. If not, a relative error of 1e-9 was allowed.
-        differences: outputs that differ from the recording.
         recorded, replayed: decisions in the log and decisions in the replay, both in order of time.
         zero_us: autopilot time that is shown as 0 s (`recording.flight_time`).
         missing: number of inputs that the log lost; the core's state may differ after the first lost input.
@@ -119,7 +114,6 @@ class Replay(msgspec.Struct):
 
     @property
     def equal(self) -> bool:
-        """Whether all outputs are as recorded."""
         return not self.differences
 
 
@@ -127,7 +121,6 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
     """Replay a log and return the comparison.
 
     Args:
-        log: log of a flight.
         settings: `KEY=VALUE`, keys of the vehicle configuration or of the mission (`changed_mission`).
         exact: whether to compare bit for bit, or None to do so only for a log from this kind of machine.
 
@@ -282,13 +275,9 @@ def _brief(record: Record | None, first_us: int) -> str:
 def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     """Return the mission of a log with changed settings, validated like a mission file.
 
-    Args:
-        log: log of a flight.
-        settings: `KEY=VALUE` with a dotted key, such as `detection.force_threshold_n=8`,
-            `materials.wood.rigid.k=5000` or `collisions[0].alpha_m_per_n=[0.1, 0.02]`.
-
-    Raises:
-        InputError: a key is unknown, or a value is of the wrong kind or out of range.
+    `settings` are `KEY=VALUE` with a dotted key, such as `detection.force_threshold_n=8`,
+    `materials.wood.rigid.k=5000` or `collisions[0].alpha_m_per_n=[0.1, 0.02]`. Raise InputError if a key is
+    unknown, or a value is of the wrong kind or out of range.
     """
     flown = flown_mission(log.about, log.source)
     mission, vehicle = written_mission(log.about, log.source)

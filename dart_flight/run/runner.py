@@ -51,11 +51,9 @@ class CoreRunner:
     """Runner that steps the core, numbers inputs, and passes inputs and outputs to an observer.
 
     Args:
-        core: flight core.
-        sink: receiver of the core's commands.
-        observe: callback that receives each input with the input's number. Afterwards the callback receives,
-            with the same number, each output and note (such as `SetpointSent`) that the input causes.
-        host_us: function that returns the host's monotonic time, microseconds; the fast world simulates it.
+        observe: receives each input with the input's number. Afterwards it receives, with the same number,
+            each output and note (such as `SetpointSent`) that the input causes.
+        host_us: returns the host's monotonic time; the fast world simulates it.
     """
 
     def __init__(self, core: Core, sink: CommandSink, observe: Observe, host_us: Callable[[], int]) -> None:
@@ -67,10 +65,8 @@ class CoreRunner:
     def step(self, item: Input, *, more: bool = False) -> None:
         """Step the core with an input and carry out the core's outputs, setpoints first.
 
-        Args:
-            item: input of the core.
-            more: whether another input follows at once. If so, the setpoint of this step is not sent yet,
-                because the next step may replace it.
+        If another input follows at once (`more`), the setpoint of this step is not sent yet, because the next
+        step may replace it.
         """
         number = self._number
         self._number += 1
@@ -102,11 +98,7 @@ class CoreRunner:
         self._observe(record, self._number)
 
     def _send(self, setpoint: Setpoint) -> SetpointSent | None:
-        """Send a recovery setpoint at once. Store any other setpoint for `_send_held`.
-
-        Returns:
-            A note with the latency of the sent recovery setpoint, or None.
-        """
+        """Send a recovery setpoint at once and return its latency; store any other for `_send_held`."""
         if not setpoint.recovery:
             self._held = setpoint
             return None

@@ -36,13 +36,9 @@ class SimulatorError(FlightError):
 
 
 class SimulatorProcess:
-    """Simulated vehicle in its own process and session.
+    """Simulated vehicle in its own process and session, which continues after Ctrl-C and the end of the app.
 
-    The process continues after Ctrl-C and after the end of the app.
-
-    Args:
-        spec: specification of the simulated vehicle.
-        on_truth: callback for every truth record, on a separate thread.
+    `on_truth` is called on a separate thread.
     """
 
     ready_timeout_s = 20.0
@@ -67,7 +63,7 @@ class SimulatorProcess:
 
     @property
     def cause(self) -> str:
-        """The reason why the world has ended, as text; valid only if `died` is True."""
+        """The reason why the world has ended; valid only if `died` is True."""
         if self._cause is None:
             self.process.listener.join(_LAST_WORDS_S)  # the cause may still be unread in the pipe
         if self._cause is not None:
@@ -78,34 +74,27 @@ class SimulatorProcess:
 
     @property
     def port(self) -> int:
-        """UDP port to which the autopilot sends. The autopilot has chosen this port."""
+        """UDP port that the autopilot has chosen to send to."""
         assert self.ready is not None
         assert self.ready.port is not None
         return self.ready.port
 
     @property
     def mocap_url(self) -> str | None:
-        """URL of the emulated motion capture, or None without one."""
         return self.ready.mocap_url if self.ready is not None else None
 
     @property
     def version(self) -> str | None:
-        """Version of the autopilot, or None if not reported."""
         return self.ready.version if self.ready is not None else None
 
     def wait_ready(self) -> None:
-        """Block until the autopilot sends telemetry.
-
-        Raises:
-            SimulatorError: the autopilot does not start in time; the message contains the cause if known.
-        """
+        """Block until the autopilot sends telemetry; otherwise SimulatorError contains the cause if known."""
         self._reported.wait(self.ready_timeout_s)
         if self.ready is None:
             where = f", see {self._log}" if self._log else ""
             raise SimulatorError((self._cause or f"{self.what} did not start") + where)
 
     def send_horn(self, pulse_us: float) -> None:
-        """Send the position of the mock servo's horn to the plant."""
         self.process.send(msgspec.json.encode(HornPosition(pulse_us)))
 
     def send_line(self, line: bytes) -> bool:
@@ -113,7 +102,6 @@ class SimulatorProcess:
         return self.process.send(line)
 
     def send_fault(self, fault: Fault) -> None:
-        """Begin a fault in the simulated vehicle."""
         self.process.send(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
@@ -168,10 +156,9 @@ def fly_simulated(
     """Start a world, fly in this world, end the world and close the log; return the world.
 
     Args:
-        record: record of the flight, to which the truth of the world is added.
-        spec: specification of the world; its text log goes into the flight's folder.
-        make_app: function that makes the app once the world is ready.
-        process: class of the world's process.
+        record: gets the truth of the world.
+        spec: the text log of the world goes into the flight's folder.
+        make_app: makes the app once the world is ready.
 
     Raises:
         InputError: the name of the flight's folder is not UTF-8.

@@ -72,10 +72,7 @@ class Ended(NamedTuple):
 class StandbyDesk:
     """State and decisions of standby, without I/O and without a clock.
 
-    Args:
-        missions: names of the missions.
-        rc_channel: channel of the switch that moves the lock, or None.
-        has_lock: whether the vehicle has a lock.
+    `rc_channel` is the channel of the switch that moves the lock, or None.
     """
 
     def __init__(self, missions: Sequence[str], rc_channel: int | None, has_lock: bool) -> None:
@@ -90,17 +87,14 @@ class StandbyDesk:
         self._travelling: Mode | None = None
 
     def press(self, press: Press, now_s: float) -> Reply:
-        """Return the answer to a button."""
         radio = now_s - self._radio_s <= _RADIO_S
         state = StandbyState(self._missions, self._has_lock, self._travelling, self._armed, radio)
         return self._buttons.reply(press, state, now_s)
 
     def update_lock(self, state: LockState) -> None:
-        """Store the lock's state."""
         self._travelling = state.mode if state.phase is LockPhase.TRAVELLING else None
 
     def update_armed(self, armed: bool) -> None:
-        """Store whether the motors may turn."""
         self._armed = armed
 
     def update_sensors(self, present: int, now_s: float) -> None:
@@ -108,7 +102,7 @@ class StandbyDesk:
         self._radio_s = now_s if present & _RC_RECEIVER else -math.inf
 
     def update_switch(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
-        """Return the mode to which the transmitter's switch moves the lock, or None."""
+        """Return the mode to which the transmitter's switch moves the lock."""
         if now_s - self._radio_s > _RADIO_S or self._channel is None or self._channel > len(pulses_us):
             return None  # after a loss of the link, receivers may send preset positions
         return self._switch.update(pulses_us[self._channel - 1], now_s)
@@ -143,8 +137,6 @@ class Standby:
 
     Args:
         missions: names and files of the missions, in the order of the buttons.
-        vehicle: configuration with the lock, the link and the motion capture.
-        url: MAVSDK connection URL.
         options: additional options of `fly` and `check`.
         report: callback for messages: a kind (`standby`, `child` or `problem`) and a line.
     """
@@ -172,8 +164,7 @@ class Standby:
     async def run(self) -> None:
         """Stand by until SIGINT, SIGTERM or SIGHUP (`StopSignals`); a flight in progress lands first.
 
-        Raises:
-            InputError: the motion capture or the state folder cannot be used.
+        Raise InputError if the motion capture or the state folder cannot be used.
         """
         self._loop = asyncio.get_running_loop()
         systemd = SystemdNotice()

@@ -50,12 +50,9 @@ class StepReporter:
     """Reporter of the application's progress to the simulated world; all methods are thread-safe.
 
     Args:
-        send: function that writes one line to the world; must not block.
+        send: writes one line to the world; must not block.
         batches: whether the world may advance by a batch of ticks at once. This must be False if poses are
             forwarded, because the order of poses and samples in a batch would depend on the computer's load.
-
-    Attributes:
-        clock: clock of simulated time.
     """
 
     def __init__(self, send: Callable[[bytes], object], batches: bool = True) -> None:
@@ -81,7 +78,7 @@ class StepReporter:
             self._report()
 
     def end(self) -> None:
-        """Let the world continue without the application. The application must send nothing afterwards."""
+        """Let the world continue without the application, which must send nothing afterwards."""
         with self._guard:
             self._flies = False
             self._report()
@@ -103,7 +100,6 @@ class StepReporter:
         """Remove finished tasks from the count, and report to the world if no task is left.
 
         Args:
-            items: inputs that the core has processed.
             work: number of finished tasks; telemetry does not count as a task.
             batched: whether the core processes the next samples in batches, or None for no change.
         """
@@ -133,7 +129,6 @@ class StepReporter:
 
     @contextmanager
     def command(self) -> Iterator[None]:
-        """Count a request to the autopilot as an unfinished task within the context."""
         self.open_command()
         try:
             yield
@@ -177,7 +172,6 @@ class StepReporter:
             )
 
     def sent_pose(self, position_ned: Vec3) -> None:
-        """Store the position of the pose that was passed to MAVSDK."""
         with self._guard:
             self._sent["pose"] = position_ned
 

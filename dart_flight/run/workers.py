@@ -37,7 +37,6 @@ _PRELOADED = ["dart_flight.run.fast", "dart_flight.recording.verdict"]
 
 
 def usable_cores() -> int:
-    """Return the number of cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -46,10 +45,8 @@ def usable_cores() -> int:
 class Interrupt(StopSignals):
     """Context that counts Ctrl-C, SIGTERM and SIGHUP (a dropped session) instead of ending the program.
 
-    The context has an effect only in the main thread; in other threads the count stays 0.
-
-    Args:
-        announce: called once after the first interrupt, with the number of flights in progress.
+    It has an effect only in the main thread; in other threads the count stays 0. `announce` is called once
+    after the first interrupt, with the number of flights in progress.
     """
 
     def __init__(self, announce: Callable[[int], None] = lambda under_way: None) -> None:
@@ -87,7 +84,7 @@ class FinishedItem(NamedTuple, Generic[I, R]):
 
 
 def attempt(fly: Callable[[I], R], item: I) -> R | Failure:
-    """Fly one item and return the result. After an exception, return a `Failure` that names the code line."""
+    """Return the result; after an exception, return a `Failure` that names the code line."""
     try:
         return fly(item)
     except Exception as error:
@@ -142,11 +139,7 @@ class _Pool(Generic[I, R]):
             return future
 
     def renew(self) -> None:
-        """Replace the processes.
-
-        Raises:
-            FlightError: the new processes end before their first flight.
-        """
+        """Replace the processes; raise FlightError if the new ones end before their first flight."""
         for _ in range(_RENEWALS):
             self.close()
             self._executor = self._make()
@@ -196,9 +189,8 @@ def work(
     process then dies again, the cause is the item in progress.
 
     Args:
-        fly: function that flies one item; pickled once for each process.
-        items: items to fly. The iterable is read one item at a time.
-        processes: number of processes.
+        fly: flies one item; pickled once for each process.
+        items: read one item at a time.
         interrupt: counter of interrupts. After the first interrupt, no further item begins, and the items in
             progress are completed. After the second interrupt, the items in progress are abandoned.
 

@@ -9,27 +9,17 @@ from dart_flight.sim.pseudo_inverse import scaled_mix
 
 
 class Allocation:
-    """Shares of the thrust of each motor.
-
-    Args:
-        motors: motors of an airframe. The motors must control every axis (`config.vehicle.configuration`).
-    """
+    """Shares of the thrust of each motor; the motors must control every axis."""
 
     def __init__(self, motors: Sequence[Motor]) -> None:
         self._largest, self._rows = scaled_mix(motors)
         self._lift = [row[3] for row in self._rows]
 
     def shares(self, roll: float, pitch: float, yaw: float, up: float) -> list[float]:
-        """Return the thrust of each motor as a share of the motor's full thrust.
+        """Return each motor's share of its full thrust, from normalised torques (FRD) and collective thrust.
 
-        If a motor saturates, the lift is reduced or raised so that the torques are achieved.
-
-        Args:
-            roll, pitch, yaw: normalised torques, FRD.
-            up: normalised collective thrust.
-
-        Returns:
-            Shares in the motors' order. A share is below 0 or above 1 only if no lift avoids this.
+        If a motor saturates, the lift is reduced or raised so that the torques are achieved. A share is below
+        0 or above 1 only if no lift avoids this.
         """
         largest = self._largest
         wanted = [up * u + largest * (r * roll + p * pitch) + y * yaw for r, p, y, u in self._rows]

@@ -52,8 +52,8 @@ class Cascade:
     Args:
         parameters: PX4 parameters by name; read at every step, so that a PARAM_SET takes effect.
         hover_thrust: MPC_THR_HOVER, the value that PX4's hover thrust estimator would find.
-        thrust: the motors' thrust curve (THR_MDL_FAC), which the cascade inverts.
-        motors: the airframe's motors (CA_ROTOR*).
+        thrust: thrust curve (THR_MDL_FAC), which the cascade inverts.
+        motors: CA_ROTOR*.
     """
 
     def __init__(
@@ -139,10 +139,7 @@ class Cascade:
         return (wanted[0], wanted[1], wanted[2])
 
     def _thrust_vector(self, acceleration: list[float]) -> Vec3:
-        """Return the normalised thrust vector (NED) for an acceleration.
-
-        At the thrust limit, the vertical thrust has priority over the horizontal thrust.
-        """
+        """Return the normalised thrust vector, NED. At the thrust limit, the vertical part has priority."""
         g = self.parameters
         limit = math.tan(math.radians(g["MPC_TILTMAX_AIR"])) * GRAVITY_M_S2
         ax, ay = acceleration[0], acceleration[1]
@@ -175,7 +172,7 @@ class Cascade:
     # -- attitude, rate, allocation --
 
     def update_attitude(self, q: Quaternion, rate: Vec3, dt_s: float) -> tuple[float, ...]:
-        """Return motor commands, 0 to 1, for the attitude and thrust setpoints."""
+        """Return motor commands, 0 to 1."""
         g = self.parameters
         error = _attitude_error(q, self.attitude_setpoint)
         sign = 2.0 if error[0] >= 0.0 else -2.0
@@ -204,10 +201,9 @@ class Cascade:
 def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:
     """Return the rotation from the present attitude `q` to the wanted attitude, in body axes.
 
-    The thrust direction is corrected first, by the shortest rotation. The remaining rotation about the thrust
-    direction is commanded only in part (MC_YAW_WEIGHT). A single rotation to the wanted attitude would mix
-    the two corrections. At a heading error of 180 degrees, a single rotation would tilt the vehicle sideways
-    instead of levelling it.
+    The shortest rotation corrects the thrust direction first. The remaining rotation about that direction is
+    commanded only in part (MC_YAW_WEIGHT). A single rotation would mix the two: at a heading error of 180
+    degrees, it would tilt the vehicle sideways instead of levelling it.
     """
     up, up_wanted = body_up(q), body_up(wanted)
     cosine = up[0] * up_wanted[0] + up[1] * up_wanted[1] + up[2] * up_wanted[2]
@@ -233,7 +229,7 @@ def _unit(a: Vec3) -> Vec3:
 
 
 def _quaternion_from_axes(x: Vec3, y: Vec3, z: Vec3) -> Quaternion:
-    """Return the attitude of a body from the directions of its three axes in the world."""
+    """Return the attitude of a body whose axes point along `x`, `y` and `z` in the world."""
     trace = x[0] + y[1] + z[2]
     # Use the best conditioned of the four forms.
     if trace > 0.0:

@@ -8,8 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 MESSAGE_ID = 436
-# Checksum of the name and the fields below in MAVLink's wire order (MAVLink's guide, "CRC_EXTRA
-# calculation").
+# Checksum of the name and the fields below in wire order (MAVLink's guide, "CRC_EXTRA calculation").
 _CRC_EXTRA = 193
 _FIELDS = struct.Struct("<IIB")
 
@@ -22,5 +21,4 @@ class CurrentModeMessage(mavlink.MAVLink_message):  # type: ignore[misc]
         self._payload = _FIELDS.pack(custom_mode, custom_mode, 0)
 
     def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
-        """Return the encoded message."""
         return bytes(self._pack(mav, _CRC_EXTRA, self._payload, force_mavlink1=force_mavlink1))

@@ -10,11 +10,7 @@ Address = tuple[str, int]
 
 
 def send_datagram(link: socket.socket, data: bytes, address: Address) -> None:
-    """Send a datagram through a non-blocking socket; it is lost if nobody listens.
-
-    Raises:
-        FlightError: the network refuses the datagram for another reason.
-    """
+    """Send a datagram, which is lost if no peer listens; any other failure raises FlightError."""
     try:
         link.sendto(data, address)
     except (BlockingIOError, ConnectionRefusedError):
@@ -25,11 +21,7 @@ def send_datagram(link: socket.socket, data: bytes, address: Address) -> None:
 
 
 def receive_datagram(link: socket.socket) -> tuple[bytes, Address] | None:
-    """Return a datagram from a non-blocking socket and the sender, or None if no datagram has arrived.
-
-    Raises:
-        FlightError: the network fails.
-    """
+    """Return a datagram and its sender, or None if none has arrived. A network failure raises FlightError."""
     while True:
         try:
             return link.recvfrom(4096)

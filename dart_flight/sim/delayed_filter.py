@@ -1,12 +1,11 @@
 """A small model of PX4's EKF2: it assumes that every pose arrives EKF2_EV_DELAY after its measurement.
 
 `Estimator` uses the true age of every pose, so it cannot model a wrong delay. This filter works like EKF2. A
-Kalman filter runs about 0.15 s behind the present. The filter fuses each pose at the pose's time of arrival
-minus the configured delay. An output predictor propagates the filter's state to the present by the IMU. If
-the configured delay is wrong, the filter attributes the error to velocity, tilt and accelerometer bias. The
-filter also rejects poses that are too far from the estimate (beyond the gate). With a wrong delay, the
-estimate therefore oscillates. Gains, gates and time constants are from PX4's defaults and
-`configs/px4/indoor.params`.
+Kalman filter runs about 0.15 s behind the present and fuses each pose at its time of arrival minus the
+configured delay. An output predictor propagates the filter's state to the present by the IMU. If the
+configured delay is wrong, the filter attributes the error to velocity, tilt and accelerometer bias, and it
+rejects poses beyond the gate. The estimate therefore oscillates. Gains, gates and time constants are from
+PX4's defaults and `configs/px4/indoor.params`.
 """
 
 from __future__ import annotations
@@ -66,13 +65,12 @@ class EstimatedMotion(Protocol):
 
 
 class DelayedFilter:
-    """A filter that assumes an age of `delay_s` for every arriving pose, and writes an estimator's state.
+    """A filter that assumes the same age for every arriving pose, and writes an estimator's state.
 
     Args:
-        estimator: estimator whose position, velocity and attitude the filter writes from now on.
+        estimator: its position, velocity and attitude are written by the filter from now on.
         started: whether the estimator has already had a pose.
-        now_s: present time, seconds.
-        delay_s: assumed age of a pose on arrival (EKF2_EV_DELAY), seconds.
+        delay_s: assumed age of a pose on arrival (EKF2_EV_DELAY).
     """
 
     def __init__(self, estimator: EstimatedMotion, started: bool, now_s: float, delay_s: float) -> None:
@@ -118,7 +116,7 @@ class DelayedFilter:
             self._follow(self._outputs.popleft())
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion | None) -> None:
-        """Queue a pose that arrives now. The filter ignores the pose's true time `t_s`."""
+        """Queue a pose that arrives now; like EKF2, ignore its true time `t_s`."""
         self._updates += 1
         if self._updates == 1:
             self._of.position, self._of.q = position_ned, q or self._of.q
@@ -127,7 +125,7 @@ class DelayedFilter:
         self._of.ok = self._of.ok or (self._updates > 50 and self._now_s - self._fused_s < _INVALID_AFTER_S)
 
     def shift(self, by_ned: Vec3) -> None:
-        """Shift the position by `by_ned` (metres) in one step, like a reset of EKF2."""
+        """Shift the position in one step, like a reset of EKF2."""
         self._of.resets += 1
         self._of.position, self._at_p = add(self._of.position, by_ned), add(self._at_p, by_ned)
         self._outputs = deque((add(p, by_ned), v, q) for p, v, q in self._outputs)
@@ -149,7 +147,6 @@ class DelayedFilter:
             self._fuse(t_s, pose[1], None if pose[2] is None else yaw_ned_of(pose[2]))
 
     def _grow(self, f: Vec3) -> None:
-        """Propagate the covariance by one step."""
         body = np.array([rotate(self._at_q, axis) for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0))]).T
         x, y, z = rotate(self._at_q, f)
         step = np.eye(12)

@@ -52,7 +52,6 @@ class DrawnWorld(NamedTuple):
 
     Attributes:
         mission: mission with the true vehicle and the true walls; only the simulated vehicle uses it.
-        lock_faults: drawn faults of the mock servo, or None.
         drawn: drawn values by name, for log and verdict.
     """
 
@@ -64,10 +63,8 @@ class DrawnWorld(NamedTuple):
 def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, float]:
     """Return the spreads, name -> standard deviation, from settings `NAME[=SD]`.
 
-    `all` selects every quantity that the vehicle has, each with its default spread.
-
-    Raises:
-        InputError: a name is unknown or refers to a part that the vehicle lacks, or a number is below 0.
+    `all` selects every quantity that the vehicle has, with its default spread. Raise InputError if a name is
+    unknown or refers to a part that the vehicle lacks, or if a number is below 0.
     """
     names = [n for n in NAMES if vehicle.has_lock or n not in _OF_LOCK]
     spreads = {**SPREADS, "guard_height_m": vehicle.simulation.contact.guard_height_sd_m}
@@ -94,13 +91,7 @@ def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, flo
 
 
 def draw_world(mission: Mission, seed: int, spreads: Mapping[str, float]) -> DrawnWorld:
-    """Draw the world of one flight.
-
-    Args:
-        mission: the mission that the core assumes.
-        seed: seed of the draws; the same seed and spreads give the same world.
-        spreads: name of each drawn quantity -> standard deviation (`parse_vary`).
-    """
+    """Draw the world of one flight around the mission that the core assumes (`spreads`: `parse_vary`)."""
     world = DrawnWorld(mission, None, {})
     for name in NAMES:  # in the table's order, independent of the requested order
         if spreads.get(name):
@@ -129,7 +120,7 @@ def _with_contact(world: DrawnWorld, drawn: Drawn, **changes: object) -> DrawnWo
 
 
 def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw the contact coefficients (`Coefficients`) of every wall and mode; they are constant in flight."""
+    """Draw the coefficients of every wall and mode; they are constant in flight."""
     mission = world.mission
     materials, drawn = dict(mission.vehicle.materials), Drawn()
     renamed: dict[str, Wall] = {}
@@ -150,16 +141,15 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _independent_walls(mission: Mission) -> list[Wall]:
-    """Return the walls in simulation, except the backs of partitions, which follow from the fronts."""
+    """Return all walls except the backs of partitions, which follow from the fronts."""
     return [wall for wall in mission.standing_walls if not wall.is_back]
 
 
 def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
-    """Return the world with other walls.
+    """Return the world with other walls, by name.
 
-    `walls` must contain every wall of the world, except the backs of partitions, which follow from the
-    fronts; its keys are the walls' names. If a wall is the tangent plane of a post, the post moves with the
-    wall.
+    `walls` must contain every wall except the backs of partitions, which follow from the fronts. If a wall is
+    the tangent plane of a post, the post moves with the wall.
     """
     mission = world.mission
     fronts = [wall for wall in walls.values() if wall.thickness_m is not None and not wall.is_back]
@@ -209,10 +199,7 @@ def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _contact_scatter(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Set how much the coefficients k, f and mu vary from one contact to the next.
-
-    The plant draws these coefficients again for every contact.
-    """
+    """Set how much k, f and mu vary; the plant draws them again for every contact."""
     return _with_contact(world, {"contact_scatter": sd}, scatter=sd)
 
 
@@ -222,7 +209,7 @@ def _guard_height(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorl
 
 
 def _mass(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw the mass, and scale the inertia with it."""
+    """Draw the mass; the inertia scales with it."""
     factor = _factor(rng, sd)
     vehicle = world.mission.vehicle
     ix, iy, iz = vehicle.airframe.inertia_kg_m2
@@ -235,10 +222,7 @@ def _mass(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _wind(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw a steady wind from any direction, and set the gusts.
-
-    The standard deviation of the gusts is half of `sd`.
-    """
+    """Draw a steady wind from any direction; the standard deviation of the gusts is half of `sd`."""
     north, east = world.mission.vehicle.simulation.wind_north_east_m_s
     north, east = north + sd * rng.gauss(0.0, 1.0), east + sd * rng.gauss(0.0, 1.0)
     drawn: Drawn = {"wind_north_m_s": north, "wind_east_m_s": east}
@@ -256,10 +240,7 @@ def _servo(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _lock_true_mode(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw a fault of the lock with probability `sd`.
-
-    Either the servo is stuck from the start, or the rods are half engaged.
-    """
+    """With probability `sd`, let the servo be stuck from the start or the rods be half engaged."""
     if rng.random() >= sd:
         return world._replace(drawn=world.drawn | {LOCK_TRUE_MODE: AS_COMMANDED})
     if rng.random() < 0.5:
@@ -289,7 +270,7 @@ def _imu(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _replan_latency(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw a latency of replanning that is at least the configured latency."""
+    """Draw a latency that is at least the configured latency."""
     latency_s = world.mission.vehicle.simulation.replan_latency_s + sd * abs(rng.gauss(0.0, 1.0))
     return _with_simulation(world, {"replan_latency_s": latency_s}, replan_latency_s=latency_s)
 

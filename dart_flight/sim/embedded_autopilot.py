@@ -40,7 +40,7 @@ _OFFBOARD_PROOF_S: Final = 0.5  # largest age of a setpoint with which offboard 
 
 
 class ImuReading:
-    """The IMU sample of one tick as the autopilot reports it."""
+    """The IMU sample of one tick, as reported."""
 
     __slots__ = ("rate_frd", "specific_force_frd", "t_us")
 
@@ -52,10 +52,7 @@ class Autopilot:
     """The simulated vehicle's autopilot: arming, modes, failsafes and control.
 
     Args:
-        plant: vehicle body and its surroundings.
-        seed: seed of the noise of all sensors.
         send_text: receives (severity, text) of every STATUSTEXT.
-        position_from: source of the position, motion capture or a GPS receiver.
     """
 
     def __init__(
@@ -104,17 +101,15 @@ class Autopilot:
 
     @property
     def now_s(self) -> float:
-        """Time since the start of the simulation, seconds."""
         return self.plant.time_s
 
     @property
     def time_us(self) -> int:
-        """The autopilot's clock, microseconds."""
+        """The autopilot's clock."""
         return round(self.plant.time_s * 1e6) + self.plant.time_offset_us
 
     @property
     def system_status(self) -> SystemStatus:
-        """The system status in the heartbeat, derived like PX4's."""
         if self._killed_at_s is not None:
             return SystemStatus.FLIGHT_TERMINATION
         if not self.armed:
@@ -131,7 +126,7 @@ class Autopilot:
     # -- MAVLink commands --
 
     def arm(self, force: bool = False) -> bool:
-        """Like PX4, arm and return True if the estimator is ready and the mode permits a take-off."""
+        """Like PX4, arm if the estimator is ready and the mode permits a take-off; return whether armed."""
         if self.armed:
             return True
         if self._killed_at_s is not None:
@@ -161,11 +156,11 @@ class Autopilot:
         return True
 
     def kill(self) -> None:
-        """Stop the motors at once, like the pilot's kill switch; disarm 5 s later, like PX4."""
+        """Stop the motors like the pilot's kill switch; disarm 5 s later, like PX4."""
         self._killed_at_s = self.now_s
 
     def set_mode(self, mode: FlightMode) -> bool:
-        """Change the flight mode and return whether it was accepted; offboard mode needs fresh setpoints."""
+        """Return whether the mode was accepted; offboard mode needs fresh setpoints."""
         if mode is FlightMode.OFFBOARD and self.now_s - self._offboard_at_s > _OFFBOARD_PROOF_S:
             self.send_text("critical", "Switching to offboard is not possible: no setpoints")
             return False
@@ -187,20 +182,16 @@ class Autopilot:
         return True
 
     def set_trajectory(self, setpoint: TrajectorySetpoint) -> None:
-        """Store the setpoint of a SET_POSITION_TARGET_LOCAL_NED."""
         self._offboard = setpoint
         self._offboard_at_s = self.now_s
 
     def use_external_poses(self) -> None:
-        """Fuse the poses passed to `fuse_external_pose` instead of those of the simulated motion capture."""
+        """Ignore the simulated motion capture, and fuse the poses passed to `fuse_external_pose` instead."""
         self.fuses_own_pose = False
         self.estimator.assume_delay(self.now_s, 1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
 
     def fuse_external_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> None:
-        """Fuse an external pose.
-
-        If the autopilot fuses the poses of the simulated motion capture, ignore the external pose.
-        """
+        """Fuse an external pose; without effect before `use_external_poses`."""
         if not self.fuses_own_pose:
             self.estimator.correct(self.now_s, position_ned, q_frd_to_ned)
 
@@ -210,10 +201,7 @@ class Autopilot:
             self.actuator_set[index - 1] = value
 
     def lock_pulse_us(self) -> float | None:
-        """Return the pulse of the lock's output, microseconds.
-
-        The result is None without a lock, or while the autopilot holds the output at the disarmed value.
-        """
+        """Return the pulse of the lock's output, or None without a lock or while the output is disarmed."""
         lock = self.vehicle.lock
         if lock is None:
             return None
@@ -260,7 +248,7 @@ class Autopilot:
         self.motors = self.cascade.update_attitude(e.q, e.rate, TICK_S)
 
     def _correct_by_gps(self, receiver: GpsReceiver, pose: tuple[float, Vec3, Quaternion] | None) -> None:
-        """Correct position and velocity by the GPS fix, and correct the attitude by the simulated pose."""
+        """Correct position and velocity by the GPS fix, and the attitude by the simulated pose."""
         if pose is not None:
             self.estimator.correct_attitude(pose[0], pose[2])
         fix = receiver.measure(self.plant)
@@ -349,7 +337,7 @@ class Autopilot:
 def default_parameters(
     vehicle: VehicleConfig, position_from: PositionSource = PositionSource.MOCAP
 ) -> dict[str, Value]:
-    """Return the embedded autopilot's PX4 parameters, from the configuration and from a typical vehicle.
+    """Return PX4 parameters from the configuration and from a typical vehicle.
 
     An int is an INT32 parameter of PX4, a float a REAL32 parameter.
     """
@@ -390,5 +378,5 @@ def default_parameters(
 def make_autopilot(
     mission: Mission, seed: int, send_text: Callable[[str, str], None] | None = None
 ) -> Autopilot:
-    """Return a simulated vehicle on the ground below a mission's start."""
+    """Return an autopilot on the ground below the mission's start."""
     return Autopilot(make_plant(mission, seed=seed), seed, send_text, simulated_source(mission))

@@ -54,7 +54,6 @@ class EmbeddedSimulator:
             self._mocap = EmulatedMotionCapture(spec.mocap, spec.mission, self._autopilot.plant)
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> None:
-        """Fly at the requested pace until the app has ended and the vehicle has landed."""
         writer = LineWriter(truth)
         writer.put(Ready(self._autopilot.time_us, mocap_url=self._mocap.url if self._mocap else None))
         lockstep = None
@@ -78,7 +77,6 @@ class EmbeddedSimulator:
 
     @property
     def time_us(self) -> int:
-        """Implement `ServedWorld`."""
         return self._autopilot.time_us
 
     def _report(self, severity: str, text: str) -> None:
@@ -86,7 +84,6 @@ class EmbeddedSimulator:
         self._log.write(self._autopilot.now_s, f"{severity}: {text}")
 
     def advance(self) -> Plant:
-        """Implement `ServedWorld`."""
         if self._fault is not None:
             self._fault.tick()
         if self._link_back_s is not None and self._autopilot.now_s >= self._link_back_s:
@@ -101,7 +98,6 @@ class EmbeddedSimulator:
         return self._autopilot.plant
 
     def begin_fault(self, fault: Fault) -> None:
-        """Implement `ServedWorld`."""
         self._report("warning", f"fault {fault.name} {fault.value:g}")
         if self._mocap is not None and fault.kind.site is FaultSite.MOCAP:
             self._mocap.feed.begin_fault(fault, self._autopilot.now_s)
@@ -119,13 +115,12 @@ class EmbeddedSimulator:
                 self._link_back_s = self._autopilot.now_s + fault.value
 
     def publish_pose(self) -> int | None:
-        """Implement `ServedWorld`."""
         if self._mocap is None:
             return None
         return self._mocap.publish(self._autopilot.now_s, self._autopilot.pose)
 
     def is_over(self, alone_s: float) -> bool:
-        """Implement `ServedWorld`: the world ends when the failsafe has landed the vehicle."""
+        """Return whether the failsafe has landed the vehicle, or the time limit has passed."""
         if not alone_s and self._autopilot.armed:
             self._report("warning", "app disconnected; the vehicle continues until its failsafe acts")
         most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S

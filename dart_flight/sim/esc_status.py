@@ -8,8 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 MESSAGE_ID = 291
-# Checksum of the name and the fields below in MAVLink's wire order (MAVLink's guide, "CRC_EXTRA
-# calculation").
+# Checksum of the name and the fields below in wire order (MAVLink's guide, "CRC_EXTRA calculation").
 _CRC_EXTRA = 10
 _FIELDS = struct.Struct("<Q4i4f4fB")
 
@@ -18,18 +17,12 @@ _MOTORS = 4  # per message
 
 
 class EscStatusMessages:
-    """Speeds of all motors in the autopilot's order, four per message as in PX4.
-
-    Args:
-        time_us: autopilot's time, microseconds.
-        rpm: revolutions per minute.
-    """
+    """Speeds of all motors (rpm) in the autopilot's order, four per message as in PX4."""
 
     def __init__(self, time_us: int, rpm: list[int]) -> None:
         self._time_us, self._rpm = time_us, rpm
 
     def pack(self, mav: Any) -> bytes:
-        """Return the encoded messages."""
         first, *others = range(0, len(self._rpm), _MOTORS)
         data = self._part(first).pack(mav)
         for index in others:
@@ -50,5 +43,4 @@ class _EscStatusMessage(mavlink.MAVLink_message):  # type: ignore[misc]
         self._payload = _FIELDS.pack(time_us, *rpm, *(0.0,) * 8, index)
 
     def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
-        """Return the encoded message."""
         return bytes(self._pack(mav, _CRC_EXTRA, self._payload, force_mavlink1=force_mavlink1))

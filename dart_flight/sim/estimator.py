@@ -1,10 +1,9 @@
 """The embedded autopilot's state estimator: it integrates the IMU and corrects by poses or GPS fixes.
 
-The estimator replaces PX4's EKF2. For motion capture the estimator uses fixed gains. For GPS it uses a small
-Kalman filter with noise values from PX4's parameters. The estimator is no copy of the EKF2, but has the same
-kinds of error. Poses and fixes are noisy and arrive with a delay, and a clipped accelerometer causes a
-velocity error. With GPS, the slowly varying error of the receiver's position enters the estimate. The
-estimate also drifts if the measured velocity is wrong.
+It uses fixed gains for motion capture, and for GPS a small Kalman filter with noise values from PX4's
+parameters. It is no copy of the EKF2, but has the same kinds of error. Poses and fixes are noisy and late,
+and a clipped accelerometer causes a velocity error. With GPS, the receiver's slowly varying position error
+enters the estimate, and a wrong measured velocity makes the estimate drift.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ class Estimator:
 
     @property
     def position_sd_m(self) -> float | None:
-        """The filter's standard deviation of the horizontal position, metres; None with motion capture."""
+        """The filter's standard deviation of the horizontal position; None with motion capture."""
         return None if self._gps is None else self._gps.position_sd_m
 
     def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
@@ -91,7 +90,7 @@ class Estimator:
             self._history.popleft()
 
     def shift(self, by_ned: Vec3) -> None:
-        """Shift the position by `by_ned` (metres) in one step, like a reset of an EKF."""
+        """Shift the position in one step, like a reset of an EKF."""
         if self._delayed is not None:
             self._delayed.shift(by_ned)
             return
@@ -100,10 +99,7 @@ class Estimator:
         self._history = deque((t, add(p, by_ned), v, q) for t, p, v, q in self._history)
 
     def turn(self, by_rad: float) -> None:
-        """Turn the heading by `by_rad` in one step, like a reset of an EKF.
-
-        Seen from above, a positive angle is clockwise.
-        """
+        """Turn the heading in one step, like a reset of an EKF; seen from above, clockwise is positive."""
         self.resets += 1
         turn = quaternion_from_rotation_vector((0.0, 0.0, by_rad))
         self.q = quaternion_multiply(turn, self.q)
@@ -130,10 +126,9 @@ class Estimator:
         self.ok = self._updates > 50
 
     def correct_attitude(self, t_s: float, q: Quaternion) -> None:
-        """Correct by an attitude measured at `t_s`.
+        """Correct by an attitude, which replaces measurements of gravity and of the magnetic field.
 
-        The attitude replaces measurements of gravity and of the magnetic field. Keep the predictions before
-        `t_s`, because the next GPS fix may be older than `t_s`.
+        Keep the predictions before `t_s`: the next GPS fix may be older.
         """
         if self._history:
             then = min(reversed(self._history), key=lambda one: abs(one[0] - t_s))
@@ -142,13 +137,7 @@ class Estimator:
             self.q = q
 
     def correct_gps(self, t_s: float, position_ned: Vec3, velocity_ned: Vec3, weights: GpsWeights) -> None:
-        """Correct by a fix of a GPS receiver.
-
-        Args:
-            t_s: time of the measurement, which may be in the past.
-            position_ned, velocity_ned: measured position (m) and velocity (m/s).
-            weights: noise and bias that the filter assumes.
-        """
+        """Correct by a fix measured at `t_s`, which may be in the past, with the assumed noise and bias."""
         self._updates += 1
         if self._gps is None or not self._history:
             self._gps, self._bias = GpsFilter(weights), weights.standing_bias_ned
@@ -163,10 +152,7 @@ class Estimator:
         self.ok = self._updates > 5
 
     def _at(self, t_s: float) -> tuple[float, Vec3, Vec3, Quaternion]:
-        """Return the prediction nearest to a time; discard older predictions.
-
-        Measurements arrive in the order of their times, so older predictions are not needed again.
-        """
+        """Return the prediction nearest to a time; discard older ones: measurements arrive in order."""
         history = self._history
         while len(history) > 1 and abs(history[1][0] - t_s) < abs(history[0][0] - t_s):
             history.popleft()
@@ -179,12 +165,7 @@ class Estimator:
         self.q = quaternion_normalise(quaternion_multiply(self.q, quaternion_from_rotation_vector(twist)))
 
     def _move(self, by_ned: Vec3, faster_ned: Vec3) -> None:
-        """Correct the state and the stored predictions, so that no error is corrected twice.
-
-        Args:
-            by_ned: correction of the position, metres.
-            faster_ned: correction of the velocity, m/s.
-        """
+        """Correct the state and the stored predictions, so that no error is corrected twice."""
         self.position = add(self.position, by_ned)
         self.velocity = add(self.velocity, faster_ned)
         if self._gps is None:

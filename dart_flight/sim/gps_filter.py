@@ -23,10 +23,7 @@ class GpsWeights(NamedTuple):
 
 
 class GpsFilter:
-    """Covariance and gains of position, velocity and accelerometer bias along an axis.
-
-    The values are the same for every axis.
-    """
+    """Covariance and gains of position, velocity and accelerometer bias; the same for every axis."""
 
     _ACCELERATION_M_S2: Final = 0.35  # PX4's EKF2_ACC_NOISE, of samples at 100 Hz
     _BIAS_M_S3: Final = 0.003  # EKF2_ACC_B_NOISE
@@ -39,18 +36,14 @@ class GpsFilter:
 
     @property
     def position_sd_m(self) -> float:
-        """Standard deviation of the horizontal position, metres."""
+        """Standard deviation of the horizontal position."""
         return float(np.sqrt(2.0 * self._p[0, 0]))
 
     def predict(self, dt_s: float) -> None:
-        """Propagate the covariance by `dt_s`."""
         self._since_s += dt_s
 
     def correct(self) -> tuple[tuple[float, float], ...]:
-        """Return the gains by which a fix corrects position, velocity and bias.
-
-        Each of these three states has two gains: for the fix's position and for the fix's velocity.
-        """
+        """Return gains for position, velocity and bias, each for the fix's position and its velocity."""
         h, self._since_s = self._since_s, 0.0
         step = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
         q = (self._ACCELERATION_M_S2**2) * self._SAMPLE_S * h

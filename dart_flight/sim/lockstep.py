@@ -42,7 +42,7 @@ _SETPOINT_TOLERANCE: Final = 1e-5  # relative; MAVLink carries single precision
 
 
 class SilentParticipantError(FlightError):
-    """A participant of the lockstep did not answer."""
+    """A participant in the lockstep did not answer."""
 
 
 class LinkEnd(Protocol):
@@ -64,14 +64,12 @@ class Lockstep:
     """The rule that decides whether simulated time may advance.
 
     Args:
-        autopilot: the autopilot's side of the link.
         answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not
             answer, so time advances while PX4 has an outstanding request. Even then, time waits for the core
             to process telemetry.
         waits_at_first: whether time stands still until the application's first report.
-        sender_lag_us: largest delay of the autopilot's telemetry, microseconds of simulated time; 0 unless
-            the autopilot sends in a separate thread.
-        log: writer of the world's log.
+        sender_lag_us: largest delay of the autopilot's telemetry in simulated time; 0 unless the autopilot
+            sends in a separate thread.
     """
 
     def __init__(
@@ -104,7 +102,6 @@ class Lockstep:
         return self.engaged and not (report is not None and report.commands and not self._answers_at_rest)
 
     def update(self, report: Stepped) -> None:
-        """Process a report of the application."""
         if self._report is None:
             # Do not wait for messages that were sent before the application listened.
             self._from_us = self._sent()
@@ -118,7 +115,7 @@ class Lockstep:
         return {**self._autopilot.sent_us, **self._published}
 
     def outstanding(self, next_us: int) -> str | None:
-        """Return text that names a missing message or result, or None if time may advance to `next_us`."""
+        """Name a missing message or result, or return None if time may advance to `next_us`."""
         report = self._report
         if report is None:
             return "the application to connect" if self._waits_at_first else None
@@ -151,10 +148,8 @@ class Lockstep:
         """Block until simulated time may advance to `next_us`.
 
         Args:
-            next_us: simulated time of the next tick, microseconds.
             wake: descriptors that become readable when data has arrived.
-            look: function that processes the application's lines and returns whether the application is still
-                connected.
+            look: processes the application's lines and returns whether the application is still connected.
 
         Raises:
             SilentParticipantError: nothing came from the application for 10 s of host time.
@@ -186,7 +181,7 @@ class Lockstep:
             select.select(wake, [], [], _POLL_S)
 
     def _name(self, missing: str | None, waited_s: float) -> None:
-        """Write to the log what has been missing for a long time, once, and when time advances again."""
+        """Log once what has been missing for a long time, and when time advances again."""
         if missing is not None and not self._named:
             self._log(f"the simulation has waited {waited_s:.1f} s for {missing}{self._difference(missing)}")
         elif missing is None and self._named:

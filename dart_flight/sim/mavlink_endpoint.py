@@ -94,7 +94,6 @@ class Link:
             self.period_ticks[message] = max(1, math.ceil(1e6 / rate_hz / TICK_US - 1e-9))
 
     def close(self) -> None:
-        """Close the socket."""
         self.socket.close()
 
 
@@ -102,7 +101,7 @@ class MavlinkEndpoint:
     """The MAVLink endpoint of one autopilot.
 
     Args:
-        autopilot: the autopilot; before every `exchange`, the caller advances the autopilot by one tick.
+        autopilot: the caller advances it by one tick before every `exchange`.
         ports: remote UDP ports on this host, one for each link.
         local_port: local port of the first link; 0 selects any port.
         system: MAVLink system id; messages to another system are ignored.
@@ -142,16 +141,13 @@ class MavlinkEndpoint:
         self._texts.append((severity, text))
 
     def impair(self, impairment: Impairment) -> None:
-        """Apply an impairment to all links."""
         for link in self.links:
             link.to_app.impairment = link.from_app.impairment = impairment
 
     def stop_imu(self) -> None:
-        """Stop sending HIGHRES_IMU."""
         self.stopped.add(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU)
 
     def close(self) -> None:
-        """Close the sockets."""
         for link in self.links:
             link.close()
 
@@ -159,13 +155,13 @@ class MavlinkEndpoint:
 
     @property
     def sockets(self) -> list[int]:
-        """Descriptors of the sockets, which become readable when data has arrived."""
+        """Descriptors that become readable when data has arrived."""
         return [link.socket.fileno() for link in self.links]
 
     def answer_requests(self) -> None:
         """While simulated time stands still, answer the requests that have arrived.
 
-        Also repeat the heartbeat: after 3 s of the computer's time without it, MAVSDK reports a lost vehicle.
+        Also repeat the heartbeat: after 3 s of host time without it, MAVSDK reports a lost vehicle.
         """
         for link in self.links:
             self._receive(link)
@@ -234,10 +230,7 @@ class MavlinkEndpoint:
                     self._handle_message(link, message)
 
     def _forward(self, link: Link, message: Any, system: int, component: int) -> None:
-        """Forward a message to its target, like PX4's MAV_x_FORWARD.
-
-        The message goes to every other link on which the target has already sent a message.
-        """
+        """Forward a message to every other link on which its target has sent, like PX4's MAV_x_FORWARD."""
         link.seen.add((message.get_srcSystem(), message.get_srcComponent()))
         for other in self.links:
             known = any(system in (0, s) and component in (0, c) for s, c in other.seen)
@@ -373,10 +366,7 @@ class MavlinkEndpoint:
         )
 
     def _external_pose(self, message: Any) -> None:
-        """Fuse the pose of an ODOMETRY message.
-
-        Like PX4, ignore a pose whose frame is not local or whose estimator type is not VISION.
-        """
+        """Fuse the pose of an ODOMETRY message if it is local and of type VISION, as PX4 does."""
         local = message.frame_id in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
         if local and message.estimator_type == mavlink.MAV_ESTIMATOR_TYPE_VISION:
             w, x, y, z = message.q
@@ -565,7 +555,7 @@ class MavlinkEndpoint:
         )
 
     def _actuator_output_status(self) -> Any:
-        """Return the motor and servo outputs as PWM, microseconds."""
+        """Motor and servo outputs as PWM, microseconds."""
         a = self.autopilot
         span = MOTOR_FULL_US - MOTOR_STOP_US
         outputs = [MOTOR_STOP_US + span * u for u in a.motors] if a.armed else [_DISARMED_US] * len(a.motors)

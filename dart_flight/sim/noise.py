@@ -11,10 +11,8 @@ from dart_flight.base.geometry import Vec3
 class GaussianNoise:
     """Independent normal random numbers, computed in pairs from uniform random numbers (Box and Muller).
 
-    The values equal those of `random.Random.gauss`, but this class is compiled (docs/speed.md).
-
-    Args:
-        rng: source of uniform numbers. Other users of the same source change the sequence.
+    The values equal those of `random.Random.gauss`, but this class is compiled (docs/speed.md). Other users
+    of `rng` change the sequence.
     """
 
     def __init__(self, rng: random.Random) -> None:
@@ -24,7 +22,6 @@ class GaussianNoise:
         self._has_kept = False
 
     def one(self, sigma: float) -> float:
-        """Return a number with mean 0 and standard deviation `sigma`."""
         if self._has_kept:
             self._has_kept = False
             # As in `gauss`: the sum with 0.0 has no negative zero.
@@ -35,7 +32,6 @@ class GaussianNoise:
         return 0.0 + math.cos(angle) * radius * sigma
 
     def three(self, sigma: float) -> Vec3:
-        """Return three independent numbers for x, y and z, with mean 0 and standard deviation `sigma`."""
         x = self.one(sigma)
         y = self.one(sigma)
         return (x, y, self.one(sigma))

@@ -1,8 +1,7 @@
 """The messages between the application and a simulated vehicle in a separate process, one JSON line each.
 
-The first line of the vehicle's standard input is a `SimulatorSpec`; `WorldInput`s follow. The vehicle's
-standard output contains `WorldOutput`s. Every world in a separate process uses these messages, whichever
-autopilot it has.
+The first line on the vehicle's standard input is a `SimulatorSpec`; `WorldInput`s follow. Its standard output
+carries `WorldOutput`s. Every world in a separate process uses these messages, whichever autopilot it has.
 """
 
 from __future__ import annotations
@@ -209,10 +208,6 @@ class LineReader:
 
 
 def require_mavlink() -> None:
-    """Check that the packages of the simulated vehicle's process are installed.
-
-    Raises:
-        InputError: a package is not installed.
-    """
+    """Raise InputError if a package for the simulated vehicle's process is missing."""
     if importlib.util.find_spec("pymavlink") is None:
         raise missing_package("simulation needs pymavlink", "sim")

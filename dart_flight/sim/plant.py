@@ -91,8 +91,7 @@ class _WallPlane:
 
     Attributes:
         wall: the wall, mission frame.
-        point, normal, tangent: plane of first touch, NED. The vehicle's centre lies on this plane when the
-            vehicle first touches the wall.
+        point, normal, tangent: plane of the vehicle's centre at the first touch, NED.
         ends: the wall's surface with its two ends.
         near_end: whether `ends` must compute contacts, because a guard may be near an end of the wall or
             `ends` still stores a contact's state.
@@ -115,14 +114,13 @@ class _WallPlane:
 
     @property
     def depths(self) -> list[float] | None:
-        """Deflection of each guard if a guard may be near an end of the wall, otherwise None.
+        """Deflection of each guard if a guard may be near an end of the wall.
 
-        If the result is None, each guard's deflection equals the guard's depth behind the surface.
+        Otherwise None: each guard's deflection equals the guard's depth behind the surface.
         """
         return self.ends.depths if self.near_end else None
 
     def move(self, away_m: float) -> None:
-        """Move the wall along its normal."""
         self.wall = self.wall.displaced(away_m)
         self.point = add(self.point, scale(self.normal, away_m))
         self.ends = self.ends.displaced(away_m)
@@ -144,7 +142,6 @@ class _StandingPost:
 
     @property
     def depths(self) -> list[float] | None:
-        """Deflection of each guard."""
         return self.contact.depths
 
 
@@ -152,8 +149,6 @@ _Obstacle = _WallPlane | _StandingPost
 
 
 class _ContactStart(NamedTuple):
-    """The values of a contact at its beginning."""
-
     obstacle: _Obstacle
     mode: Mode
     coefficients: Coefficients
@@ -183,11 +178,9 @@ class Plant:
     """The body, and the walls, posts and ground that it can touch.
 
     Args:
-        vehicle: configuration with mass, motors, materials and so on.
         obstacles: walls and posts in the mission frame. The vehicle's centre lies on a wall's plane at the
             first touch.
         frame: the mission frame in local NED.
-        start_ned: initial position, metres.
         scatter_seed: seed of the random differences between the coefficients of different contacts.
     """
 
@@ -260,12 +253,10 @@ class Plant:
     # -- one step --
 
     def advance(self, motor_commands: Sequence[float], steps: int = 1) -> Vec3:
-        """Advance by `steps` milliseconds.
+        """Advance by `steps` milliseconds; return the IMU's mean specific force, FRD, m/s2, without noise.
 
-        Returns:
-            The mean specific force over `steps` milliseconds at the IMU's position, body FRD, m/s2, without
-            noise. The force includes the arms' vibration. In each millisecond the anti-alias filter is
-            applied and the force is limited to full scale.
+        The force includes the arms' vibration. In each millisecond it passes the anti-alias filter and is
+        limited to full scale.
         """
         fx = fy = fz = 0.0
         most = self._full_scale
@@ -326,7 +317,7 @@ class Plant:
         return thrust, (roll, pitch, yaw)
 
     def _folded_levers(self, folded: tuple[float, float, float, float]) -> list[Vec3]:
-        """Return (x, y, yaw torque per thrust) of every motor, for the fold angles `folded` of the arms."""
+        """Return (x, y, yaw torque per thrust) of every motor."""
         levers = []
         for (x, y, yaw_m), arm in zip(self._straight, self._arm_of_motor, strict=True):
             c, s = math.cos(folded[arm]), math.sin(folded[arm])
@@ -357,10 +348,7 @@ class Plant:
         self.q = integrate_rate(self.q, self.rate, STEP_S)
 
     def _landing_gear_torque(self, torque: Vec3) -> Vec3:
-        """Return the sum of `torque` and the torque of the landing gear.
-
-        The landing gear levels a resting vehicle and stops the vehicle's rotation.
-        """
+        """Add the torque of the landing gear, which levels a resting vehicle and stops its rotation."""
         down = rotate_back(self.q, (0.0, 0.0, 1.0))
         k, c = 3.0, 0.3  # N m/rad and N m s/rad: stiff and well damped for 0.0125 kg m2
         return (
@@ -374,7 +362,7 @@ class Plant:
     def _wall_in_reach(self, seconds: float) -> bool:
         """Return whether the vehicle may be near a wall or post within `seconds`.
 
-        `advance` calls this method once for all steps.
+        `advance` asks once for all steps.
         """
         (px, py, _), (vx, vy, _) = self.position, self.velocity
         slack = seconds * (abs(vx) + abs(vy) + _GAIN_M_S)
@@ -386,7 +374,7 @@ class Plant:
         return any(self._clear_of_post_m(post) < _NEAR_WALL_M + slack for post in self.posts)
 
     def _clear_of_post_m(self, post: _StandingPost) -> float:
-        """Return a lower bound (m) of the vehicle's distance from a post; it is valid at any attitude."""
+        """Return a lower bound of the distance from a post, valid at any attitude."""
         cylinder, p = post.contact.contact.cylinder, self.position
         distance = math.hypot(p[0] - cylinder.axis[0], p[1] - cylinder.axis[1])
         return distance - cylinder.radius_m - self._reach_m
@@ -404,10 +392,7 @@ class Plant:
         return found
 
     def _may_touch(self, obstacle: _Obstacle, c: Coefficients) -> bool:
-        """Return whether a contact may begin or continue within the next step.
-
-        A contact begins at k x + f vx = 0 (`contact.law`).
-        """
+        """Return whether a contact may continue or begin (k x + f vx = 0, `contact.law`) in the next step."""
         if obstacle.name in self._open:
             return True
         v = self.velocity
@@ -492,16 +477,13 @@ class Plant:
         return (angles[0], angles[1], angles[2], angles[3])
 
     def _fold_share(self, incidence: float) -> float:
-        """Return the movement of an arm as a share of the penetration of the arm's guard.
-
-        `incidence` is the angle of incidence in radians.
-        """
+        """Return an arm's movement as a share of its guard's penetration; `incidence` is in radians."""
         if abs(incidence) >= math.radians(self.vehicle.airframe.incidence_rigid_deg):
             return 0.0
         return self.body.fold_share * self._arm_freedom()
 
     def _arm_freedom(self) -> float:
-        """Return the freedom of the arms: 1 if unlocked, 0 if locked, 0.5 with half-engaged rods."""
+        """Return 1 if the arms are unlocked, 0 if locked, 0.5 with half-engaged rods."""
         if self.mode is Mode.FLEXIBLE:
             return 1.0
         return _HALF_ENGAGED if self._half_engaged else 0.0
@@ -536,10 +518,7 @@ class Plant:
         return acceleration, (roll / ix, pitch / iy, yaw / iz), touches
 
     def _move_on_ground(self, pushed: Vec3) -> Vec3:
-        """Move the centre of mass when the ground is near and no wall or post is near.
-
-        Return the mean acceleration by the ground, NED.
-        """
+        """Move the centre of mass without walls or posts; return the mean acceleration by the ground, NED."""
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
         h = STEP_S / _GROUND_STEPS
@@ -603,9 +582,9 @@ class Plant:
     def _coefficients_of_cylinder(
         self, obstacle: _Obstacle, contact: CylinderContact, near: NearestPoint
     ) -> Coefficients:
-        """Return the coefficients of a cylinder at `near`, the cylinder's point nearest to the vehicle.
+        """Return the coefficients at `near`, the cylinder's point nearest to the vehicle.
 
-        The coefficients stay constant during a contact.
+        They stay constant during a contact.
         """
         c = contact.coefficients
         if c is None or contact.share is None:
@@ -622,7 +601,6 @@ class Plant:
         return wrap_angle(turn - _QUARTER * round(turn / _QUARTER))
 
     def _coefficients(self, obstacle: _Obstacle, incidence: float) -> Coefficients:
-        """Return the contact coefficients of an obstacle at an angle of incidence, radians."""
         open_contact = self._open.get(obstacle.name)
         if open_contact is not None:
             # Rods and arms do not change while they are loaded: keep the initial values.
@@ -637,7 +615,7 @@ class Plant:
         return c
 
     def _scatter(self) -> tuple[float, float, float]:
-        """Draw the factors on the coefficients k, f and mu for the next contact with an obstacle."""
+        """Draw the factors on k, f and mu for the next contact with an obstacle."""
         factors = [max(0.1, 1.0 + self.body.scatter * self._rng.gauss(0.0, 1.0)) for _ in range(3)]
         return (factors[0], factors[1], factors[2])
 
@@ -732,10 +710,10 @@ class Plant:
         """Return the acceleration of the body relative to the centre of mass, NED.
 
         Arms and body vibrate against each other. The vibration moves the IMU but not the centre of mass, so
-        the contact force does not depend on the vibration. Let q be the arms' displacement relative to the
-        body and s the arms' share of the mass. The body's displacement from the centre of mass is then -s q.
-        Let w be the natural frequency (rad/s), zeta the damping ratio, and c the acceleration by the contact.
-        Then q'' = -w^2 q - 2 zeta w q' - c, and the IMU measures the additional acceleration -s q''.
+        the contact force does not depend on it. Let q be the arms' displacement relative to the body, s the
+        arms' share of the mass, w the natural frequency (rad/s), zeta the damping ratio, and c the
+        acceleration by the contact. The body's displacement from the centre of mass is -s q. With
+        q'' = -w^2 q - 2 zeta w q' - c, the IMU measures the additional acceleration -s q''.
         """
         freedom = self._arm_freedom() if self._arm_share else 0.0
         if freedom == 0.0:
@@ -757,7 +735,6 @@ class Plant:
 
     @property
     def in_contact(self) -> bool:
-        """Whether the vehicle touches a wall or a post."""
         return bool(self._open)
 
     def set_mode(self, mode: Mode) -> None:
@@ -767,7 +744,6 @@ class Plant:
         self.mode = mode
 
     def truth(self) -> TruthSample:
-        """Return the true state, mission frame."""
         return TruthSample(
             t_us=self._stamp(self.time_s),
             position_mission=self.frame.point_from_ned(self.position),
@@ -817,11 +793,7 @@ def _between(a: Coefficients, b: Coefficients) -> Coefficients:
 
 
 def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]) -> _WallPlane:
-    """Return a wall in NED.
-
-    The vehicle's centre lies on the plane of `wall` at the first touch. The wall's surface is `out_m` behind
-    this plane.
-    """
+    """Convert a wall to NED; its surface is `out_m` behind the vehicle's centre at the first touch."""
     point = frame.point_to_ned((wall.point[0], wall.point[1], 0.0))
     normal = frame.vector_to_ned(wall.from_collision((1.0, 0.0, 0.0)))
     tangent = frame.vector_to_ned(wall.from_collision((0.0, 1.0, 0.0)))
@@ -839,6 +811,6 @@ def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[Prope
 def _standing_post(
     post: Post, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]
 ) -> _StandingPost:
-    """Return a post in NED, with its radius increased by `out_m`."""
+    """Convert a post to NED, with its radius increased by `out_m`."""
     axis = frame.point_to_ned((post.centre[0], post.centre[1], 0.0))
     return _StandingPost(post, PostContact(Cylinder(axis, max(0.0, post.radius_m + out_m)), guards))

@@ -35,9 +35,8 @@ class PoseFeed:
     """A converter of the pose sensor's output to frames in the room's axes.
 
     Args:
-        mocap: configuration, which defines the axes of the room and of the marker body.
-        publisher: receives each frame.
-        other_ned: position of another vehicle's marker body for the fault `mocap-other-body`, NED, metres.
+        mocap: defines the axes of the room and of the marker body.
+        other_ned: position of another vehicle's marker body for the fault `mocap-other-body`, metres.
 
     Attributes:
         frames: number of frames published.
@@ -53,14 +52,10 @@ class PoseFeed:
         self._sent_s = -math.inf
 
     def begin_fault(self, fault: Fault, now_s: float) -> None:
-        """Begin a fault of the motion capture."""
         self._fault, self._began_s = fault, now_s
 
     def tick(self, now_s: float, pose: Pose | None) -> bool:
-        """Advance to `now_s`; `pose` is the sensor's output in this tick.
-
-        Return whether a frame was published.
-        """
+        """Advance to `now_s` with the sensor's output in this tick; return whether a frame was published."""
         name, value = ("", 0.0) if self._fault is None else (self._fault.name, self._fault.value)
         if pose is not None:
             self._waiting.append((now_s + (1e-3 * value if name == "mocap-late" else 0.0), pose))
@@ -87,12 +82,10 @@ class EmulatedMotionCapture:
 
     Args:
         kind: element of `motion_capture.KINDS`.
-        mission: provides the configuration of the motion capture.
         plant: the tracked body.
 
     Attributes:
         url: URL of the pose source for this server.
-        feed: converter that feeds the server.
     """
 
     def __init__(self, kind: str, mission: Mission, plant: Plant) -> None:
@@ -104,10 +97,10 @@ class EmulatedMotionCapture:
         self._sends_lost = kind != "vrpn"  # VRPN has no message for a lost body
 
     def publish(self, now_s: float, pose: Pose | None) -> int | None:
-        """Publish a frame if a frame is due.
+        """Publish a frame if one is due, and return its number.
 
-        Return the number of the published frame. The result is None if no frame is due or no client has
-        connected so far. It is also None if the body is lost and the protocol cannot report this (VRPN).
+        The result is None if no frame is due or no client has connected so far. It is also None if the body
+        is lost and the protocol cannot report this (VRPN).
         """
         if now_s <= self._published_s:
             return None  # time has not advanced
@@ -117,5 +110,4 @@ class EmulatedMotionCapture:
         return self.feed.frames - 1 if sent and self._heard else None
 
     def close(self) -> None:
-        """Close the server."""
         self._server.close()

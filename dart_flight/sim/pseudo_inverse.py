@@ -1,6 +1,6 @@
 """PX4's allocation pseudo-inverse, computed once per airframe with NumPy (`allocation` uses it).
 
-PX4 builds the effectiveness matrix of the motors from their positions and yaw torques (CA_ROTOR*). PX4 then
+PX4 builds the effectiveness matrix of the motors from their positions and yaw torques (CA_ROTOR*). It then
 computes the pseudo-inverse and scales its columns (`ControlAllocationPseudoInverse`). For each of the columns
 of roll and pitch, PX4 computes sqrt(2 mean(x^2)) of the nonzero entries x. Both columns are divided by the
 larger of these two values. The column of yaw is divided by its largest entry, and the column of lift by its

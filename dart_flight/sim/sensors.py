@@ -32,10 +32,9 @@ _ROUNDING_S: Final = 1e-9  # tolerance, so that rounding does not delay a pose b
 
 
 class ImuSensor:
-    """Accelerometer and gyro.
+    """Accelerometer and gyro with noise.
 
-    Both sensors have noise. The accelerometer averages over one tick, has a constant bias and saturates at
-    full scale.
+    The accelerometer averages over one tick, has a constant bias and saturates at full scale.
     """
 
     def __init__(self, vehicle: VehicleConfig, noise: GaussianNoise) -> None:
@@ -50,7 +49,7 @@ class ImuSensor:
     def measure(
         self, specific_force_frd: Vec3, rate_frd: Vec3, motors_turn: bool = True
     ) -> tuple[Vec3, Vec3]:
-        """Return the reported specific force (m/s2) and body rate (rad/s) of one tick, FRD.
+        """Return specific force (m/s2) and body rate (rad/s) of one tick, FRD.
 
         Vibration is added only while the motors turn, so PX4 can align its estimator before the take-off.
         """
@@ -64,10 +63,7 @@ class ImuSensor:
 
 
 class _Ringing:
-    """A vibration of the frame: white noise and a tone.
-
-    The tone's frequency wanders, and its phase differs between the axes.
-    """
+    """A vibration of the frame: white noise, and a tone of wandering frequency with a phase for each axis."""
 
     _WANDER_S = 1.0  # time in which the tone's frequency crosses its band
 
@@ -99,10 +95,7 @@ class _Ringing:
 
 
 def _saturate(true: float, noisy: float, scale: float) -> float:
-    """Return the reading of one axis, limited to -scale and scale.
-
-    If the true value is beyond a limit, the result is exactly this limit, without noise.
-    """
+    """Limit a reading to full scale; a true value beyond a limit gives the limit without noise."""
     if not -scale < true < scale:
         return math.copysign(scale, true)
     return noisy if -scale < noisy < scale else math.copysign(scale, noisy)
@@ -149,22 +142,17 @@ class Barometer:
 
 
 def pressure_hpa(altitude_amsl_m: float) -> float:
-    """Return the pressure of the international standard atmosphere at an altitude below 11 km, hPa."""
+    """Return the pressure (hPa) of the international standard atmosphere, below 11 km."""
     return float(1013.25 * (1.0 - 2.25577e-5 * altitude_amsl_m) ** 5.25588)
 
 
 def altitude_m(pressure: float) -> float:
-    """Return the altitude (m above mean sea level) that has this pressure (hPa); inverts `pressure_hpa`."""
+    """Return the altitude above mean sea level (m) at a pressure (hPa); inverts `pressure_hpa`."""
     return float((1.0 - (pressure / 1013.25) ** (1.0 / 5.25588)) / 2.25577e-5)
 
 
 class Magnetometer:
-    """A magnetometer: the earth's magnetic field in the body frame, with noise.
-
-    Args:
-        noise: source of the noise.
-        field_ned_gauss: magnetic field at home: north, east, down.
-    """
+    """A magnetometer: the earth's magnetic field in the body frame, with noise."""
 
     SIGMA_GAUSS = 0.002
 
@@ -236,7 +224,7 @@ class GpsReceiver:
         self._pending: deque[tuple[float, GpsFix]] = deque()
 
     def measure(self, plant: Plant) -> GpsFix | None:
-        """Return the fix that arrives at this tick, or None."""
+        """Return the fix that arrives at this tick."""
         now = plant.time_s
         if now >= self._next_s:
             self._next_s += self._period_s
@@ -252,7 +240,7 @@ class GpsReceiver:
         return None
 
     def _advance_error(self, wander: Vec3, sd: float, decay: float) -> Vec3:
-        """Advance a first-order Gauss-Markov error from one fix to the next, and return the new error."""
+        """Return a first-order Gauss-Markov error one fix later."""
         return add(scale(wander, decay), self._scaled(sd * math.sqrt(1.0 - decay * decay)))
 
     def _scaled(self, sigma: float) -> Vec3:

@@ -46,7 +46,7 @@ class Pacer:
 
 
 def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
-    """Yield the number of each tick (0, 1, ...) when it is due, one tick every `period_s`."""
+    """Yield the number of each tick (0, 1, ...) when it is due."""
     pace = Pacer()
     for tick in itertools.count():
         pace.wait(period_s)
@@ -58,7 +58,7 @@ class ServedWorld(Protocol):
 
     @property
     def time_us(self) -> int:
-        """The autopilot's time, microseconds."""
+        """The autopilot's time."""
 
     def set_horn(self, pulse_us: float) -> None:
         """Set the position of the mock servo's horn."""
@@ -99,18 +99,12 @@ def serve(
     lockstep: Lockstep | None = None,
     wake: Sequence[int] = (),
 ) -> int:
-    """Process the app's lines and send the truth, tick by tick, until app and world have ended.
+    """Process the app's lines and send the truth until app and world have ended; return the number of ticks.
 
     Args:
-        world: the simulated world.
-        writer: writer of the truth.
-        commands: lines from the app.
         speed: highest number of simulated seconds per second of host time.
         lockstep: decides whether time may advance; None: time does not wait for the app.
         wake: descriptors of the world that become readable when data has arrived.
-
-    Returns:
-        The number of ticks.
 
     Raises:
         FlightError: the app does not answer, or the network fails.
@@ -118,7 +112,7 @@ def serve(
     reader, gone_s = LineReader(commands), math.inf
 
     def process_lines() -> bool:
-        """Process the app's lines; return whether the app is still connected."""
+        """Return whether the app is still connected."""
         reader.clear()
         while reader.items:
             item = reader.items.popleft()
@@ -172,6 +166,5 @@ class WorldLog:
         self._file = None if path is None else open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
 
     def write(self, now_s: float, text: str) -> None:
-        """Add a line."""
         if self._file is not None:
             self._file.write(f"{now_s:9.3f} s  {text}\n")

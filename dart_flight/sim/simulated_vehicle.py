@@ -24,7 +24,6 @@ class LockServo:
         self._wanted = Mode.FLEXIBLE
 
     def set_horn(self, pulse_us: float) -> None:
-        """Set the horn's position, as a pulse width."""
         if pulse_us != self._horn_us:  # the horn is usually at rest
             self._horn_us = pulse_us
             # Between the ends the rods do not hold all four arms: not rigid means flexible.
@@ -33,10 +32,7 @@ class LockServo:
         self._plant.set_mode(self._wanted)
 
     def track_pulse(self, t_us: int, pulse_us: float | None) -> None:
-        """Advance the servo to the time `t_us`, towards a commanded pulse, and set the mode of the arms.
-
-        If `pulse_us` is None, the last commanded pulse remains the target.
-        """
+        """Advance the servo towards a commanded pulse; None keeps the last commanded pulse."""
         if pulse_us is not None:
             self._model.command(t_us, pulse_us)
         self.set_horn(self._model.pulse_at(t_us))
@@ -45,11 +41,8 @@ class LockServo:
 class SimulatedVehicle:
     """Autopilot and lock servo of one simulated vehicle.
 
-    Args:
-        mission: mission with walls and start.
-        seed: seed of the sensors' noise.
-        driver: lock driver. With `px4` the autopilot's output moves the servo, otherwise `set_horn` does. A
-            vehicle without a lock has no servo.
+    With the lock driver `px4` the autopilot's output moves the servo, otherwise `set_horn` does. A vehicle
+    without a lock has no servo.
     """
 
     def __init__(self, mission: Mission, seed: int, driver: LockDriver | None) -> None:
@@ -60,12 +53,10 @@ class SimulatedVehicle:
         self._servo = None if lock is None else LockServo(self.autopilot.plant, lock.servo)
 
     def set_horn(self, pulse_us: float) -> None:
-        """Set the position of the mock servo's horn, as a pulse width."""
         if self._servo is not None:
             self._servo.set_horn(pulse_us)
 
     def advance(self) -> None:
-        """Advance servo, wind, plant and autopilot by one tick."""
         self._wind.step(self.autopilot.plant)
         if self._by_autopilot and self._servo is not None:
             self._servo.track_pulse(self.autopilot.time_us, self.autopilot.lock_pulse_us())

@@ -13,7 +13,6 @@ from dart_flight.sim.pipe import SimulatorSpec
 
 
 def main() -> int:
-    """Run the process; return its exit status."""
     # Ctrl-C in the app's terminal must not end the vehicle: the app handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     spec = msgspec.json.decode(sys.stdin.buffer.readline(), type=SimulatorSpec)

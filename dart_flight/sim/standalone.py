@@ -35,12 +35,8 @@ class VehiclePortLease:
       vehicle also binds `own_port`. If both start at the same time, only the first to bind it continues.
     - Any other sender is detected by listening on `port`, unless a program already receives on `port`.
 
-    Args:
-        port: port to send to.
-
     Raises:
         LinkInUseError: another program already sends to the port; if known, the message names this program.
-        InputError: the state folder cannot be used.
     """
 
     def __init__(self, port: int) -> None:
@@ -66,7 +62,6 @@ class VehiclePortLease:
         return LinkInUseError(f"another vehicle already sends to this port{by}", source=where)
 
     def release(self) -> None:
-        """Release the port."""
         self._lease.release()
 
 
@@ -105,11 +100,13 @@ def run_vehicle(
     viewer: Callable[[Record], None] = lambda record: None,
     mocap: EmulatedMotionCapture | None = None,
 ) -> None:
-    """Simulate in real time until SIGINT, SIGTERM or SIGHUP; `print_line` prints a line in the terminal.
+    """Simulate in real time until SIGINT, SIGTERM or SIGHUP.
 
-    The vehicle sends to each of the UDP ports `ports`. To the first of them it sends from the local UDP port
-    `own_port`; 0 selects any local port. `viewer` receives the true motion of the vehicle. `mocap` sends the
-    vehicle's poses, and is closed at the end.
+    Args:
+        ports: remote UDP ports, all of which receive the vehicle's messages.
+        own_port: local UDP port from which the vehicle sends to the first remote port; 0 selects any port.
+        viewer: receives the true motion and contacts.
+        mocap: sends the vehicle's poses, and is closed at the end.
     """
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)
     to_link = vehicle.autopilot.send_text

@@ -14,13 +14,7 @@ GUST_TIME_S: Final = 2.0  # correlation time: gusts in a room, slower than a con
 
 
 class Wind:
-    """The wind on the plant; `step` sets the wind of every tick.
-
-    Args:
-        simulation: configuration of steady wind and gusts.
-        seed: seed of the gusts; the gusts do not affect the sensors' noise.
-        tick_s: time between two calls of `step`, seconds.
-    """
+    """The wind on the plant; call `step` every `tick_s`. The gusts do not affect the sensors' noise."""
 
     def __init__(self, simulation: Simulation, seed: int, tick_s: float) -> None:
         self._steady, self._sigma = simulation.wind_north_east_m_s, simulation.gust_m_s
@@ -30,7 +24,6 @@ class Wind:
         self._gust = [self._noise.one(self._sigma), self._noise.one(self._sigma)]
 
     def step(self, plant: Plant) -> None:
-        """Set the wind of the next tick."""
         if self._sigma > 0.0:
             for i in range(2):
                 self._gust[i] = self._decay * self._gust[i] + self._kick * self._noise.one(self._sigma)

@@ -1,7 +1,4 @@
-"""Texts with the reasons why PX4 refuses to arm or to change mode.
-
-The source is PX4's arming checks or SYS_STATUS.
-"""
+"""Texts with PX4's reasons for refusing to arm or to change mode, from its arming checks or SYS_STATUS."""
 
 from __future__ import annotations
 
@@ -35,7 +32,7 @@ Report = tuple[bool, tuple[str, ...], tuple[str, ...]]  # can arm, blocking prob
 
 
 def severity(log_level: Any) -> str:
-    """Return the STATUSTEXT severity name of an event's log level."""
+    """Return the STATUSTEXT name of an event's log level."""
     level = int(log_level)
     return SEVERITIES[level] if 0 <= level < len(SEVERITIES) else "debug"
 
@@ -49,7 +46,7 @@ def report_from_checks(report: Any) -> Report:
 
 
 def report_from_sys_status(sensors: Sensors) -> Report:
-    """Return a report of the enabled but unhealthy sensors, for a PX4 that sends no health reports."""
+    """Report the enabled but unhealthy sensors, for a PX4 that sends no health reports."""
     bad = sensors.enabled & ~sensors.healthy
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
     refused = not sensors.healthy & _PREARM  # PX4 v1.14 sets this bit only in `healthy`

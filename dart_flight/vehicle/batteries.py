@@ -14,9 +14,7 @@ class Batteries:
 
     PX4 reacts to the worst of the connected batteries, so this class also selects the worst battery. The
     selection ignores batteries of avionics or payload, and batteries that never had enough voltage to fly.
-
-    Args:
-        lowest_v: voltage below which the vehicle must land.
+    `lowest_v` is the voltage below which the vehicle must land.
     """
 
     def __init__(self, lowest_v: float = 0.0) -> None:
@@ -25,7 +23,6 @@ class Batteries:
         self._highest_v: dict[int, float] = {}
 
     def update(self, reading: BatteryReading) -> None:
-        """Store a battery's newest reading."""
         self._readings[reading.id] = reading
         if reading.voltage_v is not None:
             self._highest_v[reading.id] = max(self._highest_v.get(reading.id, 0.0), reading.voltage_v)
@@ -40,16 +37,11 @@ class Batteries:
         return able or list(self._readings.values())
 
     def other_batteries(self) -> list[BatteryReading]:
-        """Return the batteries that are not flight batteries."""
         counted = self.flight_batteries()
         return [reading for reading in self._readings.values() if reading not in counted]
 
     def worst(self) -> BatteryReading | None:
-        """Return the worst flight battery.
-
-        A battery below the lowest voltage is worse than any other battery. Otherwise the battery with the
-        least charge is the worst.
-        """
+        """Return the flight battery with the least charge, but any battery below the lowest voltage first."""
         return min(self.flight_batteries(), key=self._rank, default=None)
 
     def _is_flight_battery(self, reading: BatteryReading) -> bool:

@@ -28,8 +28,8 @@ class PortFinding(msgspec.Struct, frozen=True):
 
     Attributes:
         received: number of bytes received at the requested rate.
-        baud: rate at which MAVLink arrives, or None if it arrives at none of the usual rates.
-        console: a console's answer to an empty line, such as `login:`, or an empty string.
+        baud: rate at which MAVLink arrives; None: at none of the usual rates.
+        console: a console's answer to an empty line, such as `login:`.
     """
 
     received: int
@@ -40,10 +40,7 @@ class PortFinding(msgspec.Struct, frozen=True):
 def listen_for_mavlink(device: str, baud: int) -> PortFinding:
     """Listen for MAVLink at `baud`, then at the other usual rates, 0.6 s each.
 
-    If there is no MAVLink, check whether a console answers.
-
-    Raises:
-        OSError: the port cannot be opened.
+    If there is no MAVLink, check whether a console answers. Raise OSError if the port cannot be opened.
     """
     port = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:

@@ -19,7 +19,7 @@ _STEP_US = 200  # smaller changes of the estimate are not reported
 
 
 def host_us() -> int:
-    """Return the host's monotonic time in microseconds."""
+    """Return the host's monotonic time."""
     return time.monotonic_ns() // 1000
 
 
@@ -27,23 +27,23 @@ class Clock(Protocol):
     """The relation of autopilot time to host time."""
 
     def host_us(self) -> int:
-        """Return the host's monotonic time in microseconds; in lockstep, return the simulated time."""
+        """Return the host's monotonic time, or in lockstep the simulated time."""
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
         """Return the record of a TIMESYNC round trip; `sent_us` and `received_us` are host times."""
 
     def receive(self, t_us: int, received_us: int) -> int:
-        """Return the host time (us) to use as time of receipt of a message with stamp `t_us`."""
+        """Return the host time to use as time of receipt of a message with stamp `t_us`."""
 
     @property
     def offset_us(self) -> int | None:
-        """Autopilot time minus host time in microseconds, or None before the first stamp."""
+        """Autopilot time minus host time, or None before the first stamp."""
 
     def update(self, t_us: int, received_us: int) -> int | None:
-        """Process a stamped message; return the new offset if it has changed noticeably, otherwise None."""
+        """Process a stamped message; return the new offset if it has changed noticeably."""
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Return a host time converted to autopilot time, microseconds."""
+        """Convert a host time; before the first stamp, return it unchanged."""
 
 
 class _RealHost:
@@ -53,15 +53,11 @@ class _RealHost:
     _PACE_KNOWN = True  # whether the autopilot's time advances at the host's pace
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record of a TIMESYNC round trip.
-
-        The record omits the autopilot's time if this time may advance at another pace than host time.
-        """
+        """Leave out the autopilot's time if it may advance at another pace than host time."""
         return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
 
     @staticmethod
     def receive(t_us: int, received_us: int) -> int:
-        """Return `received_us` unchanged."""
         return received_us
 
 
@@ -82,11 +78,9 @@ class ClockEstimate(_RealHost):
 
     @property
     def offset_us(self) -> int | None:
-        """Autopilot time minus host time in microseconds, or None before the first stamp."""
         return self._offset_us
 
     def update(self, t_us: int, received_us: int) -> int | None:
-        """Process a stamped message; return the new estimate if it has changed noticeably, otherwise None."""
         difference = t_us - received_us
         if self._offset_us is not None and difference - self._offset_us > _LEAP_US:
             # While stamps of this vehicle arrive in between, a leap is another vehicle's stamp.
@@ -109,7 +103,6 @@ class ClockEstimate(_RealHost):
         return None
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Convert a host time to autopilot time. Before the first stamp, return the host time unchanged."""
         return host_time_us + (self._offset_us or 0)
 
 
@@ -124,26 +117,24 @@ class SimulatedTime:
         self._reported = False
 
     def host_us(self) -> int:
-        """Return the simulated time in microseconds; 0 before the first stamp."""
         return self._now_us or 0
 
     def receive(self, t_us: int, received_us: int) -> int:
-        """Advance to the stamp `t_us` of a message; return the simulated time (us) as time of receipt."""
+        """Advance to the stamp, which is also the time of receipt."""
         if self._now_us is None or t_us > self._now_us:
             self._now_us = t_us
         return self._now_us
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record of a round trip that takes no simulated time."""
+        """Return a round trip that takes no simulated time."""
         return RoundTrip(self.host_us(), self.host_us(), None)
 
     @property
     def offset_us(self) -> int | None:
-        """Autopilot time minus host time: always 0, or None before the first stamp."""
         return None if self._now_us is None else 0
 
     def update(self, t_us: int, received_us: int) -> int | None:
-        """Advance to a stamp; return the offset 0 on the first call and None on every later call."""
+        """Advance to a stamp; report the offset 0 once."""
         self.receive(t_us, received_us)
         if self._reported:
             return None
@@ -151,7 +142,6 @@ class SimulatedTime:
         return 0
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Return the time unchanged, because both clocks are equal."""
         return host_time_us
 
 
@@ -159,11 +149,8 @@ class LockstepClock(_RealHost):
     """The clock of an autopilot that runs in lockstep with a simulator.
 
     The simulator does not wait for the application. The autopilot's time advances at any pace and stops with
-    the simulator. The autopilot's time is therefore estimated as the newest stamp plus an advance. The
-    advance is `speed` times the host time since the receipt of that stamp, but at most 50 ms.
-
-    Args:
-        speed: the simulator's target pace, simulated seconds per second.
+    the simulator. It is therefore estimated as the newest stamp plus an advance. The advance is `speed` (the
+    simulator's target pace) times the host time since the receipt of that stamp, but at most 50 ms.
     """
 
     _REACH_US = 50_000
@@ -176,11 +163,10 @@ class LockstepClock(_RealHost):
 
     @property
     def offset_us(self) -> int | None:
-        """Autopilot time minus host time (us) at the newest stamp, or None before the first stamp."""
+        """Autopilot time minus host time at the newest stamp."""
         return self._newest[0] - self._newest[1] if self._newest is not None else None
 
     def update(self, t_us: int, received_us: int) -> int | None:
-        """Process a stamped message; return the new offset if it has changed noticeably, otherwise None."""
         if self._newest is not None and t_us <= self._newest[0]:
             return None
         self._newest = (t_us, received_us)
@@ -191,7 +177,6 @@ class LockstepClock(_RealHost):
         return None
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Convert a host time to autopilot time. Before the first stamp, return the host time unchanged."""
         if self._newest is None:
             return host_time_us
         t_us, received_us = self._newest

@@ -45,11 +45,10 @@ class CommandServer:
     """A receiver of the commands of one ground station; answers are sent on MAVSDK's thread.
 
     Args:
-        mavsdk: the connection.
         system_id: system id of the only ground station that may command.
-        answer: function that returns the result of a press and the reason for this result.
-        note: callback that receives one line about every command, for log and ground station. Of all commands
-            from other systems, only the first gives a line.
+        answer: returns the result of a press and the reason for this result.
+        note: receives one line about every command, for log and ground station. Of all commands from other
+            systems, only the first gives a line.
 
     Attributes:
         refused: number of commands from other systems; all of them are denied.

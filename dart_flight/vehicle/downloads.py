@@ -28,7 +28,7 @@ _ULOG_MAGIC = b"ULog\x01\x12\x35"
 
 
 class DownloadError(FlightError):
-    """A file of the flight controller cannot be downloaded."""
+    """A file on the flight controller cannot be downloaded."""
 
 
 def wait_for_end(
@@ -42,8 +42,6 @@ def wait_for_end(
     Args:
         arrived: queue of (result, progress), filled by the download's callback.
         what: name of the download, for error messages.
-        progress: receives each progress report.
-        silent_s: timeout without progress, seconds.
 
     Raises:
         DownloadError: the download failed, or made no progress for `silent_s`.
@@ -68,8 +66,8 @@ def wait_for_end(
 def _wait_for_last(arrived: queue.SimpleQueue[tuple[Any, Any]]) -> None:
     """Wait for the last callback of a cancelled download.
 
-    MAVSDK runs this callback on its own thread. If the plugin were destroyed first, the callback would end
-    the process with a segmentation fault.
+    MAVSDK runs it on its own thread. If the plugin were destroyed first, the callback would end the process
+    with a segmentation fault.
     """
     with contextlib.suppress(queue.Empty):
         while arrived.get(timeout=_CANCELLED_S)[0].name == "NEXT":
@@ -77,11 +75,7 @@ def _wait_for_last(arrived: queue.SimpleQueue[tuple[Any, Any]]) -> None:
 
 
 def download_file(system: Any, path: str) -> bytes:
-    """Return the content of a small file on the flight controller, by MAVLink FTP.
-
-    Raises:
-        DownloadError: the file does not exist, or the flight controller does not support FTP.
-    """
+    """Return a small file on the flight controller, by FTP; raise DownloadError without file or FTP."""
     arrived: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
     ftp = Ftp(system)
     with tempfile.TemporaryDirectory() as folder:
@@ -99,7 +93,6 @@ class Px4LogEntry(msgspec.Struct, frozen=True):
     Attributes:
         id: number in the flight controller's list; the number changes if the list changes.
         ended: time of the last change, or None if the flight controller had no clock.
-        size_bytes: size of the log.
     """
 
     id: int
@@ -107,13 +100,11 @@ class Px4LogEntry(msgspec.Struct, frozen=True):
     size_bytes: int
 
     def line(self) -> str:
-        """Return one line that describes the log."""
         date = "no date" if self.ended is None else f"ended {self.ended:%Y-%m-%d %H:%M:%S} UTC"
         return f"{self.id}: {date}, {self.size_bytes / 1e6:.1f} MB"
 
 
 def parse_entry(entry: Entry) -> Px4LogEntry:
-    """Return an entry of MAVSDK's list as `Px4LogEntry`."""
     ended = None
     with contextlib.suppress(ValueError):
         date = datetime.fromisoformat(str(entry.date).replace("Z", "+00:00"))
@@ -129,7 +120,6 @@ def logs_of_flight(
     """Return the logs that may belong to a flight; return only one log if the flight's log is identified.
 
     Args:
-        entries: logs on the flight controller.
         armed: arming time and end time of the flight, or None if unknown.
         before: logs on the flight controller before the flight, or None if unknown.
     """
@@ -153,11 +143,7 @@ class Px4Logs:
         self._plugin = LogFiles(system)
 
     def entries(self) -> list[Px4LogEntry]:
-        """Return the logs on the flight controller, or an empty list if there are none.
-
-        Raises:
-            DownloadError: the flight controller does not answer.
-        """
+        """Return the logs on the flight controller; raise DownloadError if it does not answer."""
         try:
             return [parse_entry(entry) for entry in self._plugin.get_entries()]
         except MavsdkError as error:
@@ -172,7 +158,6 @@ class Px4Logs:
 
         Args:
             entry: element of `entries` of this connection.
-            path: path of the file.
             progress: receives the received share, 0 to 1.
 
         Raises:
@@ -201,28 +186,20 @@ class Px4Logs:
             part.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Close the MAVSDK plugin."""
         self._plugin.destroy()
 
 
 class DownloadTime:
     """An estimator of a download's remaining time; it gives a single estimate, after the first seconds.
 
-    Args:
-        size_bytes: size of the whole download.
-        began_s: start time, on any clock, seconds.
+    `began_s` may be on any clock.
     """
 
     def __init__(self, size_bytes: int, began_s: float) -> None:
         self._size_bytes, self._began_s, self._is_reported = size_bytes, began_s, False
 
     def line(self, share: float, now_s: float) -> str | None:
-        """Return text with the expected remaining time once it is known, otherwise None.
-
-        Args:
-            share: received share, 0 to 1.
-            now_s: present time on the clock of `began_s`, seconds.
-        """
+        """Return text with the remaining time once it is known; `share` is the received share, 0 to 1."""
         elapsed_s = now_s - self._began_s
         if self._is_reported or elapsed_s < _RATED_S or share <= 0.0:
             return None

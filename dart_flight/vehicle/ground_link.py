@@ -1,7 +1,6 @@
 """A blocking connection for work on the ground: parameters, outputs, logs and a few seconds of telemetry.
 
-Commands for use on the ground open this connection, such as `check`, `parameters`, `bringup`, `lock` and
-`px4-log`.
+Commands such as `check`, `parameters`, `bringup`, `lock` and `px4-log` open this connection.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ class Source(msgspec.Struct, frozen=True):
 
 
 def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
-    """Return {stream: reason} for each stream of the vehicle that had no usable message."""
+    """Return {stream: reason} for each stream from the vehicle that had no usable message."""
     found: dict[str, Source] = {}
     for source in sources:
         stream = messages.STREAM_OF[source.sender.message]
@@ -86,10 +85,7 @@ def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
 
 
 class Observation(msgspec.Struct):
-    """Telemetry of a vehicle on the ground over a few seconds.
-
-    `rates_hz` counts usable samples only.
-    """
+    """Telemetry from a vehicle on the ground over a few seconds; `rates_hz` counts usable samples only."""
 
     version: str = ""
     rates_hz: dict[str, float] = {}
@@ -195,9 +191,8 @@ class GroundLink:
 
     Args:
         url: MAVSDK connection URL.
-        timeout_s: timeout of the first heartbeat, seconds.
+        timeout_s: timeout of the first heartbeat.
         viewer: receives every record on MAVSDK's thread; telemetry arrives only after the call of `observe`.
-        mocap: configuration of the motion capture.
 
     Raises:
         VehicleError: on entering, if the URL cannot be opened or no autopilot answers.
@@ -276,14 +271,13 @@ class GroundLink:
         return self._bridge.missing if self._bridge is not None else self._absent
 
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
-        """Return the newest usable value of a message within `seconds`, or None."""
+        """Return the newest usable value of a message within `seconds`."""
         return self._session.newest(entry, seconds)
 
     def round_trip_s(self) -> float | None:
-        """Return the shortest TIMESYNC round trip, seconds, or None if no answer arrives within 5 s.
+        """Return the shortest TIMESYNC round trip, or None if no answer arrives within 5 s.
 
-        Raises:
-            NoAnswerError: the vehicle has answered neither TIMESYNC nor another request.
+        Raise NoAnswerError if the vehicle has answered neither TIMESYNC nor another request.
         """
         return asyncio.run(self._round_trip_s())
 
@@ -302,7 +296,7 @@ class GroundLink:
         return min(found) * 1e-6 if found else None
 
     def _perform(self, what: str, request: Callable[[], Any]) -> Any:
-        """Perform a request and return its answer; `what` names the request in messages.
+        """Return the answer to a request; `what` names the request in messages.
 
         Raises:
             NoAnswerError: the vehicle answers no requests, or has stopped sending.
@@ -369,14 +363,10 @@ class GroundLink:
         """Return the values of the parameters that the vehicle has; INT32 values are of type int.
 
         Args:
-            names: names of the parameters; those that the vehicle lacks are missing from the result.
+            names: the parameters that the vehicle lacks are missing from the result.
             progress: receives the number of parameters requested so far.
             unanswered: receives the names of the parameters of which neither the value nor the absence is
-                known. If None, such a parameter is an error.
-
-        Raises:
-            NoAnswerError: the vehicle answers no requests.
-            VehicleError: a parameter was not answered, and `unanswered` is None.
+                known. If None, such a parameter raises VehicleError.
         """
         lost: set[str] = set()
         values = self._parameters.read(names, progress, lost)
@@ -387,12 +377,7 @@ class GroundLink:
         return values
 
     def write_parameter(self, name: str, value: Value) -> None:
-        """Set a parameter; `value` must be an int for an INT32 parameter and a float for a REAL32.
-
-        Raises:
-            NoAnswerError: the vehicle does not answer requests.
-            VehicleError: the vehicle refuses the value or does not answer, or its type cannot hold the value.
-        """
+        """Set a parameter (`VehicleParameters.write`)."""
         self._parameters.write(name, value)
 
     def wait(self, seconds: float) -> None:
@@ -415,11 +400,6 @@ class GroundLink:
             self._session.unlisten(handle)
 
     def read_file(self, path: str) -> bytes:
-        """Return the content of a small file on the flight controller.
-
-        Raises:
-            DownloadError: the file does not exist, or the flight controller does not support FTP.
-        """
         return download_file(self._system, path)
 
     def version(self) -> str:
@@ -430,7 +410,7 @@ class GroundLink:
         return ""
 
     def observe(self, vehicle: VehicleConfig, seconds: float) -> Observation:
-        """Request the rates of the stream table, listen for `seconds` and return the observation.
+        """Request the rates in the stream table and listen for `seconds`.
 
         If PX4 has no position or refuses to arm, wait up to 5 s longer until PX4 reports the reasons.
         """

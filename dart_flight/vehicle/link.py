@@ -40,7 +40,6 @@ class Holder(msgspec.Struct, frozen=True):
     """The process that holds a link.
 
     Attributes:
-        pid: process id.
         command: command of this software, such as `fly`.
         url: URL as the operator wrote it.
         log: absolute path of the flight's log, or None if there is none yet.
@@ -57,30 +56,22 @@ class Holder(msgspec.Struct, frozen=True):
 
 
 def feed_name(port: int) -> str:
-    """Return the name of a simulated vehicle's lease, which it acquires before it sends to a UDP port.
+    """Return the name of the lease that a simulated vehicle acquires before it sends to a UDP port.
 
-    A program that receives on the port acquires a different lease, the lease of the port's URL. The receiver
-    and the simulated vehicle can therefore use the same port.
+    A program that receives on the port acquires a different lease, that of the port's URL, so both can use
+    the port.
     """
     return f"feed:{port}"
 
 
 def link_folder() -> Path:
-    """Return the folder of the lease files."""
     return state_dir() / "links"
 
 
 class LinkLease(Lease):
     """The exclusive right to use one link, until `release` or the end of the process.
 
-    Args:
-        url: MAVSDK connection URL.
-        command: command of this software that requests the link.
-        log: path of the flight's log.
-
-    Raises:
-        LinkInUseError: on entering, if another program has the link; the message names that program.
-        InputError: on entering, if the state folder cannot be used.
+    Entering raises what `acquire` raises.
     """
 
     def __init__(self, url: str, command: str, log: Path | None = None) -> None:
@@ -120,9 +111,9 @@ class LinkLease(Lease):
     def lock_device(self) -> None:
         """Lock the serial device exclusively and make reads from the device blocking.
 
-        Call this method after MAVSDK has opened the device. MAVSDK 4 sets VMIN to 0. MAVSDK's reads then
-        return immediately even without data, and MAVSDK's thread occupies a whole core. VMIN is a setting of
-        the device, so this method can change it. Root can still open a locked device.
+        Call this method after MAVSDK has opened the device. MAVSDK 4 sets VMIN to 0, so its reads return
+        immediately even without data and occupy a whole core. VMIN is a setting of the device, so this method
+        can change it. Root can still open a locked device.
         """
         if self._device is not None:
             with contextlib.suppress(OSError, termios.error):
@@ -171,11 +162,9 @@ class LinkLease(Lease):
 
 
 def acquire_free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
-    """Return an unused UDP port of the loopback interface and the acquired lease of this port.
+    """Return an unused UDP port on the loopback interface and its acquired lease.
 
-    Raises:
-        LinkInUseError: all tried ports are in use by other programs.
-        InputError: the state folder cannot be used.
+    Raise LinkInUseError if other programs use all tried ports.
     """
     attempts = _FREE_LINK_ATTEMPTS
     while True:
@@ -193,12 +182,11 @@ def acquire_free_link(command: str, log: Path | None = None) -> tuple[int, LinkL
 
 
 def find_holder(url: str) -> Holder | None:
-    """Return the process of this software that holds a link, or None."""
     return _holder_in(_file_of(url))
 
 
 def held_links() -> Iterator[Holder]:
-    """Yield the processes of this software that hold a link of this network namespace, or a device."""
+    """Yield the processes of this software that hold a link in this network namespace, or a device."""
     for path in sorted(link_folder().glob("*.json")):
         holder = _holder_in(path)
         if holder is not None and _file_of(holder.url) == path:
@@ -230,12 +218,10 @@ _UNKNOWN_OWNER = "another program"
 
 
 def udp_port_is_free(port: int, host: str = "") -> bool:
-    """Return whether a UDP port is free: no socket is bound to the port.
+    """Return whether no socket is bound to a UDP port.
 
-    A socket that permits sharing of its port, such as MAVSDK's, also counts as bound.
-
-    Raises:
-        InputError: the port cannot be bound for another reason, for example because `host` is not local.
+    A socket that shares its port, such as MAVSDK's, also counts as bound. Raise InputError if the port cannot
+    be bound for another reason, for example because `host` is not local.
     """
     family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
     try:
@@ -250,10 +236,7 @@ def udp_port_is_free(port: int, host: str = "") -> bool:
 
 
 def owner_of_udp_port(port: int) -> str:
-    """Return text that names the programs that have a UDP port open.
-
-    The text omits a program if this user may not list the program's open files.
-    """
+    """Name the programs that have a UDP port open, if this user may list their open files."""
     wanted = f":{port:04X}"
     inodes = set()
     for table in ("/proc/net/udp", "/proc/net/udp6"):
@@ -270,7 +253,7 @@ def _owners_of_device(device: Path, besides: int | None = None) -> str:
 
 
 def _owners(targets: set[str], besides: int | None = None) -> str:
-    """Return text that names all processes (except `besides`) with an open file or socket in `targets`."""
+    """Name all processes (except `besides`) with an open file or socket in `targets`."""
     found = []
     for process in Path("/proc").iterdir():
         if not process.name.isdigit() or int(process.name) == besides:

@@ -89,10 +89,7 @@ class EscGroup(NamedTuple):
 
 
 class BatteryReading(NamedTuple):
-    """Reading of one battery; a value that is not reported is None.
-
-    `flies` is False for a battery of avionics or payload.
-    """
+    """Reading of one battery; `flies` is False for a battery of avionics or payload."""
 
     id: int
     voltage_v: float | None
@@ -104,7 +101,7 @@ class EstimatorState(NamedTuple):
     """State of PX4's estimator.
 
     `healthy` is set if attitude, horizontal velocity and horizontal position are valid. `position_sd_m` is
-    the standard deviation of the horizontal position, metres.
+    the horizontal standard deviation.
     """
 
     healthy: bool
@@ -135,7 +132,7 @@ class TextChunk(NamedTuple):
 
 
 class Timesync(NamedTuple):
-    """Answer to a TIMESYNC request: autopilot time, and host time of the request, both in microseconds."""
+    """Answer to a TIMESYNC request: autopilot time, and host time of the request."""
 
     sent_us: int
     autopilot_us: int
@@ -492,15 +489,12 @@ class MessageEntry(msgspec.Struct, frozen=True):
     """One row of the table.
 
     Attributes:
-        message: MAVLink's name of the message.
-        stream: name in `base/streams.py`, or None.
+        stream: name in `base/streams.py`.
         fields: type of the fields that are read.
         convert: function that returns a value from the fields, or `Unusable`.
-        frame: coordinate frame.
-        units: units and scale.
         invalid: text with the conditions under which a message has no usable values.
-        instance: name of the field that distinguishes the instances in one component, or None.
-        instances: accepted values of the field named in `instance`, or None if all values are accepted.
+        instance: name of the field that distinguishes the instances in one component.
+        instances: accepted values of that field, or None if all are accepted.
         which: description of the accepted instances for the manual's table.
     """
 

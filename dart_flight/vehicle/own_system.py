@@ -16,10 +16,8 @@ from mavsdk.mavsdk import Configuration
 def send_as(mavsdk: Any, component: ComponentType, system_id: int) -> int:
     """Send all further messages of a connection as a component of system `system_id`.
 
-    MAVSDK's C library has a function for this, its Python package has not.
-
-    Returns:
-        The system id of the further messages: MAVSDK's default if its library has no such function.
+    MAVSDK's C library has a function for this, its Python package has not. Return the system id of the
+    further messages: MAVSDK's default if its library has no such function.
     """
     configuration = Configuration.create_with_component_type(component)
     if configuration.system_id == system_id:

@@ -58,7 +58,6 @@ class ParameterList:
 
     @property
     def is_complete(self) -> bool:
-        """Whether every entry has arrived."""
         return self.count is not None and len(self.names) == self.count
 
     def missing(self) -> list[int]:
@@ -70,9 +69,7 @@ class VehicleParameters:
     """Reads and writes the parameters of the autopilot on a link.
 
     Args:
-        session: the connection.
         plugin: MAVSDK's parameter plugin of the same vehicle.
-        system_id: the vehicle's MAVLink system id.
         perform: performs a request and raises `NoAnswerError` if the vehicle answers no requests at all.
     """
 
@@ -144,8 +141,7 @@ class VehicleParameters:
     def _request_list(self) -> None:
         """Request the list of all parameters, and then its missing entries, until it is complete.
 
-        Raises:
-            ParamError: no entry arrives.
+        Raise ParamError if no entry arrives.
         """
         listed, end_s = self._list, time.monotonic() + _LIST_S
         handle = self._session.listen(messages.PARAM_VALUE, lambda entry, _: listed.update(entry))

@@ -1,8 +1,7 @@
 """Redirection of MAVSDK's log to Python's logging.
 
-MAVSDK must not write to standard output, which is reserved for `--json`.
-
-A repeated message is logged once. When the connection is closed, the number of repetitions is logged.
+MAVSDK must not write to standard output, which is reserved for `--json`. A repeated message is logged once,
+and the number of repetitions when the connection is closed.
 """
 
 from __future__ import annotations
@@ -35,10 +34,7 @@ def redirect() -> None:
 
 
 def log_message(level: Any, message: str, _file: str | None, _line: int) -> bool:
-    """Log a message; MAVSDK calls this function on MAVSDK's threads.
-
-    The result is True, so that MAVSDK does not print the message.
-    """
+    """Log a message on one of MAVSDK's threads; return True, so that MAVSDK does not print it."""
     number = _LEVELS.get(int(level), logging.INFO)
     if _closing and _SOCKET_CLOSED in message:
         number = logging.DEBUG
@@ -64,10 +60,7 @@ def _log_repetitions() -> None:
 
 @contextmanager
 def closing() -> Iterator[None]:
-    """Suppress errors of a connection's socket within the context.
-
-    The caller must close the connection within the context.
-    """
+    """Suppress errors of a socket within the context, in which the caller must close the connection."""
     global _closing  # noqa: PLW0603  (MAVSDK has one log for the whole process)
     with _lock:
         _closing += 1

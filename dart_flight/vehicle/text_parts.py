@@ -13,10 +13,7 @@ _INFO = 6  # MAV_SEVERITY
 
 
 def split_text(text: str, number: int) -> list[dict[str, Any]]:
-    """Return the fields of the messages that carry a text.
-
-    If the text needs several messages, all of them have the id `number`.
-    """
+    """Return the fields of the messages that carry a text; several messages share the id `number`."""
     plain = text.encode("ascii", "replace").decode()[:_LONGEST]
     if len(plain) <= _PART:
         return [{"severity": _INFO, "text": plain, "id": 0, "chunk_seq": 0}]
@@ -49,10 +46,7 @@ class TextAssembler:
         return found
 
     def overdue(self) -> list[tuple[str, str]]:
-        """Return [incomplete text] if no new part has arrived for a second, otherwise an empty list.
-
-        Call this method at every heartbeat.
-        """
+        """Return [incomplete text] if no new part has arrived for a second; call this at every heartbeat."""
         if self._is_old:
             return self._cut_off()
         self._is_old = bool(self._text)

@@ -7,6 +7,6 @@ from mavsdk.plugins.mavlink_direct import MavlinkMessage
 
 
 def make_request(now_us: int) -> MavlinkMessage:
-    """Return a TIMESYNC request with the host time of sending, microseconds."""
+    """Return a request with the host time of sending."""
     fields = {"tc1": 0, "ts1": 1000 * now_us, "target_system": 0, "target_component": 0}
     return MavlinkMessage("TIMESYNC", 0, 0, 0, 0, msgspec.json.encode(fields).decode())

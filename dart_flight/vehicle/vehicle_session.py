@@ -1,7 +1,7 @@
 """A MAVSDK connection to one autopilot: it delivers telemetry as records and sends setpoints and commands.
 
-MAVSDK's callbacks run on MAVSDK's thread. Each callback builds a record and passes the record to `deliver`.
-An acknowledgement does not prove success: PX4 acknowledges a take-off even while disarmed. The core therefore
+MAVSDK's callbacks run on MAVSDK's thread. Each callback builds a record and passes it to `deliver`. An
+acknowledgement does not prove success: PX4 acknowledges a take-off even while disarmed. The core therefore
 detects the effect of a command in the telemetry.
 """
 
@@ -88,7 +88,7 @@ class Sender(NamedTuple):
 
 
 class SenderCount(msgspec.Struct):
-    """The number of messages and the number of usable messages from a sender.
+    """The number of messages and of usable messages from a sender.
 
     `reason` states why the last unusable message could not be used.
     """
@@ -100,7 +100,6 @@ class SenderCount(msgspec.Struct):
 
 
 def _without_stamps(s: Setpoint) -> tuple[object, ...]:
-    """Return the values of a setpoint without the setpoint's stamps."""
     return (s.position_ned, s.yaw_ned_rad, s.velocity_ned, s.acceleration_ned)
 
 
@@ -117,15 +116,11 @@ class VehicleSession:
 
     Args:
         mavsdk: the connection, kept open by the caller.
-        system: the autopilot on the connection.
         deliver: receives every record, on MAVSDK's thread.
-        clock: relation of the autopilot's time to the host's.
 
     Attributes:
         senders: one `SenderCount` for each sender of each subscribed message, including ignored senders.
-        batteries: the newest reading of each battery.
         motor_outputs: decoder of the motor outputs, or None before `subscribe`.
-        clock: relation of the autopilot's time to the host's.
         checked: whether PX4 has sent a report of its arming checks.
     """
 
@@ -170,7 +165,7 @@ class VehicleSession:
     def subscribe(
         self, estimation: Estimation, motors: int, guarded: bool = True, lowest_battery_v: float = 0.0
     ) -> None:
-        """Subscribe to the streams of the table and to status messages.
+        """Subscribe to the streams in the table and to status messages.
 
         Args:
             estimation: selects the sources of thrust.
@@ -204,14 +199,12 @@ class VehicleSession:
         on_value: Callable[[Any, int], Unusable | None],
         on_unusable: Callable[[int], None] | None = None,
     ) -> Any:
-        """Subscribe to a message of the table; return MAVSDK's handle of the subscription.
+        """Subscribe to a message in the table; return MAVSDK's handle of the subscription.
 
         Args:
-            entry: the message.
-            on_value: callback that receives each usable value from the autopilot's component, and the value's
-                time of receipt. The callback returns None, or `Unusable` if it cannot use the value.
-            on_unusable: callback that receives the instance of each unusable message of the autopilot's
-                component.
+            on_value: receives each usable value from the autopilot's component, and the value's time of
+                receipt. It returns None, or `Unusable` if it cannot use the value.
+            on_unusable: receives the instance of each unusable message from the autopilot's component.
         """
         decode, counts, name = entry.reader(), self.senders, entry.message
         own = self._raw.get_system_id()
@@ -245,11 +238,10 @@ class VehicleSession:
         return self._direct.subscribe_message(name, handle)
 
     def unlisten(self, handle: Any) -> None:
-        """End a subscription of `listen`."""
         self._direct.unsubscribe_message(handle)
 
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
-        """Block for `seconds` and return the newest usable value received, or None."""
+        """Block for `seconds` and return the newest usable value received."""
         found: list[Any] = []
 
         def keep(value: Any, _: int) -> None:
@@ -261,7 +253,7 @@ class VehicleSession:
         return found[0] if found else None
 
     def next(self, entry: MessageEntry, timeout_s: float) -> Any:
-        """Block until the next usable value arrives and return this value, or None after the timeout."""
+        """Block until the next usable value arrives; return None after the timeout."""
         came: queue.SimpleQueue[Any] = queue.SimpleQueue()
         handle = self.listen(entry, lambda value, _: came.put(value))
         try:
@@ -288,11 +280,11 @@ class VehicleSession:
             self._deliver(StatusText(t_us, received, "error", text, found_here=True))
 
     async def set_rates(self, names: Collection[str] | None = None, watching: bool = False) -> list[str]:
-        """Request the rates of the table; return the names of the streams that PX4 refused.
+        """Request the rates in the table; return the names of the streams that PX4 refused.
 
         Args:
-            names: streams of the table to request, or None for all. Subscribed streams outside the table are
-                always requested.
+            names: streams to request, or None for all. Subscribed streams outside the table are always
+                requested.
             watching: whether to request lower rates, which suffice for a display.
         """
         t = self._telemetry
@@ -324,9 +316,7 @@ class VehicleSession:
             await asyncio.to_thread(self._request_interval, number, -1)
 
     async def measure_link(self, timeout_s: float) -> list[str]:
-        """Wait for the first answer to a request.
-
-        Return [] if an answer arrives, otherwise the names of the unanswered requests.
+        """Wait for the first answer to a request; if none arrives, return the names of the requests.
 
         The request is TIMESYNC, or a rate request if the vehicle does not answer TIMESYNC.
         """
@@ -570,7 +560,7 @@ class VehicleSession:
             )
 
     async def perform(self, action: VehicleAction) -> str:
-        """Perform an action; return an empty string, or the reason why the action was not performed."""
+        """Return an empty string, or the reason why the action was not performed."""
         if self._silent:
             return "silent"
         calls: dict[VehicleAction, Callable[..., Any]] = {
@@ -610,12 +600,9 @@ class VehicleSession:
         self._silent = True
 
     def set_actuator(self, index: int, value: float) -> None:
-        """Command a peripheral output of PX4 and wait for PX4's acknowledgement.
+        """Command a peripheral output and wait for PX4's acknowledgement, which does not prove movement.
 
-        An acknowledgement does not prove that the actuator moves.
-
-        Raises:
-            VehicleError: PX4 refuses the command or does not answer.
+        Raise VehicleError if PX4 refuses the command or does not answer.
         """
         try:
             self._action.set_actuator(index, value)
@@ -635,10 +622,6 @@ class VehicleSession:
         """Answer the commands of a ground station, on MAVSDK's thread (`CommandServer`).
 
         Each answer is also sent to the ground station as a text and delivered as a record.
-
-        Args:
-            system_id: system id of the ground station.
-            answer: function that returns the result of a press and the reason for this result.
         """
 
         def note(text: str) -> None:
@@ -663,8 +646,7 @@ async def connect(
     """Connect to the first autopilot on a URL: `async with connect(...) as session`.
 
     Args:
-        url: MAVSDK connection URL.
-        timeout_s: timeout of the first heartbeat, seconds.
+        timeout_s: timeout of the first heartbeat.
         deliver: receives every record, on MAVSDK's thread.
         ground: whether to appear as a ground station instead of a companion computer. On the vehicle's
             computer this must be False. Otherwise PX4 could confuse this program's heartbeat with the
@@ -700,11 +682,7 @@ def _close(mavsdk: Any) -> None:
 
 
 async def _first_autopilot(mavsdk: Any, url: str, timeout_s: float) -> Any:
-    """Open the link and return the first autopilot on it.
-
-    Raises:
-        VehicleError: the URL cannot be opened, or no autopilot answers.
-    """
+    """Open the link and return the first autopilot on it."""
     try:
         await mavsdk.add_any_connection(mavsdk_url(url))
         system = await mavsdk.first_autopilot(timeout_s=timeout_s)

@@ -1,8 +1,7 @@
 """The table of the faults of a simulated flight, their parser, and the faults of the simulated vehicle.
 
 `dry-run --fault NAME[=VALUE][@PHASE]` adds a fault. The fault begins when the mission first reaches the
-phase. Without a phase, the fault begins immediately. A fault without a duration lasts until the end of
-the flight.
+phase, or immediately without a phase. A fault without a duration lasts until the end of the flight.
 
 The site of a fault decides which part applies the fault. `VehicleFault` applies faults of plant, sensors and
 autopilot. `pose_feed` applies faults of the forwarded poses (`mocap`). `link` faults act on the messages
@@ -45,16 +44,7 @@ class FaultSite(StrEnum):
 
 
 class FaultKind(msgspec.Struct, frozen=True):
-    """A row of the fault table.
-
-    Attributes:
-        name: name of the fault, for `--fault`.
-        site: site of the fault.
-        description: description for the operator.
-        unit: unit of the value.
-        value: default value.
-        low, high: range of the value.
-    """
+    """A row of the fault table; `value` is the default in `unit`, and `low` to `high` its range."""
 
     name: str
     site: FaultSite
@@ -191,13 +181,12 @@ PHASES: dict[str, Phase] = {
 
 
 class Fault(msgspec.Struct, frozen=True):
-    """A fault of a flight.
+    """A fault in a flight.
 
     Attributes:
-        name: name in the table.
-        value: value in the table's unit.
+        value: in the unit of its kind.
         phase: key of `PHASES`, or None for a fault from the start of the flight.
-        after_s: delay after the start of the phase, seconds.
+        after_s: delay after the start of the phase.
     """
 
     name: str
@@ -207,16 +196,11 @@ class Fault(msgspec.Struct, frozen=True):
 
     @property
     def kind(self) -> FaultKind:
-        """The row of the fault table."""
         return BY_NAME[self.name]
 
 
 def parse_mission_fault(mission: Mission, text: str) -> Fault:
-    """Parse `NAME[=VALUE][@PHASE]` as a fault for the vehicle of a mission.
-
-    Raises:
-        InputError: see `parse_fault`.
-    """
+    """Parse `NAME[=VALUE][@PHASE]` as a fault for the mission's vehicle (see `parse_fault`)."""
     has_mocap = simulated_source(mission) is PositionSource.MOCAP
     fault = parse_fault(text, mission.vehicle.has_lock, has_mocap)
     if fault.kind.site is FaultSite.MOCAP and mission.vehicle.mocap.url is None:
@@ -225,7 +209,7 @@ def parse_mission_fault(mission: Mission, text: str) -> Fault:
 
 
 def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fault:
-    """Parse `NAME[=VALUE][@PHASE]` as a fault.
+    """Parse `NAME[=VALUE][@PHASE]`.
 
     Raises:
         InputError: the fault or phase does not exist, the value is out of range, or the vehicle lacks the
@@ -257,17 +241,14 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
 
 
 class Trigger:
-    """The trigger of a fault.
-
-    The fault begins `after_s` after the mission first reaches the phase of the fault.
-    """
+    """The trigger of a fault, which begins `after_s` after the mission first reaches the fault's phase."""
 
     def __init__(self, fault: Fault) -> None:
         self._fault = fault
         self._since_us: int | None = None
 
     def process(self, record: Record) -> bool:
-        """Process a record of the flight; return whether the phase of the fault has begun."""
+        """Return whether the phase of the fault has begun."""
         if self._since_us is None:
             first = self._fault.phase is None
             if first and hasattr(record, "t_us"):
@@ -277,7 +258,7 @@ class Trigger:
         return self._since_us is not None
 
     def is_due(self, now_us: int) -> bool:
-        """Return whether the fault is due. Without phase and delay it is due before any record."""
+        """Return whether the fault has begun; without phase and delay it begins before any record."""
         if self._fault.phase is None and self._fault.after_s == 0.0:
             return True
         return self._since_us is not None and now_us - self._since_us >= self._fault.after_s * 1e6
@@ -287,7 +268,6 @@ class Trigger:
 
 
 def make_impairment(fault: Fault) -> Impairment:
-    """Return the impairment of the link that a fault causes."""
     share = fault.value * 0.01
     return {
         "link-loss": Impairment(down=True),
@@ -302,7 +282,6 @@ def make_impairment(fault: Fault) -> Impairment:
 
 
 def make_mock_faults(fault: Fault) -> MockFaults:
-    """Return the faults of the mock servo that a fault of the lock causes."""
     return {
         "servo-stuck": MockFaults(servo=ServoFaults(stuck=True)),
         "servo-slow": MockFaults(servo=ServoFaults(slow=fault.value or 1.0)),
@@ -320,7 +299,7 @@ class VehicleFault:
         getattr(self, "_begin_" + fault.name.replace("-", "_"))()
 
     def tick(self) -> None:
-        """Apply the effects of the fault that change over time."""
+        """Apply the effects that change over time."""
         self._ticks += 1
         a = self._autopilot
         if self._fault.name == "gust" and a.now_s - self._began_s > _GUST_S:

@@ -15,11 +15,9 @@ class Impairment(msgspec.Struct, frozen=True):
     """The impairment of a link.
 
     Attributes:
-        loss, reorder: share of lost messages and share of reordered messages, 0 to 1.
-        delay_s: delay of every message, seconds.
-        reorder_s: additional delay of a reordered message, seconds.
-        jitter_s: largest random delay, drawn for each message, seconds.
-        duplicate: share of the messages that arrive twice.
+        loss, reorder, duplicate: shares of messages that are lost, reordered or arrive twice, 0 to 1.
+        reorder_s: additional delay of a reordered message.
+        jitter_s: largest random delay, drawn for each message.
         down: whether the link loses every message.
     """
 
@@ -33,10 +31,7 @@ class Impairment(msgspec.Struct, frozen=True):
 
 
 class LossyLink(Generic[T]):
-    """A queue that applies an impairment to messages.
-
-    The caller passes the present time in seconds, on any clock.
-    """
+    """A queue that applies an impairment to messages; the caller passes seconds on any clock."""
 
     def __init__(self, seed: int) -> None:
         self.impairment = Impairment()
@@ -45,7 +40,6 @@ class LossyLink(Generic[T]):
         self._number = 0
 
     def push(self, now_s: float, message: T) -> None:
-        """Add a message that is sent at `now_s`."""
         impairment, chance = self.impairment, self._random.random
         if impairment.down or (impairment.loss > 0.0 and chance() < impairment.loss):
             return

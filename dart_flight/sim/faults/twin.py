@@ -14,14 +14,7 @@ _OTHER_SEED = 1000
 
 
 def make_second_vehicle(mission: Mission, seed: int, ahead_s: float, now_us: int) -> SimulatedVehicle:
-    """Return a second vehicle that is disarmed and on the ground.
-
-    Args:
-        mission: mission of the first vehicle.
-        seed: seed of the first vehicle.
-        ahead_s: clock of the second vehicle minus clock of the first vehicle, seconds.
-        now_us: clock of the first vehicle, microseconds.
-    """
+    """Return a second vehicle, disarmed on the ground, whose clock is `ahead_s` ahead of the first."""
     twin = SimulatedVehicle(msgspec.structs.replace(mission, walls=()), seed + _OTHER_SEED, LockDriver.PX4)
     plant, autopilot = twin.autopilot.plant, twin.autopilot
     plant.position = add(plant.position, _APART_NED)

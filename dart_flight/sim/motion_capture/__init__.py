@@ -34,14 +34,7 @@ class PoseServer(Protocol):
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Send one frame with the body's pose.
-
-        Args:
-            t_us: the server's time stamp of the frame, microseconds.
-            position_room: position of the body, metres.
-            q_body_to_room: attitude of the body.
-            tracked: whether the body is tracked in this frame.
-        """
+        """Send one frame with the body's pose; `t_us` is the server's time stamp."""
 
     def close(self) -> None:
         """Disconnect every client and free the ports."""

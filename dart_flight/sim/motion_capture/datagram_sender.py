@@ -1,7 +1,4 @@
-"""An emulated system that sends one datagram per frame to a port of this computer.
-
-The system does not wait for a request.
-"""
+"""An emulated system that sends one datagram per frame to a port of this computer, without a request."""
 
 from __future__ import annotations
 
@@ -14,12 +11,7 @@ _LOOPBACK: Final = "127.0.0.1"
 
 
 class DatagramSender:
-    """A sender of datagrams to a receiver that may not listen yet.
-
-    Args:
-        scheme: scheme of the pose source's URL.
-        body: name of the body.
-    """
+    """A sender of datagrams to a receiver that may not listen yet; `scheme` is the pose source's."""
 
     def __init__(self, scheme: str, body: str) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -45,5 +37,4 @@ class DatagramSender:
             return
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()

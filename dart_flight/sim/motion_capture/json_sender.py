@@ -18,7 +18,6 @@ class JsonSender(DatagramSender):
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Send one frame with the body's pose."""
         pose: dict[str, object] = {"body": self._body, "frame": self._frame, "time_s": 1e-6 * t_us}
         if tracked:
             pose |= {"position_m": position_room, "quaternion_wxyz": q_body_to_room}

@@ -1,6 +1,6 @@
 """An emulated OptiTrack server: NatNet 4.1 in unicast, as used by Motive 3.
 
-The layout is taken from the NatNet SDK's public documentation and headers. All values are little-endian.
+The layout is from the NatNet SDK's public documentation and headers. All values are little-endian.
 """
 
 from __future__ import annotations
@@ -93,7 +93,6 @@ class NatNetServer:
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Send one frame with the wand and the body to every client."""
         w, x, y, z = q_body_to_room
         flags = 1 if tracked else 0
         bodies = [
@@ -116,7 +115,6 @@ class NatNetServer:
                 self._forget(client)
 
     def close(self) -> None:
-        """Disconnect every client and free the port."""
         self._closed.set()
         self._thread.join()
         for client in list(self._clients):

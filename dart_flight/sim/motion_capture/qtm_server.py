@@ -1,7 +1,6 @@
 """An emulated Qualisys Track Manager (QTM), which sends 6DOF data.
 
-The server implements version 1.25 of QTM's real-time protocol, little-endian. The layout is taken from the
-public documentation of this protocol.
+The layout is from the public documentation of QTM's real-time protocol, version 1.25, little-endian.
 """
 
 from __future__ import annotations
@@ -111,7 +110,6 @@ class QtmServer:
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Send one frame with the wand and the body to every client that has asked for frames."""
         columns = [
             x
             for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -131,7 +129,6 @@ class QtmServer:
                     self._drop(link)
 
     def close(self) -> None:
-        """Disconnect every client and free the port."""
         self._closed.set()
         for link in list(self._links):
             with contextlib.suppress(OSError):

@@ -48,7 +48,6 @@ class VrpnServer:
 
     @property
     def clients(self) -> int:
-        """Number of programs that have connected."""
         return len(self._links)
 
     def _accept(self) -> None:
@@ -65,7 +64,7 @@ class VrpnServer:
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Send one frame to every client: the wand's pose, and the body's pose if the body is tracked."""
+        """Send the wand's pose, and the body's pose if the body is tracked."""
         w, x, y, z = q_body_to_room
         poses = [(1, (1.0, -0.5, 0.02, 0.0, 0.0, 0.0, 1.0))]
         poses += [(2, (*position_room, x, y, z, w))] if tracked else []
@@ -82,7 +81,6 @@ class VrpnServer:
                 link.close()
 
     def close(self) -> None:
-        """Disconnect every client and free the port."""
         self._closed.set()
         self._thread.join()
         for link in self._links:

@@ -85,11 +85,7 @@ class SensorLink(Protocol):
 
 
 class HilLink:
-    """The simulator's end of PX4's TCP connection.
-
-    Args:
-        connection: the accepted socket.
-    """
+    """The simulator's end of PX4's TCP connection. If the connection is gone, it raises Px4LostError."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._socket = connection
@@ -101,11 +97,7 @@ class HilLink:
         self.locked = False  # whether PX4 has begun to answer
 
     def send(self, *messages: Any) -> None:
-        """Send messages with a single write.
-
-        Raises:
-            Px4LostError: the connection is gone.
-        """
+        """Send messages with a single write."""
         data = b""
         for message in messages:
             data += message.pack(self._pack)
@@ -116,12 +108,9 @@ class HilLink:
             raise Px4LostError(f"PX4 closed the simulator connection ({error.strerror})") from None
 
     def exchange(self, sensor: Any, *others: Any) -> Controls:
-        """Send one tick's messages, wait for PX4's answer and return the answer.
+        """Send one tick's messages and wait for PX4's answer; raise Px4LostError after 5 s.
 
         Before PX4's first answer, the wait is short, and the outputs of a disarmed vehicle are returned.
-
-        Raises:
-            Px4LostError: the connection is gone, or PX4 has not answered for 5 s.
         """
         # PX4 stamps poses and fixes with its clock, which the later HIL_SENSOR advances.
         self.send(*others, sensor)
@@ -136,7 +125,7 @@ class HilLink:
 
     @property
     def _patience_s(self) -> float:
-        """Longest wait for an answer, seconds; PX4's first answer ever extends the wait in progress."""
+        """Longest wait for an answer; PX4's first answer ever extends the wait in progress."""
         return _ANSWER_WAIT_S if self.locked else _BOOT_WAIT_S
 
     def _receive_answer(self, time_us: int, deadline: float) -> bool:
@@ -160,13 +149,11 @@ class HilLink:
         return answered
 
     def close(self) -> None:
-        """Close the connection."""
         with contextlib.suppress(OSError):
             self._socket.close()
 
 
 def with_motors(mission: Mission, motors: tuple[Motor, ...]) -> Mission:
-    """Return a mission whose vehicle has other motors, such as the motors of PX4's parameters."""
     airframe = msgspec.structs.replace(mission.vehicle.airframe, listed=motors, arm_x_m=None, arm_y_m=None)
     return msgspec.structs.replace(
         mission, vehicle=msgspec.structs.replace(mission.vehicle, airframe=airframe)
@@ -177,14 +164,12 @@ class Px4Vehicle:
     """Plant, sensors and lock servo behind a HIL link.
 
     Args:
-        mission: mission with walls, start and vehicle; its motors are those of PX4's parameters.
+        mission: its vehicle has the motors of PX4's parameters.
         seed: seed of every sensor's noise.
-        link: link to PX4.
-        position_from: source of the position, motion capture (no GPS) or a GPS receiver.
         sends_poses: whether the poses of the simulated motion capture go to PX4 over this link.
 
     Attributes:
-        pose: pose that motion capture reports at this tick, or None.
+        pose: pose that motion capture reports at this tick.
     """
 
     def __init__(
@@ -217,28 +202,21 @@ class Px4Vehicle:
 
     @property
     def time_us(self) -> int:
-        """PX4's clock, microseconds."""
+        """PX4's clock."""
         return round(self.plant.time_s * 1e6)
 
     @property
     def armed(self) -> bool:
-        """Whether PX4 is armed."""
         return self._link.controls.armed
 
     def set_horn(self, pulse_us: float) -> None:
-        """Set the position of the mock servo's horn, as a pulse width."""
         if self._servo is not None:
             self._servo.set_horn(pulse_us)
 
     def step(self, report: bool = True) -> None:
         """Advance the plant by one tick of 4 ms with PX4's last outputs, then send the measurements to PX4.
 
-        Args:
-            report: whether to send this tick's measurements. If not, the next IMU sample is a mean that
-                includes this tick.
-
-        Raises:
-            Px4LostError: as in the link's `exchange`.
+        If `report` is false, nothing is sent, and the next IMU sample is a mean that includes this tick.
         """
         controls = self._link.controls
         m = controls.values
@@ -264,11 +242,7 @@ class Px4Vehicle:
             self._link.exchange(self._last_sensor, *others)
 
     def stand_still(self) -> None:
-        """Stop the plant for one tick and repeat the last IMU sample, because PX4 needs a steady stream.
-
-        Raises:
-            Px4LostError: see the link's `exchange`.
-        """
+        """Stop the plant for one tick and repeat the last IMU sample, because PX4 needs a steady stream."""
         self._link.exchange(self._last_sensor)
 
     def _measure_imu(self, specific_force_frd: Vec3, motors_turn: bool) -> None:
@@ -299,10 +273,7 @@ class Px4Vehicle:
 
 
 def servo_channel(vehicle: VehicleConfig) -> int:
-    """Return the servo's channel in HIL_ACTUATOR_CONTROLS; the first channel is 0.
-
-    A quadrotor's servo has channel 4, which is PX4's output PWM_MAIN 5.
-    """
+    """Return the servo's channel in HIL_ACTUATOR_CONTROLS, from 0; a quadrotor's is 4, PX4's PWM_MAIN 5."""
     return len(vehicle.airframe.motors)
 
 
@@ -369,7 +340,7 @@ def gps_message(time_us: int, fix: GpsFix, receiver: GpsReceiver) -> Any:
 
 
 def geodetic(position_ned: Vec3) -> tuple[float, float]:
-    """Return (latitude, longitude) in degrees of a point near home; the point is in NED, metres."""
+    """Return latitude and longitude (degrees) of a point near home."""
     latitude = HOME_LAT_DEG + math.degrees(position_ned[0] / _EARTH_RADIUS_M)
     shrink = math.cos(math.radians(HOME_LAT_DEG))
     return latitude, HOME_LON_DEG + math.degrees(position_ned[1] / (_EARTH_RADIUS_M * shrink))

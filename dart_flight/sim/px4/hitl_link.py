@@ -75,21 +75,18 @@ class SerialPort:
         os.set_blocking(self._fd, False)
 
     def read(self) -> bytes:
-        """Implement `HitlPort`."""
         try:
             return os.read(self._fd, _READ)
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes) -> int:
-        """Implement `HitlPort`."""
         try:
             return os.write(self._fd, data)
         except BlockingIOError:
             return 0
 
     def close(self) -> None:
-        """Implement `HitlPort`."""
         self._serial.close()
 
 
@@ -106,7 +103,6 @@ class UdpPort:
             self._socket.bind((address.place, address.number))
 
     def read(self) -> bytes:
-        """Implement `HitlPort`."""
         data = b""
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
             while True:
@@ -115,7 +111,7 @@ class UdpPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """Implement `HitlPort`; a datagram is sent completely or not at all."""
+        """Send the datagram completely or not at all."""
         if self._to is None:
             return 0
         try:
@@ -124,16 +120,11 @@ class UdpPort:
             return 0
 
     def close(self) -> None:
-        """Implement `HitlPort`."""
         self._socket.close()
 
 
 def open_port(url: str) -> HitlPort:
-    """Open the port with the URL that follows `--hitl`.
-
-    Raises:
-        InputError: the port cannot be opened, or is neither serial nor UDP.
-    """
+    """Open a serial or UDP port; raise InputError if it cannot be opened or has another kind."""
     address = parse_link(url)
     if address is None or address.kind not in ("serial", "udpin", "udpout"):
         raise InputError(
@@ -152,9 +143,6 @@ def open_port(url: str) -> HitlPort:
 
 class HitlLink:
     """The link that sends the plant's measurements and stores the flight controller's outputs.
-
-    Args:
-        port: port to the flight controller.
 
     Attributes:
         controls: last actuator outputs.
@@ -185,7 +173,7 @@ class HitlLink:
 
     @property
     def silent_s(self) -> float:
-        """Time without actuator outputs, seconds."""
+        """Time without actuator outputs."""
         return time.monotonic() - self._received_s
 
     def exchange(self, sensor: Any, *others: Any) -> Controls:
@@ -210,7 +198,7 @@ class HitlLink:
         return self.controls
 
     def _send_periodic(self) -> None:
-        """Send the periodic messages: a heartbeat, and queries of the outputs."""
+        """Send a heartbeat and queries of the outputs when they are due."""
         now_s = time.monotonic()
         if now_s - self._beat_s >= _HEARTBEAT_S:
             self._beat_s = now_s
@@ -257,11 +245,7 @@ class HitlLink:
             )
 
     def send(self, *messages: Any) -> None:
-        """Send messages, each completely or not at all.
-
-        Raises:
-            Px4LostError: the port is gone.
-        """
+        """Send messages, each completely or not at all; raise Px4LostError if the port is gone."""
         try:
             for message in messages:
                 if self._rest:
@@ -276,11 +260,7 @@ class HitlLink:
             raise Px4LostError(f"port to the flight controller is gone ({error.strerror})") from None
 
     def receive(self) -> None:
-        """Process the received data.
-
-        Raises:
-            Px4LostError: as in `exchange`.
-        """
+        """Process the received data; raise Px4LostError as `exchange` does."""
         try:
             data = self._port.read()
         except OSError as error:
@@ -301,6 +281,5 @@ class HitlLink:
             self._check_outputs()
 
     def close(self) -> None:
-        """Release the port."""
         with contextlib.suppress(OSError):
             self._port.close()

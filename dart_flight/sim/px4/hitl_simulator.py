@@ -1,10 +1,10 @@
 """The world of a flight controller in hardware-in-the-loop mode: plant and sensors in real time.
 
-The flight controller uses its own time. This process and the flight controller do not wait for each other.
-Ticks follow the host's clock. If a busy computer misses ticks, they are computed without a pause and reported
-as one tick (`hitl_link`). After a stall of more than a quarter of a second, the plant does not catch up. The
-world of the embedded autopilot has the same rule. The plant also pauses while an armed flight controller is
-silent, because a vehicle with constant motor outputs soon turns over.
+This process and the flight controller do not wait for each other. Ticks follow the host's clock. If a busy
+computer misses ticks, they are computed without a pause and reported as one tick (`hitl_link`). After a stall
+of more than a quarter of a second, the plant does not catch up, as in the world of the embedded autopilot.
+The plant also pauses while an armed flight controller is silent, because a vehicle with constant motor
+outputs soon turns over.
 """
 
 from __future__ import annotations
@@ -35,12 +35,7 @@ _STALL_TICKS = round(STALL_S / TICK_S)
 
 
 class HitlSimulator:
-    """The world of a flight controller, connected to the app's pipe and to the flight controller's port.
-
-    Args:
-        spec: specification of the world.
-        hitl: hardware-in-the-loop part of the specification.
-    """
+    """The world of a flight controller, connected to the app's pipe and to the flight controller's port."""
 
     def __init__(self, spec: SimulatorSpec, hitl: HitlSpec) -> None:
         self._spec, self._hitl = spec, hitl
@@ -118,7 +113,6 @@ class HitlSimulator:
 
     @property
     def time_us(self) -> int:
-        """Implement `ServedWorld`."""
         return self._vehicle.time_us
 
     def set_horn(self, pulse_us: float) -> None:
@@ -129,10 +123,7 @@ class HitlSimulator:
         """Do nothing: faults are not available with a flight controller."""
 
     def advance(self) -> Plant:
-        """Wait until the next tick is due, and advance by this tick.
-
-        If a further tick is also due, report both ticks together.
-        """
+        """Advance when the next tick is due; if a further tick is also due, report both together."""
         late_s = time.monotonic() - (self._start_s + (self._ticks + 1) * TICK_S)
         time.sleep(max(0.0, -late_s))
         behind = int(late_s / TICK_S)
@@ -154,5 +145,4 @@ class HitlSimulator:
         return self._vehicle.plant
 
     def is_over(self, alone_s: float) -> bool:
-        """Return whether the flight controller is disarmed, or the app ended over `_ORPHAN_S` seconds ago."""
         return not self._armed or alone_s > _ORPHAN_S

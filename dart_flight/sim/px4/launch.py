@@ -2,9 +2,9 @@
 
 PX4 runs in a new working folder and in a separate session. PX4 gets the first free instance number, which
 defines the ports. PX4's own client sets the parameters while PX4 waits for its simulator. Every version since
-v1.14 waits for the simulator at the same point of PX4's start: after the airframe's defaults are applied, and
-before estimator and controllers start. The user provides PX4; PX4's documentation explains how to build and
-install PX4 (docs/px4.md).
+v1.14 waits at the same point of its start: after the airframe's defaults are applied, and before estimator
+and controllers start. Functions that talk to PX4 raise Px4Error if it ends or does not answer. docs/px4.md
+tells the user where to get PX4.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Px4Error(FlightError):
 
 
 class Install(msgspec.Struct, frozen=True):
-    """Paths of PX4's program and its `etc` folder."""
+    """PX4's program and its `etc` folder."""
 
     program: Path
     etc: Path
@@ -77,12 +77,8 @@ class Install(msgspec.Struct, frozen=True):
 def find_install(directory: str | Path | None) -> Install:
     """Find PX4 in an installation (`bin/px4`, `etc`) or a build folder with the same layout.
 
-    Args:
-        directory: folder that the user has named. If None or empty, the environment variable DART_PX4_DIR
-            names the folder.
-
-    Raises:
-        InputError: PX4 is not found.
+    If `directory` is None or empty, the environment variable DART_PX4_DIR names the folder. Raise InputError
+    if PX4 is not there.
     """
     named = directory or os.environ.get(ENVIRONMENT)
     if not named:
@@ -114,7 +110,7 @@ def find_install(directory: str | Path | None) -> Install:
 
 
 def parameter_files(position_from: PositionSource) -> list[Path]:
-    """Return the packaged parameter files of a simulated flight, in order of application."""
+    """Return the packaged files, in order of application."""
     return [*vehicle_files(position_from), packaged("configs", "px4", "simulation.params")]
 
 
@@ -123,15 +119,8 @@ def flight_parameters(
 ) -> dict[str, Parameter]:
     """Return all parameters for PX4.
 
-    Airframe and configuration give the first values; the parameter files override these values.
-
-    Args:
-        vehicle: configuration with masses, motors and the `px4` section.
-        position_from: source of the position, motion capture (indoors) or a GPS receiver.
-        extra: the user's own parameter files, which override all other parameters.
-
-    Raises:
-        InputError: a file is invalid.
+    Airframe and configuration give the first values, which the packaged files override. The user's own files
+    in `extra` override all others.
     """
     own = airframe_parameters(vehicle)
     parameters = {name: Parameter(name, value, "the configuration") for name, value in own.items()}
@@ -151,14 +140,11 @@ def flight_parameters(
 
 
 def values_of(parameters: Mapping[str, Parameter]) -> dict[str, Value]:
-    """Return the values by name."""
     return {name: parameter.value for name, parameter in parameters.items()}
 
 
 def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, float]) -> dict[str, Value]:
-    """Return the parameters to set in a PX4, under the names that this PX4 uses.
-
-    `known` contains the parameters that this PX4 has.
+    """Return the parameters to set in a PX4 that has the parameters `known`, under the names of this PX4.
 
     Raises:
         Px4Error: PX4 lacks a parameter that the parameter's file does not mark as `absent`.
@@ -178,7 +164,7 @@ def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, f
 
 
 def describe_mismatch(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> str | None:
-    """Describe the first parameter that differs from its set value, or return None."""
+    """Describe the first parameter that differs from its set value."""
     for name, value in wanted.items():
         has = actual.get(name)
         near = _DIGITS if isinstance(value, float) else 0.0
@@ -188,7 +174,7 @@ def describe_mismatch(wanted: Mapping[str, Value], actual: Mapping[str, float]) 
 
 
 def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
-    """Return the vehicle's configuration as PX4 parameters: motors, thrust curve, gains, servo."""
+    """Return motors, thrust curve, gains and servo as PX4 parameters."""
     parameters: dict[str, Value] = {}
     motors = vehicle.airframe.motors
     parameters |= rotor_parameters(motors)
@@ -212,12 +198,9 @@ def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
 
 
 def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tuple[Motor, ...]:
-    """Return the motors that PX4 will assume.
+    """Return the motors that PX4 will assume, from `parameters` and otherwise from the configuration.
 
-    A value comes from `parameters` if present there, otherwise from the configuration.
-
-    Raises:
-        InputError: the numbers of motors in the parameters and the configuration differ.
+    Raise InputError if their numbers of motors differ.
     """
     own = rotor_parameters(vehicle.airframe.motors)
     count = parameters.get(COUNT, own[COUNT])
@@ -248,32 +231,22 @@ def arguments(install: Install, instance: int) -> list[str]:
 
 
 class Instance:
-    """A claimed PX4 instance; its simulator port is bound but does not listen yet.
-
-    Attributes:
-        number: number of the instance, 0 to 9, which defines the ports.
-    """
+    """A claimed PX4 instance (0 to 9, defines the ports); its simulator port does not listen yet."""
 
     def __init__(self, number: int, listener: socket.socket, lease: LinkLease) -> None:
         self.number, self._listener, self._lease = number, listener, lease
 
     def listen(self) -> socket.socket:
-        """Start listening for PX4's connection."""
         self._listener.listen(1)
         return self._listener
 
     def release(self) -> None:
-        """Release the instance."""
         self._listener.close()
         self._lease.release()
 
 
 def claim_instance() -> Instance:
-    """Claim the first PX4 instance whose ports are free.
-
-    Raises:
-        Px4Error: all ten instances are in use.
-    """
+    """Claim the first PX4 instance whose ports are free; raise Px4Error if all ten are in use."""
     for number in _INSTANCES:
         # The port that PX4 sends to is leased here by the sender, and in the app by the receiver.
         lease = LinkLease(feed_name(ONBOARD_PORT + number), "dry-run --px4")
@@ -328,26 +301,14 @@ def _instance_is_locked(instance: int) -> bool:
 
 
 def _die_with_parent() -> None:
-    """Make the kernel kill this child process when the parent process ends.
-
-    PX4 without a simulator would otherwise use the processor forever.
-    """
+    """Let the kernel kill this child when its parent ends: PX4 without a simulator runs forever."""
     ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL)
 
 
 class Px4:
-    """One running PX4.
+    """One running PX4, started from the main thread: when the starting thread ends, the kernel kills PX4.
 
-    Start PX4 from the main thread: when the starting thread ends, the kernel kills PX4.
-
-    Args:
-        install: paths of PX4.
-        instance: instance claimed with `claim_instance`.
-        folder: folder of the flight. PX4 works in `folder/px4`, and its console output goes to
-            `folder/px4.log`.
-
-    Raises:
-        Px4Error: the program does not start.
+    PX4 works in `folder/px4`, and its console output goes to `folder/px4.log`.
     """
 
     def __init__(self, install: Install, instance: int, folder: Path) -> None:
@@ -385,11 +346,7 @@ class Px4:
         return f"PX4 ended with status {code}"
 
     def wait_waiting(self, timeout_s: float = 10.0) -> None:
-        """Wait until PX4 waits for its simulator; the simulator must not listen yet.
-
-        Raises:
-            Px4Error: PX4 ends, or does not wait for the simulator in time.
-        """
+        """Wait until PX4 waits for its simulator; the simulator must not listen yet."""
         deadline = time.monotonic() + timeout_s
         while not self._console_contains(_WAITING):
             self._check_alive("before it connected")
@@ -400,12 +357,8 @@ class Px4:
     def set_parameters(self, parameters: Mapping[str, Parameter]) -> dict[str, Value]:
         """Set parameters while PX4 waits for its simulator, and read every parameter back.
 
-        Returns:
-            The parameters that were set. A parameter that this version of PX4 does not need is left out.
-
-        Raises:
-            Px4Error: PX4 does not answer, or a parameter is unknown to PX4 or not accepted; the message names
-                the parameter.
+        Return the parameters that were set, without those that this version of PX4 does not need. Px4Error
+        names a parameter that is unknown to PX4 or not accepted.
         """
         known = self.parameters()
         if not known:
@@ -418,11 +371,7 @@ class Px4:
 
     @staticmethod
     def check_parameters(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> None:
-        """Check that PX4's parameters have the values that were set.
-
-        Raises:
-            Px4Error: a parameter was not accepted; the message contains name and values.
-        """
+        """Raise Px4Error if a parameter does not have the value that was set."""
         problem = describe_mismatch(wanted, actual)
         if problem is not None:
             raise Px4Error(f"parameter not accepted: {problem}")
@@ -434,11 +383,7 @@ class Px4:
         return None
 
     def wait_connected(self, listener: socket.socket, timeout_s: float = 10.0) -> socket.socket:
-        """Accept PX4's simulator connection.
-
-        Raises:
-            Px4Error: PX4 ends, or does not connect in time.
-        """
+        """Accept PX4's simulator connection."""
         listener.settimeout(0.1)
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
@@ -470,19 +415,11 @@ class Px4:
         return ""
 
     def parameters(self) -> dict[str, float]:
-        """Return all parameters of PX4 by name; after booting, PX4 answers only while the lockstep continues.
-
-        Raises:
-            Px4Error: PX4 does not answer.
-        """
+        """Return all parameters; after booting, PX4 answers only while the lockstep continues."""
         return parse_listing(self._answer(_CLIENT, "show", "-a"))
 
     def _answer(self, program: str, *arguments: str) -> str:
-        """Run one of PX4's client programs, such as `px4-param`, and return its output.
-
-        Raises:
-            Px4Error: PX4 does not answer.
-        """
+        """Run one of PX4's client programs, such as `px4-param`, and return its output."""
         client = self._install.program.parent / program
         try:
             done = subprocess.run(
@@ -512,10 +449,7 @@ class Px4:
             os.unlink(f"/tmp/px4-sock-{self.instance}")
 
     def keep_log(self) -> Path | None:
-        """Move PX4's ULog into the flight's folder; return the new path, or None if there is no log.
-
-        If there is a log, the working folder is deleted.
-        """
+        """If PX4 has written a ULog, move it to the flight's folder and delete the working folder."""
         logs = sorted(self.work.glob("log/**/*.ulg"), key=lambda path: path.stat().st_size)
         if not logs:
             return None
@@ -526,7 +460,7 @@ class Px4:
 
 
 def parse_version(answer: str) -> tuple[int, int, int] | None:
-    """Return the version in the output of `px4-ver all`, such as (1, 16, 0), or None."""
+    """Return the version in the output of `px4-ver all`, such as (1, 16, 0)."""
     found = re.search(r"PX4 version:.*?(\d+)\.(\d+)\.(\d+)", answer)
     if found is None:
         return None
@@ -534,11 +468,7 @@ def parse_version(answer: str) -> tuple[int, int, int] | None:
 
 
 def check_version(version: tuple[int, int, int] | None) -> str | None:
-    """Return a remark if docs/px4.md reports no flights with this version of PX4, otherwise None.
-
-    Raises:
-        Px4Error: the version is too old.
-    """
+    """Return a remark if docs/px4.md has no flights with this version; raise Px4Error if too old."""
     flown = "docs/px4.md has flights with " + ", ".join(f"v{a}.{b}" for a, b in TESTED)
     if version is None:
         return f"PX4 does not report its version; {flown}"

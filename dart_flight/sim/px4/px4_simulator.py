@@ -1,9 +1,8 @@
 """The world of a real PX4: the plant in lockstep with PX4, in a process that starts and stops PX4.
 
 The pipe to the app is the same as for the embedded autopilot (`pipe`). The process ends if it receives
-SIGTERM, if PX4 fails or hangs, or if the app ends or closes the pipe. Before its end, the process always
-stops PX4. If PX4 is armed when the app ends, PX4's failsafe acts first. If the process itself is killed, the
-kernel kills PX4.
+SIGTERM, if PX4 fails or hangs, or if the app ends or closes the pipe; it always stops PX4 first. If PX4 is
+armed when the app ends, PX4's failsafe acts first. If the process itself is killed, the kernel kills PX4.
 """
 
 from __future__ import annotations
@@ -50,12 +49,7 @@ _LANDED_S = 1.0  # host time after disarming for PX4 to write its log
 
 
 class Px4Simulator:
-    """The world of a real PX4, connected to the app's pipe and to PX4's sockets.
-
-    Args:
-        spec: specification of the world.
-        px4: PX4 part of the specification.
-    """
+    """The world of a real PX4, connected to the app's pipe and to PX4's sockets."""
 
     def __init__(self, spec: SimulatorSpec, px4: Px4SimulatorSpec) -> None:
         self._mission = draw_world(spec.mission, spec.seed, spec.spreads).mission
@@ -117,11 +111,7 @@ class Px4Simulator:
         self._log.write(self._ticks * TICK_S, text)
 
     def _prepare(self, px4: Px4) -> None:
-        """Check PX4's version and set PX4's parameters while PX4 waits for the simulator.
-
-        Raises:
-            Px4Error: PX4 ends, does not answer or is too old, or a parameter was not accepted.
-        """
+        """Check PX4's version and set its parameters while PX4 waits for the simulator."""
         px4.wait_waiting()
         self._version = px4.version()
         note = check_version(self._version)
@@ -175,11 +165,7 @@ class Px4Simulator:
         )
 
     def _boot(self, px4: Px4) -> None:
-        """Advance the world while PX4 boots, then check that PX4's start-up script has kept the parameters.
-
-        Raises:
-            Px4Error: PX4 does not boot in time, or a parameter differs from its set value.
-        """
+        """Advance the world while PX4 boots, then check that its start-up script kept the parameters."""
         deadline = time.monotonic() + _BOOT_TIMEOUT_S
         while not px4.booted():
             self._free_run(0.2)
@@ -202,27 +188,23 @@ class Px4Simulator:
 
     @property
     def time_us(self) -> int:
-        """Implement `ServedWorld`."""
         return self._vehicle.time_us
 
     def set_horn(self, pulse_us: float) -> None:
-        """Implement `ServedWorld`."""
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:
-        """Implement `ServedWorld`; a real PX4 has only faults of the motion capture."""
+        """Begin a fault of the motion capture, the only faults of a real PX4."""
         if self._mocap is not None:
             self._report(f"fault {fault.name} {fault.value:g}")
             self._mocap.feed.begin_fault(fault, self._vehicle.plant.time_s)
 
     def publish_pose(self) -> int | None:
-        """Implement `ServedWorld`."""
         if self._mocap is None:
             return None
         return self._mocap.publish(self._vehicle.plant.time_s, self._vehicle.pose)
 
     def advance(self) -> Plant:
-        """Implement `ServedWorld`."""
         self._vehicle.step()
         self._ticks += 1
         plant = self._vehicle.plant
@@ -233,7 +215,7 @@ class Px4Simulator:
         return plant
 
     def is_over(self, alone_s: float) -> bool:
-        """Implement `ServedWorld`: the world ends when PX4 has disarmed after its failsafe."""
+        """Return whether PX4 has disarmed after its failsafe."""
         if not alone_s and self._armed:
             self._report("app disconnected; PX4 continues until its failsafe acts")
         if alone_s > _ORPHAN_S:

@@ -1,6 +1,6 @@
 """Relay of every datagram between PX4 and the application; the relay records stamps for `sim.lockstep`.
 
-The relay listens on PX4's onboard port; the application listens on another port.
+It listens on PX4's onboard port; the application listens on another port.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _STREAMS: Final = {
     331: ("odometry", struct.Struct("<Q"), 1),
     375: ("actuator", struct.Struct("<Q"), 1),
 }
-# message id -> what lockstep calls it, format of the payload's beginning; the stamp is not compared
+# message id -> name in lockstep, format of the payload's beginning; the stamp is not compared
 _SENT: Final = {84: ("setpoint", struct.Struct("<I9f")), 331: ("pose", struct.Struct("<Q3f"))}
 _HEARTBEAT_S: Final = 1.0
 _HEADER: Final = 10  # bytes before the payload in a MAVLink 2 frame; two bytes of checksum follow it
@@ -41,7 +41,7 @@ class Relay:
         app_port: port on which the application listens.
 
     Attributes:
-        sent_us: newest forwarded stamp of each telemetry stream, microseconds.
+        sent_us: newest forwarded stamp of each telemetry stream.
         arrived: values of the last forwarded setpoint (position, velocity, acceleration) and pose (position).
         wake: descriptor that becomes readable when a datagram has been forwarded.
     """
@@ -65,13 +65,10 @@ class Relay:
         self._thread.start()
 
     def answer_requests(self) -> None:
-        """Repeat PX4's last heartbeat once per second of the computer's time.
+        """Repeat PX4's last heartbeat once per second of host time, and raise an error of the relay's thread.
 
-        PX4 sends a heartbeat every simulated second. If no heartbeat arrives for 3 s of the computer's time,
-        MAVSDK reports the vehicle as lost.
-
-        Raises:
-            FlightError: the network has failed.
+        PX4 sends a heartbeat every simulated second, and MAVSDK reports a lost vehicle after 3 s of host
+        time.
         """
         if self._failure is not None:
             raise self._failure
@@ -82,7 +79,6 @@ class Relay:
             self._heartbeat_s = time.monotonic()
 
     def close(self) -> None:
-        """End the thread and close the sockets."""
         self._closed = True
         self._thread.join(timeout=1.0)
         self._px4.close()

@@ -24,20 +24,16 @@ class DatagramSource:
     """A source that decodes each datagram received at an address.
 
     If the address is a multicast address, the source joins the group on the card that the URL names, or on
-    every card.
+    every card. The constructor raises InputError if the address cannot be bound, or the URL names a wrong
+    card.
 
     Args:
-        address: local address and port, and the name of the body.
-        decode: function with the arguments datagram, body and sender. It returns the pose, or the reason why
-            the datagram contains no pose of the body.
+        decode: called with datagram, body and sender. It returns the pose, or the reason why the datagram
+            contains no pose of the body.
 
     Attributes:
         ignored: number of ignored datagrams by reason.
-        problem: the reason why the newest datagram contains no pose of the body, or None.
-        place, remedy: see `PoseSource`.
-
-    Raises:
-        InputError: the address cannot be bound, or the URL names a wrong card.
+        problem: the reason why the newest datagram contains no pose of the body.
     """
 
     remedy = "check the sender's address and port, the cable, the card and the firewall"
@@ -76,7 +72,6 @@ class DatagramSource:
 
     @property
     def port(self) -> int:
-        """The local UDP port."""
         return int(self._socket.getsockname()[1])
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
@@ -90,7 +85,6 @@ class DatagramSource:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop delivering and close the socket."""
         self._stopped.set()
         if self._thread is not None:
             self._thread.join()

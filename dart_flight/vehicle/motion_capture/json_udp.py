@@ -27,7 +27,7 @@ _DECODER = msgspec.json.Decoder(_Pose)
 
 
 def decode(data: bytes, body: str, sender: str) -> RawPose | str:
-    """Return the pose in a datagram, or the reason why the datagram contains no pose."""
+    """Return the pose in a datagram, or the reason why it contains none."""
     try:
         pose = _DECODER.decode(data)
     except (msgspec.DecodeError, RecursionError) as error:  # a ValidationError is a DecodeError
@@ -45,5 +45,4 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
 
 
 def open_source(address: PoseAddress) -> DatagramSource:
-    """Open a source that listens for datagrams at an address of this computer."""
     return DatagramSource(address, decode)

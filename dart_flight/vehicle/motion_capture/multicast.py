@@ -42,8 +42,7 @@ def _cards() -> dict[str, str]:
 def card_address(address: PoseAddress) -> str | None:
     """Return the IPv4 address of the card that the URL names, or None if the URL names no card.
 
-    Raises:
-        InputError: this computer has no such card, or the card has no IPv4 address.
+    Raise InputError if this computer has no such card, or the card has no IPv4 address.
     """
     wanted = address.interface
     if wanted is None:
@@ -66,10 +65,8 @@ def card_address(address: PoseAddress) -> str | None:
 def join_group(link: socket.socket, group: str, card: str | None) -> str:
     """Join a multicast group on the card with an IPv4 address, or on every card; return the cards as text.
 
-    Without a card the kernel would choose that of the default route, which may lead to the Internet.
-
-    Raises:
-        OSError: no card accepts the group.
+    Without a card the kernel would choose that of the default route, which may lead to the Internet. Raise
+    OSError if no card accepts the group.
     """
     if card is not None:
         _join(link, group, card, 0)

@@ -1,9 +1,9 @@
 """Decoders of NatNet's packets, for protocol versions 2 to 4: the server, its rigid bodies, and a frame.
 
-The layout is taken from the NatNet SDK's public documentation and headers. All values are little-endian. The
+The layout is from the NatNet SDK's public documentation and headers. All values are little-endian. The
 program needs one rigid body and skips all other assets, because an asset that it cannot decode must not hide
-the body. Since version 4.1 each description and each list of a frame has its size. In older
-streams everything before the rigid body must be decoded.
+the body. Since version 4.1 each description and each list in a frame has its size. In older streams
+everything before the rigid body must be decoded. The decoders raise ValueError for a damaged packet.
 """
 
 from __future__ import annotations
@@ -56,11 +56,7 @@ class Frame(NamedTuple):
 
 
 def split_packet(data: bytes) -> tuple[int, bytes]:
-    """Return the kind of a packet, and its payload.
-
-    Raises:
-        ValueError: the packet has no header.
-    """
+    """Return the kind of a packet, and its payload."""
     if len(data) < HEADER.size:
         raise ValueError("the packet has no header")
     return int(HEADER.unpack_from(data)[0]), data[HEADER.size :]
@@ -110,17 +106,12 @@ class _Reader:
             return raw.decode("latin-1")
 
     def skip_items(self, skip_item: Callable[[_Reader], object]) -> None:
-        """Skip the number of items, and the items."""
         for _ in range(self.count()):
             skip_item(self)
 
 
 def decode_bodies(payload: bytes, version: Version) -> tuple[dict[str, int], str]:
-    """Return name -> streaming id of the rigid bodies in a model, and why the list may be incomplete or "".
-
-    Raises:
-        ValueError: the payload is not a model.
-    """
+    """Return name -> streaming id of the rigid bodies, and why the list may be incomplete or ""."""
     reader, bodies = _Reader(payload), dict[str, int]()
     for place in range(reader.count()):
         kind = reader.count()
@@ -192,11 +183,7 @@ _SKIP_DESCRIPTION: Final[dict[int, Callable[[_Reader, Version], None]]] = {
 
 
 def decode_frame(payload: bytes, server: ServerInfo, wanted: int | None) -> Frame:
-    """Decode a frame, and in it the pose of the body with the streaming id `wanted`.
-
-    Raises:
-        ValueError: the payload is not a frame.
-    """
+    """Decode a frame with the pose of the body with the streaming id `wanted`."""
     reader, version = _Reader(payload), server.version
     number = reader.count()
     _skip_list(reader, version, _skip_marker_positions)
@@ -225,7 +212,7 @@ def _skip_list(reader: _Reader, version: Version, skip_item: Callable[[_Reader],
 
 
 def _skip_nothing(reader: _Reader) -> None:
-    """Skip an item of a list that always has its size."""
+    """Skip an item in a list that always has its size."""
 
 
 def _skip_marker_positions(reader: _Reader) -> None:

@@ -38,15 +38,8 @@ _SILENT_S: Final = 1.0  # time without a frame until the server is queried
 class OptiTrackSource:
     """A source that reads one rigid body from a NatNet server, on its own thread.
 
-    Args:
-        address: the server's host and command port, and the body's name or streaming id.
-
-    Attributes:
-        problem: the reason why no poses of the body arrive, or None.
-        place, remedy: see `PoseSource`.
-
-    Raises:
-        AbsentSourceError: no server answers, or the server does not know the body.
+    The body in the address is its name or streaming id. The constructor raises AbsentSourceError if no server
+    answers, or if the server does not know the body.
     """
 
     remedy = "start the live mode in Motive; check the card and the firewall"
@@ -101,11 +94,7 @@ class OptiTrackSource:
             self.place = f"OptiTrack server {self._sender}, listening at {group} on {card}"
 
     def _query_server(self) -> natnet.ServerInfo:
-        """Request a connection and return the announcement; a server may answer from another address.
-
-        Raises:
-            AbsentSourceError: no server answers.
-        """
+        """Request a connection and return the announcement; a server may answer from another address."""
         self._command.settimeout(_PING_S)
         for _ in range(_PINGS):
             self._command.sendto(_PING, self._server)
@@ -142,7 +131,6 @@ class OptiTrackSource:
         return f'Motive streams no rigid body "{self._address.body}", only {known} (ids {ids}){unread}'
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every further pose on the source's thread."""
         for link in self._links:  # discard the frames that wait in the sockets
             link.settimeout(0.0)
             with contextlib.suppress(OSError):
@@ -152,7 +140,6 @@ class OptiTrackSource:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop delivering and close the connection."""
         self._stopped.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -187,11 +174,6 @@ class OptiTrackSource:
                 self.problem = f"damaged packet from {self._sender}: {error}"
 
     def _process(self, data: bytes) -> None:
-        """Process a packet.
-
-        Raises:
-            ValueError: the packet is damaged.
-        """
         kind, payload = natnet.split_packet(data)
         if kind == natnet.SERVER_INFO:
             info = natnet.decode_server_info(data)
@@ -215,5 +197,4 @@ class OptiTrackSource:
 
 
 def open_source(address: PoseAddress) -> OptiTrackSource:
-    """Connect to a NatNet server."""
     return OptiTrackSource(address)

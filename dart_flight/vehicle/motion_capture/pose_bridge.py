@@ -1,7 +1,4 @@
-"""The bridge from a pose source to PX4.
-
-The bridge delivers every pose to the core and forwards selected poses to PX4 as ODOMETRY.
-"""
+"""The bridge from a pose source: every pose goes to the core, selected poses go to PX4 as ODOMETRY."""
 
 from __future__ import annotations
 
@@ -49,12 +46,10 @@ _NO_ATTITUDE: Final[Sequence[float | None]] = [None] * 4
 def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> MavlinkMessage:
     """Return the ODOMETRY message of a pose.
 
-    Null fields of the message arrive at PX4 as NaN, and PX4 does not fuse NaN.
+    Null fields arrive at PX4 as NaN, and PX4 does not fuse NaN. Without an attitude PX4 still fuses the
+    position, and its heading follows from the gyro alone.
 
-    Without an attitude PX4 still fuses the position. PX4's heading then follows from the gyro alone.
-
-    The reset counter stays 0. If the counter changed, PX4's estimate would immediately follow a jump of the
-    poses.
+    The reset counter stays 0. If it changed, PX4's estimate would immediately follow a jump of the poses.
     """
     x, y, z = position_ned
     fields = {
@@ -85,7 +80,6 @@ class ForwardedPose(msgspec.Struct):
 
     @property
     def attitude(self) -> Quaternion | None:
-        """The attitude, or None if the message contains no attitude."""
         w, x, y, z = self.q
         return None if w is None or x is None or y is None or z is None else (w, x, y, z)
 
@@ -99,8 +93,7 @@ def forwarded_pose(message: Any) -> ForwardedPose:
 class Decimation:
     """A selection of frames with a given mean rate, spaced as evenly as possible.
 
-    Args:
-        rate_hz: mean rate of the selected frames; all frames of a slower source are selected.
+    All frames of a slower source are selected.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -108,7 +101,7 @@ class Decimation:
         self._due_us: int | None = None
 
     def selects(self, t_us: int) -> bool:
-        """Return whether to forward the frame with this stamp, microseconds on any clock."""
+        """Return whether to forward the frame with this stamp, on any clock."""
         period, due = self._period_us, self._due_us
         if due is not None and -2 * period < t_us - due < -_EARLY * period:
             return False
@@ -129,7 +122,7 @@ class StaleFrames:
         self._since_us: int | None = None
 
     def contains(self, stamp_us: int, received_us: int) -> bool:
-        """Return whether a frame is stale: its age on arrival exceeds the smallest age so far by over 0.3 s.
+        """Return whether a frame's age on arrival exceeds the smallest age so far by over 0.3 s.
 
         If all frames during one second are stale, the source's clock has jumped. The next frame then counts
         as fresh.
@@ -199,8 +192,6 @@ class MotionCaptureBridge:
     Args:
         config: axes of the room and forwarding rate.
         source: source of the poses; `start` starts it.
-        send: sends a message to PX4.
-        clock: relation of the host's time to PX4's.
         deliver: receives each pose, tracked or not, as an input of the core.
 
     Attributes:
@@ -255,7 +246,6 @@ class MotionCaptureBridge:
         return self.problem if self._clock.host_us() - self._good_us > _MISSING_US else None
 
     def start(self) -> None:
-        """Start the source and the forwarding of its poses."""
         self._frame_us = self._good_us = self._clock.host_us()
         self._source.start(self.forward)
 
@@ -302,10 +292,7 @@ def forwarding(
 ) -> Iterator[MotionCaptureBridge | None]:
     """Forward the poses of `config.url` while the context is open; if the URL is None, yield None.
 
-    `source` is the URL's source if it is open already.
-
-    Raises:
-        InputError: on entering, if the source cannot be opened.
+    `source` is the URL's source if it is open already. Otherwise InputError is raised if it cannot be opened.
     """
     if config.url is None:
         yield None

@@ -68,7 +68,6 @@ class ShortestOffset:
         self._second: int | None = None
 
     def add(self, offset_us: int, received_us: int) -> None:
-        """Add the offset of a frame, microseconds."""
         second = received_us // 1_000_000
         if second != self._second:
             self._second = second
@@ -78,7 +77,7 @@ class ShortestOffset:
 
     @property
     def least_us(self) -> int:
-        """The smallest offset, microseconds; at least one frame must have been added."""
+        """The smallest offset; at least one frame must have been added."""
         return min(self._best_us)
 
 
@@ -88,8 +87,7 @@ class PoseStatistics:
     Call `update` for every input in the order of receipt; any thread may call it.
 
     Args:
-        room: conversion of the poses to local NED.
-        delay_ms: measured shortest age of a pose (`mocap.delay_ms`), or None.
+        delay_ms: measured shortest age of a pose (`mocap.delay_ms`).
     """
 
     def __init__(self, room: RoomFrame, delay_ms: float | None = None) -> None:
@@ -151,7 +149,7 @@ class PoseStatistics:
         return 1e-3 * (statistics.median(self._late_us) - self._shortest.least_us)
 
     def figures(self, now_us: int) -> PoseFigures:
-        """Return the statistics at a host time, microseconds."""
+        """Return the statistics at a host time."""
         with self._lock:
             return self._figures(now_us)
 

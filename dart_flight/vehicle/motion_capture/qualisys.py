@@ -26,11 +26,7 @@ _RETRY_S: Final = 1.0
 
 
 def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
-    """Return (names of all 6DOF bodies, names of the enabled 6DOF bodies) from QTM's parameters.
-
-    Raises:
-        ValueError: the text is not XML.
-    """
+    """Return the names of all 6DOF bodies and of those enabled; raise ValueError if not XML."""
     try:
         bodies = list(ET.fromstring(parameters_xml).iter("Body"))
     except ET.ParseError as error:
@@ -42,11 +38,8 @@ def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
 class QualisysSource:
     """A source that reads one 6DOF body from QTM, in an event loop on its own thread.
 
-    Args:
-        address: QTM's host and little-endian port, and the body's name.
-
-    Raises:
-        AbsentSourceError: QTM does not answer, or does not know the body.
+    The address has QTM's little-endian port. The constructor raises AbsentSourceError if QTM does not answer,
+    or does not know the body.
     """
 
     def __init__(self, address: PoseAddress) -> None:
@@ -113,7 +106,6 @@ class QualisysSource:
             await self._disconnected.wait()
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every further pose on the source's thread."""
         self._deliver = deliver
         self._call(self._begin())
 
@@ -121,7 +113,6 @@ class QualisysSource:
         self._streaming = asyncio.create_task(self._stream())
 
     def stop(self) -> None:
-        """Stop delivering and close the connection."""
         self._deliver = lambda _: None
         with contextlib.suppress(TimeoutError):
             self._call(self._finish())
@@ -179,5 +170,4 @@ class QualisysSource:
 
 
 def open_source(address: PoseAddress) -> QualisysSource:
-    """Connect to QTM."""
     return QualisysSource(address)

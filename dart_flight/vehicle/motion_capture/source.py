@@ -1,8 +1,8 @@
 """The interface of a pose source, the check of its poses, and the parser of a pose source's URL.
 
 A source reads one body from one motion-capture system and delivers each pose as a `RawPose`, on its own
-thread. A source delivers the numbers as it reads them; the bridge calls `checked_pose` for every pose. Each
-system has one module in this package, and only that module imports the vendor's client.
+thread. It delivers the numbers as it reads them; the bridge calls `checked_pose` for every pose. Each system
+has one module in this package, and only that module imports the vendor's client.
 """
 
 from __future__ import annotations
@@ -118,11 +118,7 @@ _MULTICAST: Final = ("optitrack", "vicon", "udp")
 
 
 def parse_url(url: str) -> tuple[str, PoseAddress]:
-    """Return the scheme and the address in a pose source's URL.
-
-    Raises:
-        InputError: the URL does not name a pose source.
-    """
+    """Return the scheme and the address; raise InputError if the URL does not name a pose source."""
     try:
         parts = urlsplit(url)
         host, port, body = parts.hostname, parts.port, unquote(parts.path).removeprefix("/")

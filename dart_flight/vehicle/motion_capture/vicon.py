@@ -1,11 +1,11 @@
 """A pose source for Vicon Tracker's UDP object stream (Tracker: Local Vicon System, UDP Object Stream).
 
-The layout is taken from public readers of the stream, not from Tracker's user guide. A datagram is one
+The layout is from public readers of the stream, not from Tracker's user guide. A datagram is one
 little-endian block: frame number (u32), number of items (u8), and the items. Each item has an id (u8, 0 for
 an object), the size of its data (u16) and the data. An object's data are its name (24 bytes, padded with
 zeros), translation (3 doubles, millimetres) and Euler angles XYZ (3 doubles, radians). A frame with many
-objects takes several datagrams. If a datagram lacks an object, the object may therefore still be tracked. If
-all values of an object are zero, the object is not tracked.
+objects takes several datagrams, so an object that a datagram lacks may still be tracked. If all values of an
+object are zero, the object is not tracked.
 """
 
 from __future__ import annotations
@@ -58,5 +58,4 @@ def _pose(body: str, values: list[float], frame_number: int, sender: str) -> Raw
 
 
 def open_source(address: PoseAddress) -> DatagramSource:
-    """Open a source that listens for Tracker's object stream at an address of this computer."""
     return DatagramSource(address, decode)

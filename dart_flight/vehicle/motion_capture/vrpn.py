@@ -1,9 +1,9 @@
 """A pose source for any VRPN server, over one TCP connection.
 
-The layout is taken from the public description of VRPN's protocol; all numbers are big-endian. Both ends
-first send a cookie with their version. A message is a header and a payload, which is padded to a multiple of
-8 bytes. The header gives sender and type as numbers, and the server also sends the name of each number. The
-server sends no pose of a body that is not tracked.
+The layout is from the public description of VRPN's protocol; all numbers are big-endian. Both ends first send
+a cookie with their version. A message is a header and a payload, which is padded to a multiple of 8 bytes.
+The header gives sender and type as numbers, and the server also sends the name of each number. The server
+sends no pose of a body that is not tracked.
 """
 
 from __future__ import annotations
@@ -29,12 +29,9 @@ _TIMEOUT_S, _SILENT_S, _RETRY_S = 3.0, 1.0, 1.0
 
 
 def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]) -> Iterator[RawPose]:
-    """Yield each pose of a body; add the senders' names to `senders`.
+    """Yield each pose of a body until the stream ends; add the senders' names to `senders`.
 
-    The iterator ends when the stream ends.
-
-    Raises:
-        ValueError: the server does not speak VRPN.
+    Raise ValueError if the server does not speak VRPN.
     """
     if not stream.read(len(_COOKIE)).startswith(_VERSION):
         raise ValueError("no cookie of VRPN 7")
@@ -60,13 +57,10 @@ def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]
 
 
 class VrpnSource:
-    """A source that reads sensor 0 of one sender, on its own thread.
+    """A source that reads sensor 0 of one sender, on its own thread; the body in the address is the sender.
 
-    Args:
-        address: the server's host and port, and the sender's name.
-
-    Raises:
-        AbsentSourceError: no VRPN server answers, or the server does not describe the sender.
+    The constructor raises AbsentSourceError if no VRPN server answers, or the server does not describe the
+    sender.
     """
 
     def __init__(self, address: PoseAddress) -> None:
@@ -93,7 +87,6 @@ class VrpnSource:
 
     @property
     def problem(self) -> str | None:
-        """The reason why no poses arrive, or None while they arrive."""
         body, names, error = self._address.body, self._names(), self._error
         silent_s = time.monotonic() - self._pose_s
         if error is None and silent_s > _SILENT_S:
@@ -103,11 +96,9 @@ class VrpnSource:
         return None if error is None else f"VRPN server at {self._server}: {error}"
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every further pose on the source's thread."""
         self._deliver = deliver
 
     def stop(self) -> None:
-        """Stop delivering and close the connection."""
         self._stopped.set()
         if (link := self._link) is not None:
             with contextlib.suppress(OSError):  # the connection is already lost
