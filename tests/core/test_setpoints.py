@@ -1,4 +1,4 @@
-"""Courses, arrival and setpoints, one sample at a time."""
+"""Courses and setpoints, one sample at a time."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from dart_flight.base.geometry import MissionFrame, Vec3
-from dart_flight.base.records import AttitudeSample, OdometrySample, Phase, Setpoint
+from dart_flight.base.records import OdometrySample, Phase, Setpoint
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.course import ARRIVED_M, ARRIVED_M_S, ARRIVED_S, MEAN_SPEED_S, Arrival, Course
-from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.course import Course
 from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
@@ -47,11 +46,15 @@ def parts(setpoint: Setpoint) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
 def setpoint_parts(
     flown: Course, t_us: int, since_us: int | None = 0, mission: Mission = MISSION
 ) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Return the parts of the setpoint for a sample, without an added acceleration."""
-    progress = MissionState(mission, {})
-    progress.course = flown
-    reference = SetpointSelection(mission)._reference(progress, t_us, since_us)
-    return parts(make_setpoint(FRAME, TRIGGER, reference, 0.2))
+    """Return the parts of the setpoint for a sample on a course that is flown since `since_us`."""
+    progress, state = MissionState(mission, {}), FlightState()
+    progress.course, progress.entered_us = flown, since_us
+    # A waiting vehicle is commanded the target of its course.
+    progress.phase = Phase.PREPARE if since_us is None else Phase.WAYPOINT
+    sample = OdometrySample(t_us, t_us, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    setpoint, _ = SetpointSelection(mission).setpoint(sample, progress, state, FRAME, None)
+    assert setpoint is not None
+    return parts(setpoint)
 
 
 def has_parts(setpoint: Setpoint, *expected: Vec3 | None) -> bool:
@@ -268,60 +271,10 @@ def test_a_step_carries_an_acceleration_only_if_one_is_added() -> None:
     assert has_parts(pushed, place, NO_PUSH, (0.5, -0.2, 0.0))
 
 
-def test_arrival_needs_position_speed_and_heading_for_a_minimum_time() -> None:
-    flown, state, t_us = Executive(MISSION), FlightState(), 0
-    state.anchor(MissionFrame())
-    flown.progress.phase, flown.progress.course = Phase.GOAL, STANDING.hold((0.0, 0.0))
-
-    def after(seconds: float, beside_m: float = 0.0, yaw: float = 0.0, speed_m_s: float = 0.0) -> bool:
-        """Feed samples for `seconds`; return whether the vehicle has arrived in any of them."""
-        nonlocal t_us
-        arrived = False
-        for _ in range(round(seconds / 0.01)):
-            t_us += 10_000
-            half = 0.5 * yaw
-            state.update_attitude(AttitudeSample(t_us, t_us, (math.cos(half), 0.0, 0.0, -math.sin(half))))
-            there, moving = (beside_m, 0.0, -ALTITUDE_M), (speed_m_s, 0.0, 0.0)
-            state.update_odometry(OdometrySample(t_us, t_us, there, moving))
-            arrived = flown._has_arrived(state) or arrived
-        return arrived
-
-    long_s = ARRIVED_S + 0.02
-    assert not after(2.0 * long_s, beside_m=1.02 * ARRIVED_M)
-    assert not after(2.0 * long_s, yaw=0.052)
-    assert not after(2.0 * long_s, yaw=-0.052)
-    assert not after(2.0 * long_s + MEAN_SPEED_S, speed_m_s=1.02 * ARRIVED_M_S)
-    assert not after(MEAN_SPEED_S, beside_m=9.0)
-    assert not after(ARRIVED_S - 0.02)
-    assert not after(0.05, beside_m=9.0)  # the time restarts
-    assert not after(ARRIVED_S - 0.02, 0.98 * ARRIVED_M, 0.048, 0.98 * ARRIVED_M_S)
-    flown.progress.arrived_us = None  # as when a phase begins
-    assert not after(ARRIVED_S - 0.02)
-    assert after(0.04)
-
-
 def test_a_transit_to_the_current_position_takes_a_tenth_of_a_second() -> None:
     """A duration of zero would cause a division by zero."""
     here = (1.0, 2.0, ALTITUDE_M)
     assert Trajectory.rest_to_rest(here, here, 1.0, FLYING).duration_s == 0.1
-
-
-@pytest.mark.parametrize(
-    ("mission", "share", "off_rad", "arrives"),
-    [
-        ("paper_single_wall", 0.99, 0.049, True),
-        ("paper_single_wall", 0.99, 0.051, False),
-        ("paper_single_wall", 1.01, 0.0, False),
-        ("dual_collision_gps", 2.49, 0.0, True),  # a drifting position needs a larger tolerance
-        ("dual_collision_gps", 2.51, 0.0, False),
-    ],
-)
-def test_arrival_tolerates_a_limited_distance_and_heading_error(
-    mission: str, share: float, off_rad: float, arrives: bool
-) -> None:
-    arrival, state = Arrival(load_mission(packaged("missions", f"{mission}.yaml"))), FlightState()
-    state.position, state.yaw = (1.0 + share * ARRIVED_M, 2.0, 0.0), off_rad
-    assert arrival.is_at(STANDING.target, 0.0, state) is arrives
 
 
 @pytest.mark.parametrize("along", [(1.0, 0.0), (0.0, 1.0)])
