@@ -186,6 +186,11 @@ class HandFedCore:
         return [event.rule for event in self.fired]
 
     @property
+    def fired_actions(self) -> list[tuple[str, str]]:
+        """Names and actions of the rules that have fired."""
+        return [(event.rule, event.action.value) for event in self.fired]
+
+    @property
     def fired_details(self) -> list[tuple[str, str]]:
         """Names and details of the rules that have fired."""
         return [(event.rule, event.detail) for event in self.fired]

@@ -10,7 +10,7 @@ from dart_flight.base.records import GuardEvent, Phase, PhaseChange
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
-from tests.core.conftest import ROOT, core_in
+from tests.core.conftest import ROOT, core_in, of_kind
 
 RETURNING = "missions/touch_and_return.yaml"
 WITHOUT_WALLS = "missions/hover.yaml"
@@ -54,7 +54,7 @@ def test_the_goal_is_given_up_after_flight_hold_and_timeout() -> None:
     c.position_ned = (0.3, 0.0, -1.0)
     c.run(5.0)
     (began_us,) = (o.t_us for o in c.outputs if isinstance(o, PhaseChange) and o.after is Phase.GOAL)
-    (given_up,) = (o for o in c.outputs if isinstance(o, GuardEvent))
+    (given_up,) = of_kind(GuardEvent, c.outputs)
     assert given_up.rule == "goal_not_reached"
     flight_s = sum(seconds for seconds, _ in AWAY_AND_BACK)
     assert (given_up.t_us - began_us) * 1e-6 == pytest.approx(flight_s + 0.8 + 1.0, abs=0.03)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TypeVar
 
 import msgspec
 import pytest
@@ -17,21 +16,15 @@ from dart_flight.base.records import (
     ImpactPeak,
     Mode,
     Output,
-    Record,
     WallEstimate,
 )
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import load_mission
 from dart_flight.core.sense.contact_recorder import undecided
 from dart_flight.planning.contact_fit import ContactFitter
-from tests.core.conftest import ROOT, HandFedCore
+from tests.core.conftest import ROOT, HandFedCore, of_kind
 
-R = TypeVar("R", bound=Record)
 WITHIN_S = 0.3
-
-
-def of_kind(kind: type[R], outputs: list[Output]) -> list[R]:
-    return [o for o in outputs if isinstance(o, kind)]
 
 
 def hit_wood(fed: HandFedCore) -> tuple[ContactRequest, list[Output]]:

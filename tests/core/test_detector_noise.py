@@ -22,6 +22,7 @@ from dart_flight.core.sense.detector import (
 from dart_flight.core.sense.pulse import PulsePrior
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
+from tests.core.conftest import of_kind
 from tests.core.test_force_estimate import VEHICLE, half_sine
 
 Forces = list[tuple[float, float]]
@@ -68,7 +69,7 @@ def run(
 
 
 def onsets(events: list[Any]) -> list[ImpactOnset]:
-    return [e for e in events if isinstance(e, ImpactOnset)]
+    return of_kind(ImpactOnset, events)
 
 
 def with_pulse(forces: Forces, at_s: float, peak: float, duration_s: float) -> Forces:
@@ -157,7 +158,7 @@ def test_the_peak_is_reported_at_the_third_sample_of_a_contact_at_the_earliest(
     for count in range(1, len(forces) + 1):
         _, events = run([*quiet, *((-f, 0.0) for f in forces[:count])], noise_n=0.05)
         assert len(onsets(events)) == 1
-        assert len([e for e in events if isinstance(e, ImpactPeak)]) == (count >= samples)
+        assert len(of_kind(ImpactPeak, events)) == (count >= samples)
 
 
 def test_the_detection_floor_without_materials_is_that_of_a_firm_contact() -> None:
@@ -234,7 +235,7 @@ def test_even_a_short_contact_has_its_own_end(samples: int) -> None:
     """The force has ended before the peak is detected."""
     pulse: Forces = [(f, 0.0) for f in half_sine(40.0, samples)]
     _, events = run(([(0.0, 0.0)] * 1000 + pulse) * 3 + [(0.0, 0.0)] * 100, noise_n=0.26)
-    impacts, ends = onsets(events), [e for e in events if isinstance(e, ContactEnd)]
+    impacts, ends = onsets(events), of_kind(ContactEnd, events)
     assert len(impacts) == len(ends) == 3
     for onset, end in zip(impacts, ends, strict=True):
         assert end.first_us == onset.first_us

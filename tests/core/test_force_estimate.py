@@ -42,7 +42,7 @@ from dart_flight.core.sense.pulse import PulsePrior, TickReading, _binned, fit_f
 from dart_flight.core.sense.senses import Senses
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust_model import LaggedCommands, ThrustModel
-from tests.core.conftest import HOVER, ROOT
+from tests.core.conftest import HOVER, ROOT, of_kind
 from tests.core.force_hits import figures_of, grid
 from tests.core.force_quiet import fly_quiet
 
@@ -734,7 +734,7 @@ def test_the_peak_is_awaited_until_the_wall_pushes_if_friction_comes_first(
     foot = [(-0.5 * bump_n, 8.0), (-bump_n, 9.0), (-bump_n, 9.0), (-0.5 * bump_n, 9.0), (-0.1, 9.0)]
     pulse = [(-f, 6.0) for f in half_sine(30.0, 12)]
     events = detector_events([(0.0, 0.0)] * 20 + foot + pulse + [(0.0, 0.0)] * 60, 0.01, (-1.0, 0.0))
-    first = next(e for e in events if isinstance(e, ImpactPeak))
+    first = of_kind(ImpactPeak, events)[0]
     assert first.normal_force_n == pytest.approx(peak_n, rel=0.1)
 
 
@@ -758,7 +758,7 @@ def test_an_endless_contact_is_ended_after_half_a_second() -> None:
 def test_a_force_slightly_into_the_wall_can_be_the_planned_hit(into_n: float, planned: bool) -> None:
     """The limit is a tenth of the force: friction comes first, with noise on top."""
     events = detector_events([(0.0, 0.0)] * 20 + [(into_n, 10.0)] * 3, 0.001, (-1.0, 0.0))
-    assert [e.planned for e in events if isinstance(e, ImpactOnset)] == [planned]
+    assert [e.planned for e in of_kind(ImpactOnset, events)] == [planned]
 
 
 @pytest.mark.parametrize(("normal", "first"), [(None, (6.0, -3.0)), ((-1.0, 0.0), (0.5, -10.0))])
@@ -768,8 +768,8 @@ def test_a_contact_without_its_expected_wall_has_the_direction_of_its_impulse(
     """The first samples, of friction, do not give the direction, nor does the expected wall."""
     pulse = [(f, 0.2 * f) for f in half_sine(30.0, 12)[1:]]
     events = detector_events([(0.0, 0.0)] * 20 + [first] * 2 + pulse + [(0.0, 0.0)] * 60, 0.01, normal)
-    (onset,) = [e for e in events if isinstance(e, ImpactOnset)]
-    (peak,) = [e for e in events if isinstance(e, ImpactPeak)]
+    (onset,) = of_kind(ImpactOnset, events)
+    (peak,) = of_kind(ImpactPeak, events)
     assert onset.planned is (normal is not None)
     assert math.degrees(math.atan2(peak.normal[1], peak.normal[0])) == pytest.approx(0.0, abs=12.0)
     assert peak.normal_force_n == pytest.approx(30.0, rel=0.15)
@@ -825,7 +825,7 @@ def test_wind_is_no_contact_but_a_lean_on_a_wall_is() -> None:
     rise = [(4.0 * 0.5 * (1.0 - math.cos(math.pi * min(1.0, i / 125))), 0.0) for i in range(1000)]
     assert detector_events(rise) == []
     lean = [(9.0 * 0.5 * (1.0 - math.cos(math.pi * min(1.0, i / 250))), 0.0) for i in range(1000)]
-    assert len([e for e in detector_events(lean) if isinstance(e, ImpactOnset)]) == 1
+    assert len(of_kind(ImpactOnset, detector_events(lean))) == 1
 
 
 def test_one_noisy_sample_is_no_impact() -> None:
@@ -846,8 +846,8 @@ def test_one_noisy_sample_is_no_impact() -> None:
 def test_the_wait_for_a_peak_is_bounded() -> None:
     forever = [(0.0, 0.0)] * 20 + [(0.5 * i, 0.0) for i in range(200)]
     events = detector_events(forever)
-    onset = next(e for e in events if isinstance(e, ImpactOnset))
-    peak = next(e for e in events if isinstance(e, ImpactPeak))
+    onset = of_kind(ImpactOnset, events)[0]
+    peak = of_kind(ImpactPeak, events)[0]
     assert peak.detected_us - onset.first_us <= VEHICLE.detection.peak_wait_s * 1e6 + 4000
 
 

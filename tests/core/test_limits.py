@@ -77,7 +77,7 @@ def test_friction_alone_can_start_the_planned_hit() -> None:
     c = HandFedCore()
     c.fly_to_wood()
     out = c.pulse((-14.0, 0.0))
-    assert [o.planned for o in out if isinstance(o, ImpactOnset)] == [True]
+    assert [o.planned for o in of_kind(ImpactOnset, out)] == [True]
     assert not c.fired
 
 
@@ -87,7 +87,7 @@ def test_the_peak_of_a_hit_from_behind_is_detected_without_delay() -> None:
     c.fly_to_wood()
     began_us = c.t_us
     out = c.pulse((0.0, 16.0)) + c.run(0.1)
-    assert [o.planned for o in out if isinstance(o, ImpactOnset)] == [False]
+    assert [o.planned for o in of_kind(ImpactOnset, out)] == [False]
     (peak,) = of_kind(ImpactPeak, out)
     assert peak.detected_us - began_us < 60_000
     assert peak.normal == pytest.approx((0.0, -1.0), abs=0.05)
@@ -259,7 +259,7 @@ def test_the_mission_requests_landing_every_second_until_telemetry_confirms_it()
     c.leave_single_wall()
     c.position_ned = (0.4, -1.0, -1.0)  # at the goal
     out = c.run(8.5)  # until the recovery times out
-    assert [o.timed_out for o in out if isinstance(o, GoalPassed)] == [True]
+    assert [o.timed_out for o in of_kind(GoalPassed, out)] == [True]
     c.run(2.0)
     assert c.core.phase is Phase.LANDING
     first, *later = landing_requests_s(c, 3.5 * RETRY_S)

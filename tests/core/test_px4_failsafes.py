@@ -18,7 +18,7 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.core.guard.failsafe import FailsafeEvidence
-from tests.core.conftest import HandFedCore, core_in
+from tests.core.conftest import HandFedCore, core_in, of_kind
 
 ENTER = "commander_failsafe_enter"
 
@@ -52,7 +52,7 @@ def test_a_failsafe_is_named_with_its_cause(text: str, event: str, mode: FlightM
     text = text.replace("\n", "; ")
     c.set_status(flight_mode=mode, system_status=SystemStatus.CRITICAL)
     assert c.fired_details[-1] == ("px4_failsafe", f"{text}; PX4 is in {mode.value}")
-    (end,) = [o for o in c.outputs if isinstance(o, MissionEnd)]
+    (end,) = of_kind(MissionEnd, c.outputs)
     assert (end.outcome, end.reason) == ("aborted", f"px4_failsafe: {text}; PX4 is in {mode.value}")
 
 
@@ -136,7 +136,7 @@ def test_a_termination_is_reported_before_streams_are_silent(words: str | None) 
     assert rule == "terminated"
     assert detail == "PX4 has stopped the motors" + (f": {words}" if words else "")
     assert len(c.fired_details) == 1
-    (end,) = [o for o in c.outputs if isinstance(o, MissionEnd)]
+    (end,) = of_kind(MissionEnd, c.outputs)
     assert end.outcome == "aborted"
     assert not [o for o in c.outputs[c.outputs.index(end) :] if isinstance(o, Setpoint | VehicleCommand)]
 

@@ -33,7 +33,7 @@ from dart_flight.core.mission.setpoint_selection import SetpointSelection
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.run.fast import FastFlight
-from tests.core.conftest import HandFedCore
+from tests.core.conftest import HandFedCore, of_kind
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")
@@ -180,7 +180,7 @@ def test_the_recovery_setpoint_is_the_same_with_and_without_yielding(
     first = [
         next(r for r in flights[yields] if isinstance(r, Setpoint) and r.recovery) for yields in (True, False)
     ]
-    peaks = [next(r for r in flights[yields] if isinstance(r, ImpactPeak)) for yields in (True, False)]
+    peaks = [of_kind(ImpactPeak, flights[yields])[0] for yields in (True, False)]
     for a, b in zip(first[0].position_ned, first[1].position_ned, strict=True):
         assert a == pytest.approx(b, abs=0.05)
     assert peaks[0].normal_force_n == pytest.approx(peaks[1].normal_force_n, rel=0.05)
