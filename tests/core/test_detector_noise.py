@@ -188,7 +188,7 @@ def test_the_long_windows_do_not_lower_the_detection_floor_in_low_noise() -> Non
     least, tick_s = VEHICLE.detection.force_threshold_n, VEHICLE.imu.tick_s
     assert detector.thresholds_n() == (least,) * 4
     for duration_s in (0.02, 0.06, 0.3):
-        needed_n = [
+        needed_n = [  # no public name gives the noise of the short windows
             (least + _MARGIN_SIGMA * window.noise_n) / half_sine_share(i + 1, duration_s, tick_s)
             for i, window in enumerate(detector._windows[:2])
         ]
@@ -351,7 +351,8 @@ def test_no_peak_is_certainly_detected_if_the_pulse_may_fall_between_two_samples
     assert detector.detection_floor_n(VEHICLE.imu.tick_s) == math.inf
     # If it is a quarter longer than a tick, one sample reaches at least this share of the peak.
     share = math.cos(0.5 * math.pi / 1.25)
-    sample_n = VEHICLE.detection.force_threshold_n + _MARGIN_SIGMA * detector._windows[0].noise_n
+    noise_n = detector._windows[0].noise_n  # no public name gives the noise of the short windows
+    sample_n = VEHICLE.detection.force_threshold_n + _MARGIN_SIGMA * noise_n
     assert detector.detection_floor_n(1.25 * VEHICLE.imu.tick_s) == pytest.approx(sample_n / share)
 
 

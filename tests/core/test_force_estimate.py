@@ -789,13 +789,13 @@ def test_samples_are_averaged_until_their_noise_is_a_fiftieth_of_the_peak(
 ) -> None:
     """At most five samples are averaged."""
     detector = ImpactDetector(VEHICLE)
-    detector._noise = noise_n
+    detector._noise = noise_n  # the count is used inside of the peak detector only
     assert detector._smoothing(10.0) == samples
 
 
 def test_short_windows_need_a_higher_noise_multiple_than_long_ones() -> None:
     detector = ImpactDetector(VEHICLE)
-    for window in detector._windows:
+    for window in detector._windows:  # learned in flight, but not to exact values
         window.noise_n = 2.0
     assert detector.thresholds_n() == (12.0, 12.0, 10.0, 10.0)
 

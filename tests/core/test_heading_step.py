@@ -19,18 +19,20 @@ from dart_flight.base.records import (
     AttitudeSample,
     EstimatorSample,
     ImuSample,
+    Mode,
     OdometrySample,
     Override,
     Phase,
 )
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.guard.estimator_resets import EstimatorResets
+from dart_flight.core.guard.estimator_resets import REACH_US, EstimatorResets
+from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.fault_table import parse_fault
 from tests.core.conftest import HandFedCore
 
-NED = (0.0, 0.0, 0.0)
+NED, REACH = (0.0, 0.0, 0.0), REACH_US // 4000  # ticks
 
 
 def measured_step_deg(
@@ -94,10 +96,8 @@ def test_a_heading_step_far_from_a_counter_change_is_no_reset() -> None:
     assert measured_step_deg(30.0, 1, counter=(4, 4)) == 0.0
 
 
-@pytest.mark.parametrize(("ticks_later", "counts"), [(0, True), (24, True), (26, False)])
-def test_a_heading_step_may_come_a_tenth_of_a_second_before_the_counter_rises(
-    ticks_later: int, counts: bool
-) -> None:
+@pytest.mark.parametrize(("ticks_later", "counts"), [(0, True), (REACH - 1, True), (REACH + 1, False)])
+def test_a_heading_step_may_come_shortly_before_the_counter_rises(ticks_later: int, counts: bool) -> None:
     resets = EstimatorResets()
     resets.update_counter(0, 0)
     for tick in range(101 + ticks_later):
@@ -196,20 +196,21 @@ def with_reset_counter(c: HandFedCore) -> HandFedCore:
     return c
 
 
-@pytest.mark.parametrize("step_deg", [5.5, -30.0, 90.0, 175.0, -175.0])
+@pytest.mark.parametrize("step_deg", [1.1 * HEADING_STEP_DEG, -30.0, 90.0, 175.0, -175.0])
 def test_a_heading_step_breaks_off_the_approach(step_deg: float) -> None:
     c = with_reset_counter(HandFedCore())
     c.enter_approach()
     assert c.core.phase is Phase.APPROACH
     step_heading(c, step_deg)
-    assert c.fired_details == [("heading_reset", f"heading stepped by {step_deg:.1f} deg, limit 5 deg")]
+    detail = f"heading stepped by {step_deg:.1f} deg, limit {HEADING_STEP_DEG:g} deg"
+    assert c.fired_details == [("heading_reset", detail)]
     assert c.core.override is Override.BREAK_OFF
 
 
 def test_small_steps_and_counter_changes_alone_end_no_flight() -> None:
     c = with_reset_counter(HandFedCore())
     c.enter_approach()
-    step_heading(c, 4.5)
+    step_heading(c, 0.9 * HEADING_STEP_DEG)
     c.run(0.3)
     step_heading(c, 0.0, counter=3)
     c.run(0.3)
@@ -233,7 +234,7 @@ def test_an_impact_does_not_excuse_a_heading_step() -> None:
     c = with_reset_counter(HandFedCore())
     c.fly_to_wood()
     c.pulse((-10.0, -16.0))
-    c.set_lock("rigid")  # type: ignore[arg-type]
+    c.set_lock(Mode.RIGID)
     c.run(0.1)
     assert c.core.phase is Phase.RECOVERY
     step_heading(c, 30.0)

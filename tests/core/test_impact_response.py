@@ -17,16 +17,15 @@ from dart_flight.base.records import (
     Phase,
 )
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission import impact_response
+from dart_flight.core.mission.impact_response import _BOUNCES_US
 from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.trajectories import Trajectory
+from dart_flight.core.mission.wall_uncertainty import SURE_SD
+from tests.core import conftest
 from tests.core.conftest import ROOT, MissionInPhase
 
-DUAL = load_mission(ROOT / "missions/paper_dual_collision.yaml")
-SINGLE = load_mission(ROOT / "missions/paper_single_wall.yaml")
-GPS = load_mission(packaged("missions", "dual_collision_gps.yaml"))
-BOUNCES_S = impact_response._BOUNCES_US * 1e-6  # no public name gives this limit
+DUAL, SINGLE, GPS = (load_mission(ROOT / path) for path in (conftest.DUAL, conftest.SINGLE, conftest.GPS))
+BOUNCES_S = _BOUNCES_US * 1e-6
 
 
 def onset_at(place: Vec3, planned: bool = True) -> ImpactOnset:
@@ -143,13 +142,13 @@ def test_a_planned_hit_is_in_the_noise_if_the_floor_of_its_mode_is_higher(
 
 @pytest.mark.parametrize("sd", [None, 0.05])
 def test_the_lateness_limit_of_a_wall_includes_its_position_uncertainty(sd: float | None) -> None:
-    """The limit grows by three standard deviations at the planned closing speed."""
+    """The limit grows by a number of standard deviations at the planned closing speed, 1 m/s."""
     (planned,) = SINGLE.collisions
     wall = msgspec.structs.replace(planned.wall, position_sd_m=sd)
     mission = msgspec.structs.replace(
         SINGLE, walls=(wall,), collisions=(msgspec.structs.replace(planned, wall=wall),)
     )
-    late_s = mission.vehicle.guard.wall_late_s + (0.0 if sd is None else 3.0 * sd / 1.0)
+    late_s = mission.vehicle.guard.wall_late_s + (0.0 if sd is None else SURE_SD * sd)
 
     def found(since_s: float) -> list[str]:
         flown = MissionInPhase(mission, Phase.APPROACH, now_us=round((2.0 + since_s) * 1e6))

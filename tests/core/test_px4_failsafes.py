@@ -17,7 +17,7 @@ from dart_flight.base.records import (
     SystemStatus,
     VehicleCommand,
 )
-from dart_flight.core.guard.failsafe import FailsafeEvidence
+from dart_flight.core.guard.failsafe import _MEMORY_US, FailsafeEvidence
 from tests.core.conftest import HandFedCore, core_in, of_kind
 
 ENTER = "commander_failsafe_enter"
@@ -158,14 +158,14 @@ def test_a_kill_after_touchdown_is_no_termination_of_the_flight() -> None:
         max_size=8,
     )
 )
-def test_status_texts_are_evidence_for_at_most_three_seconds(texts: list[tuple[str, int]]) -> None:
+def test_status_texts_are_evidence_for_a_limited_time(texts: list[tuple[str, int]]) -> None:
     evidence, now_us = FailsafeEvidence(), 10_000_000
     for text, after_us in texts:
         now_us += after_us
         evidence.add_text(StatusText(now_us, now_us, "critical", text), now_us)
         if "switching to" in text:
             assert evidence.announcement(now_us) == text
-    now_us += 3_000_000
+    now_us += _MEMORY_US
     assert evidence.announcement(now_us) is None
     assert evidence.termination(now_us) is None
     assert not evidence.is_mentioned(now_us)

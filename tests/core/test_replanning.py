@@ -21,8 +21,17 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.lock_commands import LockCommandState
 from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
 from dart_flight.core.mission.replan import Replan
-from dart_flight.core.mission.replan_requests import ReplanRequests
+from dart_flight.core.mission.replan_requests import (
+    _AGAIN_US,
+    _FELT_WITHIN_US,
+    _HELD_TO_M,
+    _LATER_S,
+    _NOT_AGAIN_US,
+    _TRIES,
+    ReplanRequests,
+)
 from dart_flight.core.mission.trajectories import Trajectory
+from dart_flight.core.mission.wall_uncertainty import _MIN_CLOSING_M_S, SURE_SD
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
@@ -179,7 +188,7 @@ def test_an_unusable_answer_is_refused_with_its_reason(change: dict[str, object]
 
 
 def test_a_request_for_the_same_wall_waits_for_its_estimate() -> None:
-    """It waits at most 150 ms after each contact; a request for another wall is sent at once."""
+    """It waits for a limited time after each contact; a request for another wall is sent at once."""
     hit, following = MISSION.collisions
 
     def sends_request(again: bool, after_us: int, estimated: bool = False) -> bool:
@@ -192,8 +201,8 @@ def test_a_request_for_the_same_wall_waits_for_its_estimate() -> None:
 
     planning = Planning(MISSION)
     assert sends_request(False, 0)
-    assert not sends_request(True, 149_999)
-    assert sends_request(True, 150_000)
+    assert not sends_request(True, _FELT_WITHIN_US - 1)
+    assert sends_request(True, _FELT_WITHIN_US)
     assert sends_request(True, 10_000, estimated=True)
     assert not sends_request(True, 10_000)
 
@@ -338,16 +347,19 @@ def test_a_contact_discards_earlier_plans() -> None:
     assert not flown.replan.is_over(much_later.now_us)
 
 
-@pytest.mark.parametrize(("velocity", "more_s"), [((0.7, -0.1, 0.0), 0.6), ((-0.7, 0.1, 0.0), 3.0)])
+@pytest.mark.parametrize(
+    ("velocity", "closing_m_s"), [((0.7, -0.1, 0.0), 0.5), ((-0.7, 0.1, 0.0), _MIN_CLOSING_M_S)]
+)
 def test_the_lateness_limit_of_a_wall_includes_its_position_uncertainty(
-    velocity: tuple[float, float, float], more_s: float
+    velocity: tuple[float, float, float], closing_m_s: float
 ) -> None:
     """The uncertainty is divided by the closing speed, or by a low speed if there is none."""
     planning, request = planning_with_request()
     assert refusal_to(planning, answer_to(request), NOW_US + 40_000) is None
     assert planning.flies(moved_to(request))
     wall = msgspec.structs.replace(MISSION.walls[1], position_sd_m=0.1, normal=(-0.8, -0.6))
-    due_us = request.begin_us + 1_300_000 + round((MISSION.vehicle.guard.wall_late_s + more_s) * 1e6)
+    late_s = MISSION.vehicle.guard.wall_late_s + SURE_SD * 0.1 / closing_m_s
+    due_us = request.begin_us + 1_300_000 + round(late_s * 1e6)
     for beside_us, late in ((-1000, False), (1000, True)):
         state = state_at(due_us + beside_us)
         state.velocity = velocity
@@ -414,7 +426,7 @@ def flown_planning(duration_s: float) -> tuple[Planning, PlanRequest]:
     return planning, request
 
 
-def test_a_request_without_a_trajectory_is_sent_six_times_per_contact() -> None:
+def test_a_request_without_a_trajectory_is_repeated_for_each_contact() -> None:
     planning, times = Planning(ALONG), []
     for contact_us in (NOW_US, NOW_US + 5_000_000):
         planning.contact_begins()
@@ -425,7 +437,7 @@ def test_a_request_without_a_trajectory_is_sent_six_times_per_contact() -> None:
                 assert (request.under_way, request.contact_height_m) == (False, 0.02)
                 refused = msgspec.structs.replace(answer_to(request), problem="none")
                 assert refusal_to(planning, refused, t_us) == "none"
-    assert times == [0, 300_000, 600_000, 900_000, 1_200_000, 1_500_000] * 2
+    assert times == [_AGAIN_US * i for i in range(_TRIES)] * 2
 
 
 def test_no_request_is_sent_while_an_answer_waits_for_its_start() -> None:
@@ -433,7 +445,7 @@ def test_no_request_is_sent_while_an_answer_waits_for_its_start() -> None:
     request = request_along(planning, state_on_line(NOW_US))
     assert request is not None
     assert refusal_to(planning, answer_to(request), NOW_US) is None
-    assert request_along(planning, state_on_line(NOW_US + 400_000)) is None
+    assert request_along(planning, state_on_line(NOW_US + _AGAIN_US + 100_000)) is None
 
 
 def test_a_flown_trajectory_is_replanned_until_shortly_before_its_end() -> None:
@@ -447,16 +459,22 @@ def test_a_flown_trajectory_is_replanned_until_shortly_before_its_end() -> None:
             assert request.under_way
             times.append(t_us)
     within_us = round(ALONG.vehicle.flying.replan_within_s * 1e6)
-    assert times[0] == NOW_US + 300_000
-    assert {b - a for a, b in itertools.pairwise(times)} == {300_000}
-    assert 0 <= end_us - times[-1] - within_us - 400_000 <= 300_000
+    assert times[0] == NOW_US + _AGAIN_US
+    assert {b - a for a, b in itertools.pairwise(times)} == {_AGAIN_US}
+    assert 0 <= end_us - times[-1] - within_us - _NOT_AGAIN_US <= _AGAIN_US
     planning.contact_begins()
     assert planning.replan.impact_in_s(state_on_line(end_us)) == -math.inf
 
 
 @pytest.mark.parametrize(
     ("later_s", "off_m", "taken"),
-    [(0.13, 0.0, True), (0.17, 0.0, False), (0.17, 0.15, False), (0.17, 0.25, True), (-0.3, 0.0, True)],
+    [
+        (_LATER_S - 0.02, 0.0, True),
+        (_LATER_S + 0.02, 0.0, False),
+        (_LATER_S + 0.02, _HELD_TO_M - 0.05, False),
+        (_LATER_S + 0.02, _HELD_TO_M + 0.05, True),
+        (-0.3, 0.0, True),
+    ],
 )
 def test_a_trajectory_is_kept_if_its_replacement_ends_much_later(
     later_s: float, off_m: float, taken: bool

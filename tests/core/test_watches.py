@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,6 +21,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.streams import BY_NAME
 from dart_flight.config.vehicle import load_vehicle, packaged
+from dart_flight.core.guard.estimator_resets import REACH_US
 from dart_flight.core.guard.estimator_watch import (
     ESTIMATOR_BAD_S,
     ESTIMATOR_RULES,
@@ -31,6 +33,7 @@ from dart_flight.core.guard.estimator_watch import (
 from dart_flight.core.guard.rule import Rule
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.guard.stream_watch import (
+    _OTHERS_SINCE,
     ACTUATOR_TIMEOUT_S,
     LINK_LOST_S,
     SAMPLED,
@@ -62,16 +65,18 @@ def details_of(rules: tuple[Rule, ...], **conditions: object) -> dict[str, str]:
 
 
 def watch_with(ages_s: dict[str, float | None], others_since: int = 0) -> StreamWatch:
-    """Return a watch of streams whose newest samples have these ages, or None if there is no sample."""
-    import msgspec
+    """Return a watch of streams whose newest samples have these ages, or None if there is no sample.
 
+    `others_since` is the number of samples of other streams since the newest one of the IMU.
+    """
     watch = StreamWatch(GUARD)
+    for _ in range(others_since):
+        watch.add_sample("attitude", SAMPLES["attitude"], None)
     watch.state.host_us = NOW_US
     for name, age_s in ages_s.items():
         if age_s is not None:
             received_us = NOW_US - round(1e6 * age_s)
             setattr(watch.state, name, msgspec.structs.replace(SAMPLES[name], received_us=received_us))
-    watch._since_imu = others_since
     return watch
 
 
@@ -85,7 +90,7 @@ def test_a_stream_is_silent_exactly_beyond_its_limit(
     ages_s: dict[str, float | None], others_since: int
 ) -> None:
     age_of = {name: math.inf if age is None else round(1e6 * age) * 1e-6 for name, age in ages_s.items()}
-    imu_s = GUARD.imu_timeout_s if others_since >= 12 else GUARD.stream_timeout_s
+    imu_s = GUARD.imu_timeout_s if others_since >= _OTHERS_SINCE else GUARD.stream_timeout_s
     expected = {
         "link_lost": min(age_of[name] for name in ("imu", "attitude", "odometry", "status")) > LINK_LOST_S,
         "imu_silent": age_of["imu"] > imu_s,
@@ -155,7 +160,7 @@ def test_estimator_rules_depend_on_the_step_and_pause_after_impacts(
         watch.add_report(EstimatorSample(later_us, later_us, reset_counter=2), Phase.TRANSIT)
     found = step(None, later_us + round(1e6 * after_s))
     assert "estimator_jump" not in found
-    near = counted and round(1e6 * after_s) <= 100_000
+    near = counted and round(1e6 * after_s) <= REACH_US
     if abs(away_m - RESET_POSITION_M) > 1e-9:
         stepped = away_m > RESET_POSITION_M or faster_m_s > RESET_VELOCITY_M_S
         assert ("estimator_reset" in found) is (near and stepped and not excused)
