@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,12 +19,14 @@ from dart_flight.core.mission.anchors import START_SD_M, WALL_SD_M, Anchor, Fram
 from dart_flight.core.mission.executive import _RUN_UP_US
 from dart_flight.core.mission.wall_uncertainty import (
     _MIN_CLOSING_M_S,
+    _SURE_DIRECTION_RAD,
     SURE_SD,
     EstimatedWalls,
     early_m,
     end_margin_m,
     late_s,
     overrun_m,
+    position_margin_m,
 )
 from tests.core.conftest import GPS, HandFedCore, MissionInPhase
 
@@ -189,6 +192,17 @@ def test_a_walls_position_is_that_of_its_latest_contact(place_sd: float | None, 
     assert walls.is_measured("wood")
 
 
+@pytest.mark.parametrize(("sd_m", "after_m"), [(0.1, 0.012), (0.01, 0.01), (None, None)])
+def test_a_contact_without_a_place_moves_its_wall_by_the_offset(
+    sd_m: float | None, after_m: float | None
+) -> None:
+    """It never makes the position less certain."""
+    wall, walls = msgspec.structs.replace(WOOD, position_sd_m=sd_m), EstimatedWalls()
+    walls.add_estimate(wall_estimate(None, None, 0.07), wall)
+    assert walls.known_wall(wall).point == pytest.approx((1.93, 0.0))
+    assert walls.known_wall(wall).position_sd_m == after_m
+
+
 def test_a_contact_corrects_only_an_uncertain_wall_direction() -> None:
     normal = WOOD.rotated(0.1).normal
     for yaw_sd, expected in ((None, WOOD.normal), (0.1, normal)):
@@ -200,6 +214,9 @@ def test_a_contact_corrects_only_an_uncertain_wall_direction() -> None:
         assert now.signed_distance((2.1, 1.0)) == pytest.approx(0.0, abs=1e-12)
         assert now.yaw_sd_rad == (None if yaw_sd is None else 0.02)
         assert walls.rotation(wall) == pytest.approx(0.1)
+        unsure = wall_estimate((2.1, 1.0), WOOD.normal, plane_normal_sigma_rad=2.0 * _SURE_DIRECTION_RAD)
+        walls.add_estimate(unsure, wall)
+        assert walls.rotation(wall) == pytest.approx(0.1)  # an uncertain contact does not change it
 
 
 def test_a_probed_wall_gets_its_position_and_material_from_the_contact() -> None:
@@ -233,6 +250,8 @@ def test_a_frame_displacement_keeps_measured_walls_in_place(
         assert after.signed_distance((x, y)) == pytest.approx(0.0, abs=1e-9)
         assert z == pytest.approx(1.0)
     assert after.normal == before.normal
+    other = msgspec.structs.replace(WOOD, name="other")
+    assert walls.known_wall(other) == other  # walls without a contact keep their mission position
 
 
 @given(shift=places, heading=angles)
@@ -249,7 +268,7 @@ def test_a_displaced_frame_moves_its_origin_along_its_own_axes(shift: Vec2, head
 def test_wall_uncertainty_grows_with_the_age_of_its_anchor() -> None:
     anchors = FrameAnchors(DRIFT_M_S)
     walls = EstimatedWalls(anchors)
-    assert walls.known_wall(WOOD).position_sd_m is None
+    assert walls.known_wall(WOOD) == EstimatedWalls().known_wall(WOOD, 0) == WOOD
     start = walls.known_wall(WOOD, 0).position_sd_m
     assert start == pytest.approx(START_SD_M)
     anchors.add(Anchor((1.0, 0.0), 0, 0.02))
@@ -262,14 +281,30 @@ def test_wall_uncertainty_grows_with_the_age_of_its_anchor() -> None:
     assert walls.known_wall(own, 0).position_sd_m == pytest.approx(math.hypot(0.1, fresh))
 
 
-def test_three_standard_deviations_of_a_wall_widen_every_tolerance() -> None:
-    wall = msgspec.structs.replace(WOOD, position_sd_m=0.1, half_vehicle_m=0.2)
-    guard, most_m = DRIFTING.vehicle.guard, SURE_SD * 0.1
-    assert end_margin_m(wall, wall.point) == pytest.approx(0.2 + most_m)
-    assert overrun_m(guard, wall, wall.point) == pytest.approx(guard.wall_overrun_m + most_m)
-    assert early_m(guard, wall, wall.point) == pytest.approx(guard.wall_early_m + most_m)
+@pytest.mark.parametrize(
+    ("place_sd_m", "yaw_sd_rad", "along_m", "sd_m"),
+    [
+        (None, None, 1.5, 0.0),
+        (0.1, None, 1.5, 0.1),
+        (None, 0.07, 0.0, 0.0),
+        (None, 0.07, 1.5, 1.5 * math.tan(0.07)),
+        (0.03, 0.07, -1.0, math.hypot(0.03, math.tan(0.07))),
+    ],
+)
+def test_standard_deviations_of_a_wall_at_the_contact_widen_every_tolerance(
+    place_sd_m: float | None, yaw_sd_rad: float | None, along_m: float, sd_m: float
+) -> None:
+    changes = {"position_sd_m": place_sd_m, "yaw_sd_rad": yaw_sd_rad, "half_vehicle_m": 0.2}
+    wall, guard, most_m = msgspec.structs.replace(WOOD, **changes), DRIFTING.vehicle.guard, SURE_SD * sd_m
+    place = (WOOD.point[0] + along_m * WOOD.tangent[0], WOOD.point[1] + along_m * WOOD.tangent[1])
+    assert position_margin_m(wall, place) == pytest.approx(most_m)
+    both = position_margin_m(wall, (np.full(2, place[0]), np.full(2, place[1])))
+    assert both == pytest.approx([most_m] * 2)
+    assert end_margin_m(wall, place) == pytest.approx(0.2 + most_m)
+    assert overrun_m(guard, wall, place) == pytest.approx(guard.wall_overrun_m + most_m)
+    assert early_m(guard, wall, place) == pytest.approx(guard.wall_early_m + most_m)
     for closing_m_s, least_m_s in ((1.5, 1.5), (0.5 * _MIN_CLOSING_M_S, _MIN_CLOSING_M_S)):
-        late = late_s(guard, wall, wall.point, closing_m_s)
+        late = late_s(guard, wall, place, closing_m_s)
         assert late == pytest.approx(guard.wall_late_s + most_m / least_m_s)
 
 

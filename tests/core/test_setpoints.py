@@ -105,17 +105,21 @@ def test_drag_and_the_d_term_are_fed_forward_ahead_of_the_attitude_lag() -> None
     at, (_, velocity, fed) = trajectory.at(1.0), setpoint_parts(flown, 1_000_000)
     assert velocity == pytest.approx(at.velocity)
     assert fed is not None
-    kd = MISSION.vehicle.px4.mpc_xy_vel_d_acc
-    for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
-        later_m_s = at.velocity[axis] + ATTITUDE_LAG_S * at.acceleration[axis]
-        later_m_s2 = at.acceleration[axis] + ATTITUDE_LAG_S * at.jerk[axis]
-        assert fed[axis] == pytest.approx(drag * later_m_s + later_m_s2 + kd * at.acceleration[axis])
+    assert fed[:2] == pytest.approx([needed_m_s2(at, at, axis) for axis in range(2)])
 
 
 def mission_with_delays(delay_s: float, dead_s: float = 0.0) -> Mission:
     """Return the mission with these delays of the autopilot."""
     flying = structs.replace(FLYING, setpoint_delay_s=delay_s, attitude_delay_s=dead_s)
     return structs.replace(MISSION, vehicle=structs.replace(MISSION.vehicle, flying=flying))
+
+
+def needed_m_s2(flown: Reference, tilted: Reference, axis: int, dead_s: float = 0.0) -> float:
+    """Return the acceleration for drag, PX4's D term and the lag of the attitude less its dead time."""
+    kd, drag = MISSION.vehicle.px4.mpc_xy_vel_d_acc, MISSION.vehicle.airframe.drag_per_s[axis]
+    lead_s = ATTITUDE_LAG_S - dead_s
+    push = (1.0 + kd + lead_s * drag) * tilted.acceleration[axis] + lead_s * tilted.jerk[axis]
+    return push + drag * flown.velocity[axis]
 
 
 @given(st.floats(0.0, 0.1), st.floats(0.0, 1.9))
@@ -143,10 +147,8 @@ def test_thrust_is_commanded_ahead_of_the_attitude_dead_time(
     assert place == pytest.approx(flown.position, abs=1e-9)
     assert velocity == pytest.approx(flown.velocity, abs=1e-9)
     assert fed is not None
-    kd, lead_s = MISSION.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - dead_s
-    for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
-        push = (1.0 + kd + lead_s * drag) * tilted.acceleration[axis] + lead_s * tilted.jerk[axis]
-        assert fed[axis] == pytest.approx(push + drag * flown.velocity[axis], abs=1e-9)
+    expected = [needed_m_s2(flown, tilted, axis, dead_s) for axis in range(2)]
+    assert fed[:2] == pytest.approx(expected, abs=1e-9)
 
 
 def parts_before_wall(mission: Mission, sample: OdometrySample) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
@@ -172,10 +174,7 @@ def test_a_delayed_setpoint_does_not_reach_beyond_the_wall() -> None:
     )
     place, velocity, fed = parts_before_wall(mission, sample)
     assert fed is not None
-    kd, lead_s = MISSION.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - 0.05
-    for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
-        push = (1.0 + kd + lead_s * drag) * at_wall.acceleration[axis] + lead_s * at_wall.jerk[axis]
-        assert fed[axis] == pytest.approx(push + drag * at_wall.velocity[axis])
+    assert fed[:2] == pytest.approx([needed_m_s2(at_wall, at_wall, axis, 0.05) for axis in range(2)])
     assert velocity is not None
     across = [wall.normal[axis] for axis in range(2)]
     assert sum(v * n for v, n in zip(velocity, across, strict=False)) == pytest.approx(

@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 from dart_flight.base.geometry import IDENTITY
 from dart_flight.base.records import ContactRequest, ContactSide, ImpactOnset, Mode, WallEstimate
 from dart_flight.base.walls import Wall
-from dart_flight.config.vehicle import ArmVibration, Coefficients, VehicleConfig
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.law import Onset
-from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.planning.contact_fit import (
     SURE_LOG_ODDS,
     Belief,
@@ -379,14 +378,6 @@ def test_the_fitter_returns_finite_numbers_or_a_problem_for_any_readings(
     for record in (answer.body, answer.wall):
         values = () if record is None else msgspec.structs.astuple(record)
         assert all(math.isfinite(v) for v in values if isinstance(v, float))
-
-
-def test_removing_the_arm_vibration_inverts_adding_it() -> None:
-    arms = ArmVibration(18.0, 0.12, 0.08)
-    adding, removing, rng = ArmFilter(arms, TICK_S), ArmFilter(arms, TICK_S), random.Random(1)
-    for _ in range(60):
-        x, y = rng.gauss(0.0, 10.0), rng.gauss(0.0, 10.0)
-        assert removing.remove(*adding.add(x, y), TICK_S) == pytest.approx((x, y), abs=1e-9)
 
 
 # --- the mode ----------------------------------------------------------------------------------------------
