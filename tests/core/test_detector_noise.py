@@ -126,27 +126,23 @@ def test_a_long_contact_in_strong_noise_is_detected_by_the_long_mean(seed: int) 
     assert 9.96 <= onset.first_us * 1e-6 <= 10.1
 
 
+def floors(detector: ImpactDetector, material: str | None) -> dict[Mode, float]:
+    """Return the detection floors that are reported when a contact with a material is expected, newton."""
+    for t_us, normal in ((20_000_000, None), (20_004_000, (1.0, 0.0))):
+        estimate = ForceEstimate(t_us, (0.0, 0.0, 0.0), False, noise_n=3.9)
+        events = detector.update(estimate, t_us, FlightState(), ExpectedContact(False, normal, material))
+    (floor,) = of_kind(DetectionFloor, events)
+    assert floor.rigid_n is not None
+    assert floor.flexible_n is not None
+    return {Mode.RIGID: floor.rigid_n, Mode.FLEXIBLE: floor.flexible_n}
+
+
 @pytest.mark.parametrize("mode", list(Mode))
 def test_the_detection_floor_of_an_unknown_material_is_within_those_of_the_known(mode: Mode) -> None:
     """In noise, a flexible contact lasts longer and is detected at a lower force."""
-    detector, state = run(noisy(8.0, 3.9))[0], FlightState()
-
-    def floor_n(material: str | None) -> float:
-        for t_us, normal in ((20_000_000, None), (20_004_000, (1.0, 0.0))):
-            events = detector.update(
-                ForceEstimate(t_us, (0.0, 0.0, 0.0), False, noise_n=3.9),
-                t_us,
-                state,
-                ExpectedContact(False, normal, material),
-            )
-        (floor,) = events
-        assert isinstance(floor, DetectionFloor)
-        found = floor.rigid_n if mode is Mode.RIGID else floor.flexible_n
-        assert found is not None
-        return found
-
-    known = [floor_n(material) for material in VEHICLE.materials]
-    assert min(known) < floor_n(None) < max(known)
+    detector = run(noisy(8.0, 3.9))[0]
+    known = [floors(detector, material)[mode] for material in VEHICLE.materials]
+    assert min(known) < floors(detector, None)[mode] < max(known)
 
 
 @pytest.mark.parametrize(("forces", "samples"), [((40.0, 44.0, 20.0), 3), ((40.0, 20.0, 4.0), 3)])
@@ -167,19 +163,11 @@ def test_the_detection_floor_without_materials_is_that_of_a_firm_contact() -> No
     firm = Coefficients(2500.0 * mass, 8.0 * mass, 0.1, 0.0)
     material = msgspec.structs.replace(VEHICLE.materials["wood"], rigid=firm, flexible=firm)
 
-    def floors(materials: dict[str, Material]) -> list[float]:
+    def floors_with(materials: dict[str, Material]) -> list[float]:
         vehicle = msgspec.structs.replace(VEHICLE, materials=materials)
-        detector = ImpactDetector(vehicle)
-        for t_us, normal in ((20_000_000, None), (20_004_000, (1.0, 0.0))):
-            estimate = ForceEstimate(t_us, (0.0, 0.0, 0.0), False, noise_n=3.9)
-            events = detector.update(estimate, t_us, FlightState(), ExpectedContact(False, normal, None))
-        (floor,) = events
-        assert isinstance(floor, DetectionFloor)
-        assert floor.rigid_n is not None
-        assert floor.flexible_n is not None
-        return [floor.rigid_n, floor.flexible_n]
+        return list(floors(ImpactDetector(vehicle), None).values())
 
-    assert floors({}) == pytest.approx(floors({"firm": material}), rel=1e-9)
+    assert floors_with({}) == pytest.approx(floors_with({"firm": material}), rel=1e-9)
 
 
 def test_the_long_windows_do_not_lower_the_detection_floor_in_low_noise() -> None:

@@ -5,8 +5,6 @@ import math
 
 import msgspec
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from dart_flight.base.records import (
     ForceEstimate,
@@ -30,14 +28,12 @@ from dart_flight.core.mission.replan_requests import (
     _TRIES,
     ReplanRequests,
 )
-from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import _MIN_CLOSING_M_S, SURE_SD
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 NOW_US = 10_000_000
-coefficient = st.floats(-2.0, 2.0)
 
 
 def state_at(now_us: int, position: tuple[float, float, float] = (1.0, -1.0, 1.0)) -> FlightState:
@@ -364,35 +360,6 @@ def test_the_lateness_limit_of_a_wall_includes_its_position_uncertainty(
         state = state_at(due_us + beside_us)
         state.velocity = velocity
         assert planning.is_late(wall, state) is late
-
-
-@given(st.tuples(*[coefficient] * 6), st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.0, 4.0))
-def test_a_trajectory_is_consistent_with_its_derivatives(
-    x: tuple[float, ...], y: tuple[float, ...], duration_s: float, t_s: float
-) -> None:
-    plan, h = Trajectory.level(x, y, 1.0, (duration_s,)), 1e-5
-    if abs(t_s - duration_s) < 2 * h or t_s < h:
-        return
-    at, before, after = plan.at(t_s), plan.at(t_s - h), plan.at(t_s + h)
-    for axis in (0, 1):
-        slope = (after.position[axis] - before.position[axis]) / (2 * h)
-        curve = (after.velocity[axis] - before.velocity[axis]) / (2 * h)
-        assert at.velocity[axis] == pytest.approx(slope, rel=1e-4, abs=1e-3)
-        jerk = (after.acceleration[axis] - before.acceleration[axis]) / (2 * h)
-        assert at.acceleration[axis] == pytest.approx(curve, rel=1e-4, abs=1e-3)
-        if h < t_s < duration_s - h:
-            assert at.jerk[axis] == pytest.approx(jerk, rel=1e-3, abs=1e-2)
-
-
-@given(st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.01, 2.0))
-def test_a_trajectory_continues_straight_after_its_end(
-    x: tuple[float, ...], duration_s: float, more_s: float
-) -> None:
-    plan = Trajectory.level(x, x, 1.0, (duration_s,))
-    end, beyond = plan.at(duration_s), plan.at(duration_s + more_s)
-    assert beyond.velocity == end.velocity
-    assert beyond.position[0] == pytest.approx(end.position[0] + more_s * end.velocity[0])
-    assert beyond.acceleration == beyond.jerk == (0.0, 0.0, 0.0)
 
 
 # --- along the mission's own trajectories ------------------------------------------------------------------
