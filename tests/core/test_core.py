@@ -399,6 +399,7 @@ def test_an_exception_in_the_guard_at_the_end_of_the_mission_aborts_the_flight()
     out = c.run(0.5)
     (end,) = of_kind(MissionEnd, out)
     assert end.outcome == "aborted"
+    assert end.reason is not None
     assert end.reason.startswith("mission_fault: ")
     assert "ZeroDivisionError: guard" in end.reason
     assert c.core.end is end

@@ -20,7 +20,7 @@ from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
 from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, SetpointTrigger, make_setpoint
-from dart_flight.core.mission.trajectories import Trajectory
+from dart_flight.core.mission.trajectories import Trajectory, TrajectoryPoint
 from dart_flight.core.sense.state import FlightState
 
 MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
@@ -114,7 +114,7 @@ def mission_with_delays(delay_s: float, dead_s: float = 0.0) -> Mission:
     return structs.replace(MISSION, vehicle=structs.replace(MISSION.vehicle, flying=flying))
 
 
-def needed_m_s2(flown: Reference, tilted: Reference, axis: int, dead_s: float = 0.0) -> float:
+def needed_m_s2(flown: TrajectoryPoint, tilted: TrajectoryPoint, axis: int, dead_s: float = 0.0) -> float:
     """Return the acceleration for drag, PX4's D term and the lag of the attitude less its dead time."""
     kd, drag = MISSION.vehicle.px4.mpc_xy_vel_d_acc, MISSION.vehicle.airframe.drag_per_s[axis]
     lead_s = ATTITUDE_LAG_S - dead_s

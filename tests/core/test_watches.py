@@ -71,7 +71,7 @@ def watch_with(ages_s: dict[str, float | None], others_since: int = 0) -> Stream
     """
     watch = StreamWatch(GUARD)
     for _ in range(others_since):
-        watch.add_sample("attitude", SAMPLES["attitude"], None)
+        watch.add_sample("attitude", AttitudeSample(0, 0, (1.0, 0.0, 0.0, 0.0)), None)
     watch.state.host_us = NOW_US
     for name, age_s in ages_s.items():
         if age_s is not None:

@@ -377,10 +377,10 @@ def test_the_outputs_of_a_turn_are_sent_and_executed_in_order_and_all_are_logged
     outputs: list[list[Output]], actions: list[tuple[str, Output]]
 ) -> None:
     """The inputs are queued before the thread starts, so one turn steps them all."""
-    items = [attitude(4 * (i + 1)) for i in range(len(outputs))]
+    items: list[Input] = [attitude(4 * (i + 1)) for i in range(len(outputs))]
     answers = dict(zip(items, outputs, strict=True))
     harness = Harness(SteppedCore(lambda item: answers.get(item, [])))
-    harness.run(list(items))
+    harness.run(items)
     assert harness.actions == actions
     logged = [
         record for record, _ in harness.observed if isinstance(record, Setpoint | LockPermission | Silence)
