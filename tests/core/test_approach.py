@@ -283,11 +283,7 @@ def with_board(mission: Mission, place: Vec2, normal: Vec2) -> Mission:
 @pytest.mark.parametrize("facing", [1.0, -1.0])
 @pytest.mark.parametrize(
     ("place", "normal", "blocked"),
-    [
-        ((0.8, 0.4), (1.0, 0.0), True),
-        ((0.2, -0.6), (0.0, 1.0), True),
-        ((0.8, -1.0), (0.0, 1.0), False),
-    ],
+    [((0.8, 0.4), (1.0, 0.0), True), ((0.2, -0.6), (0.0, 1.0), True), ((0.8, -1.0), (0.0, 1.0), False)],
 )
 def test_a_wall_blocks_an_approach_in_its_run_up_and_before_it(
     place: Vec2, normal: Vec2, facing: float, blocked: bool

@@ -34,12 +34,7 @@ class Climb:
         self.flown, self.altitude_m, self.t_us = MissionInPhase(mission, Phase.CLIMB), mission.altitude_m, 0
         self.flown.progress.course = self.flown.progress.course.hold((0.0, 0.0))
 
-    def arrives(
-        self,
-        seconds: float,
-        north_m: float = 0.0,
-        velocity: Vec3 = (0.0, 0.0, 0.0),
-    ) -> bool:
+    def arrives(self, seconds: float, north_m: float = 0.0, velocity: Vec3 = (0.0, 0.0, 0.0)) -> bool:
         """Feed samples for `seconds`; return whether the vehicle has arrived by then."""
         for _ in range(round(seconds / STEP_S)):
             self.t_us += round(1e6 * STEP_S)
@@ -108,11 +103,7 @@ def test_an_arrival_lasts_its_time_without_an_interruption() -> None:
         # More tolerant, because the position drifts.
         (
             GPS,
-            (
-                _DRIFTING_NEAR * ARRIVED_M,
-                _DRIFTING_SLOW * ARRIVED_M_S,
-                _DRIFTING_TURNED * _ARRIVED_YAW_RAD,
-            ),
+            (_DRIFTING_NEAR * ARRIVED_M, _DRIFTING_SLOW * ARRIVED_M_S, _DRIFTING_TURNED * _ARRIVED_YAW_RAD),
         ),
     ],
 )

@@ -26,11 +26,7 @@ STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
 def learned_bias(
-    f: Vec3,
-    seconds: float = 1.0,
-    rate: Vec3 = STILL,
-    speed_m_s: float = 0.0,
-    thrust_n: float = WEIGHT_N,
+    f: Vec3, seconds: float = 1.0, rate: Vec3 = STILL, speed_m_s: float = 0.0, thrust_n: float = WEIGHT_N
 ) -> HoverBias:
     bias = HoverBias(ESTIMATION, MASS)
     for _ in range(round(seconds / DT_S)):

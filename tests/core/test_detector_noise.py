@@ -23,7 +23,7 @@ from dart_flight.core.sense.pulse import PulsePrior
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 from tests.core.conftest import of_kind
-from tests.core.test_force_estimate import VEHICLE, half_sine
+from tests.core.pulses import VEHICLE, half_sine
 
 Forces = list[tuple[float, float]]
 LEARNING_SAMPLES = 750  # 3 s, as in a climb, during which no contact is expected
@@ -54,10 +54,7 @@ def noisy(seconds: float, sigma_n: float, seed: int = 1, tone_hz: float | None =
 
 
 def run(
-    forces: Forces,
-    watching: bool = True,
-    noise_n: float = 3.0,
-    kind: type[ImpactDetector] = ImpactDetector,
+    forces: Forces, watching: bool = True, noise_n: float = 3.0, kind: type[ImpactDetector] = ImpactDetector
 ) -> tuple[ImpactDetector, list[Any]]:
     detector, state = kind(VEHICLE), FlightState()
     events: list[Any] = []

@@ -27,8 +27,7 @@ def after(elapsed_us: int, armed: bool = False) -> tuple[MissionState, FlightSta
 
 
 @pytest.mark.parametrize(
-    ("elapsed_us", "action"),
-    [(0, None), (_STREAMING_US, None), (_STREAMING_US + 1, VehicleAction.OFFBOARD)],
+    ("elapsed_us", "action"), [(0, None), (_STREAMING_US, None), (_STREAMING_US + 1, VehicleAction.OFFBOARD)]
 )
 def test_offboard_is_requested_once_setpoints_have_streamed_for_a_while(
     elapsed_us: int, action: VehicleAction | None

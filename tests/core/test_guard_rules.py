@@ -53,13 +53,7 @@ from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore, core_in, of_kind
-from tests.core.guard_causes import (
-    CAUSES,
-    delay_telemetry,
-    fly_to_acrylic,
-    request,
-    rigid_pulse,
-)
+from tests.core.guard_causes import CAUSES, delay_telemetry, fly_to_acrylic, request, rigid_pulse
 
 
 @pytest.mark.parametrize("force_ned", [(250.0, 0.0, 0.0), (0.0, 250.0, 0.0), (0.0, 0.0, -250.0)])
@@ -85,10 +79,7 @@ def tilt_over(c: HandFedCore) -> None:
 
 @pytest.mark.parametrize(
     ("first", "then", "rule"),
-    [
-        (jump_position, reset_estimator, "estimator_reset"),
-        (jump_position, tilt_over, "tilt"),
-    ],
+    [(jump_position, reset_estimator, "estimator_reset"), (jump_position, tilt_over, "tilt")],
 )
 def test_a_further_fault_is_recorded_once_while_the_guard_holds(
     first: Callable[[HandFedCore], None], then: Callable[[HandFedCore], None], rule: str
@@ -149,10 +140,7 @@ def end_odometry(c: HandFedCore) -> None:
     ],
 )
 def test_the_reason_is_the_first_rule_or_the_one_that_explains_it(
-    first: Callable[[HandFedCore], None],
-    then: Callable[[HandFedCore], None],
-    reason: str,
-    others: set[str],
+    first: Callable[[HandFedCore], None], then: Callable[[HandFedCore], None], reason: str, others: set[str]
 ) -> None:
     c = core_in(Phase.APPROACH)
     if first is CAUSES["position_delayed"].fly:

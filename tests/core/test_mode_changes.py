@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dart_flight.base.records import (
-    FlightMode,
-    Phase,
-    Setpoint,
-    StatusText,
-    VehicleCommand,
-)
+from dart_flight.base.records import FlightMode, Phase, Setpoint, StatusText, VehicleCommand
 from dart_flight.core.guard.failsafe import _MEMORY_US
 from dart_flight.core.guard.flight_conditions import _DOUBT_US
 from dart_flight.core.guard.rules import _FALL_S

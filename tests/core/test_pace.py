@@ -9,14 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from dart_flight.base.records import (
-    ContactEnd,
-    ImpactOnset,
-    ImpactPeak,
-    Input,
-    OdometrySample,
-    Phase,
-)
+from dart_flight.base.records import ContactEnd, ImpactOnset, ImpactPeak, Input, OdometrySample, Phase
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
@@ -68,10 +61,7 @@ def test_inputs_are_stepped_at_once_if_a_contact_is_possible_within_a_fifth_of_a
 ) -> None:
     """A contact is possible from `wall_early_m` before a wall to `wall_overrun_m` behind it."""
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
-    place = (
-        wall.point[0] + distance_m * nx + along_m * tx,
-        wall.point[1] + distance_m * ny + along_m * ty,
-    )
+    place = (wall.point[0] + distance_m * nx + along_m * tx, wall.point[1] + distance_m * ny + along_m * ty)
     guard, possible = DUAL_COLLISION.vehicle.guard, False
     for one in DUAL_COLLISION.walls:
         closing_m_s = max(0.0, -(velocity[0] * one.normal[0] + velocity[1] * one.normal[1]))

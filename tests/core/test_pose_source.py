@@ -108,11 +108,7 @@ def feed() -> Feed:
         ),
         ({"turn": math.radians(90.0)}, 0.15, "the pose is rotated by 90 deg from PX4's attitude"),
         ({"turn": math.pi}, 0.15, "the pose is rotated by 180 deg from PX4's attitude"),
-        (
-            {"later_us": 50_000},
-            0.35,
-            "the poses' delay grew by 50 ms since take-off",
-        ),
+        ({"later_us": 50_000}, 0.35, "the poses' delay grew by 50 ms since take-off"),
         ({"step_us": 100_000}, 0.7, "poses arrive at 10 Hz, minimum 25 Hz"),
         ({"tracked": False}, 0.6, "not tracking body dart for 0.5"),
     ],

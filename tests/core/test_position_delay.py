@@ -117,11 +117,7 @@ def test_a_wrong_delay_is_measured_with_its_sign(wrong_s: float, late_us: int) -
     assert ahead_s == pytest.approx(wrong_s, rel=0.2)
 
 
-@given(
-    bias=st.tuples(*[st.floats(-0.3, 0.3)] * 3),
-    noise_m_s2=st.floats(0.0, 0.3),
-    seed=st.integers(0, 1000),
-)
+@given(bias=st.tuples(*[st.floats(-0.3, 0.3)] * 3), noise_m_s2=st.floats(0.0, 0.3), seed=st.integers(0, 1000))
 @settings(max_examples=15, deadline=None)
 def test_accelerometer_bias_and_noise_give_no_delay(bias: Vec3, noise_m_s2: float, seed: int) -> None:
     found = fly(new_estimator(), 0.0, bias=bias, noise_m_s2=noise_m_s2, seed=seed)
@@ -216,13 +212,7 @@ def expected_lead(ez: float, zz: float, ee: float) -> float | None:
 # `error_m_s` is white noise of the estimate. In every case, motion or correlation crosses a limit.
 @pytest.mark.parametrize(
     ("acceleration_m_s2", "wrong_s", "error_m_s"),
-    [
-        (0.5, 0.1, 0.03),
-        (0.5, -0.1, 0.016),
-        (0.22, 0.1, 0.008),
-        (0.22, -0.1, 0.001),
-        (0.15, 0.1, 0.001),
-    ],
+    [(0.5, 0.1, 0.03), (0.5, -0.1, 0.016), (0.22, 0.1, 0.008), (0.22, -0.1, 0.001), (0.15, 0.1, 0.001)],
 )
 def test_the_lead_follows_from_the_covariance_of_error_and_past_acceleration(
     acceleration_m_s2: float, wrong_s: float, error_m_s: float

@@ -6,12 +6,7 @@ import math
 import msgspec
 import pytest
 
-from dart_flight.base.records import (
-    ForceEstimate,
-    PlanAnswer,
-    PlanRequest,
-    PlanTaken,
-)
+from dart_flight.base.records import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
@@ -59,11 +54,7 @@ class Planning:
         return change
 
     def request(
-        self,
-        between: tuple[Collision, Collision],
-        state: FlightState,
-        sensed: Sensed,
-        square_us: int = 0,
+        self, between: tuple[Collision, Collision], state: FlightState, sensed: Sensed, square_us: int = 0
     ) -> PlanRequest | None:
         """Return the request between a hit and the next one, if there is one."""
         hit, following = between

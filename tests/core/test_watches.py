@@ -81,9 +81,7 @@ def watch_with(ages_s: dict[str, float | None], others_since: int = 0) -> Stream
 
 
 @given(
-    st.fixed_dictionaries(
-        {**{name: st.one_of(st.none(), ages) for name in SAMPLED}, "status": ages},
-    ),
+    st.fixed_dictionaries({**{name: st.one_of(st.none(), ages) for name in SAMPLED}, "status": ages}),
     st.integers(0, 30),
 )
 def test_a_stream_is_silent_exactly_beyond_its_limit(

@@ -45,11 +45,7 @@ def sensed(n: int, force: tuple[float, float], in_contact: bool) -> Sensed:
     return Sensed(ForceEstimate(n * TICK_US, (force[0], force[1], 0.0), False), (), in_contact)
 
 
-@given(
-    st.floats(5.0, 80.0),
-    st.floats(-math.pi, math.pi),
-    st.integers(4, 40),
-)
+@given(st.floats(5.0, 80.0), st.floats(-math.pi, math.pi), st.integers(4, 40))
 def test_the_feedforward_cancels_the_response_of_the_d_term_to_a_half_sine(
     peak_n: float, direction: float, samples: int
 ) -> None:
