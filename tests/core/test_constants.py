@@ -23,7 +23,15 @@ from dart_flight.core.mission import (
     replan_requests,
     wall_uncertainty,
 )
-from dart_flight.core.sense import senses, torque
+from dart_flight.core.sense import (
+    contact_height,
+    contact_recorder,
+    detector,
+    force,
+    position_delay,
+    senses,
+    torque,
+)
 
 
 @pytest.mark.parametrize(
@@ -35,6 +43,7 @@ from dart_flight.core.sense import senses, torque
         (wall_uncertainty, "SURE_SD", 2.0, 4.0),
         (wall_uncertainty, "_MIN_CLOSING_M_S", 0.02, 0.5),
         (position_loop, "STOP_TIME_S", 0.2, 1.0),
+        (position_loop, "_BEHIND_M", 0.1, 0.6),
         # Commitments, arrivals and phases.
         (commitment, "SETTLED_BEFORE_S", 0.0, 0.2),
         (commitment, "STOP_MARGIN_M", 0.0, 0.1),
@@ -49,6 +58,9 @@ from dart_flight.core.sense import senses, torque
         (executive, "_NOTHING_MET_S", 0.1, 1.0),
         (mission_state, "_SLOWEST", 2.0, 4.0),
         (contact_feedforward, "LONGEST_S", 0.1, 0.5),
+        (contact_feedforward, "_BALANCED", 0.5, 1.1),
+        (contact_feedforward, "_AGAINST_PLAN", 1.0, 2.0),
+        (contact_feedforward, "_MOST_LEAN", 0.1, 0.6),
         (replan_requests, "_LATER_S", 0.05, 0.5),
         (replan_requests, "_HELD_TO_M", 0.1, 0.5),
         (replan_requests, "_TRIES", 5, 7),
@@ -83,6 +95,27 @@ from dart_flight.core.sense import senses, torque
         (stream_watch, "STAMP_TOLERANCE_S", 0.2, 1.0),
         (stream_watch, "STATUS_TIMEOUT_S", 2.0, 4.0),
         # The senses.
+        (detector, "_FAR_SIGMA", 3.7, 5.5),
+        (detector, "_INTO_WALL", 0.0, 0.3),
+        (detector, "_LONGEST_CONTACT_S", 0.3, 1.0),
+        (detector, "_MAX_SMOOTH", 4, 6),
+        (detector, "_PEAK_DROP_SHARE", 0.1, 0.5),
+        (detector, "_SHORT_SIGMA", 0.0, 2.0),
+        (detector, "_SMOOTH_SHARE", 0.0, 0.1),
+        (force, "_CLIP_SHARE", 0.9, 1.0),
+        (force, "_MOMENTUM_GAP_S", 0.02, 0.2),
+        (position_delay, "_HIGH_PASS_S", 0.2, 1.0),
+        (position_delay, "_JUMP_M_S", 0.05, 0.5),
+        (position_delay, "_MEMORY_S", 3.0, 5.0),
+        (position_delay, "_SHARE", 0.5, 1.0),
+        (position_delay, "_LITTLE_MOTION", 0.0, 0.2),
+        (position_delay, "_LITTLE_AHEAD", 0.6, 0.9),
+        (position_delay, "_MOTION", 0.1, 0.5),
+        (position_delay, "_AHEAD", 0.4, 0.75),
+        (position_delay, "_BEHIND", 0.6, 1.0),
+        (contact_height, "_LEAST_N", 2.0, 4.0),
+        (contact_recorder, "_BEFORE", 3, 5),
+        (contact_recorder, "_MET_SD_M", 0.01, 0.1),
         (senses, "IMPACT_WINDOW_S", 1.0, 3.0),
         (torque, "_MAX_SLOW_NM", 0.1, 1.0),
         (torque, "_NOISE_TIME_S", 0.2, 1.0),

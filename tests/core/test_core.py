@@ -49,6 +49,7 @@ from dart_flight.core.sense.senses import Senses
 from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.recording.anchor import MissionFrameReader
 from tests.core.conftest import HOVER, ROOT, SINGLE, HandFedCore, core_in, of_kind
+from tests.core.guard_causes import fly_to_acrylic
 
 
 def test_offboard_is_requested_only_while_setpoints_are_streaming(hand_fed: HandFedCore) -> None:
@@ -223,27 +224,20 @@ def test_the_lock_never_moves_in_contact_or_before_the_arms_have_relaxed(hand_fe
     assert command.t_us - end_us >= relaxation_us - 8000  # the contact ends a sample or two before the pulse
 
 
-def test_a_late_lock_breaks_off_the_next_collision(hand_fed: HandFedCore) -> None:
-    hand_fed.fly_to_wood()
-    hand_fed.pulse((-10.0, -16.0))
-    hand_fed.run(0.1)
-    hand_fed.set_lock(Mode.RIGID, LockPhase.TRAVELLING)
-    hand_fed.position_ned = (1.2, 0.9, -1.0)
+@pytest.mark.parametrize(
+    ("phase", "fired"), [(LockPhase.TRAVELLING, [("lock_late", "break_off")]), (LockPhase.SETTLED, [])]
+)
+def test_only_a_late_lock_breaks_off_the_next_collision(
+    hand_fed: HandFedCore, phase: LockPhase, fired: list[tuple[str, str]]
+) -> None:
+    hand_fed.enter_approach()
+    fly_to_acrylic(hand_fed)
+    hand_fed.set_lock(Mode.RIGID, phase)
     hand_fed.velocity_ned = (1.0, 0.0, 0.0)
     out = hand_fed.run(0.3)
-    assert [(g.rule, g.action) for g in of_kind(GuardEvent, out)] == [("lock_late", "break_off")]
-    last = of_kind(Setpoint, out)[-1]
-    assert last.position_ned[0] < 1.65 - 0.45  # back from the acrylic wall
-
-
-def test_a_lock_in_time_does_not_break_off_the_next_collision(hand_fed: HandFedCore) -> None:
-    hand_fed.fly_to_wood()
-    hand_fed.pulse((-10.0, -16.0))
-    hand_fed.run(0.1)
-    hand_fed.set_lock(Mode.RIGID)
-    hand_fed.position_ned = (1.2, 0.9, -1.0)
-    hand_fed.velocity_ned = (1.0, 0.0, 0.0)
-    assert not of_kind(GuardEvent, hand_fed.run(0.3))
+    assert hand_fed.fired_actions == fired
+    if fired:
+        assert of_kind(Setpoint, out)[-1].position_ned[0] < 1.65 - 0.45  # back from the acrylic wall
 
 
 # --- the guard (its rules one by one: test_guard_rules.py) ------------------------------------------------

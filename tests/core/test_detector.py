@@ -9,10 +9,24 @@ import numpy as np
 import pytest
 
 from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak
-from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _top_of, confirmed_force
+from dart_flight.core.sense.detector import (
+    _FAR_SIGMA,
+    _INTO_WALL,
+    _LONGEST_CONTACT_S,
+    _MAX_SMOOTH,
+    _PEAK_DROP_SHARE,
+    _SHORT_SIGMA,
+    _SMOOTH_SHARE,
+    ExpectedContact,
+    ImpactDetector,
+    _top_of,
+    confirmed_force,
+)
 from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import of_kind
 from tests.core.pulses import VEHICLE, half_sine, true_pulse, with_estimation
+
+THRESHOLD_N = VEHICLE.detection.force_threshold_n
 
 
 def detector_events(
@@ -36,15 +50,12 @@ def detector_events(
 
 def test_planned_and_unplanned_hits_are_distinguished() -> None:
     pulse = [(0.0, 0.0)] * 20 + [(-f, 0.2 * f) for f in half_sine(30.0, 12)] + [(0.0, 0.0)] * 20
-    onset, peak = detector_events(pulse, normal=(-1.0, 0.0))[:2]
-    assert isinstance(onset, ImpactOnset)
-    assert isinstance(peak, ImpactPeak)
-    assert onset.planned
-    assert peak.normal == (-1.0, 0.0)
-    onset, peak = detector_events(pulse, normal=(1.0, 0.0))[:2]  # from behind
-    assert isinstance(onset, ImpactOnset)
-    assert isinstance(peak, ImpactPeak)
-    assert not onset.planned
+    events = detector_events(pulse, normal=(-1.0, 0.0))
+    assert of_kind(ImpactOnset, events)[0].planned
+    assert of_kind(ImpactPeak, events)[0].normal == (-1.0, 0.0)
+    events = detector_events(pulse, normal=(1.0, 0.0))  # from behind
+    assert not of_kind(ImpactOnset, events)[0].planned
+    peak = of_kind(ImpactPeak, events)[0]
     assert math.degrees(math.atan2(peak.normal[1], -peak.normal[0])) == pytest.approx(
         math.degrees(math.atan(0.2)), abs=1.0
     )
@@ -68,7 +79,7 @@ def test_peak_forces_do_not_depend_on_the_wall_angle(angle: float, direction: fl
         (forces, (-1.0, 0.0), push),
         ([rotated(*force) for force in forces], rotated(-1.0, 0.0), rotated(*push)),
     ):
-        (peak,) = [e for e in detector_events(samples, normal=normal, push=lean) if isinstance(e, ImpactPeak)]
+        (peak,) = of_kind(ImpactPeak, detector_events(samples, normal=normal, push=lean))
         assert peak.normal == pytest.approx(normal)
         peaks.append(peak)
     straight, oblique = peaks
@@ -90,25 +101,22 @@ def test_the_peak_is_awaited_until_the_wall_pushes_if_friction_comes_first(
     assert first.normal_force_n == pytest.approx(peak_n, rel=0.1)
 
 
-@pytest.mark.parametrize(("dip_n", "noise_n", "past"), [(1.2, 0.01, False), (1.6, 0.01, True)])
-def test_a_dip_of_a_quarter_of_the_threshold_ends_a_weak_peak(
-    dip_n: float, noise_n: float, past: bool
-) -> None:
-    flat = [(-8.0, 0.0)] * 6
-    events = detector_events([(0.0, 0.0)] * 20 + flat + [(dip_n - 8.0, 0.0)] + flat, noise_n, (-1.0, 0.0))
-    assert any(isinstance(e, ImpactPeak) for e in events) is past
+@pytest.mark.parametrize(("share", "past"), [(0.9, False), (1.15, True)])
+def test_a_dip_of_a_share_of_the_threshold_ends_a_weak_peak(share: float, past: bool) -> None:
+    flat, dip_n = [(-8.0, 0.0)] * 6, share * _PEAK_DROP_SHARE * THRESHOLD_N
+    events = detector_events([(0.0, 0.0)] * 20 + flat + [(dip_n - 8.0, 0.0)] + flat, 0.01, (-1.0, 0.0))
+    assert bool(of_kind(ImpactPeak, events)) is past
 
 
-def test_an_endless_contact_is_ended_after_half_a_second() -> None:
-    end = next(
-        e for e in detector_events([(0.0, 0.0)] * 20 + [(-20.0, 0.0)] * 200) if isinstance(e, ContactEnd)
-    )
-    assert end.t_us - end.first_us == 500_000
+def test_an_endless_contact_is_ended_after_a_while() -> None:
+    (end, *_) = of_kind(ContactEnd, detector_events([(0.0, 0.0)] * 20 + [(-20.0, 0.0)] * 200))
+    assert end.t_us - end.first_us == round(1e6 * _LONGEST_CONTACT_S)
 
 
-@pytest.mark.parametrize(("into_n", "planned"), [(0.9, True), (1.2, False)])
-def test_a_force_slightly_into_the_wall_can_be_the_planned_hit(into_n: float, planned: bool) -> None:
-    """The limit is a tenth of the force: friction comes first, with noise on top."""
+@pytest.mark.parametrize(("share", "planned"), [(0.9, True), (1.2, False)])
+def test_a_force_slightly_into_the_wall_can_be_the_planned_hit(share: float, planned: bool) -> None:
+    """Friction comes first, with noise on top."""
+    into_n = share * _INTO_WALL * 10.0
     events = detector_events([(0.0, 0.0)] * 20 + [(into_n, 10.0)] * 3, 0.001, (-1.0, 0.0))
     assert [e.planned for e in of_kind(ImpactOnset, events)] == [planned]
 
@@ -127,29 +135,30 @@ def test_a_contact_without_its_expected_wall_has_the_direction_of_its_impulse(
     assert peak.normal_force_n == pytest.approx(30.0, rel=0.15)
 
 
-@pytest.mark.parametrize(("noise_n", "samples"), [(1.19, 2), (1.2, 3)])
-def test_three_samples_confirm_an_impact_if_two_are_too_noisy(noise_n: float, samples: int) -> None:
-    """The limit is the threshold of 5.5 N divided by 4.6."""
-    config = VEHICLE.detection
-    mean = confirmed_force(6.0, 0.0, ((6.0, 3.0), (0.0, 3.0)), noise_n, config)
-    assert mean == ((6.0, 1.5) if samples == 2 else (4.0, 2.0))
-
-
-@pytest.mark.parametrize(("noise_n", "samples"), [(0.2, 1), (0.4, 4), (0.5, 5), (5.0, 5)])
-def test_samples_are_averaged_until_their_noise_is_a_fiftieth_of_the_peak(
-    noise_n: float, samples: int
+@pytest.mark.parametrize(("share", "mean"), [(0.99, (6.0, 1.5)), (1.01, (4.0, 2.0))])
+def test_three_samples_confirm_an_impact_if_two_are_too_noisy(
+    share: float, mean: tuple[float, float]
 ) -> None:
-    """At most five samples are averaged."""
+    noise_n = share * THRESHOLD_N / _FAR_SIGMA
+    assert confirmed_force(6.0, 0.0, ((6.0, 3.0), (0.0, 3.0)), noise_n, VEHICLE.detection) == mean
+
+
+@pytest.mark.parametrize(("noise", "samples"), [(1.0, 1), (2.0, 4), (9.0, _MAX_SMOOTH)])
+def test_samples_are_averaged_until_their_noise_is_a_small_share_of_the_peak(
+    noise: float, samples: int
+) -> None:
+    """The noise of one sample is given as a multiple of this share."""
     detector = ImpactDetector(VEHICLE)
-    detector._noise = noise_n  # the count is used inside of the peak detector only
+    detector._noise = noise * _SMOOTH_SHARE * 10.0  # the count is used inside of the peak detector only
     assert detector._smoothing(10.0) == samples
 
 
 def test_short_windows_need_a_higher_noise_multiple_than_long_ones() -> None:
-    detector = ImpactDetector(VEHICLE)
+    detector, sigma = ImpactDetector(VEHICLE), VEHICLE.detection.noise_sigma
     for window in detector._windows:  # learned in flight, but not to exact values
         window.noise_n = 2.0
-    assert detector.thresholds_n() == (12.0, 12.0, 10.0, 10.0)
+    short_n, long_n = 2.0 * (sigma + _SHORT_SIGMA), 2.0 * sigma
+    assert detector.thresholds_n() == pytest.approx((short_n, short_n, long_n, long_n))
 
 
 def test_the_peak_fit_uses_only_samples_above_seven_tenths_of_the_largest() -> None:
@@ -183,16 +192,7 @@ def test_wind_is_no_contact_but_a_lean_on_a_wall_is() -> None:
 def test_one_noisy_sample_is_no_impact() -> None:
     quiet = [(0.0, 0.0)] * 50
     assert detector_events([*quiet, (5.9, 0.0), *quiet]) == []
-    assert (
-        len(
-            [
-                e
-                for e in detector_events([*quiet, (5.9, 0.0), (5.7, 0.0), *quiet])
-                if isinstance(e, ImpactOnset)
-            ]
-        )
-        == 1
-    )
+    assert len(of_kind(ImpactOnset, detector_events([*quiet, (5.9, 0.0), (5.7, 0.0), *quiet]))) == 1
 
 
 def test_the_wait_for_a_peak_is_bounded() -> None:
