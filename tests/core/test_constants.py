@@ -4,6 +4,7 @@ from types import ModuleType
 
 import pytest
 
+from dart_flight.core import pace
 from dart_flight.core.guard import (
     estimator_watch,
     heading_step,
@@ -24,6 +25,7 @@ from dart_flight.core.mission import (
     wall_uncertainty,
 )
 from dart_flight.core.sense import (
+    bias,
     contact_height,
     contact_recorder,
     detector,
@@ -59,6 +61,8 @@ from dart_flight.core.sense import (
         (mission_state, "_SLOWEST", 2.0, 4.0),
         (contact_feedforward, "LONGEST_S", 0.1, 0.5),
         (contact_feedforward, "_BALANCED", 0.5, 1.1),
+        (contact_feedforward, "_FADED_M_S2", 0.0, 0.1),
+        (contact_feedforward, "_LARGEST_M_S2", 4.0, 6.0),
         (contact_feedforward, "_AGAINST_PLAN", 1.0, 2.0),
         (contact_feedforward, "_MOST_LEAN", 0.1, 0.6),
         (replan_requests, "_LATER_S", 0.05, 0.5),
@@ -91,10 +95,17 @@ from dart_flight.core.sense import (
         (second_vehicle, "POSITION_JUMP_M", 0.2, 1.0),
         (second_vehicle, "_TURNS", 2, 4),
         (stream_watch, "ACTUATOR_TIMEOUT_S", 0.2, 1.0),
+        (stream_watch, "_DRIFT", 0.0, 1e-3),
+        (stream_watch, "_SHARE", 0.05, 0.5),
         (stream_watch, "LINK_LOST_S", 4.0, 6.0),
         (stream_watch, "STAMP_TOLERANCE_S", 0.2, 1.0),
         (stream_watch, "STATUS_TIMEOUT_S", 2.0, 4.0),
+        (pace, "_LEAD_S", 0.1, 0.5),
         # The senses.
+        (bias, "_BASELINE_DELAY", 9, 11),
+        (bias, "_BASELINE_STEP_N", 1.0, 3.0),
+        (bias, "_MIN_NOISE2", 0.0, 1e-3),
+        (bias, "_SCALE_STEP", 0.1, 0.5),
         (detector, "_FAR_SIGMA", 3.7, 5.5),
         (detector, "_INTO_WALL", 0.0, 0.3),
         (detector, "_LONGEST_CONTACT_S", 0.3, 1.0),

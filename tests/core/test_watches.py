@@ -82,7 +82,7 @@ def watch_with(ages_s: dict[str, float | None], others_since: int = 0) -> Stream
 
 @given(
     st.fixed_dictionaries({**{name: st.one_of(st.none(), ages) for name in SAMPLED}, "status": ages}),
-    st.integers(0, 30),
+    st.sampled_from([0, _OTHERS_SINCE - 1, _OTHERS_SINCE, 30]),
 )
 def test_a_stream_is_silent_exactly_beyond_its_limit(
     ages_s: dict[str, float | None], others_since: int

@@ -26,7 +26,12 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle
 from dart_flight.core.mission import executive
-from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward
+from dart_flight.core.mission.contact_feedforward import (
+    _FADED_M_S2,
+    _LARGEST_M_S2,
+    LONGEST_S,
+    ContactFeedforward,
+)
 from dart_flight.core.mission.heading import Heading
 from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
@@ -60,7 +65,7 @@ def test_the_feedforward_cancels_the_response_of_the_d_term_to_a_half_sine(
         feedforward.update(sensed(n, (force * math.cos(direction), force * math.sin(direction)), in_contact))
         derivative += share * (force / mass - derivative)
         fed = feedforward.feed_forward or (0.0, 0.0, 0.0)
-        expected = min(5.0, gain * derivative)
+        expected = min(_LARGEST_M_S2, gain * derivative)
         assert norm(fed) == pytest.approx(expected, abs=0.01)
         if norm(fed) > 0.1:
             assert math.atan2(fed[1], fed[0]) == pytest.approx(direction, abs=1e-6)
@@ -81,15 +86,15 @@ def test_the_feedforward_stays_bounded_over_a_gap_in_the_samples() -> None:
     feedforward = ContactFeedforward(VEHICLE)
     feedforward.update(sensed(0, (0.0, 0.0), True))
     feedforward.update(sensed(10_000, (4000.0, 0.0), True))
-    assert norm(feedforward.feed_forward or (0.0, 0.0, 0.0)) == pytest.approx(5.0)
+    assert norm(feedforward.feed_forward or (0.0, 0.0, 0.0)) == pytest.approx(_LARGEST_M_S2)
 
 
-def test_the_feedforward_ends_once_two_percent_of_the_contact_are_left() -> None:
-    """The acceleration decays from 1 to 0.02 m/s2 with the time constant of PX4's filter."""
+def test_the_feedforward_ends_once_little_of_the_contact_is_left() -> None:
+    """The acceleration decays from 1 m/s2 with the time constant of PX4's filter."""
     feedforward, mass = ContactFeedforward(VEHICLE), VEHICLE.airframe.mass_kg
     for n in range(500):
         feedforward.update(sensed(n, (mass, 0.0), True))
-    fades = math.ceil(math.log(1.0 / 0.02) / (2.0 * math.pi * CUTOFF_HZ * TICK_US * 1e-6))
+    fades = math.ceil(math.log(1.0 / _FADED_M_S2) / (2.0 * math.pi * CUTOFF_HZ * TICK_US * 1e-6))
     for n in range(500, 499 + fades):
         feedforward.update(sensed(n, (0.0, 0.0), False))
     assert feedforward.feed_forward is not None

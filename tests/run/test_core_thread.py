@@ -217,6 +217,7 @@ def end_turns(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     """Set a batch interval of 60 s, and wait until the current turn has ended."""
 
     def end() -> None:
+        # The thread reads this constant in each turn, so a turn can be held back from now on.
         monkeypatch.setattr(module, "BATCH_S", 60.0)
         time.sleep(0.1)
 
