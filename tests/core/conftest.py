@@ -73,6 +73,12 @@ def of_kind(kind: type[R], records: Iterable[object]) -> list[R]:
     return [record for record in records if isinstance(record, kind)]
 
 
+def known(value: R | None) -> R:
+    """Return a value that must not be None."""
+    assert value is not None
+    return value
+
+
 class HandFedCore:
     """A core that receives hovering telemetry at 250 Hz; tests set position, velocity and force.
 

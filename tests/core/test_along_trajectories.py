@@ -11,7 +11,7 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
 from dart_flight.core.mission.executive import _NEAR_S
-from tests.core.conftest import ROOT, core_in, of_kind
+from tests.core.conftest import ROOT, core_in, known, of_kind
 
 RETURNING = "missions/touch_and_return.yaml"
 WITHOUT_WALLS = "missions/hover.yaml"
@@ -29,8 +29,7 @@ def test_a_position_behind_the_wall_is_a_miss_only_shortly_before_the_impact(
     untouched = {"collisions": [hit for hit in hits if hit.get("trajectory")], "waypoints": []}
     c = core_in(Phase.APPROACH, RETURNING, settings=untouched)
     assert c.core.phase is Phase.APPROACH
-    trajectory = c.core.mission.collisions[0].trajectory
-    assert trajectory is not None
+    trajectory = known(c.core.mission.collisions[0].trajectory)
     c.run(trajectory.duration_s - before_s - 0.02)
     c.position_ned = (3.0, 0.0, -1.0)  # a metre behind the plane
     c.run(0.04)

@@ -28,7 +28,7 @@ from dart_flight.core.mission.wall_uncertainty import (
     overrun_m,
     position_margin_m,
 )
-from tests.core.conftest import GPS, HandFedCore, MissionInPhase
+from tests.core.conftest import GPS, HandFedCore, MissionInPhase, known
 
 DRIFTING = load_mission(packaged("missions", "dual_collision_gps.yaml"))
 DRIFT_M_S, RUN_UP_S = 0.03, 1e-6 * _RUN_UP_US
@@ -354,13 +354,11 @@ def test_a_leg_after_a_correction_starts_at_the_vehicle_in_the_corrected_frame()
     progress.course = progress.course.hold(state.position)
     flown.step(wall=wall_estimate(None, None, 0.2, t_us=8 * S))
     assert (progress.phase, progress.index) == (Phase.RECOVERY, 1)
-    frame = flown.proposal.frame
-    assert frame is not None
+    frame = known(flown.proposal.frame)
     state.anchor(frame)
     flown.step()
     assert progress.phase is Phase.TRANSIT
-    assert progress.course.trajectory is not None
-    begin = progress.course.trajectory.begin
+    begin = known(progress.course.trajectory).begin
     assert frame.point_to_ned(begin) == pytest.approx(rest_ned)
     assert begin[1] == pytest.approx(-0.55 - 0.2, abs=0.01)
 

@@ -27,6 +27,7 @@ from dart_flight.core.mission.approach import (
     transit_segments,
 )
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
+from tests.core.conftest import known
 
 beside = st.floats(-2.0, 2.0)
 away = st.floats(CLEARANCE_M + 0.01, 2.0)
@@ -260,8 +261,7 @@ def test_a_wall_across_the_run_up_blocks_the_approach(board: tuple[float, float]
 
 @pytest.mark.parametrize(("inside_m", "refused"), [(0.01, False), (-0.2, True)])
 def test_an_impact_outside_the_flight_space_is_refused(inside_m: float, refused: bool) -> None:
-    impact = MISSION.collisions[0].impact_point
-    assert impact is not None
+    impact = known(MISSION.collisions[0].impact_point)
     bounds = msgspec.structs.replace(MISSION.bounds, x=(-1.5, impact[0] + inside_m))
     mission = msgspec.structs.replace(MISSION, bounds=bounds)
     if refused:
@@ -322,8 +322,7 @@ def test_a_wall_blocks_the_trajectory_to_another_wall() -> None:
     mission = load_mission(packaged("missions", "touch_and_return.yaml"))
     check_segments_clear(mission)
     written = next(c for c in mission.collisions if c.trajectory is not None)
-    assert written.trajectory is not None
-    trajectory = Trajectory.from_mission(written.trajectory, mission.altitude_m)
+    trajectory = Trajectory.from_mission(known(written.trajectory), mission.altitude_m)
     there = trajectory.at(0.7 * trajectory.duration_s)
     (x, y, _), (vx, vy, _), speed_m_s = there.position, there.velocity, math.hypot(*there.velocity)
     blocked = with_board(mission, (x, y), (-vx / speed_m_s, -vy / speed_m_s))

@@ -19,7 +19,7 @@ from dart_flight.core.mission.position_loop import PlaneImpact, least_distance_m
 from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.run.fast import fly_fast
-from tests.core.conftest import MissionInPhase
+from tests.core.conftest import MissionInPhase, known
 
 # The paper's point model: with guards, the first hit leaves a slower vehicle and the lock is in time.
 STIFF = load_mission(
@@ -99,14 +99,12 @@ def test_a_sliding_hit_is_acceptable_only_if_its_recovery_leads_inwards(beside_m
 
 def test_the_predicted_impact_is_where_the_course_crosses_the_plane() -> None:
     px4 = STIFF.vehicle.px4
-    impact = predict_impact(0.5, 1.0, 0.0, -0.5, px4)
-    assert impact is not None
+    impact = known(predict_impact(0.5, 1.0, 0.0, -0.5, px4))
     assert impact.normal_m_s < 0.0
     assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=impact.after_s + 0.02) <= 0.0
     assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=impact.after_s - 0.02) > 0.0
     assert predict_impact(0.5, 0.0, 0.0, 0.5, px4) is None
-    behind = predict_impact(-0.1, 1.0, 0.0, -0.5, px4)
-    assert behind is not None
+    behind = known(predict_impact(-0.1, 1.0, 0.0, -0.5, px4))
     assert behind.after_s <= 0.01
 
 
@@ -128,8 +126,7 @@ def test_the_papers_second_impact_is_planned_and_flown() -> None:
     assert (hit.normal_m_s, hit.tangential_m_s) == pytest.approx((-1.6, 0.25), abs=0.03)
     verdict = fly_fast(STIFF, 21, None)
     assert verdict.outcome == "completed"
-    assert verdict.collisions[1].truth is not None
-    assert verdict.collisions[1].truth.normal_m_s == pytest.approx(-1.6, abs=0.1)
+    assert known(verdict.collisions[1].truth).normal_m_s == pytest.approx(-1.6, abs=0.1)
 
 
 def test_the_approach_is_broken_off_if_a_mode_exceeds_the_force_limit() -> None:
@@ -176,13 +173,11 @@ def test_impact_prediction_looks_as_far_ahead_as_the_loop_may_need(
     closing_m_s: float, after_s: float
 ) -> None:
     """The setpoint is 0.1 m behind the wall; a vehicle that first moves away hits the wall later."""
-    impact = predict_impact(0.5, closing_m_s, 0.0, -0.1, STIFF.vehicle.px4)
-    assert impact is not None
+    impact = known(predict_impact(0.5, closing_m_s, 0.0, -0.1, STIFF.vehicle.px4))
     assert impact.after_s == pytest.approx(after_s, abs=0.03)
     assert least_distance_m(0.5, 0.0, 0.0, -0.1, STIFF.vehicle.px4) < 0.0
 
 
 def test_a_vehicle_that_returns_from_behind_the_plane_hits_it_in_the_next_step() -> None:
-    impact = predict_impact(-0.1, -0.5, 0.0, 0.3, STIFF.vehicle.px4)
-    assert impact is not None
+    impact = known(predict_impact(-0.1, -0.5, 0.0, 0.3, STIFF.vehicle.px4))
     assert impact.after_s == pytest.approx(0.01)

@@ -1,4 +1,7 @@
-"""Tuned limits stay in the range in which a flight works; the tests of each limit read its value."""
+"""Tuned limits stay in the range in which a flight works.
+
+The tests of a limit import its constant, private or not, so that retuning the limit breaks none of them.
+"""
 
 from types import ModuleType
 

@@ -22,7 +22,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import load_mission
 from dart_flight.core.sense.contact_recorder import _BEFORE, _MET_SD_M, ANSWER_WITHIN_US, undecided
 from dart_flight.planning.contact_fit import ContactFitter
-from tests.core.conftest import ROOT, HandFedCore, of_kind
+from tests.core.conftest import ROOT, HandFedCore, known, of_kind
 
 WITHIN_S = 1e-6 * ANSWER_WITHIN_US
 
@@ -42,8 +42,7 @@ def test_a_request_starts_some_samples_before_the_onset(hand_fed: HandFedCore) -
     request, out = hit_wood(hand_fed)
     (onset,), (peak,), (end,) = of_kind(ImpactOnset, out), of_kind(ImpactPeak, out), of_kind(ContactEnd, out)
     assert (request.number, request.onset, request.normal) == (1, onset, peak.normal)
-    assert request.wall is not None
-    assert (request.wall.name, request.mode_reported) == ("wood", Mode.FLEXIBLE)
+    assert (known(request.wall).name, request.mode_reported) == ("wood", Mode.FLEXIBLE)
     assert sum(t_us < onset.first_us for t_us in request.sample_us) == _BEFORE
     assert request.sample_us[-1] == request.t_us >= end.t_us
     assert {len(getattr(request, name)) for name in request.__struct_fields__[-7:]} == {
@@ -105,8 +104,7 @@ def test_an_answer_for_another_wall_or_contact_is_rejected(hand_fed: HandFedCore
     answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
     other = msgspec.structs.replace(answer, number=request.number + 1)
     assert not of_kind(WallEstimate, hand_fed.feed(other))
-    assert answer.wall is not None
-    elsewhere = msgspec.structs.replace(answer.wall, wall="acrylic")
+    elsewhere = msgspec.structs.replace(known(answer.wall), wall="acrylic")
     out = hand_fed.feed(msgspec.structs.replace(answer, wall=elsewhere))
     (estimate,) = of_kind(WallEstimate, out)
     assert (estimate.wall, estimate.mode_felt) == ("wood", None)

@@ -48,7 +48,7 @@ from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
 from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.recording.anchor import MissionFrameReader
-from tests.core.conftest import HOVER, ROOT, SINGLE, HandFedCore, core_in, of_kind
+from tests.core.conftest import HOVER, ROOT, SINGLE, HandFedCore, core_in, known, of_kind
 from tests.core.guard_causes import fly_to_acrylic
 
 
@@ -89,8 +89,7 @@ def test_the_frame_follows_an_estimate_that_moves_on_the_ground(hand_fed: HandFe
     reader = MissionFrameReader(hand_fed.core.mission)
     for record in hand_fed.records:
         reader.add(record)
-    assert reader.frame is not None
-    assert reader.frame.point_from_ned((0.2, 0.1, 1.15)) == pytest.approx((0.2, -0.1, 0.0), abs=1e-9)
+    assert known(reader.frame).point_from_ned((0.2, 0.1, 1.15)) == pytest.approx((0.2, -0.1, 0.0), abs=1e-9)
 
 
 def test_small_motion_of_the_estimate_does_not_move_the_frame(hand_fed: HandFedCore) -> None:
@@ -218,8 +217,7 @@ def test_the_lock_never_moves_in_contact_or_before_the_arms_have_relaxed(hand_fe
     command = of_kind(LockCommand, out)[0]
     assert permission.permitted
     assert command.mode is Mode.RIGID
-    lock = hand_fed.core.mission.vehicle.lock
-    assert lock is not None
+    lock = known(hand_fed.core.mission.vehicle.lock)
     relaxation_us = lock.relaxation_s * 1e6
     assert command.t_us - end_us >= relaxation_us - 8000  # the contact ends a sample or two before the pulse
 

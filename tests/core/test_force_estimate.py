@@ -33,7 +33,7 @@ from dart_flight.core.sense.force import _ATTITUDE_REACH_US as REACH_US
 from dart_flight.core.sense.force import _CLIP_SHARE as CLIP
 from dart_flight.core.sense.force import _MOMENTUM_GAP_S, ATTITUDE_ERROR_RAD, ForceEstimator
 from dart_flight.core.sense.state import FlightState
-from tests.core.conftest import HOVER
+from tests.core.conftest import HOVER, known
 from tests.core.force_hits import figures_of, grid
 from tests.core.force_quiet import fly_quiet
 from tests.core.pulses import MASS, MISSION, VEHICLE, with_estimation
@@ -83,8 +83,7 @@ class Hovering:
                 (0.0, 0.0, 0.0),
             )
             self.state.update_imu(imu)
-            estimate = self.estimator.estimate(imu, self.state)
-            assert estimate is not None
+            estimate = known(self.estimator.estimate(imu, self.state))
             out.append(estimate)
         return out
 
@@ -140,8 +139,7 @@ def test_the_force_is_the_residual_of_thrust_gravity_and_drag(seed: int) -> None
     hover = estimator.hover
     hover.bias_x, hover.bias_y, hover.scale = 0.3, -0.2, 0.9
     t_us = 1_050_000
-    estimate = estimator.estimate(ImuSample(t_us, 0, f, rate), state, in_contact=True)
-    assert estimate is not None
+    estimate = known(estimator.estimate(ImuSample(t_us, 0, f, rate), state, in_contact=True))
     thrust_n = estimator.thrust_n
     assert thrust_n == pytest.approx(0.9 * MASS * 9.81, rel=0.01)
     lag_s = vehicle.imu.reading_lag_s
@@ -217,8 +215,7 @@ def test_the_momenta_are_the_integral_of_the_specific_force_without_bias(seed: i
         estimator.add_attitude(AttitudeSample(t_us, 0, q))
         estimator.thrust.add_commands(ActuatorSample(t_us, 0, (HOVER,) * 4))
         assert estimator.estimate(ImuSample(t_us, 0, f, (0.0, 0.0, 0.0)), state, in_contact=True) is not None
-        assert state.frame is not None
-        return state.frame.vector_from_ned(rotate(q, (f[0] - 0.3, f[1] + 0.2, f[2])))
+        return known(state.frame).vector_from_ned(rotate(q, (f[0] - 0.3, f[1] + 0.2, f[2])))
 
     feed(1_000_000)
     for later_us in (1_004_000, 1_012_000, 1_012_000 + GAP_US):
@@ -232,8 +229,7 @@ def test_the_momenta_are_the_integral_of_the_specific_force_without_bias(seed: i
 
 
 def test_arm_vibration_is_removed_from_the_force() -> None:
-    arms = VEHICLE.estimation.arm_vibration
-    assert arms is not None
+    arms = known(VEHICLE.estimation.arm_vibration)
     w, h = 2.0 * math.pi * arms.frequency_hz, 1e-5
     q = v = 0.0
     inverse = ArmFilter(arms, 0.004)
@@ -253,8 +249,7 @@ def test_arm_vibration_is_removed_from_the_force() -> None:
 
 
 def test_arm_vibration_is_added_and_removed_alike_on_both_axes() -> None:
-    arms = VEHICLE.estimation.arm_vibration
-    assert arms is not None
+    arms = known(VEHICLE.estimation.arm_vibration)
     adds, removes, rng = ArmFilter(arms, 0.004), ArmFilter(arms, 0.004), random.Random(4)
     for _ in range(50):
         x, y = rng.gauss(0.0, 10.0), rng.gauss(0.0, 10.0)
@@ -268,8 +263,7 @@ def test_arm_vibration_is_added_and_removed_alike_on_both_axes() -> None:
 
 @pytest.mark.parametrize(("gap", "rests"), [(25, False), (26, True)])
 def test_arm_vibration_continues_over_a_gap_until_it_has_decayed(gap: int, rests: bool) -> None:
-    arms = VEHICLE.estimation.arm_vibration
-    assert arms is not None
+    arms = known(VEHICLE.estimation.arm_vibration)
     filters = [ArmFilter(arms, 0.004) for _ in range(3)]
     for each in filters[:2]:
         each.remove(30.0, -20.0, 0.004)

@@ -24,7 +24,7 @@ from dart_flight.core.guard.guard import _DISARM_AFTER_US, _HOLD_US, _LANDING_US
 from dart_flight.core.guard.rules import BATTERY_LOW_S, LYING_S
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
-from tests.core.conftest import SHORT_TIMEOUTS, HandFedCore, core_in, of_kind
+from tests.core.conftest import SHORT_TIMEOUTS, HandFedCore, core_in, known, of_kind
 from tests.core.guard_causes import CAUSES, alternate_vehicles, lie_down
 
 TICK_US = 4000  # period of the samples
@@ -94,8 +94,7 @@ def test_motors_are_stopped_only_after_the_kill_timeout_of_a_landing() -> None:
     assert VehicleAction.KILL in c.actions
     c.set_status(armed=False)
     c.run(0.25)
-    assert c.core.end is not None
-    assert c.core.end.outcome == "aborted"
+    assert known(c.core.end).outcome == "aborted"
 
 
 def test_a_landing_is_awaited_until_the_kill_timeout() -> None:

@@ -52,7 +52,7 @@ from dart_flight.core.mission import executive
 from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
-from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore, core_in, of_kind
+from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore, core_in, known, of_kind
 from tests.core.guard_causes import CAUSES, delay_telemetry, fly_to_acrylic, request, rigid_pulse
 
 
@@ -154,8 +154,7 @@ def test_the_reason_is_the_first_rule_or_the_one_that_explains_it(
     (before,) = {event.rule for event in c.fired if event.action is not Override.NONE}
     then(c)
     c.run(0.3)
-    assert c.guard.reason is not None
-    assert c.guard.reason.partition(":")[0] == reason
+    assert known(c.guard.reason).partition(":")[0] == reason
     assert {before, *(event.rule for event in c.fired)} >= {reason, *others}
 
 
@@ -177,8 +176,7 @@ def test_a_rule_fires_on_its_cause_and_is_reported(rule: Rule) -> None:
         assert not any(isinstance(o, Setpoint | VehicleCommand) for o in after)
         end = of_kind(MissionEnd, after)[0]
         assert end.outcome == ("released" if rule.by_person else "aborted")
-        assert end.reason is not None
-        assert end.reason.startswith(rule.name)
+        assert known(end.reason).startswith(rule.name)
     elif rule.action is not Override.GIVE_UP:
         assert c.core.override is rule.action
         assert c.core.phase in (Phase.OVERRULED, Phase.DONE)
@@ -336,8 +334,7 @@ def test_an_impact_excuses_the_estimator_for_a_limited_time(later_us: int, just_
     c = core_in(Phase.APPROACH)
     c.pulse((0.0, -30.0))
     watch = c.conditions
-    assert watch.impact is not None
-    watch.state.now_us = watch.impact.t_us + later_us
+    watch.state.now_us = known(watch.impact).t_us + later_us
     assert watch.just_after_impact is just_after
 
 
@@ -528,8 +525,7 @@ def test_an_implausible_position_is_reported_and_not_used(position: Vec3, veloci
     c = HandFedCore(rules=RULES)
     c.run(0.5)
     c.feed(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))  # on the ground: rejected
-    assert c.core.state.odometry is not None
-    assert c.core.state.odometry.position_ned == c.position_ned
+    assert known(c.core.state.odometry).position_ned == c.position_ned
     c = core_in(Phase.CLIMB, rules=RULES)
     c.run(0.004)
     assert c.core.phase is Phase.CLIMB

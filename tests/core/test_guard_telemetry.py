@@ -38,7 +38,7 @@ from dart_flight.core.guard.second_vehicle import (
     SecondPositionDetector,
 )
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
-from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore, core_in, of_kind
+from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore, core_in, known, of_kind
 from tests.core.guard_causes import CAUSES, alternate_vehicles, delay_telemetry
 
 STAMP_TOLERANCE_US, TOLERANCE_US = round(1e6 * STAMP_TOLERANCE_S), 100_000.0
@@ -320,8 +320,7 @@ def test_late_telemetry_becomes_the_reason_after_a_silent_stream() -> None:
     ]
     c.set_status(flight_mode=FlightMode.LAND, landed=LandedState.ON_GROUND, armed=False)
     c.run(0.3)
-    assert c.core.end is not None
-    assert c.core.end.reason == f"telemetry_late: {late}; system 7 sends on the same link"
+    assert known(c.core.end).reason == f"telemetry_late: {late}; system 7 sends on the same link"
 
 
 def test_the_status_of_the_other_vehicle_does_not_end_the_flight() -> None:
@@ -376,8 +375,7 @@ def test_a_clock_that_jumps_ahead_is_accepted_eventually() -> None:
         t, received = c.t_us + 50_000_000 + 4000 * i, c.t_us + 4000 * i
         c.feed(AttitudeSample(t, received, c.q))
         c.feed(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
-    assert c.core.state.imu is not None
-    assert c.core.state.imu.t_us > c.t_us + 50_000_000
+    assert known(c.core.state.imu).t_us > c.t_us + 50_000_000
     assert "second_vehicle" not in c.fired_rules
 
 

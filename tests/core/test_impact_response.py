@@ -22,7 +22,7 @@ from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import SURE_SD
 from tests.core import conftest
-from tests.core.conftest import ROOT, MissionInPhase
+from tests.core.conftest import ROOT, MissionInPhase, known
 
 DUAL, SINGLE, GPS = (load_mission(ROOT / path) for path in (conftest.DUAL, conftest.SINGLE, conftest.GPS))
 BOUNCES_S = _BOUNCES_US * 1e-6
@@ -90,8 +90,7 @@ def test_a_bounce_on_the_wall_just_hit_is_only_reported(
     # During a bounce, no contact with the wall ahead is expected.
     expected = flown.impacts.expected(flown.progress, flown.state)
     assert (expected.wall is None) is (noted or hits == 1)
-    finding = flown.impacts.on_onset(onset_at(place), flown.progress, flown.state).finding
-    assert finding is not None
+    finding = known(flown.impacts.on_onset(onset_at(place), flown.progress, flown.state).finding)
     assert finding.rule == ("unplanned_hit" if noted or hits == 1 else "wall_met_early")
     assert finding.note_only is noted
 

@@ -22,7 +22,7 @@ from dart_flight.core.mission.executive import _LEFT_SHARE, _NOTHING_MET_S, _RES
 from dart_flight.core.mission.legs import skip_reason, update_collision, update_mission, update_waypoint
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
-from tests.core.conftest import MissionInPhase, of_kind
+from tests.core.conftest import MissionInPhase, known, of_kind
 from tests.core.test_anchors import wall_estimate
 
 FIND = load_mission(packaged("missions", "find_a_wall.yaml"))
@@ -64,8 +64,7 @@ def test_skipped_legs_are_recorded_and_the_flight_continues_with_the_next_leg() 
         f"collision 2 {reason}",
     ]
     assert (flown.progress.stops, flown.progress.index) == (1, 2)
-    assert flown.progress.collision is not None
-    assert flown.progress.collision.wall == FIND.collisions[2].wall
+    assert known(flown.progress.collision).wall == FIND.collisions[2].wall
 
 
 def test_a_hit_and_a_waypoint_follow_the_measured_wall() -> None:
@@ -86,13 +85,11 @@ def test_a_hit_and_a_waypoint_follow_the_measured_wall() -> None:
 
 @pytest.mark.parametrize("from_here", [True, False])
 def test_a_probe_may_begin_where_the_vehicle_rests(from_here: bool) -> None:
-    probe = FIND.collisions[0].probe
-    assert probe is not None
+    probe = known(FIND.collisions[0].probe)
     one = msgspec.structs.replace(
         FIND.collisions[0], probe=msgspec.structs.replace(probe, from_here=from_here)
     )
-    now = update_collision(one, EstimatedWalls(), 0, HERE).probe
-    assert now is not None
+    now = known(update_collision(one, EstimatedWalls(), 0, HERE).probe)
     assert now.begin == (HERE if from_here else probe.begin)
     approach, before = (tuple(e - b for b, e in zip(p.begin, p.end, strict=True)) for p in (now, probe))
     assert approach == pytest.approx(before, abs=1e-12)
@@ -101,8 +98,7 @@ def test_a_probe_may_begin_where_the_vehicle_rests(from_here: bool) -> None:
 @pytest.mark.parametrize("from_here", [True, False])
 def test_the_flight_to_a_probe_ends_where_the_probe_begins(from_here: bool) -> None:
     first = FIND.collisions[0]
-    assert first.probe is not None
-    probe = msgspec.structs.replace(first.probe, from_here=from_here)
+    probe = msgspec.structs.replace(known(first.probe), from_here=from_here)
     flown = MissionInPhase(FIND, Phase.PAUSE)
     flown.progress.collisions[0] = collision = msgspec.structs.replace(first, probe=probe)
     flown.progress.course = flown.progress.course.hold(HERE)
@@ -134,8 +130,7 @@ def test_an_updated_mission_contains_the_measured_walls() -> None:
 @settings(deadline=None)
 def test_a_place_at_a_wall_has_its_distance_from_the_wall_and_along_it(away_m: float, along_m: float) -> None:
     wall = FIND.simulated_walls[0]
-    assert AWAY.at_wall is not None
-    place = resolve_place(wall, msgspec.structs.replace(AWAY.at_wall, away_m=away_m, along_m=along_m))
+    place = resolve_place(wall, msgspec.structs.replace(known(AWAY.at_wall), away_m=away_m, along_m=along_m))
     assert wall.signed_distance(place) == pytest.approx(away_m, abs=1e-9)
     assert wall.along(place) == pytest.approx(along_m, abs=1e-9)
 

@@ -8,6 +8,7 @@ from dart_flight.base.records import LockCommand, LockPermission, LockPhase, Loc
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.core.mission.lock_commands import _OVERDUE_US, RETRY_US, LockCommands, LockCommandState
 from dart_flight.core.sense.state import FlightState
+from tests.core.conftest import known
 
 NOW_US = 10_000_000
 PACKAGED = load_vehicle(packaged("configs", "dart.yaml")).lock
@@ -19,8 +20,7 @@ class Lock:
     """The commands of the packaged lock with their state, updated as the executive updates it."""
 
     def __init__(self) -> None:
-        assert PACKAGED is not None
-        self.rules = LockCommands(msgspec.structs.replace(PACKAGED, relaxation_s=RELAX_US * 1e-6))
+        self.rules = LockCommands(msgspec.structs.replace(known(PACKAGED), relaxation_s=RELAX_US * 1e-6))
         self.memory = LockCommandState()
 
     def permission(self, now_us: int, in_contact: bool) -> LockPermission | None:

@@ -29,7 +29,7 @@ from dart_flight.core.guard.pose_watch import (
     PoseWatch,
 )
 from dart_flight.core.sense.state import FlightState
-from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore
+from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore, known
 
 MOCAP = MotionCapture(url="udp://127.0.0.1:9763/dart", up="y", heading_deg=30.0, body_yaw_deg=90.0)
 WITH_MOCAP = {"vehicle.mocap": MOCAP}
@@ -116,8 +116,7 @@ def feed() -> Feed:
 def test_a_pose_fault_is_named_in_time(
     feed: Feed, changes: dict[str, Any], within_s: float, message: str
 ) -> None:
-    fault = feed.hover(within_s, **changes)
-    assert fault is not None
+    fault = known(feed.hover(within_s, **changes))
     assert fault.startswith(message)
 
 
@@ -227,8 +226,7 @@ def test_only_the_attitudes_of_rotated_poses_are_withheld(feed: Feed) -> None:
     assert feed.watch.blind(False, Phase.TRANSIT) is None  # PX4 still receives the positions
     for _ in range(10):
         feed.pose(away=(1.0, 0.0, 0.0))
-    later = feed.watch.withhold(Phase.TRANSIT, 9)
-    assert later is not None
+    later = known(feed.watch.withhold(Phase.TRANSIT, 9))
     assert not later.attitude_only
 
 
@@ -242,8 +240,7 @@ def test_late_slow_and_untracked_poses_are_not_withheld(feed: Feed, wrong: dict[
 def test_an_estimate_that_jumps_with_the_poses_leaves_the_vehicle_blind(feed: Feed) -> None:
     assert feed.watch.blind(True, Phase.TRANSIT) is None
     feed.hover(0.1, away=(0.0, 1.0, 0.0))
-    blind = feed.watch.blind(True, Phase.TRANSIT)
-    assert blind is not None
+    blind = known(feed.watch.blind(True, Phase.TRANSIT))
     assert blind.endswith("markers are swapped; then PX4's estimate stepped")
 
 

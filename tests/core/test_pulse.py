@@ -10,6 +10,7 @@ import pytest
 
 from dart_flight.base.records import Mode
 from dart_flight.core.sense.pulse import PulsePrior, TickReading, _binned, fit_friction, fit_normal
+from tests.core.conftest import known
 from tests.core.pulses import MASS, VEHICLE, true_pulse
 
 
@@ -45,8 +46,7 @@ def test_the_fit_compensates_tick_averaging_and_filter_lag(mode: Mode, push_n: f
     readings = readings_of(pulse, phase_s, 1e-4, 1e9, 0.00073)
     # A first guess that is 20 % off in stiffness.
     prior = PulsePrior(math.sqrt(1.2 * c.k / MASS), 0.5 * c.f / MASS, c.mu / MASS)
-    fit = fit_normal(readings, push_n, prior, 0.05, -0.003, 0.00073)
-    assert fit is not None
+    fit = known(fit_normal(readings, push_n, prior, 0.05, -0.003, 0.00073))
     top = max(n for n, _ in pulse)
     assert fit.peak_n == pytest.approx(top, rel=0.004)
     assert fit.peak_s == pytest.approx(max(range(len(pulse)), key=lambda i: pulse[i][0]) * 1e-5, abs=8e-4)
@@ -119,8 +119,7 @@ def test_no_friction_is_fitted_to_readings_that_alternate(
     peak = min(t for _, t in pulse)
     clean = readings_of(pulse, 0.002, 0.0, 1e9, 0.00073)
     prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, c.mu / MASS)
-    normal = fit_normal(clean, 0.0, prior, 0.05, -0.003, 0.00073)
-    assert normal is not None
+    normal = known(fit_normal(clean, 0.0, prior, 0.05, -0.003, 0.00073))
     readings = [
         r._replace(tangential=r.tangential + misfit_share * peak * (-1) ** i) for i, r in enumerate(clean)
     ]
@@ -153,8 +152,7 @@ def test_a_clipped_pulse_is_reconstructed(share: float, stiffness: float, error:
         bound = any(r.normal >= 0.99 * share * top for r in readings[i - 1 : i + 2])
         readings[i] = readings[i]._replace(bound=readings[i].bound or bound)
     prior = PulsePrior(math.sqrt(stiffness * c.k / MASS), 0.5 * c.f / MASS, 0.2)
-    fit = fit_normal(readings, 0.0, prior, 0.26, -0.003, 0.00073)
-    assert fit is not None
+    fit = known(fit_normal(readings, 0.0, prior, 0.26, -0.003, 0.00073))
     assert fit.peak_n == pytest.approx(top, rel=error)
     assert max(r.normal for r in readings) < share * top + 1.0
 
@@ -167,8 +165,7 @@ def test_pulse_misfit_and_peak_uncertainty_match_the_noise(mode: Mode) -> None:
     fits = []
     for _ in range(40):
         readings = [r._replace(normal=r.normal + rng.gauss(0.0, noise_n)) for r in clean]
-        fit = fit_normal(readings, 1.0, prior, noise_n, -0.003, 0.00073)
-        assert fit is not None
+        fit = known(fit_normal(readings, 1.0, prior, noise_n, -0.003, 0.00073))
         fits.append(fit)
     assert 0.6 < statistics.mean(fit.misfit for fit in fits) < 1.3
     scatter = statistics.stdev(fit.peak_n for fit in fits)

@@ -26,6 +26,7 @@ from dart_flight.core.mission.replan_requests import (
 from dart_flight.core.mission.wall_uncertainty import _MIN_CLOSING_M_S, SURE_SD
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
+from tests.core.conftest import known
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 NOW_US = 10_000_000
@@ -86,8 +87,7 @@ BETWEEN = (MISSION.collisions[0], MISSION.collisions[1])
 
 def planning_with_request() -> tuple[Planning, PlanRequest]:
     planning = Planning(MISSION)
-    request = planning.request(BETWEEN, state_at(NOW_US), OVER)
-    assert request is not None
+    request = known(planning.request(BETWEEN, state_at(NOW_US), OVER))
     assert request.setpoint_mission == (2.0, -0.8, 1.0)
     assert planning.request(BETWEEN, state_at(NOW_US + 4_000), OVER) is None  # once after each contact
     return planning, request
@@ -138,12 +138,10 @@ def test_an_answer_in_time_is_flown_from_its_start_time() -> None:
     assert change.outputs == (PlanTaken(request.begin_us, request.number, True),)
     assert planning.replan.since_us == request.begin_us
     assert planning.trajectory(moved_to(request)) == NO_CHANGE  # once
-    impact = planning.replan.predict_impact(1.2, state_at(request.begin_us + 300_000))
-    assert impact is not None
+    impact = known(planning.replan.predict_impact(1.2, state_at(request.begin_us + 300_000)))
     assert impact.after_s == pytest.approx(1.0)
     assert impact.normal_m_s == -1.2
-    beyond = planning.replan.predict_impact(1.2, state_at(request.begin_us + 1_400_000))
-    assert beyond is not None
+    beyond = known(planning.replan.predict_impact(1.2, state_at(request.begin_us + 1_400_000)))
     assert beyond.after_s == 0.0  # due, but not over
     end_us = request.begin_us + 1_000_000
     assert [planning.replan.is_over(t_us) for t_us in (end_us - 1, end_us)] == [False, True]
@@ -203,8 +201,7 @@ def test_an_approach_from_rest_must_move_towards_its_wall(
 ) -> None:
     planning, hit = Planning(MISSION), MISSION.collisions[0]
     assert hit.approach_m_s is not None
-    request = planning.request((hit, hit), state_at(NOW_US), OVER)
-    assert request is not None
+    request = known(planning.request((hit, hit), state_at(NOW_US), OVER))
     answer = msgspec.structs.replace(answer_to(request), normal_m_s=normal_m_s, tangential_m_s=tangential_m_s)
     refusal = refusal_to(planning, answer, NOW_US + 40_000)
     assert refusal == (None if flown else "the plan does not match the request")
@@ -221,14 +218,12 @@ def test_an_approach_from_rest_must_move_towards_its_wall(
 def test_an_approach_without_room_is_refused_once_and_the_previous_approach_is_kept() -> None:
     """The run-up for 2.9 m/s would start outside the flight space."""
     planning, hit = Planning(MISSION), MISSION.collisions[0]
-    request = planning.request((hit, hit), state_at(NOW_US), OVER)
-    assert request is not None
+    request = known(planning.request((hit, hit), state_at(NOW_US), OVER))
     fast = msgspec.structs.replace(answer_to(request), normal_m_s=-2.9, tangential_m_s=0.0)
     assert refusal_to(planning, fast, NOW_US + 40_000) is None
     change = planning.apply(planning.rules.approach(planning.progress, NOW_US + 44_000))
     assert change.approach is None
-    refusal = refusal_in(change)
-    assert refusal is not None
+    refusal = known(refusal_in(change))
     assert refusal.startswith("the run-up to wall wood at 2.90 m/s starts at (")
     (taken,) = change.outputs
     assert isinstance(taken, PlanTaken)
@@ -249,9 +244,7 @@ def test_a_wall_is_not_hit_before_the_vehicle_is_square_to_it() -> None:
     planning = Planning(mission)
 
     def request_at(now_us: int, square_us: int) -> PlanRequest:
-        request = planning.request(BETWEEN, state_at(now_us), OVER, square_us)
-        assert request is not None
-        return request
+        return known(planning.request(BETWEEN, state_at(now_us), OVER, square_us))
 
     first = request_at(NOW_US, NOW_US + 1_500_000)
     assert first.lock_ready_us == NOW_US + 1_500_000
@@ -307,11 +300,9 @@ def test_a_planned_trajectory_keeps_the_altitude_between_its_walls() -> None:
     """The waypoint after the second wall is higher."""
     higher = {"position_m": [0.0, 0.0], "altitude_m": 1.4, "after": 2}
     planning = Planning(MISSION.replace({"waypoints": [higher]}))
-    request = planning.request(BETWEEN, state_at(NOW_US), OVER)
-    assert request is not None
+    request = known(planning.request(BETWEEN, state_at(NOW_US), OVER))
     planning.accept(answer_to(request), NOW_US + 40_000)
-    course = planning.trajectory(moved_to(request)).course
-    assert course is not None
+    course = known(planning.trajectory(moved_to(request)).course)
     assert course.target[2] == 1.0
 
 
@@ -374,8 +365,7 @@ def request_along(planning: Planning, state: FlightState) -> PlanRequest | None:
 def flown_planning(duration_s: float) -> tuple[Planning, PlanRequest]:
     """Return a planning whose first answer is flown, and the request for it."""
     planning = Planning(ALONG)
-    request = request_along(planning, state_on_line(NOW_US))
-    assert request is not None
+    request = known(request_along(planning, state_on_line(NOW_US)))
     assert request_along(planning, state_on_line(NOW_US + 100_000)) is None
     answer = msgspec.structs.replace(answer_to(request), duration_s=duration_s, impact_s=duration_s)
     assert refusal_to(planning, answer, NOW_US + 40_000) is None
@@ -400,8 +390,7 @@ def test_a_request_without_a_trajectory_is_repeated_for_each_contact() -> None:
 
 def test_no_request_is_sent_while_an_answer_waits_for_its_start() -> None:
     planning = Planning(ALONG)
-    request = request_along(planning, state_on_line(NOW_US))
-    assert request is not None
+    request = known(request_along(planning, state_on_line(NOW_US)))
     assert refusal_to(planning, answer_to(request), NOW_US) is None
     assert request_along(planning, state_on_line(NOW_US + _AGAIN_US + 100_000)) is None
 
@@ -439,8 +428,7 @@ def test_a_trajectory_is_kept_if_its_replacement_ends_much_later(
 ) -> None:
     """Unless the vehicle is far from it."""
     planning, first = flown_planning(1.3)
-    request = request_along(planning, state_on_line(NOW_US + 400_000, off_m))
-    assert request is not None
+    request = known(request_along(planning, state_on_line(NOW_US + 400_000, off_m)))
     left_s = 1.3 - (request.begin_us - first.begin_us) * 1e-6
     there_s = left_s + later_s
     answer = msgspec.structs.replace(answer_to(request), duration_s=there_s, impact_s=there_s)

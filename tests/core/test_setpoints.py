@@ -22,6 +22,7 @@ from dart_flight.core.mission.setpoint_selection import SetpointSelection
 from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, SetpointTrigger, make_setpoint
 from dart_flight.core.mission.trajectories import Trajectory, TrajectoryPoint
 from dart_flight.core.sense.state import FlightState
+from tests.core.conftest import known
 
 MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
 FLYING, ALTITUDE_M = MISSION.vehicle.flying, MISSION.altitude_m
@@ -53,8 +54,7 @@ def setpoint_parts(
     progress.phase = Phase.PREPARE if since_us is None else Phase.WAYPOINT
     sample = OdometrySample(t_us, t_us, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     setpoint, _ = SetpointSelection(mission).setpoint(sample, progress, state, FRAME, None)
-    assert setpoint is not None
-    return parts(setpoint)
+    return parts(known(setpoint))
 
 
 def has_parts(setpoint: Setpoint, *expected: Vec3 | None) -> bool:
@@ -104,8 +104,7 @@ def test_drag_and_the_d_term_are_fed_forward_ahead_of_the_attitude_lag() -> None
     assert flown.target == trajectory.at(5.0).position
     at, (_, velocity, fed) = trajectory.at(1.0), setpoint_parts(flown, 1_000_000)
     assert velocity == pytest.approx(at.velocity)
-    assert fed is not None
-    assert fed[:2] == pytest.approx([needed_m_s2(at, at, axis) for axis in range(2)])
+    assert known(fed)[:2] == pytest.approx([needed_m_s2(at, at, axis) for axis in range(2)])
 
 
 def mission_with_delays(delay_s: float, dead_s: float = 0.0) -> Mission:
@@ -159,8 +158,7 @@ def parts_before_wall(mission: Mission, sample: OdometrySample) -> tuple[Vec3, V
     progress.collisions, progress.course = [collision], STANDING.follow(INTO_A_WALL)
     progress.phase, progress.entered_us, state.now_us = Phase.APPROACH, 0, sample.t_us
     setpoint, _ = SetpointSelection(mission).setpoint(sample, progress, state, FRAME, None)
-    assert setpoint is not None
-    return parts(setpoint)
+    return parts(known(setpoint))
 
 
 def test_a_delayed_setpoint_does_not_reach_beyond_the_wall() -> None:
@@ -173,8 +171,7 @@ def test_a_delayed_setpoint_does_not_reach_beyond_the_wall() -> None:
         end_us - 10_000, 0, FRAME.point_to_ned(at_wall.position), FRAME.vector_to_ned(motion)
     )
     place, velocity, fed = parts_before_wall(mission, sample)
-    assert fed is not None
-    assert fed[:2] == pytest.approx([needed_m_s2(at_wall, at_wall, axis, 0.05) for axis in range(2)])
+    assert known(fed)[:2] == pytest.approx([needed_m_s2(at_wall, at_wall, axis, 0.05) for axis in range(2)])
     assert velocity is not None
     across = [wall.normal[axis] for axis in range(2)]
     assert sum(v * n for v, n in zip(velocity, across, strict=False)) == pytest.approx(

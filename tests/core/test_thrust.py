@@ -13,7 +13,7 @@ from dart_flight.config.vehicle import ThrustSource
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
 from dart_flight.core.sense.thrust_model import LaggedCommands, ThrustModel
-from tests.core.conftest import HOVER
+from tests.core.conftest import HOVER, known
 from tests.core.pulses import MASS, MISSION, VEHICLE, with_estimation
 
 
@@ -132,8 +132,7 @@ def test_battery_voltage_and_motor_speeds_affect_the_thrust() -> None:
             if rpm is not None:
                 senses.update(EscSample(t, t, (rpm,) * 4), ExpectedContact())
             senses.update(ImuSample(t, t, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)), ExpectedContact())
-        each_n = senses.estimator.thrust.each_n
-        assert each_n is not None
+        each_n = known(senses.estimator.thrust.each_n)
         return sum(each_n)
 
     full_n = run(1_000_000)
