@@ -82,7 +82,7 @@ def watch_with(ages_s: dict[str, float | None], others_since: int = 0) -> Stream
 
 @given(
     st.fixed_dictionaries({**{name: st.one_of(st.none(), ages) for name in SAMPLED}, "status": ages}),
-    st.sampled_from([0, _OTHERS_SINCE - 1, _OTHERS_SINCE, 30]),
+    st.integers(0, 30),
 )
 def test_a_stream_is_silent_exactly_beyond_its_limit(
     ages_s: dict[str, float | None], others_since: int
@@ -105,6 +105,15 @@ def test_a_stream_is_silent_exactly_beyond_its_limit(
         else:
             stream = name.removesuffix("_silent")
             assert found[name] == f"no data for {min(age_of[stream], 999.0) * 1e3:.0f} ms"
+
+
+@pytest.mark.parametrize(("others_since", "silent"), [(_OTHERS_SINCE - 1, False), (_OTHERS_SINCE, True)])
+def test_the_imu_is_silent_sooner_if_other_streams_continue(others_since: int, silent: bool) -> None:
+    ages_s = dict.fromkeys((*SAMPLED, "status"), 0.0) | {
+        "imu": 0.5 * (GUARD.imu_timeout_s + GUARD.stream_timeout_s)
+    }
+    found = details_of(STREAM_RULES, streams=watch_with(dict(ages_s), others_since))
+    assert list(found) == ["imu_silent"] * silent
 
 
 @given(st.sampled_from(SAMPLED), st.integers(1, 400), st.integers(0, 2**40))
