@@ -125,10 +125,7 @@ planes = st.builds(Coefficients, k=positive, f=st.floats(0.0, 60.0), mu=st.float
 
 @given(st.tuples(planes, planes), states, states, st.floats(math.radians(40.0), math.radians(140.0)))
 def test_complementarity_holds_in_corners_of_any_angle(
-    pair: tuple[Coefficients, Coefficients],
-    one: tuple[float, float],
-    two: tuple[float, float],
-    angle: float,
+    pair: tuple[Coefficients, Coefficients], one: tuple[float, float], two: tuple[float, float], angle: float
 ) -> None:
     h = 1e-3
     c = CoefficientArrays.from_table(pair)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import msgspec
 import pytest
 
-from dart_flight.base.geometry import Vec3, quaternion_from_euler
+from dart_flight.base.geometry import MissionFrame, Vec3, quaternion_from_euler
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
@@ -25,8 +26,10 @@ from dart_flight.base.records import (
     LockState,
     Mode,
     OdometrySample,
+    OperatorRequest,
     Output,
     Phase,
+    Request,
     StatusSample,
     Tick,
     VehicleAction,
@@ -58,6 +61,22 @@ RULES_WITHOUT_JUMP = tuple(rule for rule in RULES if rule.name != "estimator_jum
 _CORES_IN_APPROACH: dict[str, HandFedCore | None] = {}
 NO_SETTINGS: Mapping[str, Any] = {}
 SHORT_TIMEOUTS: Mapping[str, Any] = {"vehicle.flying.ready_timeout_s": 3.0}
+DUAL = "missions/paper_dual_collision.yaml"
+SINGLE = "missions/paper_single_wall.yaml"
+GPS = "missions/dual_collision_gps.yaml"
+
+R = TypeVar("R")
+
+
+def of_kind(kind: type[R], records: Iterable[object]) -> list[R]:
+    """Return the records of a type."""
+    return [record for record in records if isinstance(record, kind)]
+
+
+def known(value: R | None) -> R:
+    """Return a value that must not be None."""
+    assert value is not None
+    return value
 
 
 class HandFedCore:
@@ -71,7 +90,7 @@ class HandFedCore:
 
     def __init__(
         self,
-        mission: str = "missions/paper_dual_collision.yaml",
+        mission: str = DUAL,
         rules: tuple[Rule, ...] = RULES_WITHOUT_JUMP,
         settings: Mapping[str, Any] = NO_SETTINGS,
     ) -> None:
@@ -146,9 +165,18 @@ class HandFedCore:
         self.velocity_ned = (0.5, 0.6, 0.0)
         self.run(0.05)
 
-    def set_status(self, **changes: object) -> list[Output]:
-        import msgspec
+    def leave_single_wall(self) -> None:
+        """Hit the wall of `SINGLE` at 1.65 m north, switch the lock, and move clear of the wall."""
+        self.enter_approach()
+        self.position_ned, self.velocity_ned = (1.6, -0.5, -1.0), (1.0, -0.5, 0.0)
+        self.run(0.05)
+        self.pulse((-20.0, 10.0))
+        self.position_ned, self.velocity_ned = (1.0, -0.5, -1.0), (0.0, 0.0, 0.0)
+        self.set_lock(Mode.RIGID)
+        self.run(0.1)
+        assert self.core.phase is Phase.RECOVERY
 
+    def set_status(self, **changes: object) -> list[Output]:
         received = self.t_us + self.host_ahead_us
         self.status = msgspec.structs.replace(self.status, t_us=self.t_us, received_us=received, **changes)
         return self.feed(self.status)
@@ -156,12 +184,17 @@ class HandFedCore:
     @property
     def fired(self) -> list[GuardEvent]:
         """Rules of the guard that have fired."""
-        return [output for output in self.outputs if isinstance(output, GuardEvent)]
+        return of_kind(GuardEvent, self.outputs)
 
     @property
     def fired_rules(self) -> list[str]:
         """Names of the rules that have fired."""
         return [event.rule for event in self.fired]
+
+    @property
+    def fired_actions(self) -> list[tuple[str, str]]:
+        """Names and actions of the rules that have fired."""
+        return [(event.rule, event.action.value) for event in self.fired]
 
     @property
     def fired_details(self) -> list[tuple[str, str]]:
@@ -171,7 +204,11 @@ class HandFedCore:
     @property
     def actions(self) -> list[VehicleAction]:
         """Commands sent to PX4."""
-        return [output.action for output in self.outputs if isinstance(output, VehicleCommand)]
+        return [command.action for command in of_kind(VehicleCommand, self.outputs)]
+
+    def request(self, kind: Request, detail: str = "") -> list[Output]:
+        """Let the operator, or the world, request something."""
+        return self.feed(OperatorRequest(self.t_us, kind, detail))
 
     def set_lock(self, mode: Mode | None, phase: LockPhase = LockPhase.SETTLED) -> None:
         self.feed(LockState(self.t_us, phase, mode))
@@ -347,20 +384,29 @@ class MissionInPhase:
         self.executive = Executive(mission)
         self.progress, self.impacts = self.executive.progress, ImpactResponse(mission)
         self.state, self.proposal = FlightState(), Proposal()
+        self.state.anchor(MissionFrame())
         self.state.now_us = now_us
         self.progress.phase, self.progress.index, self.progress.entered_us = phase, index, 0
 
     def step(self, *impacts: Event, wall: WallEstimate | None = None) -> list[str]:
         """Process a tick and these results of the estimator; return the rules of the findings."""
-        self.proposal = Proposal()
         sensed = Sensed(impacts=impacts, in_contact=bool(impacts), wall=wall)
-        self.executive.propose(Tick(self.state.now_us), self.state, sensed, self.proposal)
+        return self._propose(Tick(self.state.now_us), sensed)
+
+    def start_next_leg(self) -> list[str]:
+        """Let the operator end a pause before the next leg; return the rules of the findings."""
+        self.progress.phase, self.progress.stops = Phase.PAUSE, self.progress.stops - 1
+        return self._propose(OperatorRequest(self.state.now_us, Request.CONTINUE), Sensed())
+
+    def _propose(self, item: Input, sensed: Sensed) -> list[str]:
+        self.proposal = Proposal()
+        self.executive.propose(item, self.state, sensed, self.proposal)
         return [finding.rule for finding in self.proposal.findings]
 
 
 def core_in(
     phase: Phase,
-    mission: str = "missions/paper_dual_collision.yaml",
+    mission: str = DUAL,
     rules: tuple[Rule, ...] = RULES_WITHOUT_JUMP,
     settings: Mapping[str, Any] = NO_SETTINGS,
 ) -> HandFedCore:

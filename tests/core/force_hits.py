@@ -195,11 +195,7 @@ class SenseChain:
 
 
 def estimate_hit(
-    vehicle: VehicleConfig,
-    state: FlightState,
-    flown: Flown,
-    sigma: float,
-    seed: int,
+    vehicle: VehicleConfig, state: FlightState, flown: Flown, sigma: float, seed: int
 ) -> tuple[list[ImpactOnset], ImpactPeak | None]:
     """Estimate a flown hit under IMU noise of `sigma` m/s2 per sample.
 

@@ -17,7 +17,6 @@ from dart_flight.base.records import (
     LockPhase,
     Mode,
     OdometrySample,
-    OperatorRequest,
     OtherVehicle,
     Phase,
     PoseSample,
@@ -27,9 +26,20 @@ from dart_flight.base.records import (
     SystemStatus,
     Tick,
 )
+from dart_flight.core.guard.estimator_watch import ESTIMATOR_BAD_S
 from dart_flight.core.guard.flight_conditions import LYING_TILT_DEG
+from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
+from dart_flight.core.guard.pose_watch import _GROUND_LOST_S, LOST_APPROACH_S, LOST_LAND_S
 from dart_flight.core.guard.rule import Rule
-from dart_flight.core.guard.rules import LYING_S
+from dart_flight.core.guard.rules import _STALE_SAMPLES, BATTERY_LOW_S, IMU_CLIPPED_S, IMU_STUCK_S, LYING_S
+from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
+from dart_flight.core.guard.stream_watch import (
+    ACTUATOR_TIMEOUT_S,
+    LINK_LOST_S,
+    STAMP_TOLERANCE_S,
+    STATUS_TIMEOUT_S,
+)
+from dart_flight.core.pace import BATCH_S
 from dart_flight.planning.contact_fit import ContactFitter
 from tests.core.conftest import NO_SETTINGS, RULES_WITHOUT_JUMP, SHORT_TIMEOUTS, HandFedCore
 
@@ -110,10 +120,10 @@ def disarmed(c: HandFedCore) -> None:
     c.set_status(armed=False)
 
 
-@cause("no telemetry for 5.0 s")
+@cause(f"no telemetry for {LINK_LOST_S:.1f} s")
 def link_lost(c: HandFedCore) -> None:
     c.silence()
-    c.run(6.0)
+    c.run(LINK_LOST_S + 1.0)
 
 
 def silence(stream: str, seconds: float) -> Fly:
@@ -128,8 +138,8 @@ for _stream, _seconds, _detail in (
     ("imu", 0.1, "no data for 100 ms"),
     ("attitude", 0.23, "no data for 220 ms"),
     ("odometry", 0.23, "no data for 220 ms"),
-    ("actuator", 0.4, "no data for 320 ms"),
-    ("status", 3.5, "no heartbeat for 3.0 s"),
+    ("actuator", ACTUATOR_TIMEOUT_S + 0.1, f"no data for {1e3 * (ACTUATOR_TIMEOUT_S + BATCH_S):.0f} ms"),
+    ("status", STATUS_TIMEOUT_S + 0.5, f"no heartbeat for {STATUS_TIMEOUT_S:.1f} s"),
 ):
     cause(_detail, name=f"{_stream}_silent")(silence(_stream, _seconds))
 
@@ -179,26 +189,26 @@ def second_vehicle(c: HandFedCore) -> None:
     alternate_vehicles(c, -238_000_000, 0.0, 0.1)
 
 
-@cause("attitude: 5 samples in a row more than 0.5 s in the past")
+@cause(f"attitude: {_STALE_SAMPLES} samples in a row more than {STAMP_TOLERANCE_S:g} s in the past")
 def stamps_backwards(c: HandFedCore) -> None:
-    for i in range(5):
-        c.feed(AttitudeSample(c.t_us - 1_000_000 + 8000 * i, c.t_us, c.q))
+    for i in range(_STALE_SAMPLES):
+        c.feed(AttitudeSample(c.t_us - round(2e6 * STAMP_TOLERANCE_S) + 8000 * i, c.t_us, c.q))
     c.feed(Tick(c.t_us + 20_000))
 
 
-@cause("the IMU repeats one reading for 116 ms")
+@cause(f"the IMU repeats one reading for {1e3 * (IMU_STUCK_S + 0.016):.0f} ms")
 def imu_stuck(c: HandFedCore) -> None:
     c.noise_m_s2 = 0.0
-    c.run(0.15)
+    c.run(IMU_STUCK_S + 0.05)
 
 
-@cause("the IMU is at full scale for 256 ms")
+@cause(f"the IMU is at full scale for {1e3 * (IMU_CLIPPED_S + 0.006):.0f} ms")
 def imu_clipped(c: HandFedCore) -> None:
     c.force_ned = (250.0, 0.0, 0.0)
-    c.run(0.3)
+    c.run(IMU_CLIPPED_S + 0.05)
 
 
-@cause("position jumped by 1.00 m, limit 0.3 m")
+@cause(f"position jumped by 1.00 m, limit {POSITION_JUMP_M:g} m")
 def estimator_jump(c: HandFedCore) -> None:
     c.position_ned = (0.0, -0.4, -1.0)
     c.run(0.1)
@@ -211,17 +221,17 @@ def estimator_reset(c: HandFedCore) -> None:
     c.run(0.05)
 
 
-@cause("heading stepped by 28.6 deg, limit 5 deg")
+@cause(f"heading stepped by 28.6 deg, limit {HEADING_STEP_DEG:g} deg")
 def heading_reset(c: HandFedCore) -> None:
     c.q = quaternion_from_euler(0.0, 0.0, 0.5)
     c.reset_estimator()
     c.run(0.05)
 
 
-@cause("no valid estimate for 0.3 s")
+@cause(f"no valid estimate for {ESTIMATOR_BAD_S:.1f} s")
 def estimator_flags(c: HandFedCore) -> None:
     c.feed(EstimatorSample(c.t_us, c.t_us, healthy=False))
-    c.run(0.4)
+    c.run(ESTIMATOR_BAD_S + 0.1)
 
 
 @cause("standard deviation of the position 0.23 m, limit 0.10 m")
@@ -252,7 +262,7 @@ def still_armed(c: HandFedCore) -> None:
 @cause("12.9 V")
 def battery(c: HandFedCore) -> None:
     c.set_status(battery_v=12.9)
-    c.run(1.2)
+    c.run(BATTERY_LOW_S + 0.2)
 
 
 @cause("69 deg, limit 60 deg")
@@ -385,7 +395,7 @@ def arming_refused(c: HandFedCore) -> None:
 
 
 def request(kind: Request) -> Fly:
-    return lambda c: c.feed(OperatorRequest(c.t_us, kind))
+    return lambda c: c.request(kind)
 
 
 cause("landing requested", name="operator")(request(Request.LAND))
@@ -478,20 +488,24 @@ def lose_body(c: HandFedCore, seconds: float) -> None:
         c.run(0.02)
 
 
-@cause("not tracking body dart for 2.02 s, limit 2 s", Phase.READYING, TRACKED)
+def not_tracking(later_s: float, limit_s: float) -> str:
+    return f"not tracking body dart for {limit_s + later_s:.2f} s, limit {limit_s:g} s"
+
+
+@cause(not_tracking(BATCH_S, _GROUND_LOST_S), Phase.READYING, TRACKED)
 def pose_source_ground(c: HandFedCore) -> None:
     c.run(0.1)
-    lose_body(c, 2.1)
+    lose_body(c, _GROUND_LOST_S + 0.1)
 
 
-@cause("not tracking body dart for 0.26 s, limit 0.25 s", settings=TRACKED)
+@cause(not_tracking(0.01, LOST_APPROACH_S), settings=TRACKED)
 def pose_source(c: HandFedCore) -> None:
-    lose_body(c, 0.4)
+    lose_body(c, LOST_APPROACH_S + 0.15)
 
 
-@cause("not tracking body dart for 1.50 s, limit 1.5 s", settings=TRACKED)
+@cause(not_tracking(0.0, LOST_LAND_S), settings=TRACKED)
 def pose_source_blind(c: HandFedCore) -> None:
-    lose_body(c, 1.7)
+    lose_body(c, LOST_LAND_S + 0.2)
 
 
 def lie_down(c: HandFedCore, tilt_deg: float, height_m: float, seconds: float) -> None:
@@ -507,7 +521,7 @@ def lie_down(c: HandFedCore, tilt_deg: float, height_m: float, seconds: float) -
     c.run(seconds)
 
 
-@cause("the vehicle has been lying on the ground at 61 deg for 0.5 s")
+@cause(f"the vehicle has been lying on the ground at {1.02 * LYING_TILT_DEG:.0f} deg for {LYING_S:.1f} s")
 def lying(c: HandFedCore) -> None:
     lie_down(c, 1.02 * LYING_TILT_DEG, 0.1, LYING_S + 0.05)
 
@@ -515,7 +529,7 @@ def lying(c: HandFedCore) -> None:
 @cause("stopped by the operator before take-off", Phase.READYING)
 def operator_ground(c: HandFedCore) -> None:
     c.run(0.1)
-    c.feed(OperatorRequest(c.t_us, Request.LAND))
+    c.request(Request.LAND)
 
 
 @cause("ZeroDivisionError: mission")

@@ -10,15 +10,17 @@ from dart_flight.base.records import GuardEvent, Phase, PhaseChange
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
-from tests.core.conftest import ROOT, core_in
+from dart_flight.core.mission.executive import _NEAR_S
+from tests.core.conftest import ROOT, core_in, known, of_kind
 
 RETURNING = "missions/touch_and_return.yaml"
 WITHOUT_WALLS = "missions/hover.yaml"
 # Half a metre away and back, from rest to rest: pairs of seconds and constant jerk in x.
 AWAY_AND_BACK = [(0.3, 10.0), (0.6, -10.0), (0.3, 10.0), (0.3, -10.0), (0.6, 10.0), (0.3, -10.0)]
+AWAY: dict[str, Any] = {"position_m": [0.0, 0.0], "pieces": [[s, j, 0.0] for s, j in AWAY_AND_BACK]}
 
 
-@pytest.mark.parametrize(("before_s", "missed"), [(0.4, False), (0.2, True)])
+@pytest.mark.parametrize(("before_s", "missed"), [(_NEAR_S + 0.1, False), (_NEAR_S - 0.1, True)])
 def test_a_position_behind_the_wall_is_a_miss_only_shortly_before_the_impact(
     before_s: float, missed: bool
 ) -> None:
@@ -27,8 +29,7 @@ def test_a_position_behind_the_wall_is_a_miss_only_shortly_before_the_impact(
     untouched = {"collisions": [hit for hit in hits if hit.get("trajectory")], "waypoints": []}
     c = core_in(Phase.APPROACH, RETURNING, settings=untouched)
     assert c.core.phase is Phase.APPROACH
-    trajectory = c.core.mission.collisions[0].trajectory
-    assert trajectory is not None
+    trajectory = known(c.core.mission.collisions[0].trajectory)
     c.run(trajectory.duration_s - before_s - 0.02)
     c.position_ned = (3.0, 0.0, -1.0)  # a metre behind the plane
     c.run(0.04)
@@ -36,9 +37,8 @@ def test_a_position_behind_the_wall_is_a_miss_only_shortly_before_the_impact(
 
 
 def test_a_goal_passed_on_the_trajectory_is_held_only_at_its_end() -> None:
-    away: dict[str, Any] = {"position_m": [0.0, 0.0], "pieces": [[s, j, 0.0] for s, j in AWAY_AND_BACK]}
     goal = {"position_m": [0.0, 0.0], "capture_radius_m": 0.15, "hold_s": 0.2}
-    c = core_in(Phase.TRANSIT, WITHOUT_WALLS, settings={"goal": goal, "goal_trajectory": away})
+    c = core_in(Phase.TRANSIT, WITHOUT_WALLS, settings={"goal": goal, "goal_trajectory": AWAY})
     phases = []
     for seconds in (0.5, 1.8, 1.0):
         c.run(seconds)
@@ -47,14 +47,13 @@ def test_a_goal_passed_on_the_trajectory_is_held_only_at_its_end() -> None:
 
 
 def test_the_goal_is_given_up_after_flight_hold_and_timeout() -> None:
-    away: dict[str, Any] = {"position_m": [0.0, 0.0], "pieces": [[s, j, 0.0] for s, j in AWAY_AND_BACK]}
     goal = {"position_m": [0.0, 0.0], "capture_radius_m": 0.15, "hold_s": 0.8}
-    changes = {"goal": goal, "goal_trajectory": away, "limits.collision_timeout_s": 1.0}
+    changes = {"goal": goal, "goal_trajectory": AWAY, "limits.collision_timeout_s": 1.0}
     c = core_in(Phase.TRANSIT, WITHOUT_WALLS, settings=changes)
     c.position_ned = (0.3, 0.0, -1.0)
     c.run(5.0)
     (began_us,) = (o.t_us for o in c.outputs if isinstance(o, PhaseChange) and o.after is Phase.GOAL)
-    (given_up,) = (o for o in c.outputs if isinstance(o, GuardEvent))
+    (given_up,) = of_kind(GuardEvent, c.outputs)
     assert given_up.rule == "goal_not_reached"
     flight_s = sum(seconds for seconds, _ in AWAY_AND_BACK)
     assert (given_up.t_us - began_us) * 1e-6 == pytest.approx(flight_s + 0.8 + 1.0, abs=0.03)

@@ -5,25 +5,33 @@ from __future__ import annotations
 import math
 
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import MissionFrame, Vec2, distance2
-from dart_flight.base.records import OdometrySample, Phase, PhaseChange, Tick, WallEstimate
+from dart_flight.base.records import OdometrySample, Phase, PhaseChange, WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.anchors import START_SD_M, Anchor, FrameAnchors
-from dart_flight.core.mission.executive import Executive
-from dart_flight.core.mission.phases import PhaseTrigger
-from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, early_m, end_margin_m, late_s, overrun_m
-from dart_flight.core.sense.senses import Sensed
-from dart_flight.core.sense.state import FlightState
-from tests.core.conftest import HandFedCore
+from dart_flight.core.mission.anchors import START_SD_M, WALL_SD_M, Anchor, FrameAnchors
+from dart_flight.core.mission.executive import _RUN_UP_US
+from dart_flight.core.mission.wall_uncertainty import (
+    _MIN_CLOSING_M_S,
+    _SURE_DIRECTION_RAD,
+    SURE_SD,
+    EstimatedWalls,
+    early_m,
+    end_margin_m,
+    late_s,
+    overrun_m,
+    position_margin_m,
+)
+from tests.core.conftest import GPS, HandFedCore, MissionInPhase, known
 
-DRIFT_M_S = 0.03
+DRIFTING = load_mission(packaged("missions", "dual_collision_gps.yaml"))
+DRIFT_M_S, RUN_UP_S = 0.03, 1e-6 * _RUN_UP_US
 S = 1_000_000
 angles = st.floats(-math.pi, math.pi)
 places = st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
@@ -122,7 +130,7 @@ def test_a_correction_moves_the_frame_along_the_walls_normal_only(angle: float, 
     frame.begin(0)
     wall = msgspec.structs.replace(WOOD, normal=unit(angle))
     found = frame.correct_frame(wall, wall_estimate(None, None, offset_m, t_us=9 * S), 9 * S)
-    share = found.expected_sd_m**2 / (found.expected_sd_m**2 + 0.02**2 + 0.012**2)
+    share = found.expected_sd_m**2 / (found.expected_sd_m**2 + WALL_SD_M**2 + 0.012**2)
     assert found.moved_mission == pytest.approx([share * offset_m * n for n in unit(angle)], abs=1e-12)
 
 
@@ -184,6 +192,17 @@ def test_a_walls_position_is_that_of_its_latest_contact(place_sd: float | None, 
     assert walls.is_measured("wood")
 
 
+@pytest.mark.parametrize(("sd_m", "after_m"), [(0.1, 0.012), (0.01, 0.01), (None, None)])
+def test_a_contact_without_a_place_moves_its_wall_by_the_offset(
+    sd_m: float | None, after_m: float | None
+) -> None:
+    """It never makes the position less certain."""
+    wall, walls = msgspec.structs.replace(WOOD, position_sd_m=sd_m), EstimatedWalls()
+    walls.add_estimate(wall_estimate(None, None, 0.07), wall)
+    assert walls.known_wall(wall).point == pytest.approx((1.93, 0.0))
+    assert walls.known_wall(wall).position_sd_m == after_m
+
+
 def test_a_contact_corrects_only_an_uncertain_wall_direction() -> None:
     normal = WOOD.rotated(0.1).normal
     for yaw_sd, expected in ((None, WOOD.normal), (0.1, normal)):
@@ -195,6 +214,9 @@ def test_a_contact_corrects_only_an_uncertain_wall_direction() -> None:
         assert now.signed_distance((2.1, 1.0)) == pytest.approx(0.0, abs=1e-12)
         assert now.yaw_sd_rad == (None if yaw_sd is None else 0.02)
         assert walls.rotation(wall) == pytest.approx(0.1)
+        unsure = wall_estimate((2.1, 1.0), WOOD.normal, plane_normal_sigma_rad=2.0 * _SURE_DIRECTION_RAD)
+        walls.add_estimate(unsure, wall)
+        assert walls.rotation(wall) == pytest.approx(0.1)  # an uncertain contact does not change it
 
 
 def test_a_probed_wall_gets_its_position_and_material_from_the_contact() -> None:
@@ -228,6 +250,8 @@ def test_a_frame_displacement_keeps_measured_walls_in_place(
         assert after.signed_distance((x, y)) == pytest.approx(0.0, abs=1e-9)
         assert z == pytest.approx(1.0)
     assert after.normal == before.normal
+    other = msgspec.structs.replace(WOOD, name="other")
+    assert walls.known_wall(other) == other  # walls without a contact keep their mission position
 
 
 @given(shift=places, heading=angles)
@@ -244,7 +268,7 @@ def test_a_displaced_frame_moves_its_origin_along_its_own_axes(shift: Vec2, head
 def test_wall_uncertainty_grows_with_the_age_of_its_anchor() -> None:
     anchors = FrameAnchors(DRIFT_M_S)
     walls = EstimatedWalls(anchors)
-    assert walls.known_wall(WOOD).position_sd_m is None
+    assert walls.known_wall(WOOD) == EstimatedWalls().known_wall(WOOD, 0) == WOOD
     start = walls.known_wall(WOOD, 0).position_sd_m
     assert start == pytest.approx(START_SD_M)
     anchors.add(Anchor((1.0, 0.0), 0, 0.02))
@@ -257,15 +281,31 @@ def test_wall_uncertainty_grows_with_the_age_of_its_anchor() -> None:
     assert walls.known_wall(own, 0).position_sd_m == pytest.approx(math.hypot(0.1, fresh))
 
 
-def test_three_standard_deviations_of_a_wall_widen_every_tolerance() -> None:
-    wall = msgspec.structs.replace(WOOD, position_sd_m=0.1, half_vehicle_m=0.2)
-    guard = load_mission(packaged("missions", "dual_collision_gps.yaml")).vehicle.guard
-    assert end_margin_m(wall, wall.point) == pytest.approx(0.2 + 0.3)
-    assert overrun_m(guard, wall, wall.point) == pytest.approx(guard.wall_overrun_m + 0.3)
-    assert early_m(guard, wall, wall.point) == pytest.approx(guard.wall_early_m + 0.3)
-    for closing_m_s, least_m_s in ((1.5, 1.5), (0.05, 0.1)):
-        late = late_s(guard, wall, wall.point, closing_m_s)
-        assert late == pytest.approx(guard.wall_late_s + 0.3 / least_m_s)
+@pytest.mark.parametrize(
+    ("place_sd_m", "yaw_sd_rad", "along_m", "sd_m"),
+    [
+        (None, None, 1.5, 0.0),
+        (0.1, None, 1.5, 0.1),
+        (None, 0.07, 0.0, 0.0),
+        (None, 0.07, 1.5, 1.5 * math.tan(0.07)),
+        (0.03, 0.07, -1.0, math.hypot(0.03, math.tan(0.07))),
+    ],
+)
+def test_standard_deviations_of_a_wall_at_the_contact_widen_every_tolerance(
+    place_sd_m: float | None, yaw_sd_rad: float | None, along_m: float, sd_m: float
+) -> None:
+    changes = {"position_sd_m": place_sd_m, "yaw_sd_rad": yaw_sd_rad, "half_vehicle_m": 0.2}
+    wall, guard, most_m = msgspec.structs.replace(WOOD, **changes), DRIFTING.vehicle.guard, SURE_SD * sd_m
+    place = (WOOD.point[0] + along_m * WOOD.tangent[0], WOOD.point[1] + along_m * WOOD.tangent[1])
+    assert position_margin_m(wall, place) == pytest.approx(most_m)
+    both = position_margin_m(wall, (np.full(2, place[0]), np.full(2, place[1])))
+    assert both == pytest.approx([most_m] * 2)
+    assert end_margin_m(wall, place) == pytest.approx(0.2 + most_m)
+    assert overrun_m(guard, wall, place) == pytest.approx(guard.wall_overrun_m + most_m)
+    assert early_m(guard, wall, place) == pytest.approx(guard.wall_early_m + most_m)
+    for closing_m_s, least_m_s in ((1.5, 1.5), (0.5 * _MIN_CLOSING_M_S, _MIN_CLOSING_M_S)):
+        late = late_s(guard, wall, place, closing_m_s)
+        assert late == pytest.approx(guard.wall_late_s + most_m / least_m_s)
 
 
 @pytest.mark.parametrize(("along_m", "sd_m"), [(0.0, 0.012), (1.5, math.hypot(0.012, 1.5 * math.tan(0.02)))])
@@ -279,22 +319,17 @@ def test_wall_centre_uncertainty_grows_with_the_distance_of_the_contact(along_m:
 
 @pytest.mark.parametrize("sought", [True, False])
 def test_a_contact_with_a_probed_wall_does_not_correct_the_frame(sought: bool) -> None:
-    loaded = load_mission(packaged("missions", "dual_collision_gps.yaml"))
-    known = {wall.name: msgspec.structs.replace(wall, sought=sought) for wall in loaded.walls}
-    hits = tuple(msgspec.structs.replace(one, wall=known[one.wall.name]) for one in loaded.collisions)
-    mission = msgspec.structs.replace(loaded, walls=tuple(known.values()), collisions=hits)
-    flown, p, state = Executive(mission), Proposal(), FlightState()
-    state.anchor(MissionFrame(0.0, 0.0, 0.0, 0.0))
-    (x, y), (nx, ny) = mission.walls[0].point, mission.walls[0].normal
-    estimate = wall_estimate((x + 0.05 * nx, y + 0.05 * ny), (nx, ny), 0.05, wall=mission.walls[0].name)
-    flown._handle_contacts(Sensed(None, (), False, wall=estimate), state, p)
-    assert (p.frame is None) is sought
+    known = {wall.name: msgspec.structs.replace(wall, sought=sought) for wall in DRIFTING.walls}
+    hits = tuple(msgspec.structs.replace(one, wall=known[one.wall.name]) for one in DRIFTING.collisions)
+    mission = msgspec.structs.replace(DRIFTING, walls=tuple(known.values()), collisions=hits)
+    flown, wall = MissionInPhase(mission, Phase.RECOVERY, 1), mission.walls[0]
+    (x, y), (nx, ny) = wall.point, wall.normal
+    flown.step(wall=wall_estimate((x + 0.05 * nx, y + 0.05 * ny), (nx, ny), 0.05, wall=wall.name))
+    assert (flown.proposal.frame is None) is sought
     assert flown.progress.replan.has_wall_estimate, "a plan must not wait for it any longer"
 
 
 # --- in flight --------------------------------------------------------------------------------------------
-
-GPS = "missions/dual_collision_gps.yaml"
 
 
 @pytest.mark.parametrize("armed_by_hand", [False, True])
@@ -313,23 +348,18 @@ def test_the_drift_counts_from_take_off(armed_by_hand: bool) -> None:
 
 def test_a_leg_after_a_correction_starts_at_the_vehicle_in_the_corrected_frame() -> None:
     """The step of the correction starts no leg, because the vehicle's position is still in the old frame."""
-    mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
-    flown, state, tick = Executive(mission), FlightState(), Tick(0)
-    progress, rest_ned = flown.progress, (0.4, 0.55, -1.0)
-    state.anchor(MissionFrame())
+    flown, rest_ned = MissionInPhase(DRIFTING, Phase.RECOVERY, 1), (0.4, 0.55, -1.0)
+    progress, state = flown.progress, flown.state
     state.update_odometry(OdometrySample(9 * S, 9 * S, rest_ned, (0.0, 0.0, 0.0)))
-    progress.phase, progress.entered_us, progress.index = Phase.RECOVERY, 8 * S, 1
     progress.course = progress.course.hold(state.position)
-    p = Proposal()
-    flown.propose(tick, state, Sensed(wall=wall_estimate(None, None, 0.2, t_us=8 * S)), p)
+    flown.step(wall=wall_estimate(None, None, 0.2, t_us=8 * S))
     assert (progress.phase, progress.index) == (Phase.RECOVERY, 1)
-    assert p.frame is not None
-    state.anchor(p.frame)
-    flown.propose(tick, state, Sensed(), Proposal())
+    frame = known(flown.proposal.frame)
+    state.anchor(frame)
+    flown.step()
     assert progress.phase is Phase.TRANSIT
-    assert progress.course.trajectory is not None
-    begin = progress.course.trajectory.begin
-    assert p.frame.point_to_ned(begin) == pytest.approx(rest_ned)
+    begin = known(progress.course.trajectory).begin
+    assert frame.point_to_ned(begin) == pytest.approx(rest_ned)
     assert begin[1] == pytest.approx(-0.55 - 0.2, abs=0.01)
 
 
@@ -340,30 +370,26 @@ def test_a_planned_trajectory_is_kept_although_its_wall_was_touched() -> None:
     mission = loaded.replace(
         {"collisions": planned, "waypoints": [], "goal_trajectory": None, "frame.anchored_by": "touch"}
     )
-    flown, state, p = Executive(mission), FlightState(), Proposal()
-    progress, (hit,) = flown.progress, mission.collisions
+    flown, (hit,) = MissionInPhase(mission, Phase.PAUSE), mission.collisions
+    progress = flown.progress
     approach = progress.approaches[1]
     progress.walls.add_estimate(wall_estimate((2.1, 0.0), (-1.0, 0.0), wall="east"), hit.wall)
-    progress.phase = Phase.CLIMB
-    flown._start_next(PhaseTrigger.ARRIVED, state, p)
-    assert (progress.phase, p.findings) == (Phase.TRANSIT, [])
+    assert flown.start_next_leg() == []
+    assert progress.phase is Phase.TRANSIT
     assert progress.collision is hit
     assert progress.approaches[1] is approach
     assert progress.course.target == (0.0, 0.0, 1.0)
 
 
 def test_a_run_up_allows_for_the_drift_until_the_impact() -> None:
-    """The impact is assumed 5 s after the flight to the run-up point begins; three deviations count."""
-    mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
-    wall, drift_m_s = mission.collisions[2].wall, mission.vehicle.estimation.position_drift_m_s
+    wall, drift_m_s = DRIFTING.collisions[2].wall, DRIFTING.vehicle.estimation.position_drift_m_s
 
-    def run_up_distance_m(now_s: int) -> float:
-        flown, p, state = Executive(mission), Proposal(), FlightState()
-        flown.progress.index, state.now_us = 2, now_s * S
+    def run_up_distance_m(now_s: float) -> float:
+        flown = MissionInPhase(DRIFTING, Phase.PAUSE, 2, round(now_s * S))
         flown.progress.course = flown.progress.course.hold((0.4, 0.2))
-        flown._begin_transit(state, p)
-        assert not p.findings
+        assert flown.start_next_leg() == []
         return wall.signed_distance(flown.progress.course.target)
 
-    sd_m = [math.hypot(START_SD_M, drift_m_s * age_s) for age_s in (6.0, 15.0)]
-    assert run_up_distance_m(10) - run_up_distance_m(1) == pytest.approx(3.0 * (sd_m[1] - sd_m[0]), abs=1e-10)
+    early, late = (START_SD_M, drift_m_s * (1.0 + RUN_UP_S)), (START_SD_M, drift_m_s * (10.0 + RUN_UP_S))
+    more_m = SURE_SD * (math.hypot(*late) - math.hypot(*early))
+    assert run_up_distance_m(10.0) - run_up_distance_m(1.0) == pytest.approx(more_m, abs=1e-10)

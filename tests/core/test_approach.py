@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 
@@ -26,6 +27,7 @@ from dart_flight.core.mission.approach import (
     transit_segments,
 )
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
+from tests.core.conftest import known
 
 beside = st.floats(-2.0, 2.0)
 away = st.floats(CLEARANCE_M + 0.01, 2.0)
@@ -71,6 +73,31 @@ def flying_at(acceleration_m_s2: float) -> Flying:
 
 
 place = st.tuples(beside, beside)
+coefficients = st.tuples(*[st.floats(-2.0, 2.0)] * 6)
+PARTS = ("position", "velocity", "acceleration", "jerk")
+
+
+def assert_consistent(trajectory: Trajectory, t: float, h: float = 1e-5) -> None:
+    """Compare velocity, acceleration and jerk with the difference quotients over a step of `2 h`."""
+    at, before, after = trajectory.at(t), trajectory.at(t - h), trajectory.at(t + h)
+    for part, derivative in itertools.pairwise(PARTS):
+        ends = zip(getattr(before, part), getattr(after, part), strict=True)
+        slopes = [(b - a) / (2.0 * h) for a, b in ends]
+        assert slopes == pytest.approx(getattr(at, derivative), rel=1e-3, abs=1e-3)
+
+
+@given(coefficients, coefficients, st.floats(0.2, 3.0), st.floats(0.01, 0.99), st.floats(0.01, 2.0))
+def test_a_level_trajectory_is_consistent_with_its_derivatives_and_continues_straight(
+    x: tuple[float, ...], y: tuple[float, ...], duration_s: float, share: float, more_s: float
+) -> None:
+    plan = Trajectory.level(x, y, 1.0, (duration_s,))
+    assert_consistent(plan, share * duration_s, 1e-3 * min(share, 1.0 - share) * duration_s)
+    end, beyond = plan.at(duration_s), plan.at(duration_s + more_s)
+    assert beyond.velocity == end.velocity
+    assert beyond.position == pytest.approx(
+        [p + more_s * v for p, v in zip(end.position, end.velocity, strict=True)]
+    )
+    assert beyond.acceleration == beyond.jerk == (0.0, 0.0, 0.0)
 
 
 @given(place, st.floats(-math.pi, math.pi), st.floats(0.2, 3.0), st.floats(0.3, 2.0), st.floats(0.02, 0.98))
@@ -83,11 +110,7 @@ def test_an_approach_is_consistent_with_its_derivatives(
     velocity = (speed_m_s * direction[0], speed_m_s * direction[1])
     steady_s = max(0.0, 4.0 / speed_m_s - 0.5 * ramp_s)
     approach = Trajectory.run_up(begin, velocity, ramp_s, steady_s, 1.5)
-    t, h = share * ramp_s, 1e-5 * ramp_s
-    at, before, after = approach.at(t), approach.at(t - h), approach.at(t + h)
-    for part, slope in (("position", at.velocity), ("velocity", at.acceleration), ("acceleration", at.jerk)):
-        ends = zip(getattr(before, part), getattr(after, part), strict=True)
-        assert [(b - a) / (2.0 * h) for a, b in ends] == pytest.approx(slope, rel=1e-3, abs=1e-3)
+    assert_consistent(approach, share * ramp_s, 1e-5 * ramp_s)
     assert approach.at(0.0).position == pytest.approx((*begin, 1.5))
     at_impact = approach.at(approach.duration_s)
     if steady_s > 0.0:
@@ -106,12 +129,10 @@ def test_a_transit_goes_from_rest_to_rest_within_its_limits(
     begin: tuple[float, float, float], end: tuple[float, float, float], share: float
 ) -> None:
     transit = Trajectory.rest_to_rest(begin, end, 0.8, flying_at(0.6), 0.4)
-    t, h = share * transit.duration_s, 1e-5
-    at, before, after = transit.at(t), transit.at(t - h), transit.at(t + h)
-    if h < t < transit.duration_s - h:
-        for part, slope in (("position", at.velocity), ("velocity", at.acceleration)):
-            ends = zip(getattr(before, part), getattr(after, part), strict=True)
-            assert [(b - a) / (2.0 * h) for a, b in ends] == pytest.approx(slope, rel=1e-3, abs=1e-3)
+    t = share * transit.duration_s
+    at = transit.at(t)
+    if 1e-5 < t < transit.duration_s - 1e-5:
+        assert_consistent(transit, t)
     assert math.hypot(*at.velocity) <= 0.8 * 1.001
     assert math.hypot(*at.acceleration) <= 0.6 * 1.001
     assert abs(at.velocity[2]) <= 0.4 * 1.001
@@ -240,8 +261,7 @@ def test_a_wall_across_the_run_up_blocks_the_approach(board: tuple[float, float]
 
 @pytest.mark.parametrize(("inside_m", "refused"), [(0.01, False), (-0.2, True)])
 def test_an_impact_outside_the_flight_space_is_refused(inside_m: float, refused: bool) -> None:
-    impact = MISSION.collisions[0].impact_point
-    assert impact is not None
+    impact = known(MISSION.collisions[0].impact_point)
     bounds = msgspec.structs.replace(MISSION.bounds, x=(-1.5, impact[0] + inside_m))
     mission = msgspec.structs.replace(MISSION, bounds=bounds)
     if refused:
@@ -263,11 +283,7 @@ def with_board(mission: Mission, place: Vec2, normal: Vec2) -> Mission:
 @pytest.mark.parametrize("facing", [1.0, -1.0])
 @pytest.mark.parametrize(
     ("place", "normal", "blocked"),
-    [
-        ((0.8, 0.4), (1.0, 0.0), True),
-        ((0.2, -0.6), (0.0, 1.0), True),
-        ((0.8, -1.0), (0.0, 1.0), False),
-    ],
+    [((0.8, 0.4), (1.0, 0.0), True), ((0.2, -0.6), (0.0, 1.0), True), ((0.8, -1.0), (0.0, 1.0), False)],
 )
 def test_a_wall_blocks_an_approach_in_its_run_up_and_before_it(
     place: Vec2, normal: Vec2, facing: float, blocked: bool
@@ -306,8 +322,7 @@ def test_a_wall_blocks_the_trajectory_to_another_wall() -> None:
     mission = load_mission(packaged("missions", "touch_and_return.yaml"))
     check_segments_clear(mission)
     written = next(c for c in mission.collisions if c.trajectory is not None)
-    assert written.trajectory is not None
-    trajectory = Trajectory.from_mission(written.trajectory, mission.altitude_m)
+    trajectory = Trajectory.from_mission(known(written.trajectory), mission.altitude_m)
     there = trajectory.at(0.7 * trajectory.duration_s)
     (x, y, _), (vx, vy, _), speed_m_s = there.position, there.velocity, math.hypot(*there.velocity)
     blocked = with_board(mission, (x, y), (-vx / speed_m_s, -vy / speed_m_s))

@@ -9,6 +9,10 @@ import pytest
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.core.sense.bias import (
+    _BASELINE_DELAY,
+    _BASELINE_STEP_N,
+    _MIN_NOISE2,
+    _SCALE_STEP,
     BASELINE_S,
     BIAS_LIMIT_M_S2,
     HOVER_RATE_RAD_S,
@@ -26,11 +30,7 @@ STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
 def learned_bias(
-    f: Vec3,
-    seconds: float = 1.0,
-    rate: Vec3 = STILL,
-    speed_m_s: float = 0.0,
-    thrust_n: float = WEIGHT_N,
+    f: Vec3, seconds: float = 1.0, rate: Vec3 = STILL, speed_m_s: float = 0.0, thrust_n: float = WEIGHT_N
 ) -> HoverBias:
     bias = HoverBias(ESTIMATION, MASS)
     for _ in range(round(seconds / DT_S)):
@@ -107,8 +107,9 @@ def test_a_climb_does_not_change_the_thrust_ratio() -> None:
     ).thrust_ratio == (pytest.approx(1.0))
 
 
-def test_a_bump_counts_as_at_most_a_quarter_of_the_thrust() -> None:
-    hard, soft = (learned_bias((0.0, 0.0, -factor * GRAVITY_M_S2), DT_S) for factor in (5.0, 1.25))
+def test_a_bump_counts_as_a_limited_share_of_the_thrust() -> None:
+    factors = (5.0, 1.0 + _SCALE_STEP)
+    hard, soft = (learned_bias((0.0, 0.0, -factor * GRAVITY_M_S2), DT_S) for factor in factors)
     assert hard.scale == pytest.approx(soft.scale)
     assert soft.scale > 1.0
 
@@ -122,25 +123,26 @@ def test_noise_is_stated_per_sample_and_axis() -> None:
 
 
 def test_noise_has_a_lower_limit() -> None:
-    """The limit is 0.01 m/s2, because a simulated sensor repeats itself."""
+    """A simulated sensor repeats itself."""
     bias = HoverBias(ESTIMATION, MASS)
     for _ in range(3000):
         bias.learn((0.0, 0.0, -GRAVITY_M_S2), STILL, 0.0, WEIGHT_N, DT_S)
-    assert bias.noise_m_s2 == pytest.approx(0.01)
+    assert bias.noise_m_s2 == pytest.approx(math.sqrt(_MIN_NOISE2))
 
 
 # --- the baseline ------------------------------------------------------------------------------------------
 
 
-def test_the_baseline_follows_a_slow_force_forty_milliseconds_late() -> None:
+def test_the_baseline_follows_a_slow_force_late() -> None:
     baseline, values = ForceBaseline(ESTIMATION), []
     for _ in range(round(BASELINE_S / DT_S)):
         baseline.update(0.5, -0.3, DT_S)
         values.append(baseline.value)
-    assert values[:8] == [(0.0, 0.0)] * 8
-    assert values[9][0] > 0.0
+    delay = _BASELINE_DELAY - 1
+    assert values[: delay - 1] == [(0.0, 0.0)] * (delay - 1)
+    assert values[delay][0] > 0.0
     x, y = values[-1]
-    late = math.exp(-1.0 + 9 * DT_S / BASELINE_S)
+    late = math.exp(-1.0 + delay * DT_S / BASELINE_S)
     assert (x, y) == pytest.approx((0.5 * (1.0 - late), -0.3 * (1.0 - late)), rel=0.02)
 
 
@@ -153,7 +155,7 @@ def test_the_baseline_is_limited_in_size_and_rate() -> None:
     first = ForceBaseline(ESTIMATION)
     for _ in range(10):
         fast.update(-100.0, 0.0, DT_S)
-        first.update(-2.0, 0.0, DT_S)
+        first.update(-_BASELINE_STEP_N, 0.0, DT_S)
     assert fast.value[0] == pytest.approx(first.value[0], rel=0.05)
 
 

@@ -6,17 +6,20 @@ import msgspec
 import numpy as np
 import pytest
 
-from dart_flight.base.records import LockPhase, LockState
+from dart_flight.base.records import LockPhase, LockState, Phase
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, is_acceptable_in_either_mode, may_commit
-from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.commitment import (
+    SETTLED_BEFORE_S,
+    STOP_MARGIN_M,
+    is_acceptable_in_either_mode,
+    may_commit,
+)
 from dart_flight.core.mission.position_loop import PlaneImpact, least_distance_m, predict_impact
-from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.run.fast import fly_fast
+from tests.core.conftest import MissionInPhase, known
 
 # The paper's point model: with guards, the first hit leaves a slower vehicle and the lock is in time.
 STIFF = load_mission(
@@ -38,7 +41,7 @@ def before_the_wall() -> FlightState:
 @pytest.mark.parametrize(
     ("mission", "ready_s", "commits"),
     [
-        (STIFF, 0.2, True),
+        (STIFF, 0.3 - SETTLED_BEFORE_S - 0.001, True),
         (STIFF, 0.3 - SETTLED_BEFORE_S + 0.001, False),
         (STIFF, math.inf, False),  # the lock is at fault
         (mission_with_limits(peak_force_n=90.0), 0.2, False),  # in time, but too hard in the rigid mode
@@ -96,14 +99,12 @@ def test_a_sliding_hit_is_acceptable_only_if_its_recovery_leads_inwards(beside_m
 
 def test_the_predicted_impact_is_where_the_course_crosses_the_plane() -> None:
     px4 = STIFF.vehicle.px4
-    impact = predict_impact(0.5, 1.0, 0.0, -0.5, px4)
-    assert impact is not None
+    impact = known(predict_impact(0.5, 1.0, 0.0, -0.5, px4))
     assert impact.normal_m_s < 0.0
     assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=impact.after_s + 0.02) <= 0.0
     assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=impact.after_s - 0.02) > 0.0
     assert predict_impact(0.5, 0.0, 0.0, 0.5, px4) is None
-    behind = predict_impact(-0.1, 1.0, 0.0, -0.5, px4)
-    assert behind is not None
+    behind = known(predict_impact(-0.1, 1.0, 0.0, -0.5, px4))
     assert behind.after_s <= 0.01
 
 
@@ -125,8 +126,7 @@ def test_the_papers_second_impact_is_planned_and_flown() -> None:
     assert (hit.normal_m_s, hit.tangential_m_s) == pytest.approx((-1.6, 0.25), abs=0.03)
     verdict = fly_fast(STIFF, 21, None)
     assert verdict.outcome == "completed"
-    assert verdict.collisions[1].truth is not None
-    assert verdict.collisions[1].truth.normal_m_s == pytest.approx(-1.6, abs=0.1)
+    assert known(verdict.collisions[1].truth).normal_m_s == pytest.approx(-1.6, abs=0.1)
 
 
 def test_the_approach_is_broken_off_if_a_mode_exceeds_the_force_limit() -> None:
@@ -135,8 +135,20 @@ def test_the_approach_is_broken_off_if_a_mode_exceeds_the_force_limit() -> None:
     assert verdict.guard[0].rule == "lock_late"
 
 
-@pytest.mark.parametrize(("nearest_m", "rules"), [(0.021, []), (0.019, ["lock_late"])])
-def test_a_faulty_lock_is_late_once_a_stop_ends_within_2_cm_of_the_wall(
+def findings_with_faulty_lock(away_m: float, closing_m_s: float) -> list[str]:
+    """Return the findings in the recovery towards the acrylic wall, at this distance and speed."""
+    flown, wall = MissionInPhase(STIFF, Phase.RECOVERY, 1), ACRYLIC.wall
+    (x, y), (nx, ny) = wall.point, wall.normal
+    flown.state.position = (x + away_m * nx, y + away_m * ny, 1.0)
+    flown.state.velocity = (-closing_m_s * nx, -closing_m_s * ny, 0.0)
+    flown.state.lock = LockState(0, LockPhase.FAULT, None)
+    return flown.step()
+
+
+@pytest.mark.parametrize(
+    ("nearest_m", "rules"), [(STOP_MARGIN_M + 0.001, []), (STOP_MARGIN_M - 0.001, ["lock_late"])]
+)
+def test_a_faulty_lock_is_late_once_a_stop_ends_within_the_margin_of_the_wall(
     nearest_m: float, rules: list[str]
 ) -> None:
     px4, (near_m, far_m) = STIFF.vehicle.px4, (0.0, 3.0)
@@ -146,25 +158,14 @@ def test_a_faulty_lock_is_late_once_a_stop_ends_within_2_cm_of_the_wall(
             near_m = away_m
         else:
             far_m = away_m
-    wall, state, p = ACRYLIC.wall, FlightState(), Proposal()
-    (x, y), (nx, ny) = wall.point, wall.normal
-    state.position, state.velocity = (x + far_m * nx, y + far_m * ny, 1.0), (-nx, -ny, 0.0)
-    state.lock = LockState(0, LockPhase.FAULT, None)
-    Executive(STIFF)._check_lock_in_time(ACRYLIC, state, Sensed(), p)
-    assert [finding.rule for finding in p.findings] == rules
+    assert findings_with_faulty_lock(far_m, 1.0) == rules
 
 
 @pytest.mark.parametrize(("closing_m_s", "rules"), [(0.1, ["lock_late"]), (0.0, []), (-0.5, [])])
 def test_a_faulty_lock_is_not_late_if_the_vehicle_does_not_approach(
     closing_m_s: float, rules: list[str]
 ) -> None:
-    wall, state, p = ACRYLIC.wall, FlightState(), Proposal()
-    (x, y), (nx, ny) = wall.point, wall.normal
-    state.position = (x + 0.01 * nx, y + 0.01 * ny, 1.0)
-    state.velocity = (-closing_m_s * nx, -closing_m_s * ny, 0.0)
-    state.lock = LockState(0, LockPhase.FAULT, None)
-    Executive(STIFF)._check_lock_in_time(ACRYLIC, state, Sensed(), p)
-    assert [finding.rule for finding in p.findings] == rules
+    assert findings_with_faulty_lock(0.5 * STOP_MARGIN_M, closing_m_s) == rules
 
 
 @pytest.mark.parametrize(("closing_m_s", "after_s"), [(0.0, 1.3), (-4.0, 1.9)])
@@ -172,13 +173,11 @@ def test_impact_prediction_looks_as_far_ahead_as_the_loop_may_need(
     closing_m_s: float, after_s: float
 ) -> None:
     """The setpoint is 0.1 m behind the wall; a vehicle that first moves away hits the wall later."""
-    impact = predict_impact(0.5, closing_m_s, 0.0, -0.1, STIFF.vehicle.px4)
-    assert impact is not None
+    impact = known(predict_impact(0.5, closing_m_s, 0.0, -0.1, STIFF.vehicle.px4))
     assert impact.after_s == pytest.approx(after_s, abs=0.03)
     assert least_distance_m(0.5, 0.0, 0.0, -0.1, STIFF.vehicle.px4) < 0.0
 
 
 def test_a_vehicle_that_returns_from_behind_the_plane_hits_it_in_the_next_step() -> None:
-    impact = predict_impact(-0.1, -0.5, 0.0, 0.3, STIFF.vehicle.px4)
-    assert impact is not None
+    impact = known(predict_impact(-0.1, -0.5, 0.0, 0.3, STIFF.vehicle.px4))
     assert impact.after_s == pytest.approx(0.01)

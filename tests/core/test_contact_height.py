@@ -19,8 +19,13 @@ from dart_flight.base.geometry import (
 )
 from dart_flight.base.records import ContactRequest, ImpactOnset, Mode
 from dart_flight.base.walls import Wall
-from dart_flight.core.mission.contact_feedforward import balancing_acceleration_m_s2
-from dart_flight.core.sense.contact_height import ContactHeight
+from dart_flight.core.mission.contact_feedforward import (
+    _AGAINST_PLAN,
+    _BALANCED,
+    _MOST_LEAN,
+    balancing_acceleration_m_s2,
+)
+from dart_flight.core.sense.contact_height import _LEAST_N, _LEAST_N2, ContactHeight
 
 OUT_M = 0.2
 WALL = Wall("north-east", (0.6, 0.8), (-0.6, -0.8), 4.0, "acrylic")
@@ -104,27 +109,31 @@ def test_a_weak_or_unplanned_contact_gives_no_height() -> None:
 
 
 def test_clipped_and_weak_samples_and_unplanned_contacts_are_ignored() -> None:
-    """Weak means below 3 N: the first sample of a 37 N peak, but not of a 39 N peak."""
+    """The first sample of a weaker peak is below the limit, and that of a stronger one is not."""
     level = (0.02, 0, (0.0, 0.0, 0.0))
     assert height_after_contact(*level, 50.0, clipped=9).height_m == pytest.approx(0.02)
-    assert height_after_contact(*level, 37.0, weak_n=4.0).height_m == pytest.approx(0.02)
-    assert height_after_contact(*level, 39.0, weak_n=4.0).height_m != pytest.approx(0.02, abs=1e-4)
+    first = math.sin(math.pi * 0.5 / 20.0)  # as a share of the peak
+    for share, found in ((0.97, True), (1.02, False)):
+        weak_n = 1.05 * _LEAST_N
+        height_m = height_after_contact(*level, share * _LEAST_N / first, weak_n=weak_n).height_m
+        assert (height_m == pytest.approx(0.02, abs=1e-4)) is found
     assert height_after_contact(*level, 50.0, wall=None).height_m is None
 
 
-@pytest.mark.parametrize(("peak_n", "known"), [(9.9, False), (10.2, True)])
-def test_the_height_needs_a_minimum_sum_of_squared_forces(peak_n: float, known: bool) -> None:
-    """The minimum is 1000 N2; a half-sine over twenty samples has ten times its squared peak."""
+@pytest.mark.parametrize(("share", "known"), [(0.99, False), (1.02, True)])
+def test_the_height_needs_a_minimum_sum_of_squared_forces(share: float, known: bool) -> None:
+    """A half-sine over twenty samples has ten times its squared peak."""
+    peak_n = share * math.sqrt(_LEAST_N2 / 10.0)
     assert (height_after_contact(0.02, 0, (0.0, 0.0, 0.0), peak_n).height_m is not None) is known
 
 
 @pytest.mark.parametrize(
     ("planned", "height_m", "share"),
     [
-        (None, 0.02, 0.9),
-        (Mode.FLEXIBLE, 0.02, 0.9),
-        (Mode.RIGID, 0.02, 1.17),  # against the lean off the wall at the end of the plan
-        (Mode.RIGID, -0.02, 0.9),  # both lean off the wall
+        (None, 0.02, _BALANCED),
+        (Mode.FLEXIBLE, 0.02, _BALANCED),
+        (Mode.RIGID, 0.02, _BALANCED * _AGAINST_PLAN),  # against the lean at the end of the plan
+        (Mode.RIGID, -0.02, _BALANCED),  # both lean off the wall
     ],
 )
 def test_the_balancing_lean_compensates_the_contact_height(
@@ -138,5 +147,5 @@ def test_the_balancing_lean_is_limited_and_zero_for_an_unknown_height() -> None:
     assert balancing_acceleration_m_s2(None, OUT_M, Mode.RIGID) == 0.0
     for height_m in (0.5, -0.5):
         assert abs(balancing_acceleration_m_s2(height_m, OUT_M, Mode.RIGID)) == pytest.approx(
-            0.3 * GRAVITY_M_S2
+            _MOST_LEAN * GRAVITY_M_S2
         )

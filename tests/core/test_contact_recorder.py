@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TypeVar
 
 import msgspec
 import pytest
@@ -17,21 +16,15 @@ from dart_flight.base.records import (
     ImpactPeak,
     Mode,
     Output,
-    Record,
     WallEstimate,
 )
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import load_mission
-from dart_flight.core.sense.contact_recorder import undecided
+from dart_flight.core.sense.contact_recorder import _BEFORE, _MET_SD_M, ANSWER_WITHIN_US, undecided
 from dart_flight.planning.contact_fit import ContactFitter
-from tests.core.conftest import ROOT, HandFedCore
+from tests.core.conftest import ROOT, HandFedCore, known, of_kind
 
-R = TypeVar("R", bound=Record)
-WITHIN_S = 0.3
-
-
-def of_kind(kind: type[R], outputs: list[Output]) -> list[R]:
-    return [o for o in outputs if isinstance(o, kind)]
+WITHIN_S = 1e-6 * ANSWER_WITHIN_US
 
 
 def hit_wood(fed: HandFedCore) -> tuple[ContactRequest, list[Output]]:
@@ -45,13 +38,12 @@ def hit_wood(fed: HandFedCore) -> tuple[ContactRequest, list[Output]]:
     return request, out
 
 
-def test_a_request_starts_four_samples_before_the_onset(hand_fed: HandFedCore) -> None:
+def test_a_request_starts_some_samples_before_the_onset(hand_fed: HandFedCore) -> None:
     request, out = hit_wood(hand_fed)
     (onset,), (peak,), (end,) = of_kind(ImpactOnset, out), of_kind(ImpactPeak, out), of_kind(ContactEnd, out)
     assert (request.number, request.onset, request.normal) == (1, onset, peak.normal)
-    assert request.wall is not None
-    assert (request.wall.name, request.mode_reported) == ("wood", Mode.FLEXIBLE)
-    assert sum(t_us < onset.first_us for t_us in request.sample_us) == 4
+    assert (known(request.wall).name, request.mode_reported) == ("wood", Mode.FLEXIBLE)
+    assert sum(t_us < onset.first_us for t_us in request.sample_us) == _BEFORE
     assert request.sample_us[-1] == request.t_us >= end.t_us
     assert {len(getattr(request, name)) for name in request.__struct_fields__[-7:]} == {
         len(request.sample_us)
@@ -85,7 +77,7 @@ def test_a_missing_answer_leaves_mode_and_wall_undecided_after_the_timeout(hand_
     request, _ = hit_wood(hand_fed)
     assert not of_kind(WallEstimate, hand_fed.run(WITHIN_S))
     (estimate,) = of_kind(WallEstimate, hand_fed.run(0.008))
-    assert estimate.problem == "no answer within 300 ms"
+    assert estimate.problem == f"no answer within {1e3 * WITHIN_S:.0f} ms"
     assert (estimate.wall, estimate.mode_felt, estimate.mode_reported) == ("wood", None, Mode.FLEXIBLE)
     assert (estimate.log_odds, estimate.plane_offset_m, estimate.plane_point_mission) == (0.0, 0.0, None)
     wood = hand_fed.core.mission.vehicle.materials["wood"].coefficients(Mode.FLEXIBLE)
@@ -112,8 +104,7 @@ def test_an_answer_for_another_wall_or_contact_is_rejected(hand_fed: HandFedCore
     answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
     other = msgspec.structs.replace(answer, number=request.number + 1)
     assert not of_kind(WallEstimate, hand_fed.feed(other))
-    assert answer.wall is not None
-    elsewhere = msgspec.structs.replace(answer.wall, wall="acrylic")
+    elsewhere = msgspec.structs.replace(known(answer.wall), wall="acrylic")
     out = hand_fed.feed(msgspec.structs.replace(answer, wall=elsewhere))
     (estimate,) = of_kind(WallEstimate, out)
     assert (estimate.wall, estimate.mode_felt) == ("wood", None)
@@ -167,7 +158,7 @@ def test_a_contact_without_a_fit_locates_only_an_uncertain_or_sought_wall(
     assert (found.incidence_rad, found.incidence_sigma_rad) == (0.0, yaw_sd_rad or 0.0)
     if corrected:
         assert found.plane_offset_m == pytest.approx(0.1 * 0.6 + 0.2 * 0.8)
-        assert found.plane_offset_sigma_m == 0.03
+        assert found.plane_offset_sigma_m == _MET_SD_M
         assert (found.plane_point_mission, found.plane_normal_mission) == ((0.9, 1.8), wall.normal)
         assert found.plane_normal_sigma_rad == yaw_sd_rad
     else:

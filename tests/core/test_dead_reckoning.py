@@ -23,7 +23,6 @@ from dart_flight.base.records import (
     ImuSample,
     Mode,
     OdometrySample,
-    OperatorRequest,
     Output,
     Override,
     Request,
@@ -32,7 +31,7 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.core.guard.estimator_resets import EstimatorResets
-from tests.core.conftest import HandFedCore
+from tests.core.conftest import HandFedCore, of_kind
 
 _DT_S, _LAG_S = 0.004, 0.15
 _TURNS_RAD_S = 1.0
@@ -138,7 +137,7 @@ def misled(error_deg: float, until_s: float = _CORRECTED_S) -> MisledVehicle:
 def test_a_break_off_with_a_wrong_heading_stops_before_the_wall(error_deg: float) -> None:
     vehicle = misled(error_deg)
     vehicle.fly(3.0)
-    rules = [o.rule for o in vehicle.core.outputs if isinstance(o, GuardEvent)]
+    rules = [o.rule for o in of_kind(GuardEvent, vehicle.core.outputs)]
     assert rules[0] == "heading_reset"
     wall = vehicle.core.core.mission.collisions[0].wall
     nearest_m = min(wall.signed_distance((north, -east)) for north, east in vehicle.path)
@@ -150,7 +149,7 @@ def test_a_break_off_with_a_wrong_heading_stops_before_the_wall(error_deg: float
 def test_a_jump_back_after_a_wrong_heading_is_no_further_fault() -> None:
     vehicle = misled(90.0)
     vehicle.fly(2.5)
-    assert [o.rule for o in vehicle.core.outputs if isinstance(o, GuardEvent)] == ["heading_reset"]
+    assert [o.rule for o in of_kind(GuardEvent, vehicle.core.outputs)] == ["heading_reset"]
 
 
 def test_the_guard_keeps_the_true_heading_if_px4_never_corrects_its_own() -> None:
@@ -174,8 +173,8 @@ def test_an_alignment_of_the_heading_before_the_mission_leaves_no_error(phase: s
     c.run(0.1)
     c.position_ned = (0.0, 0.0, -1.0)
     c.run(1.5)
-    c.feed(OperatorRequest(c.t_us, Request.LAND))
-    held = [o for o in c.run(0.2) if isinstance(o, Setpoint)]
+    c.request(Request.LAND)
+    held = of_kind(Setpoint, c.run(0.2))
     assert c.core.override is Override.BREAK_OFF or phase == "on the ground"
     assert all(setpoint.acceleration_ned is None for setpoint in held)
 

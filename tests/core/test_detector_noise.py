@@ -22,7 +22,8 @@ from dart_flight.core.sense.detector import (
 from dart_flight.core.sense.pulse import PulsePrior
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
-from tests.core.test_force_estimate import VEHICLE, half_sine
+from tests.core.conftest import known, of_kind
+from tests.core.pulses import VEHICLE, half_sine
 
 Forces = list[tuple[float, float]]
 LEARNING_SAMPLES = 750  # 3 s, as in a climb, during which no contact is expected
@@ -53,10 +54,7 @@ def noisy(seconds: float, sigma_n: float, seed: int = 1, tone_hz: float | None =
 
 
 def run(
-    forces: Forces,
-    watching: bool = True,
-    noise_n: float = 3.0,
-    kind: type[ImpactDetector] = ImpactDetector,
+    forces: Forces, watching: bool = True, noise_n: float = 3.0, kind: type[ImpactDetector] = ImpactDetector
 ) -> tuple[ImpactDetector, list[Any]]:
     detector, state = kind(VEHICLE), FlightState()
     events: list[Any] = []
@@ -68,7 +66,7 @@ def run(
 
 
 def onsets(events: list[Any]) -> list[ImpactOnset]:
-    return [e for e in events if isinstance(e, ImpactOnset)]
+    return of_kind(ImpactOnset, events)
 
 
 def with_pulse(forces: Forces, at_s: float, peak: float, duration_s: float) -> Forces:
@@ -125,27 +123,22 @@ def test_a_long_contact_in_strong_noise_is_detected_by_the_long_mean(seed: int) 
     assert 9.96 <= onset.first_us * 1e-6 <= 10.1
 
 
+def floors(detector: ImpactDetector, material: str | None) -> dict[Mode, float]:
+    """Return the detection floors that are reported when a contact with a material is expected, newton."""
+    for t_us, normal in ((20_000_000, None), (20_004_000, (1.0, 0.0))):
+        estimate = ForceEstimate(t_us, (0.0, 0.0, 0.0), False, noise_n=3.9)
+        events = detector.update(estimate, t_us, FlightState(), ExpectedContact(False, normal, material))
+    (floor,) = of_kind(DetectionFloor, events)
+    assert floor.rigid_n is not None
+    return {Mode.RIGID: floor.rigid_n, Mode.FLEXIBLE: known(floor.flexible_n)}
+
+
 @pytest.mark.parametrize("mode", list(Mode))
 def test_the_detection_floor_of_an_unknown_material_is_within_those_of_the_known(mode: Mode) -> None:
     """In noise, a flexible contact lasts longer and is detected at a lower force."""
-    detector, state = run(noisy(8.0, 3.9))[0], FlightState()
-
-    def floor_n(material: str | None) -> float:
-        for t_us, normal in ((20_000_000, None), (20_004_000, (1.0, 0.0))):
-            events = detector.update(
-                ForceEstimate(t_us, (0.0, 0.0, 0.0), False, noise_n=3.9),
-                t_us,
-                state,
-                ExpectedContact(False, normal, material),
-            )
-        (floor,) = events
-        assert isinstance(floor, DetectionFloor)
-        found = floor.rigid_n if mode is Mode.RIGID else floor.flexible_n
-        assert found is not None
-        return found
-
-    known = [floor_n(material) for material in VEHICLE.materials]
-    assert min(known) < floor_n(None) < max(known)
+    detector = run(noisy(8.0, 3.9))[0]
+    known = [floors(detector, material)[mode] for material in VEHICLE.materials]
+    assert min(known) < floors(detector, None)[mode] < max(known)
 
 
 @pytest.mark.parametrize(("forces", "samples"), [((40.0, 44.0, 20.0), 3), ((40.0, 20.0, 4.0), 3)])
@@ -157,7 +150,7 @@ def test_the_peak_is_reported_at_the_third_sample_of_a_contact_at_the_earliest(
     for count in range(1, len(forces) + 1):
         _, events = run([*quiet, *((-f, 0.0) for f in forces[:count])], noise_n=0.05)
         assert len(onsets(events)) == 1
-        assert len([e for e in events if isinstance(e, ImpactPeak)]) == (count >= samples)
+        assert len(of_kind(ImpactPeak, events)) == (count >= samples)
 
 
 def test_the_detection_floor_without_materials_is_that_of_a_firm_contact() -> None:
@@ -166,19 +159,11 @@ def test_the_detection_floor_without_materials_is_that_of_a_firm_contact() -> No
     firm = Coefficients(2500.0 * mass, 8.0 * mass, 0.1, 0.0)
     material = msgspec.structs.replace(VEHICLE.materials["wood"], rigid=firm, flexible=firm)
 
-    def floors(materials: dict[str, Material]) -> list[float]:
+    def floors_with(materials: dict[str, Material]) -> list[float]:
         vehicle = msgspec.structs.replace(VEHICLE, materials=materials)
-        detector = ImpactDetector(vehicle)
-        for t_us, normal in ((20_000_000, None), (20_004_000, (1.0, 0.0))):
-            estimate = ForceEstimate(t_us, (0.0, 0.0, 0.0), False, noise_n=3.9)
-            events = detector.update(estimate, t_us, FlightState(), ExpectedContact(False, normal, None))
-        (floor,) = events
-        assert isinstance(floor, DetectionFloor)
-        assert floor.rigid_n is not None
-        assert floor.flexible_n is not None
-        return [floor.rigid_n, floor.flexible_n]
+        return list(floors(ImpactDetector(vehicle), None).values())
 
-    assert floors({}) == pytest.approx(floors({"firm": material}), rel=1e-9)
+    assert floors_with({}) == pytest.approx(floors_with({"firm": material}), rel=1e-9)
 
 
 def test_the_long_windows_do_not_lower_the_detection_floor_in_low_noise() -> None:
@@ -187,7 +172,7 @@ def test_the_long_windows_do_not_lower_the_detection_floor_in_low_noise() -> Non
     least, tick_s = VEHICLE.detection.force_threshold_n, VEHICLE.imu.tick_s
     assert detector.thresholds_n() == (least,) * 4
     for duration_s in (0.02, 0.06, 0.3):
-        needed_n = [
+        needed_n = [  # no public name gives the noise of the short windows
             (least + _MARGIN_SIGMA * window.noise_n) / half_sine_share(i + 1, duration_s, tick_s)
             for i, window in enumerate(detector._windows[:2])
         ]
@@ -234,7 +219,7 @@ def test_even_a_short_contact_has_its_own_end(samples: int) -> None:
     """The force has ended before the peak is detected."""
     pulse: Forces = [(f, 0.0) for f in half_sine(40.0, samples)]
     _, events = run(([(0.0, 0.0)] * 1000 + pulse) * 3 + [(0.0, 0.0)] * 100, noise_n=0.26)
-    impacts, ends = onsets(events), [e for e in events if isinstance(e, ContactEnd)]
+    impacts, ends = onsets(events), of_kind(ContactEnd, events)
     assert len(impacts) == len(ends) == 3
     for onset, end in zip(impacts, ends, strict=True):
         assert end.first_us == onset.first_us
@@ -350,7 +335,8 @@ def test_no_peak_is_certainly_detected_if_the_pulse_may_fall_between_two_samples
     assert detector.detection_floor_n(VEHICLE.imu.tick_s) == math.inf
     # If it is a quarter longer than a tick, one sample reaches at least this share of the peak.
     share = math.cos(0.5 * math.pi / 1.25)
-    sample_n = VEHICLE.detection.force_threshold_n + _MARGIN_SIGMA * detector._windows[0].noise_n
+    noise_n = detector._windows[0].noise_n  # no public name gives the noise of the short windows
+    sample_n = VEHICLE.detection.force_threshold_n + _MARGIN_SIGMA * noise_n
     assert detector.detection_floor_n(1.25 * VEHICLE.imu.tick_s) == pytest.approx(sample_n / share)
 
 

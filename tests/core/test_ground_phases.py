@@ -7,8 +7,9 @@ import pytest
 from dart_flight.base.records import LandedState, MissionEnd, StatusSample, VehicleAction
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.ground_phases import GroundPhases
+from dart_flight.core.mission.ground_phases import _DISARM_AFTER_US, _STREAMING_US, GroundPhases
 from dart_flight.core.mission.mission_state import MissionState
+from dart_flight.core.mission.phases import DOWN_US
 from dart_flight.core.sense.state import FlightState
 
 MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
@@ -26,9 +27,9 @@ def after(elapsed_us: int, armed: bool = False) -> tuple[MissionState, FlightSta
 
 
 @pytest.mark.parametrize(
-    ("elapsed_us", "action"), [(0, None), (200_000, None), (200_001, VehicleAction.OFFBOARD)]
+    ("elapsed_us", "action"), [(0, None), (_STREAMING_US, None), (_STREAMING_US + 1, VehicleAction.OFFBOARD)]
 )
-def test_offboard_is_requested_once_setpoints_have_streamed_for_a_fifth_of_a_second(
+def test_offboard_is_requested_once_setpoints_have_streamed_for_a_while(
     elapsed_us: int, action: VehicleAction | None
 ) -> None:
     assert GroundPhases(MISSION).enter_offboard(*after(elapsed_us)).action is action
@@ -36,18 +37,20 @@ def test_offboard_is_requested_once_setpoints_have_streamed_for_a_fifth_of_a_sec
 
 @pytest.mark.parametrize(
     ("elapsed_us", "action"),
-    [(0, VehicleAction.LAND), (8_000_000, VehicleAction.LAND), (8_000_001, VehicleAction.DISARM)],
+    [
+        (0, VehicleAction.LAND),
+        (_DISARM_AFTER_US, VehicleAction.LAND),
+        (_DISARM_AFTER_US + 1, VehicleAction.DISARM),
+    ],
 )
-def test_a_vehicle_that_px4_does_not_disarm_is_disarmed_after_eight_seconds(
+def test_a_vehicle_that_px4_does_not_disarm_is_disarmed_after_a_while(
     elapsed_us: int, action: VehicleAction
 ) -> None:
     assert GroundPhases(MISSION).land(*after(elapsed_us, armed=True)).action is action
 
 
-@pytest.mark.parametrize(("down_us", "ends"), [(199_999, False), (200_000, True)])
-def test_the_mission_ends_when_the_vehicle_has_been_down_for_a_fifth_of_a_second(
-    down_us: int, ends: bool
-) -> None:
+@pytest.mark.parametrize(("down_us", "ends"), [(DOWN_US - 1, False), (DOWN_US, True)])
+def test_the_mission_ends_when_the_vehicle_has_been_down_for_a_while(down_us: int, ends: bool) -> None:
     progress, state = after(1_000_000)
     progress.down_us = state.now_us - down_us
     assert isinstance(GroundPhases(MISSION).land(progress, state).end, MissionEnd) is ends

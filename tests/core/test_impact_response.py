@@ -17,16 +17,15 @@ from dart_flight.base.records import (
     Phase,
 )
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission import impact_response
+from dart_flight.core.mission.impact_response import _BOUNCES_US
 from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.trajectories import Trajectory
-from tests.core.conftest import ROOT, MissionInPhase
+from dart_flight.core.mission.wall_uncertainty import SURE_SD
+from tests.core import conftest
+from tests.core.conftest import ROOT, MissionInPhase, known
 
-DUAL = load_mission(ROOT / "missions/paper_dual_collision.yaml")
-SINGLE = load_mission(ROOT / "missions/paper_single_wall.yaml")
-GPS = load_mission(packaged("missions", "dual_collision_gps.yaml"))
-BOUNCES_S = impact_response._BOUNCES_US * 1e-6  # no public name gives this limit
+DUAL, SINGLE, GPS = (load_mission(ROOT / path) for path in (conftest.DUAL, conftest.SINGLE, conftest.GPS))
+BOUNCES_S = _BOUNCES_US * 1e-6
 
 
 def onset_at(place: Vec3, planned: bool = True) -> ImpactOnset:
@@ -91,8 +90,7 @@ def test_a_bounce_on_the_wall_just_hit_is_only_reported(
     # During a bounce, no contact with the wall ahead is expected.
     expected = flown.impacts.expected(flown.progress, flown.state)
     assert (expected.wall is None) is (noted or hits == 1)
-    finding = flown.impacts.on_onset(onset_at(place), flown.progress, flown.state).finding
-    assert finding is not None
+    finding = known(flown.impacts.on_onset(onset_at(place), flown.progress, flown.state).finding)
     assert finding.rule == ("unplanned_hit" if noted or hits == 1 else "wall_met_early")
     assert finding.note_only is noted
 
@@ -143,13 +141,13 @@ def test_a_planned_hit_is_in_the_noise_if_the_floor_of_its_mode_is_higher(
 
 @pytest.mark.parametrize("sd", [None, 0.05])
 def test_the_lateness_limit_of_a_wall_includes_its_position_uncertainty(sd: float | None) -> None:
-    """The limit grows by three standard deviations at the planned closing speed."""
+    """The limit grows by a number of standard deviations at the planned closing speed, 1 m/s."""
     (planned,) = SINGLE.collisions
     wall = msgspec.structs.replace(planned.wall, position_sd_m=sd)
     mission = msgspec.structs.replace(
         SINGLE, walls=(wall,), collisions=(msgspec.structs.replace(planned, wall=wall),)
     )
-    late_s = mission.vehicle.guard.wall_late_s + (0.0 if sd is None else 3.0 * sd / 1.0)
+    late_s = mission.vehicle.guard.wall_late_s + (0.0 if sd is None else SURE_SD * sd)
 
     def found(since_s: float) -> list[str]:
         flown = MissionInPhase(mission, Phase.APPROACH, now_us=round((2.0 + since_s) * 1e6))

@@ -12,20 +12,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import MissionFrame, Vec2, distance2
+from dart_flight.base.geometry import Vec2, distance2
 from dart_flight.base.records import ImpactPeak, LockPhase, LockState, Phase, ProbeEnd
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.probes import resolve_place
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import plan_approach
-from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.executive import _LEFT_SHARE, _NOTHING_MET_S, _REST_AFTER_US, _REST_TIMEOUT_US
 from dart_flight.core.mission.legs import skip_reason, update_collision, update_mission, update_waypoint
-from dart_flight.core.mission.phases import PhaseTrigger
-from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
-from dart_flight.core.sense.senses import Sensed
-from dart_flight.core.sense.state import FlightState
+from tests.core.conftest import MissionInPhase, known, of_kind
 from tests.core.test_anchors import wall_estimate
 
 FIND = load_mission(packaged("missions", "find_a_wall.yaml"))
@@ -59,16 +56,15 @@ def test_legs_with_a_contact_condition_are_skipped_if_it_fails() -> None:
 
 
 def test_skipped_legs_are_recorded_and_the_flight_continues_with_the_next_leg() -> None:
-    flown, p = Executive(FIND), Proposal()
-    flown.progress.phase, flown.progress.index = Phase.RECOVERY, 1
-    flown._start_next(PhaseTrigger.RESTED, FlightState(), p)
+    flown = MissionInPhase(FIND, Phase.RECOVERY, 1, _REST_TIMEOUT_US + 1)
+    assert flown.step() == []
     reason = "skipped: no contact with wall north"
-    assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
+    assert [o.what for o in of_kind(ProbeEnd, flown.proposal.outputs)] == [
         f"{AWAY.name} {reason}",
         f"collision 2 {reason}",
     ]
     assert (flown.progress.stops, flown.progress.index) == (1, 2)
-    assert flown.progress.collision == FIND.collisions[2]
+    assert known(flown.progress.collision).wall == FIND.collisions[2].wall
 
 
 def test_a_hit_and_a_waypoint_follow_the_measured_wall() -> None:
@@ -89,13 +85,11 @@ def test_a_hit_and_a_waypoint_follow_the_measured_wall() -> None:
 
 @pytest.mark.parametrize("from_here", [True, False])
 def test_a_probe_may_begin_where_the_vehicle_rests(from_here: bool) -> None:
-    probe = FIND.collisions[0].probe
-    assert probe is not None
+    probe = known(FIND.collisions[0].probe)
     one = msgspec.structs.replace(
         FIND.collisions[0], probe=msgspec.structs.replace(probe, from_here=from_here)
     )
-    now = update_collision(one, EstimatedWalls(), 0, HERE).probe
-    assert now is not None
+    now = known(update_collision(one, EstimatedWalls(), 0, HERE).probe)
     assert now.begin == (HERE if from_here else probe.begin)
     approach, before = (tuple(e - b for b, e in zip(p.begin, p.end, strict=True)) for p in (now, probe))
     assert approach == pytest.approx(before, abs=1e-12)
@@ -104,25 +98,20 @@ def test_a_probe_may_begin_where_the_vehicle_rests(from_here: bool) -> None:
 @pytest.mark.parametrize("from_here", [True, False])
 def test_the_flight_to_a_probe_ends_where_the_probe_begins(from_here: bool) -> None:
     first = FIND.collisions[0]
-    assert first.probe is not None
-    probe = msgspec.structs.replace(first.probe, from_here=from_here)
-    flown, p = Executive(FIND), Proposal()
+    probe = msgspec.structs.replace(known(first.probe), from_here=from_here)
+    flown = MissionInPhase(FIND, Phase.PAUSE)
     flown.progress.collisions[0] = collision = msgspec.structs.replace(first, probe=probe)
     flown.progress.course = flown.progress.course.hold(HERE)
-    flown._begin_transit(FlightState(), p)
+    assert flown.start_next_leg() == []
     begin = HERE if from_here else probe.begin
     assert flown.progress.course.target[:2] == begin
     assert flown.progress.approaches[collision.index].begin[:2] == pytest.approx(begin)
-    assert not p.findings
 
 
 def test_a_probe_retreats_along_the_normal_of_the_wall_that_it_met() -> None:
-    flown, p, state = Executive(FIND), Proposal(), FlightState()
-    state.anchor(MissionFrame())
-    flown.progress.phase, probe = Phase.CONTACT, FIND.collisions[0].probe
+    flown, probe = MissionInPhase(FIND, Phase.CONTACT), FIND.collisions[0].probe
     assert probe is not None
-    peak = ImpactPeak(5, 5, 5, (-0.8, 0.6), 20.0, 3.0, (1.9, 0.1, 1.0), True)
-    flown._handle_contacts(Sensed(None, (peak,), True), state, p)
+    flown.step(ImpactPeak(5, 5, 5, (-0.8, 0.6), 20.0, 3.0, (1.9, 0.1, 1.0), True))
     assert flown.progress.phase is Phase.RECOVERY
     place = (1.9 - 0.8 * probe.back_m, 0.1 + 0.6 * probe.back_m, FIND.altitude_m)
     assert flown.progress.course.target == pytest.approx(place)
@@ -141,8 +130,7 @@ def test_an_updated_mission_contains_the_measured_walls() -> None:
 @settings(deadline=None)
 def test_a_place_at_a_wall_has_its_distance_from_the_wall_and_along_it(away_m: float, along_m: float) -> None:
     wall = FIND.simulated_walls[0]
-    assert AWAY.at_wall is not None
-    place = resolve_place(wall, msgspec.structs.replace(AWAY.at_wall, away_m=away_m, along_m=along_m))
+    place = resolve_place(wall, msgspec.structs.replace(known(AWAY.at_wall), away_m=away_m, along_m=along_m))
     assert wall.signed_distance(place) == pytest.approx(away_m, abs=1e-9)
     assert wall.along(place) == pytest.approx(along_m, abs=1e-9)
 
@@ -195,37 +183,33 @@ def test_a_long_probe_reaches_its_speed() -> None:
 
 
 def test_a_probe_without_a_contact_ends_at_the_vehicle() -> None:
-    mission = load_mission(packaged("missions", "find_a_wall.yaml"))
-    flown, p, state = Executive(mission), Proposal(), FlightState()
-    state.now_us, state.position = 9_000_000, (2.7, 0.1, 1.0)
-    state.lock = LockState(state.now_us, LockPhase.SETTLED, mission.collisions[0].mode)
-    flown.progress.phase, flown.progress.entered_us = Phase.APPROACH, 0
-    level = (0.0,) * 6
-    flown.progress.course = flown.progress.course.approach(Trajectory.level(level, level, 1.0, (8.8,)))
-    flown._approach(state, Sensed(None, (), False), p)
-    assert flown.progress.phase is Phase.APPROACH
-    state.now_us += 200_000
-    flown._approach(state, Sensed(None, (), False), p)
-    assert (flown.progress.phase, flown.progress.index) == (Phase.RECOVERY, 1)
-    assert flown.progress.course.target[:2] == state.position[:2]
-    assert flown.progress.lock.contact_end_us == state.now_us, "the lock must be free to move"
-    assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
+    flown, level, duration_s = MissionInPhase(FIND, Phase.APPROACH), (0.0,) * 6, 8.8
+    progress, state = flown.progress, flown.state
+    progress.course = progress.course.approach(Trajectory.level(level, level, 1.0, (duration_s,)))
+    state.position, state.lock = (2.7, 0.1, 1.0), LockState(0, LockPhase.SETTLED, FIND.collisions[0].mode)
+    state.now_us = round((duration_s + _NOTHING_MET_S) * 1e6)
+    flown.step()
+    assert progress.phase is Phase.APPROACH
+    state.now_us += 1
+    flown.step()
+    assert (progress.phase, progress.index) == (Phase.RECOVERY, 1)
+    assert progress.course.target[:2] == state.position[:2]
+    assert progress.lock.contact_end_us == state.now_us, "the lock must be free to move"
+    assert [o.what for o in of_kind(ProbeEnd, flown.proposal.outputs)] == [
         "the probe for wall north ended without a contact"
     ]
 
 
-@pytest.mark.parametrize(("left_share", "continues"), [(0.45, True), (0.55, False)])
+@pytest.mark.parametrize(
+    ("left_share", "continues"), [(_LEFT_SHARE - 0.01, True), (_LEFT_SHARE + 0.01, False)]
+)
 def test_a_leg_after_a_probe_begins_only_after_half_of_the_retreat(
     left_share: float, continues: bool
 ) -> None:
     """A vehicle that rests at the wall still leans on PX4's integrators after a slow contact."""
-    mission = load_mission(packaged("missions", "find_a_wall.yaml"))
-    flown, p, state = Executive(mission), Proposal(), FlightState()
-    progress, probe = flown.progress, mission.collisions[0].probe
+    flown, probe = MissionInPhase(FIND, Phase.RECOVERY, 1, _REST_AFTER_US + 1), FIND.collisions[0].probe
     assert probe is not None
-    state.now_us, state.position = 9_000_000, (2.0, 0.0, 1.0)
-    state.lock = LockState(state.now_us, LockPhase.SETTLED, mission.collisions[0].mode)
-    progress.phase, progress.entered_us, progress.index = Phase.RECOVERY, state.now_us - 1_000_000, 1
-    progress.course = progress.course.hold((2.0 - left_share * probe.back_m, 0.0))
-    flown._recovery(state, Sensed(None, (), False), p)
-    assert (progress.phase is not Phase.RECOVERY) == continues
+    flown.state.position = (2.0, 0.0, 1.0)
+    flown.progress.course = flown.progress.course.hold((2.0 - left_share * probe.back_m, 0.0))
+    flown.step()
+    assert (flown.progress.phase is not Phase.RECOVERY) == continues

@@ -6,8 +6,9 @@ import msgspec
 
 from dart_flight.base.records import LockCommand, LockPermission, LockPhase, LockState, Mode
 from dart_flight.config.vehicle import load_vehicle, packaged
-from dart_flight.core.mission.lock_commands import LockCommands, LockCommandState
+from dart_flight.core.mission.lock_commands import _OVERDUE_US, RETRY_US, LockCommands, LockCommandState
 from dart_flight.core.sense.state import FlightState
+from tests.core.conftest import known
 
 NOW_US = 10_000_000
 PACKAGED = load_vehicle(packaged("configs", "dart.yaml")).lock
@@ -19,8 +20,7 @@ class Lock:
     """The commands of the packaged lock with their state, updated as the executive updates it."""
 
     def __init__(self) -> None:
-        assert PACKAGED is not None
-        self.rules = LockCommands(msgspec.structs.replace(PACKAGED, relaxation_s=RELAX_US * 1e-6))
+        self.rules = LockCommands(msgspec.structs.replace(known(PACKAGED), relaxation_s=RELAX_US * 1e-6))
         self.memory = LockCommandState()
 
     def permission(self, now_us: int, in_contact: bool) -> LockPermission | None:
@@ -86,8 +86,8 @@ def test_lock_travel_ends_one_switching_time_after_its_command_or_fails() -> Non
     lock, sent_us = Lock(), NOW_US - 100_000
     for now_us, ready_us in (
         (NOW_US, sent_us + SWITCH_US),
-        (sent_us + SWITCH_US + 50_000, sent_us + SWITCH_US),
-        (sent_us + SWITCH_US + 50_001, None),
+        (sent_us + SWITCH_US + _OVERDUE_US, sent_us + SWITCH_US),
+        (sent_us + SWITCH_US + _OVERDUE_US + 1, None),
     ):
         travelling = state_with(LockPhase.TRAVELLING, Mode.RIGID, now_us, sent_us)
         assert lock.ready_us(Mode.RIGID, travelling) == ready_us
@@ -97,7 +97,7 @@ def test_lock_travel_ends_one_switching_time_after_its_command_or_fails() -> Non
     assert lock.ready_us(Mode.RIGID, other_way) == NOW_US + RELAX_US + SWITCH_US
 
 
-def test_the_lock_command_is_repeated_every_second_until_it_moves() -> None:
+def test_the_lock_command_is_repeated_until_the_lock_moves() -> None:
     lock = Lock()
 
     def commands_rigid(now_us: int, phase: LockPhase = LockPhase.SETTLED, mode: Mode = Mode.FLEXIBLE) -> bool:
@@ -108,12 +108,13 @@ def test_the_lock_command_is_repeated_every_second_until_it_moves() -> None:
     assert not commands_rigid(NOW_US)  # not permitted yet
     lock.permission(NOW_US, False)
     assert commands_rigid(NOW_US)
-    assert not commands_rigid(NOW_US + 999_999)
-    assert commands_rigid(NOW_US + 1_000_000)
+    assert not commands_rigid(NOW_US + RETRY_US - 1)
+    assert commands_rigid(NOW_US + RETRY_US)
     lock.memory = lock.memory.phase_begins()
-    assert not commands_rigid(NOW_US + 1_000_001, LockPhase.TRAVELLING, Mode.RIGID)
-    assert not commands_rigid(NOW_US + 1_000_001, LockPhase.SETTLED, Mode.RIGID)
-    assert commands_rigid(NOW_US + 1_000_001)
-    assert commands_rigid(NOW_US + 2_000_001, LockPhase.TRAVELLING)  # in the other direction
-    flexible = lock.command(Mode.FLEXIBLE, state_with(LockPhase.UNKNOWN, None, NOW_US + 2_000_002))
-    assert flexible == LockCommand(NOW_US + 2_000_002, Mode.FLEXIBLE)  # a different command is sent at once
+    assert not commands_rigid(NOW_US + RETRY_US + 1, LockPhase.TRAVELLING, Mode.RIGID)
+    assert not commands_rigid(NOW_US + RETRY_US + 1, LockPhase.SETTLED, Mode.RIGID)
+    assert commands_rigid(NOW_US + RETRY_US + 1)
+    assert commands_rigid(NOW_US + 2 * RETRY_US + 1, LockPhase.TRAVELLING)  # in the other direction
+    later_us = NOW_US + 2 * RETRY_US + 2
+    flexible = lock.command(Mode.FLEXIBLE, state_with(LockPhase.UNKNOWN, None, later_us))
+    assert flexible == LockCommand(later_us, Mode.FLEXIBLE)  # a different command is sent at once

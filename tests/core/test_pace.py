@@ -9,19 +9,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from dart_flight.base.records import (
-    ContactEnd,
-    ImpactOnset,
-    ImpactPeak,
-    Input,
-    OdometrySample,
-    Phase,
-)
+from dart_flight.base.records import ContactEnd, ImpactOnset, ImpactPeak, Input, OdometrySample, Phase
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.pace import BATCH_S, Pace, pace_near_walls
+from dart_flight.core.pace import _LEAD_S, BATCH_S, Pace, pace_near_walls
 from dart_flight.core.sense.state import FlightState
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
@@ -43,7 +36,6 @@ WHILE_FLYING = [
     Phase.RECOVERY,
     Phase.OVERRULED,
 ]
-LEAD_S = 0.2
 
 
 def state_at(mission: Mission, place: tuple[float, float], velocity: tuple[float, float]) -> FlightState:
@@ -63,22 +55,19 @@ def state_at(mission: Mission, place: tuple[float, float], velocity: tuple[float
     velocity=st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0)),
     phase=st.sampled_from(WHILE_FLYING),
 )
-def test_inputs_are_stepped_at_once_if_a_contact_is_possible_within_a_fifth_of_a_second(
+def test_inputs_are_stepped_at_once_if_a_contact_is_possible_soon(
     wall: Wall, distance_m: float, along_m: float, velocity: tuple[float, float], phase: Phase
 ) -> None:
     """A contact is possible from `wall_early_m` before a wall to `wall_overrun_m` behind it."""
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
-    place = (
-        wall.point[0] + distance_m * nx + along_m * tx,
-        wall.point[1] + distance_m * ny + along_m * ty,
-    )
+    place = (wall.point[0] + distance_m * nx + along_m * tx, wall.point[1] + distance_m * ny + along_m * ty)
     guard, possible = DUAL_COLLISION.vehicle.guard, False
     for one in DUAL_COLLISION.walls:
         closing_m_s = max(0.0, -(velocity[0] * one.normal[0] + velocity[1] * one.normal[1]))
         away_m = one.signed_distance(place)
-        assume(abs(away_m - guard.wall_early_m - LEAD_S * closing_m_s) > 1e-9)
+        assume(abs(away_m - guard.wall_early_m - _LEAD_S * closing_m_s) > 1e-9)
         assume(abs(away_m + guard.wall_overrun_m) > 1e-9)
-        possible |= -guard.wall_overrun_m < away_m < guard.wall_early_m + LEAD_S * closing_m_s
+        possible |= -guard.wall_overrun_m < away_m < guard.wall_early_m + _LEAD_S * closing_m_s
     pace = pace_near_walls(DUAL_COLLISION, state_at(DUAL_COLLISION, place, velocity), phase)
     assert pace is (Pace.IMMEDIATE if possible else Pace.BATCHED)
     assert pace_near_walls(DUAL_COLLISION, FlightState(), Phase.CONTACT) is Pace.IMMEDIATE

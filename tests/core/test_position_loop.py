@@ -13,7 +13,8 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.commitment import setpoint_outside_m
-from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
+from dart_flight.core.mission.position_loop import _BEHIND_M, STOP_TIME_S, stop_share
+from dart_flight.core.mission.wall_uncertainty import SURE_SD
 
 BOUNDS = load_mission(packaged("missions", "paper_single_wall.yaml")).bounds
 number = st.floats(-3.0, 3.0)
@@ -45,11 +46,12 @@ def test_a_wall_does_not_stop_a_vehicle_behind_it() -> None:
     wall = Wall("wall", (0.0, 0.0), (-1.0, 0.0), 2.0, "wood")
     uncertain = Wall("wall", (0.0, 0.0), (-1.0, 0.0), 2.0, "wood", 0.1)
     onward = (1.0, 0.0)
+    unsure_m = _BEHIND_M + SURE_SD * 0.1
     for x, certain_share, uncertain_share in (
-        (0.29, 0.0, 0.0),
-        (0.31, 1.0, 0.0),
-        (0.59, 1.0, 0.0),
-        (0.61, 1.0, 1.0),
+        (_BEHIND_M - 0.01, 0.0, 0.0),
+        (_BEHIND_M + 0.01, 1.0, 0.0),
+        (unsure_m - 0.01, 1.0, 0.0),
+        (unsure_m + 0.01, 1.0, 1.0),
     ):
         assert stop_share((wall,), (x, 0.0), onward) == certain_share
         assert stop_share((uncertain,), (x, 0.0), onward) == uncertain_share

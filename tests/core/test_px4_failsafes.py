@@ -17,8 +17,8 @@ from dart_flight.base.records import (
     SystemStatus,
     VehicleCommand,
 )
-from dart_flight.core.guard.failsafe import FailsafeEvidence
-from tests.core.conftest import HandFedCore, core_in
+from dart_flight.core.guard.failsafe import _MEMORY_US, FailsafeEvidence
+from tests.core.conftest import HandFedCore, core_in, of_kind
 
 ENTER = "commander_failsafe_enter"
 
@@ -52,7 +52,7 @@ def test_a_failsafe_is_named_with_its_cause(text: str, event: str, mode: FlightM
     text = text.replace("\n", "; ")
     c.set_status(flight_mode=mode, system_status=SystemStatus.CRITICAL)
     assert c.fired_details[-1] == ("px4_failsafe", f"{text}; PX4 is in {mode.value}")
-    (end,) = [o for o in c.outputs if isinstance(o, MissionEnd)]
+    (end,) = of_kind(MissionEnd, c.outputs)
     assert (end.outcome, end.reason) == ("aborted", f"px4_failsafe: {text}; PX4 is in {mode.value}")
 
 
@@ -136,7 +136,7 @@ def test_a_termination_is_reported_before_streams_are_silent(words: str | None) 
     assert rule == "terminated"
     assert detail == "PX4 has stopped the motors" + (f": {words}" if words else "")
     assert len(c.fired_details) == 1
-    (end,) = [o for o in c.outputs if isinstance(o, MissionEnd)]
+    (end,) = of_kind(MissionEnd, c.outputs)
     assert end.outcome == "aborted"
     assert not [o for o in c.outputs[c.outputs.index(end) :] if isinstance(o, Setpoint | VehicleCommand)]
 
@@ -158,14 +158,14 @@ def test_a_kill_after_touchdown_is_no_termination_of_the_flight() -> None:
         max_size=8,
     )
 )
-def test_status_texts_are_evidence_for_at_most_three_seconds(texts: list[tuple[str, int]]) -> None:
+def test_status_texts_are_evidence_for_a_limited_time(texts: list[tuple[str, int]]) -> None:
     evidence, now_us = FailsafeEvidence(), 10_000_000
     for text, after_us in texts:
         now_us += after_us
         evidence.add_text(StatusText(now_us, now_us, "critical", text), now_us)
         if "switching to" in text:
             assert evidence.announcement(now_us) == text
-    now_us += 3_000_000
+    now_us += _MEMORY_US
     assert evidence.announcement(now_us) is None
     assert evidence.termination(now_us) is None
     assert not evidence.is_mentioned(now_us)

@@ -10,14 +10,14 @@ import pytest
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import GuardEvent, LockPhase, Mode, Override, Phase, PhaseChange, Setpoint
 from dart_flight.core.mission.approach import plan_approach
-from tests.core.conftest import SHORT_TIMEOUTS, HandFedCore, core_in
+from tests.core.conftest import SHORT_TIMEOUTS, HandFedCore, core_in, of_kind
 
 
 def follow(c: HandFedCore, seconds: float) -> list[Setpoint]:
     """Move the vehicle to every setpoint without delay; return the setpoints."""
     sent: list[Setpoint] = []
     for _ in range(round(seconds / 0.008)):
-        here = [o for o in c.run(0.008) if isinstance(o, Setpoint)]
+        here = of_kind(Setpoint, c.run(0.008))
         sent += here
         if here:
             c.position_ned, c.velocity_ned = here[-1].position_ned, here[-1].velocity_ned or (0.0, 0.0, 0.0)
@@ -42,7 +42,7 @@ def stand_off_first_wall(c: HandFedCore) -> None:
 def given_up_after_s(c: HandFedCore, phase: Phase) -> float:
     """Return after which time in a phase the standoff point is given up, seconds."""
     (begun,) = (o for o in c.outputs if isinstance(o, PhaseChange) and o.after is phase)
-    (event,) = (o for o in c.outputs if isinstance(o, GuardEvent))
+    (event,) = of_kind(GuardEvent, c.outputs)
     assert (event.rule, event.action) == ("transit_timeout", Override.HOLD)
     assert event.detail == "the standoff point was not reached in time"
     return (event.t_us - begun.t_us) * 1e-6
@@ -112,5 +112,5 @@ def test_a_waypoint_between_two_walls_is_rehearsed_too() -> None:
     stand_off_first_wall(c)
     c.set_lock(Mode.RIGID)
     assert follow_through(c, Phase.WAYPOINT) == pytest.approx((0.2, -0.5, -1.0), abs=0.01)
-    phases = [o.after for o in c.outputs if isinstance(o, PhaseChange)]
+    phases = [o.after for o in of_kind(PhaseChange, c.outputs)]
     assert phases[-3:] == [Phase.RECOVERY, Phase.WAYPOINT, Phase.TRANSIT]

@@ -5,15 +5,8 @@ import math
 
 import msgspec
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from dart_flight.base.records import (
-    ForceEstimate,
-    PlanAnswer,
-    PlanRequest,
-    PlanTaken,
-)
+from dart_flight.base.records import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
@@ -21,14 +14,22 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.lock_commands import LockCommandState
 from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
 from dart_flight.core.mission.replan import Replan
-from dart_flight.core.mission.replan_requests import ReplanRequests
-from dart_flight.core.mission.trajectories import Trajectory
+from dart_flight.core.mission.replan_requests import (
+    _AGAIN_US,
+    _FELT_WITHIN_US,
+    _HELD_TO_M,
+    _LATER_S,
+    _NOT_AGAIN_US,
+    _TRIES,
+    ReplanRequests,
+)
+from dart_flight.core.mission.wall_uncertainty import _MIN_CLOSING_M_S, SURE_SD
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
+from tests.core.conftest import known
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 NOW_US = 10_000_000
-coefficient = st.floats(-2.0, 2.0)
 
 
 def state_at(now_us: int, position: tuple[float, float, float] = (1.0, -1.0, 1.0)) -> FlightState:
@@ -54,11 +55,7 @@ class Planning:
         return change
 
     def request(
-        self,
-        between: tuple[Collision, Collision],
-        state: FlightState,
-        sensed: Sensed,
-        square_us: int = 0,
+        self, between: tuple[Collision, Collision], state: FlightState, sensed: Sensed, square_us: int = 0
     ) -> PlanRequest | None:
         """Return the request between a hit and the next one, if there is one."""
         hit, following = between
@@ -90,8 +87,7 @@ BETWEEN = (MISSION.collisions[0], MISSION.collisions[1])
 
 def planning_with_request() -> tuple[Planning, PlanRequest]:
     planning = Planning(MISSION)
-    request = planning.request(BETWEEN, state_at(NOW_US), OVER)
-    assert request is not None
+    request = known(planning.request(BETWEEN, state_at(NOW_US), OVER))
     assert request.setpoint_mission == (2.0, -0.8, 1.0)
     assert planning.request(BETWEEN, state_at(NOW_US + 4_000), OVER) is None  # once after each contact
     return planning, request
@@ -142,12 +138,10 @@ def test_an_answer_in_time_is_flown_from_its_start_time() -> None:
     assert change.outputs == (PlanTaken(request.begin_us, request.number, True),)
     assert planning.replan.since_us == request.begin_us
     assert planning.trajectory(moved_to(request)) == NO_CHANGE  # once
-    impact = planning.replan.predict_impact(1.2, state_at(request.begin_us + 300_000))
-    assert impact is not None
+    impact = known(planning.replan.predict_impact(1.2, state_at(request.begin_us + 300_000)))
     assert impact.after_s == pytest.approx(1.0)
     assert impact.normal_m_s == -1.2
-    beyond = planning.replan.predict_impact(1.2, state_at(request.begin_us + 1_400_000))
-    assert beyond is not None
+    beyond = known(planning.replan.predict_impact(1.2, state_at(request.begin_us + 1_400_000)))
     assert beyond.after_s == 0.0  # due, but not over
     end_us = request.begin_us + 1_000_000
     assert [planning.replan.is_over(t_us) for t_us in (end_us - 1, end_us)] == [False, True]
@@ -179,7 +173,7 @@ def test_an_unusable_answer_is_refused_with_its_reason(change: dict[str, object]
 
 
 def test_a_request_for_the_same_wall_waits_for_its_estimate() -> None:
-    """It waits at most 150 ms after each contact; a request for another wall is sent at once."""
+    """It waits for a limited time after each contact; a request for another wall is sent at once."""
     hit, following = MISSION.collisions
 
     def sends_request(again: bool, after_us: int, estimated: bool = False) -> bool:
@@ -192,8 +186,8 @@ def test_a_request_for_the_same_wall_waits_for_its_estimate() -> None:
 
     planning = Planning(MISSION)
     assert sends_request(False, 0)
-    assert not sends_request(True, 149_999)
-    assert sends_request(True, 150_000)
+    assert not sends_request(True, _FELT_WITHIN_US - 1)
+    assert sends_request(True, _FELT_WITHIN_US)
     assert sends_request(True, 10_000, estimated=True)
     assert not sends_request(True, 10_000)
 
@@ -207,8 +201,7 @@ def test_an_approach_from_rest_must_move_towards_its_wall(
 ) -> None:
     planning, hit = Planning(MISSION), MISSION.collisions[0]
     assert hit.approach_m_s is not None
-    request = planning.request((hit, hit), state_at(NOW_US), OVER)
-    assert request is not None
+    request = known(planning.request((hit, hit), state_at(NOW_US), OVER))
     answer = msgspec.structs.replace(answer_to(request), normal_m_s=normal_m_s, tangential_m_s=tangential_m_s)
     refusal = refusal_to(planning, answer, NOW_US + 40_000)
     assert refusal == (None if flown else "the plan does not match the request")
@@ -225,14 +218,12 @@ def test_an_approach_from_rest_must_move_towards_its_wall(
 def test_an_approach_without_room_is_refused_once_and_the_previous_approach_is_kept() -> None:
     """The run-up for 2.9 m/s would start outside the flight space."""
     planning, hit = Planning(MISSION), MISSION.collisions[0]
-    request = planning.request((hit, hit), state_at(NOW_US), OVER)
-    assert request is not None
+    request = known(planning.request((hit, hit), state_at(NOW_US), OVER))
     fast = msgspec.structs.replace(answer_to(request), normal_m_s=-2.9, tangential_m_s=0.0)
     assert refusal_to(planning, fast, NOW_US + 40_000) is None
     change = planning.apply(planning.rules.approach(planning.progress, NOW_US + 44_000))
     assert change.approach is None
-    refusal = refusal_in(change)
-    assert refusal is not None
+    refusal = known(refusal_in(change))
     assert refusal.startswith("the run-up to wall wood at 2.90 m/s starts at (")
     (taken,) = change.outputs
     assert isinstance(taken, PlanTaken)
@@ -253,9 +244,7 @@ def test_a_wall_is_not_hit_before_the_vehicle_is_square_to_it() -> None:
     planning = Planning(mission)
 
     def request_at(now_us: int, square_us: int) -> PlanRequest:
-        request = planning.request(BETWEEN, state_at(now_us), OVER, square_us)
-        assert request is not None
-        return request
+        return known(planning.request(BETWEEN, state_at(now_us), OVER, square_us))
 
     first = request_at(NOW_US, NOW_US + 1_500_000)
     assert first.lock_ready_us == NOW_US + 1_500_000
@@ -311,11 +300,9 @@ def test_a_planned_trajectory_keeps_the_altitude_between_its_walls() -> None:
     """The waypoint after the second wall is higher."""
     higher = {"position_m": [0.0, 0.0], "altitude_m": 1.4, "after": 2}
     planning = Planning(MISSION.replace({"waypoints": [higher]}))
-    request = planning.request(BETWEEN, state_at(NOW_US), OVER)
-    assert request is not None
+    request = known(planning.request(BETWEEN, state_at(NOW_US), OVER))
     planning.accept(answer_to(request), NOW_US + 40_000)
-    course = planning.trajectory(moved_to(request)).course
-    assert course is not None
+    course = known(planning.trajectory(moved_to(request)).course)
     assert course.target[2] == 1.0
 
 
@@ -338,49 +325,23 @@ def test_a_contact_discards_earlier_plans() -> None:
     assert not flown.replan.is_over(much_later.now_us)
 
 
-@pytest.mark.parametrize(("velocity", "more_s"), [((0.7, -0.1, 0.0), 0.6), ((-0.7, 0.1, 0.0), 3.0)])
+@pytest.mark.parametrize(
+    ("velocity", "closing_m_s"), [((0.7, -0.1, 0.0), 0.5), ((-0.7, 0.1, 0.0), _MIN_CLOSING_M_S)]
+)
 def test_the_lateness_limit_of_a_wall_includes_its_position_uncertainty(
-    velocity: tuple[float, float, float], more_s: float
+    velocity: tuple[float, float, float], closing_m_s: float
 ) -> None:
     """The uncertainty is divided by the closing speed, or by a low speed if there is none."""
     planning, request = planning_with_request()
     assert refusal_to(planning, answer_to(request), NOW_US + 40_000) is None
     assert planning.flies(moved_to(request))
     wall = msgspec.structs.replace(MISSION.walls[1], position_sd_m=0.1, normal=(-0.8, -0.6))
-    due_us = request.begin_us + 1_300_000 + round((MISSION.vehicle.guard.wall_late_s + more_s) * 1e6)
+    late_s = MISSION.vehicle.guard.wall_late_s + SURE_SD * 0.1 / closing_m_s
+    due_us = request.begin_us + 1_300_000 + round(late_s * 1e6)
     for beside_us, late in ((-1000, False), (1000, True)):
         state = state_at(due_us + beside_us)
         state.velocity = velocity
         assert planning.is_late(wall, state) is late
-
-
-@given(st.tuples(*[coefficient] * 6), st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.0, 4.0))
-def test_a_trajectory_is_consistent_with_its_derivatives(
-    x: tuple[float, ...], y: tuple[float, ...], duration_s: float, t_s: float
-) -> None:
-    plan, h = Trajectory.level(x, y, 1.0, (duration_s,)), 1e-5
-    if abs(t_s - duration_s) < 2 * h or t_s < h:
-        return
-    at, before, after = plan.at(t_s), plan.at(t_s - h), plan.at(t_s + h)
-    for axis in (0, 1):
-        slope = (after.position[axis] - before.position[axis]) / (2 * h)
-        curve = (after.velocity[axis] - before.velocity[axis]) / (2 * h)
-        assert at.velocity[axis] == pytest.approx(slope, rel=1e-4, abs=1e-3)
-        jerk = (after.acceleration[axis] - before.acceleration[axis]) / (2 * h)
-        assert at.acceleration[axis] == pytest.approx(curve, rel=1e-4, abs=1e-3)
-        if h < t_s < duration_s - h:
-            assert at.jerk[axis] == pytest.approx(jerk, rel=1e-3, abs=1e-2)
-
-
-@given(st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.01, 2.0))
-def test_a_trajectory_continues_straight_after_its_end(
-    x: tuple[float, ...], duration_s: float, more_s: float
-) -> None:
-    plan = Trajectory.level(x, x, 1.0, (duration_s,))
-    end, beyond = plan.at(duration_s), plan.at(duration_s + more_s)
-    assert beyond.velocity == end.velocity
-    assert beyond.position[0] == pytest.approx(end.position[0] + more_s * end.velocity[0])
-    assert beyond.acceleration == beyond.jerk == (0.0, 0.0, 0.0)
 
 
 # --- along the mission's own trajectories ------------------------------------------------------------------
@@ -404,8 +365,7 @@ def request_along(planning: Planning, state: FlightState) -> PlanRequest | None:
 def flown_planning(duration_s: float) -> tuple[Planning, PlanRequest]:
     """Return a planning whose first answer is flown, and the request for it."""
     planning = Planning(ALONG)
-    request = request_along(planning, state_on_line(NOW_US))
-    assert request is not None
+    request = known(request_along(planning, state_on_line(NOW_US)))
     assert request_along(planning, state_on_line(NOW_US + 100_000)) is None
     answer = msgspec.structs.replace(answer_to(request), duration_s=duration_s, impact_s=duration_s)
     assert refusal_to(planning, answer, NOW_US + 40_000) is None
@@ -414,7 +374,7 @@ def flown_planning(duration_s: float) -> tuple[Planning, PlanRequest]:
     return planning, request
 
 
-def test_a_request_without_a_trajectory_is_sent_six_times_per_contact() -> None:
+def test_a_request_without_a_trajectory_is_repeated_for_each_contact() -> None:
     planning, times = Planning(ALONG), []
     for contact_us in (NOW_US, NOW_US + 5_000_000):
         planning.contact_begins()
@@ -425,15 +385,14 @@ def test_a_request_without_a_trajectory_is_sent_six_times_per_contact() -> None:
                 assert (request.under_way, request.contact_height_m) == (False, 0.02)
                 refused = msgspec.structs.replace(answer_to(request), problem="none")
                 assert refusal_to(planning, refused, t_us) == "none"
-    assert times == [0, 300_000, 600_000, 900_000, 1_200_000, 1_500_000] * 2
+    assert times == [_AGAIN_US * i for i in range(_TRIES)] * 2
 
 
 def test_no_request_is_sent_while_an_answer_waits_for_its_start() -> None:
     planning = Planning(ALONG)
-    request = request_along(planning, state_on_line(NOW_US))
-    assert request is not None
+    request = known(request_along(planning, state_on_line(NOW_US)))
     assert refusal_to(planning, answer_to(request), NOW_US) is None
-    assert request_along(planning, state_on_line(NOW_US + 400_000)) is None
+    assert request_along(planning, state_on_line(NOW_US + _AGAIN_US + 100_000)) is None
 
 
 def test_a_flown_trajectory_is_replanned_until_shortly_before_its_end() -> None:
@@ -447,24 +406,29 @@ def test_a_flown_trajectory_is_replanned_until_shortly_before_its_end() -> None:
             assert request.under_way
             times.append(t_us)
     within_us = round(ALONG.vehicle.flying.replan_within_s * 1e6)
-    assert times[0] == NOW_US + 300_000
-    assert {b - a for a, b in itertools.pairwise(times)} == {300_000}
-    assert 0 <= end_us - times[-1] - within_us - 400_000 <= 300_000
+    assert times[0] == NOW_US + _AGAIN_US
+    assert {b - a for a, b in itertools.pairwise(times)} == {_AGAIN_US}
+    assert 0 <= end_us - times[-1] - within_us - _NOT_AGAIN_US <= _AGAIN_US
     planning.contact_begins()
     assert planning.replan.impact_in_s(state_on_line(end_us)) == -math.inf
 
 
 @pytest.mark.parametrize(
     ("later_s", "off_m", "taken"),
-    [(0.13, 0.0, True), (0.17, 0.0, False), (0.17, 0.15, False), (0.17, 0.25, True), (-0.3, 0.0, True)],
+    [
+        (_LATER_S - 0.02, 0.0, True),
+        (_LATER_S + 0.02, 0.0, False),
+        (_LATER_S + 0.02, _HELD_TO_M - 0.05, False),
+        (_LATER_S + 0.02, _HELD_TO_M + 0.05, True),
+        (-0.3, 0.0, True),
+    ],
 )
 def test_a_trajectory_is_kept_if_its_replacement_ends_much_later(
     later_s: float, off_m: float, taken: bool
 ) -> None:
     """Unless the vehicle is far from it."""
     planning, first = flown_planning(1.3)
-    request = request_along(planning, state_on_line(NOW_US + 400_000, off_m))
-    assert request is not None
+    request = known(request_along(planning, state_on_line(NOW_US + 400_000, off_m)))
     left_s = 1.3 - (request.begin_us - first.begin_us) * 1e-6
     there_s = left_s + later_s
     answer = msgspec.structs.replace(answer_to(request), duration_s=there_s, impact_s=there_s)

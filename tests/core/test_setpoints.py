@@ -1,4 +1,4 @@
-"""Courses, arrival and setpoints, one sample at a time."""
+"""Courses and setpoints, one sample at a time."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from dart_flight.base.geometry import MissionFrame, Vec3
-from dart_flight.base.records import AttitudeSample, OdometrySample, Phase, Setpoint
+from dart_flight.base.records import OdometrySample, Phase, Setpoint
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.course import ARRIVED_M, ARRIVED_M_S, ARRIVED_S, MEAN_SPEED_S, Arrival, Course
-from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.course import Course
 from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
 from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, SetpointTrigger, make_setpoint
-from dart_flight.core.mission.trajectories import Trajectory
+from dart_flight.core.mission.trajectories import Trajectory, TrajectoryPoint
 from dart_flight.core.sense.state import FlightState
+from tests.core.conftest import known
 
 MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
 FLYING, ALTITUDE_M = MISSION.vehicle.flying, MISSION.altitude_m
@@ -47,11 +47,14 @@ def parts(setpoint: Setpoint) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
 def setpoint_parts(
     flown: Course, t_us: int, since_us: int | None = 0, mission: Mission = MISSION
 ) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Return the parts of the setpoint for a sample, without an added acceleration."""
-    progress = MissionState(mission, {})
-    progress.course = flown
-    reference = SetpointSelection(mission)._reference(progress, t_us, since_us)
-    return parts(make_setpoint(FRAME, TRIGGER, reference, 0.2))
+    """Return the parts of the setpoint for a sample on a course that is flown since `since_us`."""
+    progress, state = MissionState(mission, {}), FlightState()
+    progress.course, progress.entered_us = flown, since_us
+    # A waiting vehicle is commanded the target of its course.
+    progress.phase = Phase.PREPARE if since_us is None else Phase.WAYPOINT
+    sample = OdometrySample(t_us, t_us, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    setpoint, _ = SetpointSelection(mission).setpoint(sample, progress, state, FRAME, None)
+    return parts(known(setpoint))
 
 
 def has_parts(setpoint: Setpoint, *expected: Vec3 | None) -> bool:
@@ -101,18 +104,21 @@ def test_drag_and_the_d_term_are_fed_forward_ahead_of_the_attitude_lag() -> None
     assert flown.target == trajectory.at(5.0).position
     at, (_, velocity, fed) = trajectory.at(1.0), setpoint_parts(flown, 1_000_000)
     assert velocity == pytest.approx(at.velocity)
-    assert fed is not None
-    kd = MISSION.vehicle.px4.mpc_xy_vel_d_acc
-    for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
-        later_m_s = at.velocity[axis] + ATTITUDE_LAG_S * at.acceleration[axis]
-        later_m_s2 = at.acceleration[axis] + ATTITUDE_LAG_S * at.jerk[axis]
-        assert fed[axis] == pytest.approx(drag * later_m_s + later_m_s2 + kd * at.acceleration[axis])
+    assert known(fed)[:2] == pytest.approx([needed_m_s2(at, at, axis) for axis in range(2)])
 
 
 def mission_with_delays(delay_s: float, dead_s: float = 0.0) -> Mission:
     """Return the mission with these delays of the autopilot."""
     flying = structs.replace(FLYING, setpoint_delay_s=delay_s, attitude_delay_s=dead_s)
     return structs.replace(MISSION, vehicle=structs.replace(MISSION.vehicle, flying=flying))
+
+
+def needed_m_s2(flown: TrajectoryPoint, tilted: TrajectoryPoint, axis: int, dead_s: float = 0.0) -> float:
+    """Return the acceleration for drag, PX4's D term and the lag of the attitude less its dead time."""
+    kd, drag = MISSION.vehicle.px4.mpc_xy_vel_d_acc, MISSION.vehicle.airframe.drag_per_s[axis]
+    lead_s = ATTITUDE_LAG_S - dead_s
+    push = (1.0 + kd + lead_s * drag) * tilted.acceleration[axis] + lead_s * tilted.jerk[axis]
+    return push + drag * flown.velocity[axis]
 
 
 @given(st.floats(0.0, 0.1), st.floats(0.0, 1.9))
@@ -140,10 +146,8 @@ def test_thrust_is_commanded_ahead_of_the_attitude_dead_time(
     assert place == pytest.approx(flown.position, abs=1e-9)
     assert velocity == pytest.approx(flown.velocity, abs=1e-9)
     assert fed is not None
-    kd, lead_s = MISSION.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - dead_s
-    for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
-        push = (1.0 + kd + lead_s * drag) * tilted.acceleration[axis] + lead_s * tilted.jerk[axis]
-        assert fed[axis] == pytest.approx(push + drag * flown.velocity[axis], abs=1e-9)
+    expected = [needed_m_s2(flown, tilted, axis, dead_s) for axis in range(2)]
+    assert fed[:2] == pytest.approx(expected, abs=1e-9)
 
 
 def parts_before_wall(mission: Mission, sample: OdometrySample) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
@@ -154,8 +158,7 @@ def parts_before_wall(mission: Mission, sample: OdometrySample) -> tuple[Vec3, V
     progress.collisions, progress.course = [collision], STANDING.follow(INTO_A_WALL)
     progress.phase, progress.entered_us, state.now_us = Phase.APPROACH, 0, sample.t_us
     setpoint, _ = SetpointSelection(mission).setpoint(sample, progress, state, FRAME, None)
-    assert setpoint is not None
-    return parts(setpoint)
+    return parts(known(setpoint))
 
 
 def test_a_delayed_setpoint_does_not_reach_beyond_the_wall() -> None:
@@ -168,11 +171,7 @@ def test_a_delayed_setpoint_does_not_reach_beyond_the_wall() -> None:
         end_us - 10_000, 0, FRAME.point_to_ned(at_wall.position), FRAME.vector_to_ned(motion)
     )
     place, velocity, fed = parts_before_wall(mission, sample)
-    assert fed is not None
-    kd, lead_s = MISSION.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - 0.05
-    for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
-        push = (1.0 + kd + lead_s * drag) * at_wall.acceleration[axis] + lead_s * at_wall.jerk[axis]
-        assert fed[axis] == pytest.approx(push + drag * at_wall.velocity[axis])
+    assert known(fed)[:2] == pytest.approx([needed_m_s2(at_wall, at_wall, axis, 0.05) for axis in range(2)])
     assert velocity is not None
     across = [wall.normal[axis] for axis in range(2)]
     assert sum(v * n for v, n in zip(velocity, across, strict=False)) == pytest.approx(
@@ -268,60 +267,10 @@ def test_a_step_carries_an_acceleration_only_if_one_is_added() -> None:
     assert has_parts(pushed, place, NO_PUSH, (0.5, -0.2, 0.0))
 
 
-def test_arrival_needs_position_speed_and_heading_for_a_minimum_time() -> None:
-    flown, state, t_us = Executive(MISSION), FlightState(), 0
-    state.anchor(MissionFrame())
-    flown.progress.phase, flown.progress.course = Phase.GOAL, STANDING.hold((0.0, 0.0))
-
-    def after(seconds: float, beside_m: float = 0.0, yaw: float = 0.0, speed_m_s: float = 0.0) -> bool:
-        """Feed samples for `seconds`; return whether the vehicle has arrived in any of them."""
-        nonlocal t_us
-        arrived = False
-        for _ in range(round(seconds / 0.01)):
-            t_us += 10_000
-            half = 0.5 * yaw
-            state.update_attitude(AttitudeSample(t_us, t_us, (math.cos(half), 0.0, 0.0, -math.sin(half))))
-            there, moving = (beside_m, 0.0, -ALTITUDE_M), (speed_m_s, 0.0, 0.0)
-            state.update_odometry(OdometrySample(t_us, t_us, there, moving))
-            arrived = flown._has_arrived(state) or arrived
-        return arrived
-
-    long_s = ARRIVED_S + 0.02
-    assert not after(2.0 * long_s, beside_m=1.02 * ARRIVED_M)
-    assert not after(2.0 * long_s, yaw=0.052)
-    assert not after(2.0 * long_s, yaw=-0.052)
-    assert not after(2.0 * long_s + MEAN_SPEED_S, speed_m_s=1.02 * ARRIVED_M_S)
-    assert not after(MEAN_SPEED_S, beside_m=9.0)
-    assert not after(ARRIVED_S - 0.02)
-    assert not after(0.05, beside_m=9.0)  # the time restarts
-    assert not after(ARRIVED_S - 0.02, 0.98 * ARRIVED_M, 0.048, 0.98 * ARRIVED_M_S)
-    flown.progress.arrived_us = None  # as when a phase begins
-    assert not after(ARRIVED_S - 0.02)
-    assert after(0.04)
-
-
 def test_a_transit_to_the_current_position_takes_a_tenth_of_a_second() -> None:
     """A duration of zero would cause a division by zero."""
     here = (1.0, 2.0, ALTITUDE_M)
     assert Trajectory.rest_to_rest(here, here, 1.0, FLYING).duration_s == 0.1
-
-
-@pytest.mark.parametrize(
-    ("mission", "share", "off_rad", "arrives"),
-    [
-        ("paper_single_wall", 0.99, 0.049, True),
-        ("paper_single_wall", 0.99, 0.051, False),
-        ("paper_single_wall", 1.01, 0.0, False),
-        ("dual_collision_gps", 2.49, 0.0, True),  # a drifting position needs a larger tolerance
-        ("dual_collision_gps", 2.51, 0.0, False),
-    ],
-)
-def test_arrival_tolerates_a_limited_distance_and_heading_error(
-    mission: str, share: float, off_rad: float, arrives: bool
-) -> None:
-    arrival, state = Arrival(load_mission(packaged("missions", f"{mission}.yaml"))), FlightState()
-    state.position, state.yaw = (1.0 + share * ARRIVED_M, 2.0, 0.0), off_rad
-    assert arrival.is_at(STANDING.target, 0.0, state) is arrives
 
 
 @pytest.mark.parametrize("along", [(1.0, 0.0), (0.0, 1.0)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,6 +21,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.streams import BY_NAME
 from dart_flight.config.vehicle import load_vehicle, packaged
+from dart_flight.core.guard.estimator_resets import REACH_US
 from dart_flight.core.guard.estimator_watch import (
     ESTIMATOR_BAD_S,
     ESTIMATOR_RULES,
@@ -31,6 +33,7 @@ from dart_flight.core.guard.estimator_watch import (
 from dart_flight.core.guard.rule import Rule
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.guard.stream_watch import (
+    _OTHERS_SINCE,
     ACTUATOR_TIMEOUT_S,
     LINK_LOST_S,
     SAMPLED,
@@ -38,6 +41,7 @@ from dart_flight.core.guard.stream_watch import (
     STREAM_RULES,
     StreamWatch,
 )
+from tests.core.conftest import known
 
 GUARD = load_vehicle(packaged("configs", "dart.yaml")).guard
 NOW_US = 2_000_000_000
@@ -54,38 +58,37 @@ ages = st.one_of(st.floats(0.0, 0.6), st.floats(0.0, 7.0), st.floats(900.0, 1900
 def details_of(rules: tuple[Rule, ...], **conditions: object) -> dict[str, str]:
     found = {}
     for rule in rules:
-        assert rule.condition.cause is not None
-        detail = rule.condition.cause(SimpleNamespace(**conditions))
+        detail = known(rule.condition.cause)(SimpleNamespace(**conditions))
         if detail is not None:
             found[rule.name] = detail
     return found
 
 
 def watch_with(ages_s: dict[str, float | None], others_since: int = 0) -> StreamWatch:
-    """Return a watch of streams whose newest samples have these ages, or None if there is no sample."""
-    import msgspec
+    """Return a watch of streams whose newest samples have these ages, or None if there is no sample.
 
+    `others_since` is the number of samples of other streams since the newest one of the IMU.
+    """
     watch = StreamWatch(GUARD)
+    for _ in range(others_since):
+        watch.add_sample("attitude", AttitudeSample(0, 0, (1.0, 0.0, 0.0, 0.0)), None)
     watch.state.host_us = NOW_US
     for name, age_s in ages_s.items():
         if age_s is not None:
             received_us = NOW_US - round(1e6 * age_s)
             setattr(watch.state, name, msgspec.structs.replace(SAMPLES[name], received_us=received_us))
-    watch._since_imu = others_since
     return watch
 
 
 @given(
-    st.fixed_dictionaries(
-        {**{name: st.one_of(st.none(), ages) for name in SAMPLED}, "status": ages},
-    ),
+    st.fixed_dictionaries({**{name: st.one_of(st.none(), ages) for name in SAMPLED}, "status": ages}),
     st.integers(0, 30),
 )
 def test_a_stream_is_silent_exactly_beyond_its_limit(
     ages_s: dict[str, float | None], others_since: int
 ) -> None:
     age_of = {name: math.inf if age is None else round(1e6 * age) * 1e-6 for name, age in ages_s.items()}
-    imu_s = GUARD.imu_timeout_s if others_since >= 12 else GUARD.stream_timeout_s
+    imu_s = GUARD.imu_timeout_s if others_since >= _OTHERS_SINCE else GUARD.stream_timeout_s
     expected = {
         "link_lost": min(age_of[name] for name in ("imu", "attitude", "odometry", "status")) > LINK_LOST_S,
         "imu_silent": age_of["imu"] > imu_s,
@@ -102,6 +105,15 @@ def test_a_stream_is_silent_exactly_beyond_its_limit(
         else:
             stream = name.removesuffix("_silent")
             assert found[name] == f"no data for {min(age_of[stream], 999.0) * 1e3:.0f} ms"
+
+
+@pytest.mark.parametrize(("others_since", "silent"), [(_OTHERS_SINCE - 1, False), (_OTHERS_SINCE, True)])
+def test_the_imu_is_silent_sooner_if_other_streams_continue(others_since: int, silent: bool) -> None:
+    ages_s = dict.fromkeys((*SAMPLED, "status"), 0.0) | {
+        "imu": 0.5 * (GUARD.imu_timeout_s + GUARD.stream_timeout_s)
+    }
+    found = details_of(STREAM_RULES, streams=watch_with(dict(ages_s), others_since))
+    assert list(found) == ["imu_silent"] * silent
 
 
 @given(st.sampled_from(SAMPLED), st.integers(1, 400), st.integers(0, 2**40))
@@ -155,7 +167,7 @@ def test_estimator_rules_depend_on_the_step_and_pause_after_impacts(
         watch.add_report(EstimatorSample(later_us, later_us, reset_counter=2), Phase.TRANSIT)
     found = step(None, later_us + round(1e6 * after_s))
     assert "estimator_jump" not in found
-    near = counted and round(1e6 * after_s) <= 100_000
+    near = counted and round(1e6 * after_s) <= REACH_US
     if abs(away_m - RESET_POSITION_M) > 1e-9:
         stepped = away_m > RESET_POSITION_M or faster_m_s > RESET_VELOCITY_M_S
         assert ("estimator_reset" in found) is (near and stepped and not excused)

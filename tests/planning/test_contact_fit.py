@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 from dart_flight.base.geometry import IDENTITY
 from dart_flight.base.records import ContactRequest, ContactSide, ImpactOnset, Mode, WallEstimate
 from dart_flight.base.walls import Wall
-from dart_flight.config.vehicle import ArmVibration, Coefficients, VehicleConfig
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.law import Onset
-from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.planning.contact_fit import (
     SURE_LOG_ODDS,
     Belief,
@@ -145,6 +144,32 @@ def log_odds(contact: Contact, material: str) -> float:
     return rigid.evidence - flexible.evidence
 
 
+class Fits:
+    """The fits that a fitter runs.
+
+    Attributes:
+        seen: the fits, in order.
+        results: results to return instead of fitting.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.seen: list[ContactFit] = []
+        self.results: list[Hypothesis] = []
+        run = ContactFit.run
+
+        def run_or_return(fit: ContactFit) -> list[Hypothesis]:
+            self.seen.append(fit)
+            return self.results or run(fit)
+
+        monkeypatch.setattr(ContactFit, "run", run_or_return)
+
+
+@pytest.fixture
+def fits(monkeypatch: pytest.MonkeyPatch) -> Fits:
+    """Watch the fits of a test, or replace their results."""
+    return Fits(monkeypatch)
+
+
 # --- coefficients and mode --------------------------------------------------------------------------------
 
 
@@ -231,10 +256,10 @@ def test_a_certain_wall_position_is_kept() -> None:
     )
 
 
-def test_the_angle_of_a_tick_applies_at_its_middle() -> None:
+def test_the_angle_of_a_tick_applies_at_its_middle(fits: Fits) -> None:
     """A left turn at 2 rad/s gives 4 mrad at the middle of the first tick and 12 mrad at the second."""
-    request = contact_request([0.0, 0.0, 0.0], rate=-2.0)
-    assert ContactFitter(VEHICLE)._ticks(request).turned == pytest.approx([0.004, 0.012, 0.020])
+    ContactFitter(VEHICLE).answer(contact_request([0.0] * 3 + [9.0] * 5, rate=-2.0), 0)
+    assert fits.seen[0].contact.ticks.turned == pytest.approx([0.004 + 0.008 * i for i in range(8)])
 
 
 def test_readings_at_full_scale_count_as_lower_bounds() -> None:
@@ -381,14 +406,6 @@ def test_the_fitter_returns_finite_numbers_or_a_problem_for_any_readings(
         assert all(math.isfinite(v) for v in values if isinstance(v, float))
 
 
-def test_removing_the_arm_vibration_inverts_adding_it() -> None:
-    arms = ArmVibration(18.0, 0.12, 0.08)
-    adding, removing, rng = ArmFilter(arms, TICK_S), ArmFilter(arms, TICK_S), random.Random(1)
-    for _ in range(60):
-        x, y = rng.gauss(0.0, 10.0), rng.gauss(0.0, 10.0)
-        assert removing.remove(*adding.add(x, y), TICK_S) == pytest.approx((x, y), abs=1e-9)
-
-
 # --- the mode ----------------------------------------------------------------------------------------------
 
 
@@ -427,23 +444,20 @@ def contact_request(
     )
 
 
+AFTER = {mode: belief_of("wood", mode)._replace(k=777.0) for mode in Mode}
+
+
 def answer_with_odds(
-    monkeypatch: pytest.MonkeyPatch, odds: float, misfit: float, reported: Mode | None
-) -> tuple[ContactFitter, WallEstimate, dict[Mode, Belief]]:
-    """Answer a contact whose two fits are given; return the fitter, the estimate and each fit's belief."""
-    after = {mode: belief_of("wood", mode)._replace(k=777.0) for mode in Mode}
-    request = contact_request([0.0] * 3 + [9.0] * 5, reported=reported)
-
-    def run(fit: ContactFit) -> list[Hypothesis]:
-        theta = np.array([1.0, 1.0, 0.03, -1.0, 0.0, 1.0, 0.0, 0.3])
-        found = Hypothesis(odds, misfit, after[Mode.RIGID], 0.01, 0.02, 0.03, 0.004, theta)
-        return [found, found._replace(evidence=0.0, belief=after[Mode.FLEXIBLE])]
-
-    monkeypatch.setattr(ContactFit, "run", run)
+    fits: Fits, odds: float, misfit: float, reported: Mode | None
+) -> tuple[ContactFitter, WallEstimate]:
+    """Answer a contact whose two fits have these results, and the beliefs of `AFTER`."""
+    theta = np.array([1.0, 1.0, 0.03, -1.0, 0.0, 1.0, 0.0, 0.3])
+    found = Hypothesis(odds, misfit, AFTER[Mode.RIGID], 0.01, 0.02, 0.03, 0.004, theta)
+    fits.results = [found, found._replace(evidence=0.0, belief=AFTER[Mode.FLEXIBLE])]
     fitter = ContactFitter(VEHICLE)
-    answer = fitter.answer(request, 0)
+    answer = fitter.answer(contact_request([0.0] * 3 + [9.0] * 5, reported=reported), 0)
     assert answer.wall is not None, answer.problem
-    return fitter, answer.wall, after
+    return fitter, answer.wall
 
 
 @pytest.mark.parametrize(
@@ -459,11 +473,11 @@ def answer_with_odds(
     ],
 )
 def test_mode_is_identified_if_the_odds_are_decisive_and_the_fit_is_good(
-    monkeypatch: pytest.MonkeyPatch, odds: float, misfit: float, identified: Mode | None
+    fits: Fits, odds: float, misfit: float, identified: Mode | None
 ) -> None:
     begins_us = 4000 - round((VEHICLE.imu.tick_s + VEHICLE.imu.filter_lag_s) * 1e6)
     for reported in (None, *Mode):
-        _, found, _ = answer_with_odds(monkeypatch, odds, misfit, reported)
+        _, found = answer_with_odds(fits, odds, misfit, reported)
         assert (found.mode_felt, found.mode_reported) == (identified, reported)
         assert found.plane_offset_m == pytest.approx(0.02 + (24_000 - begins_us) * 1e-6 - 0.03)
 
@@ -479,12 +493,13 @@ def test_mode_is_identified_if_the_odds_are_decisive_and_the_fit_is_good(
     ],
 )
 def test_the_fitted_coefficients_are_stored_for_the_likely_mode(
-    monkeypatch: pytest.MonkeyPatch, odds: float, reported: Mode | None, kept: Mode | None
+    fits: Fits, odds: float, reported: Mode | None, kept: Mode | None
 ) -> None:
-    fitter, found, after = answer_with_odds(monkeypatch, odds, 0.5, reported)
+    fitter, found = answer_with_odds(fits, odds, 0.5, reported)
     assert found.k_n_per_m == 777.0
-    for mode in Mode:
-        assert (fitter._belief(AT_WALL, mode) == after[mode]) is (mode is kept)
+    fitter.answer(contact_request([0.0] * 3 + [9.0] * 5), 0)
+    for mode, before in zip(VEHICLE.modes, fits.seen[-1].before, strict=True):
+        assert (before == AFTER[mode]) is (mode is kept)
 
 
 @pytest.mark.parametrize(
@@ -515,7 +530,7 @@ def request_from(contact: Contact, **changes: Any) -> ContactRequest:
     return msgspec.structs.replace(request, onset=onset)
 
 
-def test_an_unplanned_contact_is_fitted_without_a_wall_estimate() -> None:
+def test_an_unplanned_contact_is_fitted_without_a_wall_estimate(fits: Fits) -> None:
     """The force gives its direction to 15 degrees, and no belief of a wall is stored."""
     contact = pulse(VEHICLE.materials["acrylic"].rigid, -1.0)
     fitter = ContactFitter(VEHICLE)
@@ -523,19 +538,20 @@ def test_an_unplanned_contact_is_fitted_without_a_wall_estimate() -> None:
     assert answer.body is not None, answer.problem
     assert (answer.wall, answer.body.final, answer.body.side) == (None, True, ContactSide.BOTH)
     assert abs(answer.body.incidence_rad) < 3.0 * answer.body.incidence_sigma_rad
-    assert fitter._beliefs == {}
-    planned = fitter.answer(request_from(contact), 0)
-    assert planned.wall is not None
-    assert planned.wall.wall == "w"
-    assert len(fitter._beliefs) == 1
+    for one in (fitter, fitter, ContactFitter(VEHICLE)):
+        planned = one.answer(request_from(contact), 0)
+        assert planned.wall is not None
+        assert planned.wall.wall == "w"
+    _, after_unplanned, after_planned, at_first = (fit.before for fit in fits.seen)
+    assert after_unplanned == at_first != after_planned
 
 
 @pytest.mark.parametrize(("planned", "degrees"), [(True, 4.0), (False, 15.0)])
-def test_a_planned_wall_narrows_the_prior_of_the_incidence(planned: bool, degrees: float) -> None:
+def test_a_planned_wall_narrows_the_prior_of_the_incidence(fits: Fits, planned: bool, degrees: float) -> None:
     """docs/torque.md gives a standard deviation of 4 degrees for a planned wall and 15 otherwise."""
     request = contact_request([0.0] * 3 + [9.0] * 8)
-    fit, _ = ContactFitter(VEHICLE)._fit(request if planned else msgspec.structs.replace(request, wall=None))
-    assert math.degrees(fit.contact.angle_sd) == pytest.approx(degrees)
+    ContactFitter(VEHICLE).answer(request if planned else msgspec.structs.replace(request, wall=None), 0)
+    assert math.degrees(fits.seen[0].contact.angle_sd) == pytest.approx(degrees)
 
 
 # --- flights ----------------------------------------------------------------------------------------------

@@ -25,10 +25,7 @@ def missions(draw: st.DrawFn) -> Mission:
     collision = {
         "wall": "acrylic",
         "mode": mode,
-        "approach": {
-            "normal_m_s": -draw(st.floats(0.4, 1.5)),
-            "tangential_m_s": draw(st.floats(-0.6, 0.6)),
-        },
+        "approach": {"normal_m_s": -draw(st.floats(0.4, 1.5)), "tangential_m_s": draw(st.floats(-0.6, 0.6))},
         "alpha_m_per_n": [0.02, 0.02],
     }
     if draw(st.booleans()):

@@ -152,6 +152,7 @@ def test_the_missions_predicted_impact_takes_precedence_over_the_model() -> None
 
 def test_no_plan_is_made_without_a_planned_impact_velocity(monkeypatch: pytest.MonkeyPatch) -> None:
     replanner = Replanner(MISSION)
+    # Every mission that a loader accepts has this velocity.
     monkeypatch.setattr(replanner, "_planned", {})
     assert replanner.answer(TO_WALL, 0).problem == "no velocity is planned for wall acrylic"
 
@@ -174,6 +175,7 @@ def test_an_exception_in_the_planner_is_reported_as_a_problem(monkeypatch: pytes
     def fail(*_: object) -> None:
         raise ZeroDivisionError("by hand")
 
+    # No request is known to raise an exception.
     monkeypatch.setattr(REPLANNER, "_choose", fail)
     answer = REPLANNER.answer(TO_GOAL, 0)
     assert answer.problem == "the planner failed: ZeroDivisionError: by hand"
@@ -510,6 +512,7 @@ def test_no_trajectory_leads_into_a_post(place: Vec2, velocity: Vec2, share: flo
 def test_all_candidate_ends_lead_straight_to_the_wall(turned_rad: float, straight_s: float) -> None:
     wall = ACRYLIC.rotated(turned_rad)
     collision = msgspec.structs.replace(MISSION.collisions[1], wall=wall)
+    # An answer shows only the best of the ends.
     ends = REPLANNER._to_wall(TO_WALL, collision, (-1.0, 0.3), straight_s)
     assert ends.x.size > 0
     for x, y, vx, vy in zip(ends.x, ends.y, ends.vx, ends.vy, strict=True):

@@ -36,6 +36,7 @@ class FlyApp:
         monkeypatch.setattr(gc, "collect", lambda: self.changes.append("collect"))
         monkeypatch.setattr(gc, "freeze", lambda: self.changes.append("freeze"))
         monkeypatch.setattr(sys, "setswitchinterval", self.changes.append)
+        # No setting shortens this time, and the test would wait for it.
         monkeypatch.setattr(app, "_END_GRACE_S", 0.02)
 
     def __call__(

@@ -144,25 +144,12 @@ def test_inputs_are_numbered_in_order_and_outputs_carry_their_inputs_number() ->
     assert [number for record, number in harness.observed if record is permission] == [status]
 
 
-def test_setpoints_are_sent_before_other_outputs_are_executed() -> None:
-    setpoint = Setpoint(4000, 4000, (0.0, 0.0, -1.0), 0.0)
-    permission = LockPermission(4000, True)
-
-    def answer(item: Input) -> list[Output]:
-        return [permission, setpoint]
-
-    harness = Harness(SteppedCore(answer))
-    harness.run([AttitudeSample(4000, 4000, LEVEL)])
-    assert harness.actions == [("send", setpoint), ("execute", permission)]
-    assert not [r for r, _ in harness.observed if isinstance(r, SetpointSent)]
-
-
 def test_the_latency_of_a_recovery_setpoint_is_recorded() -> None:
     received_us = host_us()
     setpoint = Setpoint(4000, received_us, (0.0, 0.0, -1.0), 0.0, recovery=True)
     harness = Harness(SteppedCore(lambda item: [setpoint]))
     harness.run([AttitudeSample(4000, received_us, LEVEL)])
-    sent = next(r for r, _ in harness.observed if isinstance(r, SetpointSent))
+    (sent,) = [r for r, _ in harness.observed if isinstance(r, SetpointSent)]
     assert sent.latency_us == sent.sent_us - received_us
     assert 0 <= sent.latency_us < 5_000_000
 
@@ -230,6 +217,7 @@ def end_turns(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     """Set a batch interval of 60 s, and wait until the current turn has ended."""
 
     def end() -> None:
+        # The thread reads this constant in each turn, so a turn can be held back from now on.
         monkeypatch.setattr(module, "BATCH_S", 60.0)
         time.sleep(0.1)
 
@@ -365,45 +353,40 @@ def test_an_exception_on_the_delivering_thread_ends_the_core_thread(watched: Har
     assert not watched.thread.thread.is_alive()
 
 
-def setpoint_at(t_us: int) -> Setpoint:
-    return Setpoint(t_us, t_us, (0.0, 0.0, -1e-6 * t_us), 0.0)
+def setpoint_at(t_us: int, recovery: bool = False) -> Setpoint:
+    return Setpoint(t_us, t_us, (0.0, 0.0, -1e-6 * t_us), 0.0, recovery=recovery)
 
 
-def run_in_one_turn(answer: Callable[[Input], list[Output]], times_us: list[int]) -> Harness[SteppedCore]:
-    """Run a core thread whose attitudes are all queued before it starts."""
-    harness = Harness(SteppedCore(answer))
-    harness.run([attitude(t_us) for t_us in times_us])
-    return harness
+PERMISSION, SILENCE = LockPermission(8, True), Silence(8, "a pilot flies")
 
 
-def test_only_the_newest_setpoint_of_a_turn_is_sent_and_all_are_logged() -> None:
-    harness = run_in_one_turn(
-        lambda item: [setpoint_at(item.t_us)] if isinstance(item, AttitudeSample) else [], [4, 8, 12]
-    )
-    assert harness.actions == [("send", setpoint_at(12))]
-    assert [r for r, _ in harness.observed if isinstance(r, Setpoint)] == [setpoint_at(t) for t in (4, 8, 12)]
-
-
-def test_a_setpoint_is_sent_before_a_later_output_is_executed() -> None:
-    permission = LockPermission(8, True)
-    answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [permission], 12: []}
-    harness = run_in_one_turn(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
-    assert harness.actions == [("send", setpoint_at(4)), ("execute", permission)]
-
-
-@pytest.mark.parametrize("times_us", [[4, 8], [4, 8, 12]], ids=["last of its go", "more follows"])
-def test_no_setpoint_is_sent_once_silence_is_decided(times_us: list[int]) -> None:
-    silence = Silence(8, "a pilot flies")
-    answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [silence], 12: []}
-    harness = run_in_one_turn(lambda item: answers.get(getattr(item, "t_us", 0), []), times_us)
-    assert harness.actions == [("execute", silence)]
-
-
-def test_a_recovery_setpoint_is_sent_at_once_and_replaces_a_waiting_one() -> None:
-    recovery = Setpoint(8, 8, (0.0, 0.0, -1.0), 0.0, recovery=True)
-    answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [recovery], 12: []}
-    harness = run_in_one_turn(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
-    assert harness.actions == [("send", recovery)]
+@pytest.mark.parametrize(
+    ("outputs", "actions"),
+    [
+        # Only the newest setpoint of a turn is sent, before a later output is executed.
+        ([[setpoint_at(4)], [setpoint_at(8)], [setpoint_at(12)]], [("send", setpoint_at(12))]),
+        ([[setpoint_at(4)], [PERMISSION], []], [("send", setpoint_at(4)), ("execute", PERMISSION)]),
+        ([[PERMISSION, setpoint_at(4)]], [("send", setpoint_at(4)), ("execute", PERMISSION)]),
+        # A recovery setpoint is sent at once and replaces a waiting one.
+        ([[setpoint_at(4)], [setpoint_at(8, recovery=True)], []], [("send", setpoint_at(8, recovery=True))]),
+        # None is sent once silence is decided, whether or not more inputs follow.
+        ([[setpoint_at(4)], [SILENCE]], [("execute", SILENCE)]),
+        ([[setpoint_at(4)], [SILENCE], []], [("execute", SILENCE)]),
+    ],
+)
+def test_the_outputs_of_a_turn_are_sent_and_executed_in_order_and_all_are_logged(
+    outputs: list[list[Output]], actions: list[tuple[str, Output]]
+) -> None:
+    """The inputs are queued before the thread starts, so one turn steps them all."""
+    items: list[Input] = [attitude(4 * (i + 1)) for i in range(len(outputs))]
+    answers = dict(zip(items, outputs, strict=True))
+    harness = Harness(SteppedCore(lambda item: answers.get(item, [])))
+    harness.run(items)
+    assert harness.actions == actions
+    logged = [
+        record for record, _ in harness.observed if isinstance(record, Setpoint | LockPermission | Silence)
+    ]
+    assert sorted(map(str, logged)) == sorted(str(one) for step in outputs for one in step)
 
 
 def test_a_stopped_core_thread_steps_no_inputs(watched: Harness[WatchedCore]) -> None:

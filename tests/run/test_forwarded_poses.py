@@ -52,6 +52,7 @@ def source(monkeypatch: pytest.MonkeyPatch) -> ScriptedSource:
     """The pose source of every URL."""
     source = ScriptedSource()
     monkeypatch.setattr(module, "open_source", lambda url: source)
+    # No setting shortens this time, and the test would wait for it.
     monkeypatch.setattr(module, "_LOOK_PERIOD_S", 0.01)
     return source
 

@@ -14,6 +14,7 @@ HOVER = load_mission(packaged("missions", "hover.yaml"))
 
 
 def test_an_endless_simulated_flight_is_aborted_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    # No setting shortens this time, and the test would wait for it.
     monkeypatch.setattr(fast, "_LONGEST_S", 1.0)
     short = structs.replace(HOVER, goal=structs.replace(HOVER.goal, hold_s=1.0), waypoints=())
     verdict, limit_s = fast.fly_fast(short, 1, None), fast.time_limit_s(short)

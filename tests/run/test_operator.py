@@ -112,6 +112,7 @@ class Terminal:
         monkeypatch.setattr("sys.stdin", os.fdopen(theirs, closefd=False))
         monkeypatch.setattr(os, "tcgetpgrp", self._look)
         monkeypatch.setattr(os, "read", partial(self._read, os.read, theirs))
+        # No setting shortens this time, and the test would wait for it.
         monkeypatch.setattr(module, "_KEY_PAUSE_S", PAUSE_S)
 
     def type(self, keys: bytes) -> None:

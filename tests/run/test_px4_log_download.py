@@ -109,6 +109,7 @@ def test_the_armed_span_is_read_from_a_recorded_flight() -> None:
 @pytest.fixture(autouse=True)
 def short_timeouts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    # No setting shortens this time, and the test would wait for it.
     monkeypatch.setattr("dart_flight.run.px4_log_download._WRITTEN_S", 0.0)
     monkeypatch.setattr(downloads, "_LOG_SILENT_S", 1.0)
 

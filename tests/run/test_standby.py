@@ -215,6 +215,7 @@ class Day:
         last = Holding(lambda session: os.kill(os.getpid(), signal.SIGTERM))
         self._sessions = [*sessions, last]
         monkeypatch.setattr(module, "connect", connecting_to(self._sessions))
+        # No setting shortens this time, and the test would wait for it.
         for name in ("_RETRY_S", "_TEXT_PAUSE_S", "_LAST_WORDS_S"):
             monkeypatch.setattr(module, name, 0.01)
         if ends is not None:

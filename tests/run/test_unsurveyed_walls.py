@@ -12,20 +12,12 @@ import numpy as np
 import pytest
 
 from dart_flight.base.geometry import distance2
-from dart_flight.base.records import Mode, WallEstimate, World
-from dart_flight.base.walls import Wall
+from dart_flight.base.records import WallEstimate, World
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, load_mission, parse_mission
-from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.core.mission.approach import plan_approach, standoff_point
-from dart_flight.core.mission.wall_uncertainty import (
-    EstimatedWalls,
-    early_m,
-    late_s,
-    overrun_m,
-    position_margin_m,
-)
+from dart_flight.core.mission.wall_uncertainty import SURE_SD
 from dart_flight.lab.campaign.watched_flight import place_walls
 from dart_flight.lab.search.mission_writer import write_mission
 from dart_flight.lab.search.plan_table import with_objective
@@ -44,7 +36,6 @@ from tests.mission_findings import check_mission
 
 ROOT = Path(__file__).parents[2]
 SINGLE = (ROOT / "missions/paper_single_wall.yaml").read_text()
-WALL = Wall("board", (1.0, 0.0), (-1.0, 0.0), 4.0, "wood")
 POINT = "point_m: [1.65, 0.5]"
 BESIDE = "point_m: [1.65, -0.5], normal: [-1.0, 0.0], length_m: 4.0"
 
@@ -52,11 +43,6 @@ BESIDE = "point_m: [1.65, -0.5], normal: [-1.0, 0.0], length_m: 4.0"
 def rest(*values: object) -> Any:
     """Return a row of parameters that only `make test-rest` runs."""
     return pytest.param(*values, marks=pytest.mark.rest)
-
-
-def uncertain_wall(place_m: float | None = None, yaw_deg: float | None = None) -> Wall:
-    yaw = None if yaw_deg is None else math.radians(yaw_deg)
-    return msgspec.structs.replace(WALL, position_sd_m=place_m, yaw_sd_rad=yaw)
 
 
 def single(*changes: tuple[str, str]) -> Mission:
@@ -67,50 +53,10 @@ def single(*changes: tuple[str, str]) -> Mission:
     return parse_mission(Document(text, str(ROOT / "missions/x.yaml")))
 
 
-# --- tolerances -------------------------------------------------------------------------------------------
+# --- run-ups ----------------------------------------------------------------------------------------------
 
 
-def test_a_wall_without_standard_deviations_keeps_the_guards_tolerances() -> None:
-    guard = load_vehicle(ROOT / "configs/dart.yaml").guard
-    assert position_margin_m(WALL, (0.0, 1.5)) == 0.0
-    assert overrun_m(guard, WALL, (0.0, 1.5)) == guard.wall_overrun_m
-    assert early_m(guard, WALL, (0.0, 1.5)) == guard.wall_early_m
-    assert late_s(guard, WALL, (0.0, 1.5), 0.5) == guard.wall_late_s
-
-
-def test_tolerances_grow_by_three_standard_deviations_at_the_contact_point() -> None:
-    guard = load_vehicle(ROOT / "configs/dart.yaml").guard
-    assert position_margin_m(uncertain_wall(0.06), (0.0, 1.5)) == pytest.approx(0.18)
-    assert position_margin_m(uncertain_wall(None, 4.0), (0.0, 0.0)) == 0.0
-    assert position_margin_m(uncertain_wall(None, 4.0), (0.0, 1.5)) == pytest.approx(
-        3.0 * 1.5 * math.tan(math.radians(4.0))
-    )
-    assert position_margin_m(uncertain_wall(0.03, 4.0), (0.0, -1.0)) == pytest.approx(
-        3.0 * math.hypot(0.03, 0.0699), rel=1e-3
-    )
-    both = position_margin_m(uncertain_wall(0.03, 4.0), (np.zeros(2), np.array([0.0, -1.0])))
-    assert both == pytest.approx([0.09, position_margin_m(uncertain_wall(0.03, 4.0), (0.0, -1.0))])
-    assert overrun_m(guard, uncertain_wall(0.06), (0.0, 0.0)) == pytest.approx(guard.wall_overrun_m + 0.18)
-    assert late_s(guard, uncertain_wall(0.06), (0.0, 0.0), 0.6) == pytest.approx(guard.wall_late_s + 0.3)
-
-
-def test_a_contact_updates_the_walls_position_and_standard_deviation() -> None:
-    survey = EstimatedWalls()
-    assert survey.known_wall(uncertain_wall(0.1)) == uncertain_wall(0.1)
-    estimate = WallEstimate(0, 0, "board", Mode.RIGID, None, 0.0, *(1.0,) * 8, 0.0, 0.1, 0.07, 0.02)
-    survey.add_estimate(estimate, uncertain_wall(0.1))
-    updated = survey.known_wall(uncertain_wall(0.1))
-    assert updated.point == pytest.approx((0.93, 0.0))
-    assert updated.position_sd_m == 0.02
-    well_known = EstimatedWalls()
-    well_known.add_estimate(estimate, uncertain_wall(0.01))
-    assert well_known.known_wall(uncertain_wall(0.01)).position_sd_m == 0.01
-    without_sd = EstimatedWalls()
-    without_sd.add_estimate(estimate, WALL)
-    assert without_sd.known_wall(WALL).position_sd_m is None
-
-
-def test_the_run_up_to_an_uncertain_wall_begins_three_sigma_earlier() -> None:
+def test_the_run_up_to_an_uncertain_wall_begins_earlier() -> None:
     # The start is too near the wall, so the run-up begins farther back.
     near = ("start: {position_m: [0.0, 0.0]", "start: {position_m: [0.8, 0.4]")
     room = ("bounds_m: {x: [-1.5", "bounds_m: {x: [-3.5")
@@ -119,7 +65,7 @@ def test_the_run_up_to_an_uncertain_wall_begins_three_sigma_earlier() -> None:
     approaches = [plan_approach(m, m.collisions[0]) for m in (one, other)]
     impacts = [m.collisions[0].impact_point or (0.0, 0.0) for m in (one, other)]
     lengths = [distance2(a.begin[:2], impact) for a, impact in zip(approaches, impacts, strict=True)]
-    assert lengths[1] - lengths[0] == pytest.approx(0.18 * math.hypot(1.0, 0.5))
+    assert lengths[1] - lengths[0] == pytest.approx(SURE_SD * 0.06 * math.hypot(1.0, 0.5))
 
 
 # --- flights ----------------------------------------------------------------------------------------------
@@ -194,7 +140,10 @@ def test_a_replanned_trajectory_reaches_a_displaced_wall(away_m: float) -> None:
 
 
 def test_a_rehearsal_keeps_its_standoff_from_the_nearest_possible_wall() -> None:
-    for figures, wanted in (("length_m: 3.0", 0.5), ("length_m: 3.0, position_sd_m: 0.06", 0.68)):
+    for figures, wanted in (
+        ("length_m: 3.0", 0.5),
+        ("length_m: 3.0, position_sd_m: 0.06", 0.5 + SURE_SD * 0.06),
+    ):
         mission = as_rehearsal(single(("length_m: 3.0", figures)), 0.5)
         (collision,) = mission.collisions
         approach = plan_approach(mission, collision)
