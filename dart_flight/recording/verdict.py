@@ -116,13 +116,9 @@ class Verdict(msgspec.Struct):
     log_failure: str | None = None  # missing part of the log, with the reason
     own_lateness_ms: float | None = None  # worst scheduling latency of the program; None if not measured
     px4_log: str | None = None
-    ekf_error_m: float | None = (
-        None  # largest distance of the estimated position from the true one, in the air
-    )
+    ekf_error_m: float | None = None  # largest distance between estimated and true position, in the air
     px4: Px4Figures | None = None
-    drawn: dict[str, float | str] = msgspec.field(
-        default_factory=dict
-    )  # values of the simulated world (`--vary`)
+    drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # simulated world (`--vary`)
     vehicle: VehicleSource | None = None
     plan_followed: bool | None = None  # as predicted; None without a prediction, as in a rehearsal
     goal_reached: bool | None = None  # within the capture radius; None if the log lacks the flight's end
@@ -130,9 +126,7 @@ class Verdict(msgspec.Struct):
     deviations: list[Deviation] = msgspec.field(default_factory=list)
     walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as measured by the contacts
     estimator_resets: list[ResetFigures] = msgspec.field(default_factory=list)  # in the air
-    arms_moved: bool | None = (
-        None  # whether simulated arms ever followed the lock; None if the lock never moved
-    )
+    arms_moved: bool | None = None  # whether simulated arms ever followed; None if the lock never moved
     time: TimeKind | None = None  # None for a real vehicle
     speed: float | None = None  # achieved simulated seconds per second
     uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, from a simulation's truth
