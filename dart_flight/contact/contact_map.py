@@ -397,10 +397,9 @@ def contact_map(
 def friction_per_speed(
     coefficients: CoefficientArrays, mass_kg: float, onset: Onset
 ) -> Callable[[Array], Array]:
-    """Return a fast function of the normal velocity for one set of coefficients, as in `contact_map`.
+    """Return a fast function of the normal velocity (m/s, any shape, < 0 approaches) for one set.
 
-    It takes m/s (any shape, < 0 approaches) and returns the peak friction force per speed along the wall, N
-    s/m.
+    Its result is the peak friction force per speed along the wall in N s/m, as in `contact_map`.
     """
     shape = _shape(coefficients, np.asarray(mass_kg), onset)
 
@@ -451,12 +450,13 @@ def drop_map(
 ) -> Drop[Array]:
     """Predict drops on the ground (paper, Sec. III and IV-B) in closed form, with gravity along the normal.
 
-    Errors are those of `contact_map`, and a height that is not positive.
-
     Args:
         coefficients: one set, or one per drop (broadcasts with the heights).
         height_m: height, > 0, of the vehicle's centre above the plane of first touch at the release from
             rest.
+
+    Raises:
+        ValueError: as `contact_map`, or a height is not positive.
     """
     height, mass = np.asarray(height_m, dtype=float), np.asarray(mass_kg, dtype=float)
     _validate(coefficients, mass, height)

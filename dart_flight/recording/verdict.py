@@ -134,14 +134,11 @@ class Verdict(msgspec.Struct):
 
 
 class PositionError:
-    """Largest distance between the estimated and the true position at the same stamp.
+    """Largest distance between the estimated and the true position at the same stamp, mission frame, metres.
 
     The true position is interpolated between two samples. Estimate and truth arrive on separate threads, in
     either order. Each estimate waits until a true position of the same or a later time arrives. At most
     `_KEPT` samples wait, so memory is bounded.
-
-    Attributes:
-        worst_m: largest distance so far, metres, or None if no estimate was compared.
     """
 
     def __init__(self) -> None:
@@ -150,11 +147,9 @@ class PositionError:
         self._truths: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
 
     def add_estimate(self, t_us: int, position: Vec3) -> None:
-        """Add an estimated position, mission frame."""
         self._estimates.append((t_us, position))
 
     def add_truth(self, t_us: int, position: Vec3) -> None:
-        """Add a true position, mission frame, and compare it with the waiting estimates."""
         truths, estimates = self._truths, self._estimates
         if truths and t_us <= truths[-1][0]:
             truths.clear()  # the clock jumped back
@@ -180,12 +175,7 @@ class PositionError:
 
 
 class VerdictBuilder:
-    """Builds the verdict of one flight from its records, in order.
-
-    Attributes:
-        handlers: handlers of the records, by kind; other kinds are irrelevant.
-        end: end of the flight, or None during the flight.
-    """
+    """Builds the verdict of one flight from its records, in order."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -230,7 +220,6 @@ class VerdictBuilder:
         )
 
     def add(self, record: Any) -> None:
-        """Process the next record; irrelevant kinds are skipped."""
         handler = self.handlers.get(type(record))
         if handler is not None:
             handler(record)
@@ -305,10 +294,7 @@ class VerdictBuilder:
     ) -> Verdict:
         """Return the verdict on the records so far; without an end the flight counts as aborted.
 
-        Args:
-            world, seed: world and random seed of the flight.
-            log, px4_log: paths of the logs.
-            drawn: random values of the simulated world.
+        `drawn` contains random values of the simulated world.
         """
         planned, impacts, so_far = predict_flight(self._mission), self.impacts(), self._so_far
         for impact in impacts:
@@ -346,8 +332,8 @@ class VerdictBuilder:
     def _goal_reached(self) -> bool | None:
         """Return whether the vehicle came within the goal's capture radius, or None before the flight's end.
 
-        If the vehicle passed the goal, the miss distance is compared with the radius. Otherwise, for a
-        completed flight, the final distance from the goal is compared.
+        The distance is the miss distance if the vehicle passed the goal, or else, after a completed flight,
+        the final distance.
         """
         if self.end is None:
             return None
@@ -357,7 +343,6 @@ class VerdictBuilder:
         return nearest_m is not None and nearest_m <= self._mission.goal.capture_radius_m
 
     def _find_uncontrolled(self) -> list[str]:
-        """Return the reasons why a simulated flight is uncontrolled, or an empty list on the drone."""
         if self._extremes.last is None:
             return []
         completed = self._so_far.outcome is Outcome.COMPLETED
@@ -370,7 +355,7 @@ class VerdictBuilder:
 
 
 def _merge_handlers(*parts: Mapping[type, Callable[[Any], None]]) -> dict[type, Callable[[Any], None]]:
-    """Return one function per kind of record. The function calls the handlers of all parts, in order."""
+    """Return one function per kind of record, which calls the handlers of all parts in order."""
     by_kind: dict[type, list[Callable[[Any], None]]] = {}
     for part in parts:
         for kind, handler in part.items():
@@ -392,10 +377,7 @@ def evaluate(log: Log) -> tuple[Verdict, list[FlownImpact]]:
     """Return the verdict on a recorded flight, and its impacts.
 
     This verdict equals the verdict at the end of the flight, except for two values that the log does not
-    contain: `px4` and the reason for missing records.
-
-    Raises:
-        InputError: the log does not contain its mission.
+    contain: `px4` and the reason for missing records. A log without its mission raises InputError.
     """
     builder = VerdictBuilder(flown_mission(log.about, log.source))
     for entry in log.entries:
