@@ -30,7 +30,6 @@ class LowPass:
         self.value: Vec3 = (0.0, 0.0, 0.0)
 
     def update(self, x: Vec3, dt_s: float) -> Vec3:
-        """Filter the next sample, `dt_s` after the previous one."""
         if dt_s != self._dt_s:
             self._dt_s, self._keep = dt_s, decay_factor(dt_s, self._time_s)
         keep, old = self._keep, self.value

@@ -31,7 +31,6 @@ class CoefficientArrays(NamedTuple):
 
     @property
     def lead_s(self) -> Array:
-        """f / k, seconds (`Coefficients.lead_s`)."""
         return self.f / self.k
 
     def select(self, rows: Rows) -> CoefficientArrays:

@@ -293,7 +293,6 @@ class WallWithEnds:
         return False
 
     def nearest(self, q: Quaternion, position: Vec3) -> Iterator[tuple[CylinderContact, NearestPoint]]:
-        """Yield each edge with the nearest point of the outline."""
         for edge in self.edges:
             yield edge, nearest_point(self._corners, q, position, edge.cylinder)
 

@@ -170,7 +170,6 @@ class ContactTimes(NamedTuple):
 
 
 def find_contact_times(c: Oscillation) -> ContactTimes:
-    """Return the times of a contact's events, exact to rounding."""
     curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
     falls = (c.slope0 < 0.0) | ((c.slope0 == 0.0) & (c.phi0 > 0.0))
     peak = np.where(falls, 0.0, first_zero(c, c.slope0, curve0))

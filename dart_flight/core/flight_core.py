@@ -109,7 +109,7 @@ class FlightCore:
         return known
 
     def _follow_guard(self, mission_end: MissionEnd | None) -> list[Output]:
-        """Return the records of an override of the guard and of the end of the flight."""
+        """Record an override of the guard and the end of the flight; return the records."""
         guard, executive, state = self._guard, self._executive, self._senses.state
         kept: list[Output] = []
         if guard.overrules:

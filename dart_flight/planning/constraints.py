@@ -95,7 +95,6 @@ class Constraints:
     def mark(
         self, codes: Codes, where: NDArray[np.bool_] | NDArray[np.intp] | np.bool_, reason: Refusal
     ) -> None:
-        """Set the code of the selected candidates to a reason, unless the reason is ignored."""
         if reason not in self._ignored:
             codes[where] = CODE[reason]
 

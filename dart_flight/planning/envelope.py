@@ -40,7 +40,6 @@ LOST_SHARE = 1.3
 
 
 def full_scale_n(mission: Mission) -> float:
-    """Return the force at the accelerometer's full scale."""
     return mission.vehicle.airframe.mass_kg * mission.vehicle.imu.full_scale_m_s2
 
 

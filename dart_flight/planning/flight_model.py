@@ -118,7 +118,6 @@ class FreeFlight:
         )
 
     def grid(self, leg: SetpointResponse) -> Grid:
-        """Prepare a leg for evaluation on the time grid."""
         x, y = (np.ascontiguousarray(z.T, dtype=np.float32) for z in (leg.x, leg.y))
         goals = (leg.goal_x[:, None].astype(np.float32), leg.goal_y[:, None].astype(np.float32))
         return Grid(self, x, y, *goals)

@@ -182,7 +182,6 @@ def _add_prediction(
 
 
 def _add_written(planned: PredictedFlight, mission: Mission, group: Sequence[Collision]) -> None:
-    """Add impacts and trajectories as the mission specifies them."""
     first = group[0]
     assert first.trajectory is not None
     planned.approaches[first.index] = [state.position for state in _sampled(first.trajectory)]

@@ -69,7 +69,6 @@ class RejoiningTrajectories(NamedTuple):
         return RejoiningTrajectories(self.planned, self.shares, *by_row, *(v[:, rows] for v in self[6:]))
 
     def trajectory(self, row: int) -> Trajectory:
-        """Return one trajectory as consecutive polynomials."""
         planned, slower, begin = self.planned, float(self.slower[row]), float(self.from_s[row])
         pieces: list[float] = []
         axes: tuple[list[float], list[float]] = ([], [])

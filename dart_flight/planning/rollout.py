@@ -73,7 +73,6 @@ class Hits(NamedTuple):
 
     @property
     def peak_force_n(self) -> Array:
-        """Peak of the contact force, normal force and friction together."""
         return np.hypot(self.normal_n, self.tangential_n)
 
     def select(self, rows: Rows | NDArray[np.bool_]) -> Hits:
@@ -173,7 +172,6 @@ class UncertaintyDraw(NamedTuple):
 
 
 def draw_wall(wall: Wall, rng: np.random.Generator) -> Wall:
-    """Return the wall at a random position and direction, drawn with the wall's standard deviations."""
     away, angle = rng.standard_normal(2)
     moved = wall.displaced(float(away) * (wall.position_sd_m or 0.0))
     return moved.rotated(float(angle) * (wall.yaw_sd_rad or 0.0))

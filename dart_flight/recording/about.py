@@ -64,7 +64,6 @@ def machine() -> str:
 
 @lru_cache(maxsize=1)
 def software_version() -> str:
-    """Return the package's version and, if the package runs from a checkout, the commit."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return __version__

@@ -66,7 +66,6 @@ def _restore(value: Any, kind: Any) -> Any:
 
 
 def _parts(kind: Any) -> Iterator[Any]:
-    """Yield a type and the types that it contains."""
     yield kind
     for part in get_args(kind):
         yield from _parts(part)

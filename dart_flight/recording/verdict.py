@@ -280,7 +280,6 @@ class VerdictBuilder:
             self._settled.add(record.mode)
 
     def impacts(self) -> list[FlownImpact]:
-        """Return the impacts so far; in simulation, each impact has the values of its simulated contact."""
         self._impacts.match_truth()
         return self._impacts.impacts
 

@@ -70,7 +70,6 @@ class LogPart:
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
 
     def flush(self) -> None:
-        """End the chunk and pass it to the operating system."""
         # The library ends a chunk only at a megabyte; a killed process would lose many seconds of records.
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.flush()

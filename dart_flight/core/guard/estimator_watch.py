@@ -90,7 +90,6 @@ class EstimatorWatch:
         return self._recovers_us is not None and self._now_us - self._recovers_us <= 2 * REACH_US
 
     def reset_step(self) -> str | None:
-        """Describe the step of position or velocity in a reset."""
         reset = self._reset_within(REACH_US)
         if reset is None or self._excused or self._recovers:
             return None
@@ -99,7 +98,6 @@ class EstimatorWatch:
         return None
 
     def heading_step(self) -> str | None:
-        """Describe the step of the heading in a reset."""
         reset = self._reset_within(2 * REACH_US)
         if reset is None or self._reset_phase in _ALIGNING:
             return None
@@ -109,7 +107,6 @@ class EstimatorWatch:
         return f"heading stepped by {step_deg:.1f} deg, limit {limit:.0f} deg"
 
     def invalid_estimate(self) -> str | None:
-        """Describe an estimate that PX4 has reported as invalid for too long."""
         since_us = self._invalid_since_us
         lasting_s = 0.0 if since_us is None else (self._now_us - since_us) * 1e-6
         return f"no valid estimate for {lasting_s:.1f} s" if lasting_s > ESTIMATOR_BAD_S else None

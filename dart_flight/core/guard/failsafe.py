@@ -57,7 +57,6 @@ class FailsafeEvidence:
         return words is not None and _TO_STICKS.search(words.lower()) is not None
 
     def termination(self, now_us: int) -> str | None:
-        """Return PX4's text about a termination or kill, or None."""
         return self._termination if self._termination and now_us - self._terminated_us < _MEMORY_US else None
 
     def words(self, now_us: int) -> str:

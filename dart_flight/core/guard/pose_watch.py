@@ -106,7 +106,6 @@ class PoseWatch:
         self._compare_estimate(now_us, position, attitude, state)
 
     def fault(self, phase: Phase) -> str | None:
-        """Describe the fault of the poses in a phase, if any."""
         ground = phase in ON_GROUND
         lost_s = LOST_APPROACH_S if phase is Phase.APPROACH else LOST_S
         text = (

@@ -145,7 +145,6 @@ class OtherVehicles:
 
     @property
     def other_system(self) -> str | None:
-        """Another system that sends on the link, as text, or None."""
         if self._other_system is None:
             return None
         return f"system {self._other_system} sends on the same link"

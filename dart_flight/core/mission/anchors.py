@@ -53,7 +53,6 @@ class FrameAnchors:
         self._anchors: list[Anchor] = []
 
     def begin(self, t_us: int) -> None:
-        """Set the time at which the vehicle takes off."""
         self._start_us = t_us
 
     def add(self, anchor: Anchor) -> None:

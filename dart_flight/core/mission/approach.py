@@ -78,7 +78,6 @@ def run_up(
 
 
 def impact_time_s(length_m: Number, speed_m_s: Number, ramp_s: Number) -> Number:
-    """Return the time from the start of a run-up to the impact."""
     return ramp_s + (length_m - 0.5 * speed_m_s * ramp_s) / speed_m_s
 
 
@@ -238,7 +237,6 @@ def transit_segments(mission: Mission) -> list[TransitSegment]:
 
 
 def plan_transit(mission: Mission, leg: TransitSegment, begin: Vec3) -> Trajectory:
-    """Return the trajectory of a segment from its actual beginning."""
     flying = mission.vehicle.flying
     return Trajectory.rest_to_rest(begin, leg.end, leg.speed_m_s, flying, flying.climb_speed_m_s)
 

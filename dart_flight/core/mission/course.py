@@ -45,7 +45,6 @@ class Course(NamedTuple):
         return self._replace(target=(x - by[0], y - by[1], z))
 
     def climb(self, flying: Flying) -> Course:
-        """Climb from the ground to the present altitude."""
         x, y, _ = self.target
         return self._transit((x, y, self.altitude_m), flying.climb_speed_m_s, flying)
 
@@ -78,7 +77,6 @@ class Course(NamedTuple):
 
     @property
     def duration_s(self) -> float:
-        """Duration of the trajectory; 0 if there is none."""
         return 0.0 if self.trajectory is None else self.trajectory.duration_s
 
 
@@ -92,7 +90,6 @@ class Arrival:
         self._turned_rad = _ARRIVED_YAW_RAD * (_DRIFTING_TURNED if drifts else 1.0)
 
     def is_at(self, target: Vec3, yaw: float, state: FlightState) -> bool:
-        """Return whether the vehicle is near a target, slow, and at the wanted heading."""
         return (
             math.dist(state.position, target) < self._near_m
             and self.is_slow(state)

@@ -316,7 +316,6 @@ class Executive:
             self._fly_to_goal()
 
     def _skip_legs(self, state: FlightState, p: Proposal) -> None:
-        """Skip each leg whose condition on a wall is not met."""
         while (leg := self.progress.waypoint or self.progress.collision) is not None:
             reason = skip_reason(leg, self.progress.walls)
             if reason is None:
@@ -455,7 +454,6 @@ class Executive:
             p.add_finding("wall_not_met", detail)
 
     def _end_probe(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """End a probe without a contact."""
         p.outputs.append(
             ProbeEnd(state.now_us, f"the probe for wall {collision.wall.name} ended without a contact")
         )

@@ -46,7 +46,6 @@ class Heading(NamedTuple):
         return self.yaw if self.asked is None else self.asked
 
     def turn(self, wanted: float, now_us: int, most_rad_s: float) -> Heading:
-        """Return the heading moved towards a wanted heading, at a limited rate."""
         most = most_rad_s * (now_us - self.yaw_us) * 1e-6
         turned = wrap_angle(self.yaw + max(-most, min(most, wrap_angle(wanted - self.yaw))))
         return self._replace(yaw=turned, yaw_us=now_us)

@@ -44,5 +44,4 @@ class Proposal:
         self.end: MissionEnd | None = None
 
     def add_finding(self, rule: str, detail: str, noted: bool = False) -> None:
-        """Add a finding; with `noted` it is only logged."""
         self.findings.append(MissionFinding(rule, detail, noted))

@@ -55,7 +55,6 @@ class Replan(NamedTuple):
 
     @property
     def is_leaned(self) -> bool:
-        """Whether the active trajectory ends with the lean that the impact needs."""
         return self.trajectory is not None and self.ends_leaning
 
     def is_over(self, now_us: int) -> bool:

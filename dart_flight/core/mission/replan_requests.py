@@ -178,7 +178,6 @@ class ReplanRequests:
         return Change(outputs=(taken,), replan=replan, course=progress.course.follow(trajectory))
 
     def is_late(self, replan: Replan, wall: Wall, state: FlightState) -> bool:
-        """Return whether the trajectory's impact with a wall is overdue."""
         if replan.impact_us is None:
             return False
         closing_m_s = -(state.velocity[0] * wall.normal[0] + state.velocity[1] * wall.normal[1])
@@ -187,7 +186,6 @@ class ReplanRequests:
 
 
 def _refusal(replan: Replan, answer: PlanAnswer, now_us: int) -> str | None:
-    """Return the reason to reject an answer, or None."""
     asked = replan.request
     if asked is None or answer.number != asked.number:
         return "the plan is for an outdated state"

@@ -143,7 +143,6 @@ class SetpointSelection:
         return progress.replan.since_us if progress.phase is Phase.RECOVERY else None
 
     def _next_trajectory(self, progress: MissionState) -> Trajectory | None:
-        """Return the mission's own trajectory to the next leg."""
         collision = progress.collision
         return self._written.get(None if collision is None else collision.index)
 

@@ -153,7 +153,6 @@ class Trajectory(msgspec.Struct, frozen=True):
         return math.hypot(*end.velocity) > _AT_REST_M_S and math.hypot(*end.acceleration) < _LEVEL_M_S2
 
     def at(self, t_s: float) -> TrajectoryPoint:
-        """Return the reference `t_s` after the beginning."""
         first, since = self._piece_at(max(0.0, min(t_s, self.duration_s)))
         px, vx, ax, jx = _derivatives(self.x[first : first + 6], since)
         py, vy, ay, jy = _derivatives(self.y[first : first + 6], since)

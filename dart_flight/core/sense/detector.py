@@ -143,7 +143,6 @@ class ImpactDetector:
     def update(
         self, estimate: ForceEstimate, received_us: int, state: FlightState, expected: ExpectedContact
     ) -> Events:
-        """Return the events of the next force estimate, usually none."""
         t_us = estimate.t_us
         dt_us = t_us - self._last_us if self._last_us else self._tick_us
         self._last_us = t_us

@@ -308,5 +308,4 @@ class FlightState:
         return [text for text, t_us in texts.items() if self.now_us - t_us < _TEXT_AGE_US]
 
     def lock_is_in(self, mode: Mode) -> bool:
-        """Return whether the lock reports that it has settled in a mode."""
         return self.lock.phase is LockPhase.SETTLED and self.lock.mode is mode
