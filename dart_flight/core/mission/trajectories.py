@@ -115,7 +115,8 @@ class Trajectory(msgspec.Struct, frozen=True):
     ) -> Trajectory:
         """Return a trajectory that accelerates from rest, then runs steadily and continues through the wall.
 
-        The speed grows to `velocity` as 3 s^2 - 2 s^3, where s is the elapsed fraction of the ramp.
+        The speed grows to `velocity` (mission frame) as 3 s^2 - 2 s^3, where s is the elapsed fraction of the
+        ramp.
         """
         axes = []
         for place, v in zip(begin, velocity, strict=True):

@@ -253,7 +253,7 @@ class FlightState:
             self.yaw = frame.yaw_from_ned(yaw_ned_of(self.attitude.q_frd_to_ned))
 
     def position_at(self, t_us: int) -> Vec3:
-        """Extrapolate the position to a stamp, from odometry at constant velocity."""
+        """Extrapolate the position to a stamp, mission frame, from odometry at constant velocity."""
         if self.odometry is None:
             return self.position
         return add(self.position, scale(self.velocity, (t_us - self.odometry.t_us) * 1e-6))
