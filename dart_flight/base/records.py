@@ -357,7 +357,7 @@ class RoundTrip(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/round_trip"
     received_us: int  # receipt of the answer
     sent_us: int  # sending of the request, host's monotonic time
-    autopilot_us: int | None  # its time at the answer; None if not reported or not real time
+    autopilot_us: int | None  # autopilot's time at its answer; None if not reported or not real time
 
 
 class PlanAnswer(Record, frozen=True, gc=False):

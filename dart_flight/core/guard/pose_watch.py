@@ -126,7 +126,7 @@ class PoseWatch:
     def blind(self, estimate_steps: bool, phase: Phase) -> str | None:
         """Return the reason why PX4's position is unusable, or None if it is usable.
 
-        `estimate_steps` tells whether PX4's estimate has just jumped.
+        `estimate_steps` means that PX4's estimate has just jumped.
         """
         if estimate_steps and (self.fault(phase) or self._now_us - self._recent_us < _RECENT_US):
             return f"{self._recent}; then PX4's estimate stepped"

@@ -111,9 +111,9 @@ def is_blocked_by_post(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
 def segments_to_impact(
     start: Vec2, begin: tuple[Number, Number], impact: tuple[Number, Number], wall: Wall, first: bool
 ) -> Callable[[Wall], list[tuple[tuple[Number, Number], tuple[Number, Number], float]]]:
-    """Return a function that lists the segments before an impact that an obstacle must not block.
+    """Return a function that lists the segments before an impact; no obstacle may block these segments.
 
-    The function takes the obstacle, a wall. Each segment is (a, b, required clearance at b).
+    The function's argument is the obstacle, a wall. Each segment is (a, b, required clearance at b).
 
     Args:
         start: previous resting position, from which the vehicle flies to the run-up point.
