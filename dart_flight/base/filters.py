@@ -22,14 +22,7 @@ def average_weight(dt_s: float, time_s: float) -> float:
 
 
 class LowPass:
-    """First-order low-pass of a vector.
-
-    Args:
-        time_s: time constant; 0 disables the filter.
-
-    Attributes:
-        value: newest filtered value.
-    """
+    """First-order low-pass of a vector; a time constant of 0 disables it."""
 
     def __init__(self, time_s: float) -> None:
         self._time_s = time_s
@@ -37,7 +30,6 @@ class LowPass:
         self.value: Vec3 = (0.0, 0.0, 0.0)
 
     def update(self, x: Vec3, dt_s: float) -> Vec3:
-        """Filter the next sample, `dt_s` seconds after the previous sample; return the filtered value."""
         if dt_s != self._dt_s:
             self._dt_s, self._keep = dt_s, decay_factor(dt_s, self._time_s)
         keep, old = self._keep, self.value
@@ -52,14 +44,8 @@ class LowPass:
 class VarianceEstimate:
     """Running estimate of a noise variance: the mean of the squares that `update` receives.
 
-    A square far above the variance is clipped first. The variance stays above 0, because some noise is
-    always possible.
-
-    Args:
-        value: initial variance.
-        time_s: time constant.
-        least: lower bound of the variance.
-        added: increment of the variance at every update.
+    A square far above the variance is clipped first. Some noise is always possible, so the variance is at
+    least `least`, and `added` is added at every update.
     """
 
     def __init__(self, value: float, time_s: float, least: float = 0.0, added: float = 0.0) -> None:
@@ -67,11 +53,7 @@ class VarianceEstimate:
         self._time_s, self._least, self._added = time_s, least, added
 
     def update(self, square: float, dt_s: float, least_share: float = 0.0) -> float:
-        """Update the variance with the next square; return the new variance.
-
-        The time since the previous square is `dt_s`. The new square has at least the weight `least_share` (0
-        to 1) in the mean.
-        """
+        """Update with the next square, `dt_s` after the previous one, weighted by at least `least_share`."""
         share = (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / self._time_s
         share = share if share > least_share else least_share
         value = self.value

@@ -33,27 +33,23 @@ _SMALL_RAD: Final = 1e-9  # below it the sine is the angle
 
 
 def add(a: Vec3, b: Vec3) -> Vec3:
-    """Return the sum of two vectors of the same frame."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 def subtract(a: Vec3, b: Vec3) -> Vec3:
-    """Return the difference a - b of two vectors of the same frame."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def scale(a: Vec3, factor: float) -> Vec3:
-    """Return the vector times a number."""
     return (a[0] * factor, a[1] * factor, a[2] * factor)
 
 
 def norm(a: Vec3) -> float:
-    """Return the Euclidean length."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
 def horizontal(a: Vec3) -> float:
-    """Return the length of the horizontal part of a mission-frame or NED vector."""
+    """Return the horizontal length of a mission-frame or NED vector."""
     return math.hypot(a[0], a[1])
 
 
@@ -63,7 +59,6 @@ def distance2(a: Vec2 | Vec3, b: Vec2 | Vec3) -> float:
 
 
 def distance_to_segment(place: Vec2, a: Vec2, b: Vec2) -> float:
-    """Return the distance of a place from the segment between two points, metres."""
     (ax, ay), (bx, by), (cx, cy) = a[:2], b[:2], place
     dx, dy = bx - ax, by - ay
     square = dx * dx + dy * dy
@@ -92,16 +87,11 @@ def quaternion_multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def quaternion_conjugate(q: Quaternion) -> Quaternion:
-    """Return the inverse rotation of a unit quaternion."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
 def quaternion_normalise(q: Quaternion) -> Quaternion:
-    """Return the quaternion divided by its length.
-
-    Raises:
-        ValueError: the quaternion is zero or not finite.
-    """
+    """Scale to unit length; raise ValueError if the quaternion is zero or not finite."""
     w, x, y, z = q
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not 0.0 < length < math.inf:
@@ -145,7 +135,6 @@ def body_up(q_frd_to_ned: Quaternion) -> Vec3:
 
 
 def quaternion_from_rotation_vector(v: Vec3) -> Quaternion:
-    """Return the unit quaternion of a rotation by |v| radians about v."""
     angle = norm(v)
     if angle < _SMALL_RAD:
         return quaternion_normalise((1.0, 0.5 * v[0], 0.5 * v[1], 0.5 * v[2]))
@@ -156,8 +145,8 @@ def quaternion_from_rotation_vector(v: Vec3) -> Quaternion:
 def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float) -> Quaternion:
     """Return the attitude after `dt_s` seconds (either sign) at a constant body rate.
 
-    The result is the Hamilton product with `quaternion_from_rotation_vector(rate * dt)`. The code writes the
-    product out for speed: the core calls this function every sample, and the simulation every millisecond.
+    This is the Hamilton product with `quaternion_from_rotation_vector(rate * dt)`, written out for speed: the
+    core calls this function every sample, and the simulation every millisecond.
     """
     rx, ry, rz = rate_frd_rad_s
     rx, ry, rz = rx * dt_s, ry * dt_s, rz * dt_s
@@ -215,12 +204,9 @@ def quaternion_from_intrinsic_xyz(x_rad: float, y_rad: float, z_rad: float) -> Q
 
 
 def quaternion_from_matrix(columns: Sequence[float]) -> Quaternion:
-    """Return the quaternion of a rotation matrix, given as nine elements column by column.
+    """Return the quaternion of a rotation matrix, given column by column, as Qualisys (QTM) sends it.
 
-    Qualisys Track Manager (QTM) sends the elements in this order.
-
-    Raises:
-        ValueError: the matrix is not a rotation.
+    A matrix that is not a rotation raises ValueError.
     """
     (r11, r21, r31, r12, r22, r32, r13, r23, r33) = columns
     # Start from the largest component to avoid a division by a small number.
@@ -250,13 +236,13 @@ def yaw_ned_of(q_frd_to_ned: Quaternion) -> float:
 
 
 def tilt_of(q_frd_to_ned: Quaternion) -> float:
-    """Return the angle between the body's vertical axis and the world's vertical, radians."""
+    """Return the angle between the body's and the world's vertical axis, rad."""
     _, x, y, _ = q_frd_to_ned
     return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """Return the same angle in [-pi, pi)."""
+    """Wrap to [-pi, pi)."""
     wrapped = math.fmod(angle_rad + math.pi, 2.0 * math.pi)
     if wrapped < 0.0:
         wrapped += 2.0 * math.pi
@@ -265,7 +251,7 @@ def wrap_angle(angle_rad: float) -> float:
 
 
 def wrap_deg(angle_deg: float) -> float:
-    """Return the same angle in [-180, 180), degrees."""
+    """Wrap to [-180, 180)."""
     return math.degrees(wrap_angle(math.radians(angle_deg)))
 
 
@@ -275,11 +261,13 @@ def wrap_deg(angle_deg: float) -> float:
 class MissionFrame:
     """Position and direction of the mission frame in PX4's local NED frame; immutable.
 
+    A `vector_` is a direction (velocity, force, acceleration), a `point_` a position. A mission yaw is
+    counter-clockwise from x, a NED heading clockwise from north.
+
     Attributes:
         north_m, east_m: the mission's origin in local NED.
         down_m: down coordinate, local NED, of the mission's z = 0 (the ground at the take-off point).
         heading_rad: direction of the mission's x axis, clockwise from north.
-        cos, sin: cosine and sine of the heading; they are stored because every conversion uses them.
     """
 
     def __init__(
@@ -289,40 +277,34 @@ class MissionFrame:
         self.cos, self.sin = math.cos(heading_rad), math.sin(heading_rad)
 
     def vector_from_ned(self, v_ned: Vec3) -> Vec3:
-        """Convert a direction (velocity, force, acceleration) from NED to the mission frame."""
         c, s = self.cos, self.sin
         n, e, d = v_ned
         return (n * c + e * s, n * s - e * c, -d)
 
     def vector_to_ned(self, v_mission: Vec3) -> Vec3:
-        """Convert a direction from the mission frame to NED."""
         c, s = self.cos, self.sin
         x, y, z = v_mission
         return (x * c + y * s, x * s - y * c, -z)
 
     def point_from_ned(self, p_ned: Vec3) -> Vec3:
-        """Convert a position from local NED to the mission frame."""
         c, s = self.cos, self.sin
         n, e = p_ned[0] - self.north_m, p_ned[1] - self.east_m
         return (n * c + e * s, n * s - e * c, -(p_ned[2] - self.down_m))
 
     def point_to_ned(self, p_mission: Vec3) -> Vec3:
-        """Convert a position from the mission frame to local NED."""
         c, s = self.cos, self.sin
         x, y, z = p_mission
         return (x * c + y * s + self.north_m, x * s - y * c + self.east_m, -z + self.down_m)
 
     def displaced(self, x_m: float, y_m: float) -> MissionFrame:
-        """Return the same frame with the origin displaced by `x_m` and `y_m` along the frame's axes."""
+        """Return the frame with its origin displaced along its own axes."""
         north, east, _ = self.point_to_ned((x_m, y_m, 0.0))
         return MissionFrame(north, east, self.down_m, self.heading_rad)
 
     def yaw_from_ned(self, yaw_ned_rad: float) -> float:
-        """Convert a heading, clockwise from north, to a mission yaw, counter-clockwise from x."""
         return wrap_angle(self.heading_rad - yaw_ned_rad)
 
     def yaw_to_ned(self, yaw_mission_rad: float) -> float:
-        """Convert a mission yaw, counter-clockwise from x, to a heading clockwise from north."""
         return wrap_angle(self.heading_rad - yaw_mission_rad)
 
 
@@ -352,13 +334,13 @@ class RoomFrame:
         self._offset = body_offset_m
 
     def pose_to_ned(self, position_room: Vec3, q_body_to_room: Quaternion) -> tuple[Vec3, Quaternion]:
-        """Return the vehicle's position (NED) and attitude (FRD to NED) for a pose of the marker body."""
+        """Convert a pose of the marker body to the vehicle's position (NED) and attitude (FRD to NED)."""
         centre = add(position_room, rotate(q_body_to_room, self._offset))
         q_frd_to_room = quaternion_multiply(q_body_to_room, self._frd_to_body)
         return rotate(self._room_to_ned, centre), quaternion_multiply(self._room_to_ned, q_frd_to_room)
 
     def pose_from_ned(self, position_ned: Vec3, q_frd_to_ned: Quaternion) -> tuple[Vec3, Quaternion]:
-        """Return the pose of the marker body in the room for a position and attitude of the vehicle."""
+        """Convert the vehicle's position and attitude to the marker body's pose in the room."""
         q_frd_to_room = quaternion_multiply(quaternion_conjugate(self._room_to_ned), q_frd_to_ned)
         q_body_to_room = quaternion_multiply(q_frd_to_room, quaternion_conjugate(self._frd_to_body))
         centre = rotate_back(self._room_to_ned, position_ned)

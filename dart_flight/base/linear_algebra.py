@@ -1,6 +1,7 @@
 """Cholesky solution of symmetric, positive definite systems of a few unknowns, in scalar arithmetic.
 
-A matrix H is given by its lower triangle: row i holds at least the first i + 1 numbers of H's row i.
+A matrix H is given by its lower triangle: row i holds at least the first i + 1 numbers of H's row i. If H is
+not positive definite, both functions raise ValueError.
 """
 
 from __future__ import annotations
@@ -11,11 +12,7 @@ Rows = list[list[float]]
 
 
 def cholesky(h: Rows, damping: float = 0.0) -> Rows:
-    """Return the lower triangle L of L L' = H + damping diag(H).
-
-    Raises:
-        ValueError: H is not positive definite.
-    """
+    """Return the lower triangle L of L L' = H + damping diag(H)."""
     n = len(h)
     low = [[0.0] * n for _ in range(n)]
     for i in range(n):
@@ -37,11 +34,7 @@ def cholesky(h: Rows, damping: float = 0.0) -> Rows:
 
 
 def solve(h: Rows, g: list[float], damping: float = 0.0) -> list[float]:
-    """Return (H + damping diag(H))^-1 g.
-
-    Raises:
-        ValueError: H is not positive definite.
-    """
+    """Return (H + damping diag(H))^-1 g."""
     low = cholesky(h, damping)
     n = len(g)
     y = [0.0] * n

@@ -17,14 +17,7 @@ _STOPPED = 1.0  # UAVCAN_EC_MIN: an armed motor that does not turn
 
 
 class OutputScale(msgspec.Struct, frozen=True):
-    """Scale of an output type.
-
-    Attributes:
-        name: output type, such as DShot.
-        stop: raw value at throttle 0.
-        full: raw value at throttle 1.
-        unit: unit of the raw values, with a leading space; empty if the raw values have no unit.
-    """
+    """Raw values of an output type at throttle 0 (`stop`) and 1 (`full`)."""
 
     name: str
     stop: float
@@ -32,11 +25,9 @@ class OutputScale(msgspec.Struct, frozen=True):
     unit: str = ""
 
     def describe(self) -> str:
-        """Return a description such as "DShot 0 to 1999"."""
         return f"{self.name} {self.stop:g} to {self.full:g}{self.unit}".lstrip()
 
     def throttle(self, raw: float) -> float:
-        """Return the throttle, 0 to 1, of a raw value."""
         if raw <= self.stop:
             return 0.0
         return 1.0 if raw >= self.full else (raw - self.stop) / (self.full - self.stop)
@@ -49,14 +40,9 @@ SHARE = OutputScale("", 0.0, 1.0)  # logs of a simulation
 
 
 def identify_scale(lowest: float, highest: float) -> OutputScale | None:
-    """Return the output scale that a range of raw values implies.
+    """Return the scale that the smallest value above 0 and the largest value of all motors imply.
 
-    Args:
-        lowest: smallest value above 0 of any motor.
-        highest: largest value of any motor.
-
-    Returns:
-        The scale, or None if no value is above 0 or a value exceeds every scale.
+    Return None if no value is above 0, or if a value exceeds every scale.
     """
     if highest <= 0.0 or highest > UAVCAN.full:
         return None
@@ -68,17 +54,12 @@ def identify_scale(lowest: float, highest: float) -> OutputScale | None:
 
 
 class MotorOutputDecoder:
-    """Converter of a stream of raw outputs into motor throttles.
+    """Converter of raw outputs into the throttles of `motors` motors, which are the first outputs.
 
-    The scale follows from the smallest and the largest value since the start. Before take-off, the outputs of
-    an armed vehicle pass through small values, which distinguish DShot from PWM. UAVCAN is recognised once a
-    motor passes a quarter of full throttle. Before that, UAVCAN values are read as DShot.
-
-    Args:
-        motors: number of motors; the motors are the first outputs.
-
-    Attributes:
-        scale: the scale in use; None before any output was above 0.
+    The scale follows from the smallest and the largest value since the start; it is None before any output
+    was above 0. Before take-off, the outputs of an armed vehicle pass through small values, which distinguish
+    DShot from PWM. UAVCAN is recognised once a motor passes a quarter of full throttle. Before that, UAVCAN
+    values are read as DShot.
     """
 
     def __init__(self, motors: int) -> None:
@@ -90,9 +71,7 @@ class MotorOutputDecoder:
     def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
         """Return the throttle of each motor, or the reason why these cannot be the motors' outputs.
 
-        Args:
-            outputs: raw values; None for a value that is not a number.
-            airborne: whether the land detector reports flight.
+        An output that is not a number is None.
         """
         raw = [value for value in outputs[: self._motors] if value is not None]
         if len(raw) < self._motors:

@@ -33,7 +33,7 @@ def use_idle_priority() -> None:
 
 
 def measure_lateness_s() -> float:
-    """Sleep repeatedly for 0.5 s in total; return the largest delay of a wake-up, seconds."""
+    """Return the largest delay of a wake-up while sleeping repeatedly for 0.5 s in total."""
     worst_s, end_s = 0.0, time.monotonic() + _MEASURE_S
     while (now_s := time.monotonic()) < end_s:
         time.sleep(_NAP_S)
@@ -73,12 +73,9 @@ class ChildProcess(subprocess.Popen[bytes]):
     Args:
         module: name of the module; it must exit when its standard input is closed.
         first: first line sent to the module; it may be of any length.
-        on_line: callback for every line that the module prints, called on a separate thread; an empty line
-            means that the module has ended.
+        on_line: callback, on a separate thread, for every printed line; an empty line means that the module
+            ended.
         errors: destination of the module's standard error; None uses this process's standard error.
-
-    Raises:
-        OSError: the process cannot be started.
     """
 
     def __init__(

@@ -29,7 +29,6 @@ class Mode(StrEnum):
 
     @property
     def other(self) -> Mode:
-        """The opposite mode."""
         return Mode.FLEXIBLE if self is Mode.RIGID else Mode.RIGID
 
 
@@ -146,7 +145,6 @@ class Override(StrEnum):
 
     @property
     def rank(self) -> int:
-        """Position in the list of actions; an action of higher rank replaces an action of lower rank."""
         return _RANKS[self]
 
 
@@ -359,9 +357,7 @@ class RoundTrip(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/round_trip"
     received_us: int  # receipt of the answer
     sent_us: int  # sending of the request, host's monotonic time
-    autopilot_us: (
-        int | None
-    )  # autopilot's time at its answer, or None if not reported or its clock is not real time
+    autopilot_us: int | None  # autopilot's time at its answer; None if not reported or not real time
 
 
 class PlanAnswer(Record, frozen=True, gc=False):
@@ -493,13 +489,9 @@ class PlanRequest(Record, frozen=True, gc=False):
     velocity_mission: Vec3
     acceleration_mission: Vec3  # acceleration by thrust and drag
     setpoint_mission: Vec3  # setpoint that is valid until `begin_us`, m
-    lock_ready_us: (
-        int | None
-    )  # earliest time with the lock settled and the vehicle square to the wall; None: never
+    lock_ready_us: int | None  # earliest time, lock settled and vehicle square to the wall; None: never
     under_way: bool = False  # whether the vehicle follows a trajectory instead of a setpoint
-    contact_height_m: float | None = (
-        None  # height of the wall's force above the centre of mass, or None if unknown
-    )
+    contact_height_m: float | None = None  # height of the wall's force above the centre of mass
     coasts: bool = False  # whether the vehicle keeps speed and thrust, without a setpoint, until `begin_us`
 
 
@@ -618,7 +610,7 @@ class ContactSide(StrEnum):
 
     @classmethod
     def from_lead(cls, lead_m: float) -> ContactSide:
-        """Return which guard touched first; `lead_m` is the lead of the right guard over the left guard."""
+        """Return which guard touched first, from the lead of the right guard over the left guard."""
         if abs(lead_m) < MIN_LEAD_M:
             return cls.BOTH
         return cls.RIGHT if lead_m > 0.0 else cls.LEFT

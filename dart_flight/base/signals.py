@@ -17,12 +17,10 @@ _logger = logging.getLogger(__name__)
 
 
 def log_repeat(number: signal.Signals) -> None:
-    """Log a repeated signal."""
     _logger.info("%s", describe_repeat(number))
 
 
 def describe_repeat(number: signal.Signals) -> str:
-    """Return a line about a repeated signal."""
     return f"{number.name} again within {REPEAT_S:g} s: counted once"
 
 
@@ -33,12 +31,8 @@ class StopSignals:
     then its group, and both the shell and the kernel report a closed terminal. A different signal counts at
     once. A SIGHUP that is ignored (`nohup`, `trap '' HUP`) stays ignored.
 
-    The context has an effect only in the main thread.
-
-    Args:
-        handle: callback for every signal that counts, in the main thread between two steps of the program.
-        repeated: callback for every repeat.
-        numbers: handled signals.
+    `handle` receives every signal that counts, between two steps of the program; `repeated` every repeat. The
+    context has an effect only in the main thread.
     """
 
     def __init__(

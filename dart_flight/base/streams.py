@@ -1,4 +1,4 @@
-"""The telemetry streams: requested rates, required rates and messages.
+"""The telemetry streams: MAVLink messages, requested rates, and the lowest rates that a mission needs.
 
 `vehicle` requests the rates, and `check` compares the measured rates with the required rates. The guard
 checks the age of samples in host time. PX4 rounds the interval between two messages to a multiple of 4 ms.
@@ -11,14 +11,7 @@ import msgspec
 
 
 class Stream(msgspec.Struct, frozen=True):
-    """One telemetry stream.
-
-    Attributes:
-        name: name of the stream in the log's topics.
-        message: MAVLink message of the stream.
-        rate_hz: requested rate.
-        expected_hz: lowest rate that a mission needs.
-    """
+    """One telemetry stream: `rate_hz` is requested, `expected_hz` is the lowest rate that a mission needs."""
 
     name: str
     message: str

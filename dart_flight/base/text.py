@@ -15,14 +15,14 @@ _FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF  # surrogates that represent single byt
 
 
 def battery_figures(remaining: float | None, voltage_v: float | None) -> list[str]:
-    """Return a battery's charge and voltage as text, such as ["95 %", "16.2 V"]; omit unknown values."""
+    """Return texts such as ["95 %", "16.2 V"], without unknown values."""
     charge = None if remaining is None else f"{100.0 * remaining:.0f} %"
     voltage = None if voltage_v is None else f"{voltage_v:.1f} V"
     return [figure for figure in (charge, voltage) if figure is not None]
 
 
 def printable(text: str) -> str:
-    """Return the text; characters that UTF-8 cannot encode are replaced by escapes."""
+    """Replace characters that UTF-8 cannot encode by escapes."""
     return text if text.isascii() else text.encode("utf-8", ESCAPED).decode()
 
 

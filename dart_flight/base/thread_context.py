@@ -10,10 +10,7 @@ _JOIN_S: Final = 1.0
 
 
 class ThreadContext:
-    """A context with a thread.
-
-    A subclass loops in `_run` until `_stop` is set, and frees its resources in `_close`.
-    """
+    """Context with a thread: a subclass loops in `_run` until `_stop` is set, and cleans up in `_close`."""
 
     def __init__(self) -> None:
         self._stop = threading.Event()

@@ -1,8 +1,4 @@
-"""Walls and posts, and the collision frame of a wall.
-
-Collision frame: X is the outward normal, and Y points to the right when looking along X in a z-up frame.
-Z = X x Y points down, because walls are vertical.
-"""
+"""Walls and posts. `base.geometry` defines the collision frame of a wall."""
 
 from __future__ import annotations
 
@@ -20,9 +16,7 @@ class Post(msgspec.Struct, frozen=True):
     """An upright, free-standing cylinder.
 
     Attributes:
-        name: name in the mission file.
-        centre: centre of its circular face, mission frame, metres.
-        radius_m: radius of the face.
+        centre: mission frame, metres.
         material: key of the materials table.
     """
 
@@ -32,7 +26,6 @@ class Post(msgspec.Struct, frozen=True):
     material: str
 
     def distance_to_segment(self, a: Vec2, b: Vec2) -> float:
-        """Return the distance between the cylinder's axis and the segment from `a` to `b`, metres."""
         return distance_to_segment(self.centre, a, b)
 
 
@@ -42,23 +35,20 @@ class Wall(msgspec.Struct, frozen=True):
     The vehicle's *centre* lies on this plane when the vehicle first touches the wall.
 
     Attributes:
-        name: name in the mission file.
         point: the middle of the wall on the plane of first touch, mission frame, metres.
         normal: outward unit normal, from the wall into free space, mission frame.
         length_m: extent along the tangent, centred on `point`.
         material: key of the materials table.
         position_sd_m: standard deviation of the plane's position along the normal; None if not configured.
         yaw_sd_rad: standard deviation of the plane's direction, about `point`; None if not configured.
-        half_vehicle_m: distance from the vehicle's centre to the vehicle's side. Along the wall, an impact is
-            at least this far inside the wall's ends, and a path past the wall is at least this far outside
-            the ends.
+        half_vehicle_m: distance from the vehicle's centre to its side. Along the wall, an impact is at least
+            this far inside the wall's ends, and a path past the wall is at least this far outside the ends.
         post_radius_m: radius of the post, if the wall is the tangent plane of a post; 0 for a flat wall.
-        sought: whether a probe searches for the wall, because the wall's position is unknown. In this case,
-            the plane is assumed at the end of the probe's path.
+        sought: whether a probe searches for the wall, because its position is unknown. The plane is then
+            assumed at the end of the probe's path.
         material_known: whether the material is given. If not, `material` is the vehicle's stiffest material
             until a contact identifies the wall's material.
-        thickness_m: thickness of the partition, if the wall is one of a partition's two faces; otherwise
-            None.
+        thickness_m: thickness of the partition, if the wall is one of its two faces; otherwise None.
     """
 
     name: str
@@ -76,16 +66,11 @@ class Wall(msgspec.Struct, frozen=True):
 
     @property
     def behind_m(self) -> float:
-        """Distance behind the plane at which a vehicle is in the middle of a partition, metres.
-
-        Further behind, the vehicle is on the partition's other side. The distance is infinite for a wall that
-        is not a face of a partition.
-        """
+        """Distance behind the plane to the middle of a partition, metres; infinite without a partition."""
         return math.inf if self.thickness_m is None else self.half_vehicle_m + 0.5 * self.thickness_m
 
     @property
     def is_back(self) -> bool:
-        """Whether the wall is the back of a partition."""
         return self.thickness_m is not None and self.name.endswith(BACK)
 
     def back(self) -> Wall:
@@ -120,11 +105,10 @@ class Wall(msgspec.Struct, frozen=True):
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether a standard deviation above 0 is configured for the wall's position or direction."""
         return bool(self.position_sd_m or self.yaw_sd_rad)
 
     def displaced(self, away_m: float) -> Wall:
-        """Return the wall displaced by `away_m` along its outward normal."""
+        """Return the wall displaced along its outward normal."""
         (x, y), (nx, ny) = self.point, self.normal
         return msgspec.structs.replace(self, point=(x + away_m * nx, y + away_m * ny))
 
@@ -137,20 +121,19 @@ class Wall(msgspec.Struct, frozen=True):
     def plane_sd_m(self, position: tuple[Any, ...]) -> Any:
         """Return the standard deviation of the plane's position, metres, at the point nearest to `position`.
 
-        The deviation grows with the distance from the middle of the wall. Coordinates may be numbers or
-        arrays.
+        It grows with the distance from the middle of the wall. Coordinates may be numbers or arrays.
         """
         turned = self.along(position) * math.tan(self.yaw_sd_rad or 0.0)
         return ((self.position_sd_m or 0.0) ** 2 + turned * turned) ** 0.5
 
     def foot(self, position: Vec2 | Vec3) -> Vec2:
-        """Return the wall's nearest point to a position; the point lies within the wall's length."""
+        """Return the nearest point within the wall's length."""
         reach = 0.5 * self.length_m
         along = max(-reach, min(reach, self.along(position)))
         return (self.point[0] + along * self.tangent[0], self.point[1] + along * self.tangent[1])
 
     def end_distance_m(self, position: tuple[Any, ...]) -> Any:
-        """Return the distance along the wall from a point to the nearer end, metres; negative beyond the end.
+        """Return the distance along the wall to the nearer end, metres; negative beyond the end.
 
         Coordinates may be numbers or arrays.
         """
@@ -161,18 +144,12 @@ class Wall(msgspec.Struct, frozen=True):
         return abs(self.along(position)) <= 0.5 * self.length_m
 
     def to_collision(self, v_mission: Vec3) -> Vec3:
-        """Convert a direction from the mission frame to the wall's collision frame.
-
-        The conversion is the transpose of the matrix in `from_collision`.
-        """
+        """Convert a direction from the mission frame, by the transpose of the matrix in `from_collision`."""
         nx, ny = self.normal
         return (v_mission[0] * nx + v_mission[1] * ny, v_mission[0] * ny - v_mission[1] * nx, -v_mission[2])
 
     def from_collision(self, v_collision: Vec3) -> Vec3:
-        """Convert a direction from the wall's collision frame to the mission frame.
-
-        The columns of the conversion's matrix are the axes X, Y and Z of the collision frame.
-        """
+        """Convert a direction to the mission frame; the columns of the matrix are the axes X, Y, Z."""
         nx, ny = self.normal
         return (
             v_collision[0] * nx + v_collision[1] * ny,
@@ -181,11 +158,10 @@ class Wall(msgspec.Struct, frozen=True):
         )
 
     def parallel_yaw(self, yaw_mission_rad: float) -> float:
-        """Return the nearest heading at which the vehicle's leading edge is parallel to the wall.
+        """Return the heading nearest to `yaw_mission_rad` at which a leading edge is parallel to the wall.
 
-        The vehicle is four-fold symmetric, so four headings are parallel to the wall. The result is the
-        heading nearest to `yaw_mission_rad`. From a wall to a perpendicular wall, the vehicle does not need
-        to turn (`docs/concepts.md`, yaw).
+        The vehicle is four-fold symmetric, so four headings are parallel. From a wall to a perpendicular
+        wall, the vehicle does not need to turn (`docs/concepts.md`, yaw).
         """
         facing = math.atan2(-self.normal[1], -self.normal[0])
         quarter = 0.5 * math.pi

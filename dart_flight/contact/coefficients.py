@@ -31,9 +31,7 @@ class CoefficientArrays(NamedTuple):
 
     @property
     def lead_s(self) -> Array:
-        """The time f / k of every set, seconds (`Coefficients.lead_s`)."""
         return self.f / self.k
 
     def select(self, rows: Rows) -> CoefficientArrays:
-        """Return the sets of the given rows, one per collision."""
         return CoefficientArrays(*(values[rows] for values in self))

@@ -277,9 +277,9 @@ def _solve_with_push(
 
 
 def _pushed_friction_peak(c: Oscillation, events: ContactTimes, rub: Array) -> Array:
-    """Return the largest l exp(-rub P).
+    """Return the largest l exp(-rub P), with l = phi - alpha, P the integral of l, and `rub` = mu V.
 
-    Here l is phi - alpha, P is the integral of l, and `rub` is mu V. At the maximum l' = rub l^2.
+    At the maximum l' = rub l^2.
     """
 
     def excess(tau: Array) -> tuple[Array, Array]:
@@ -331,11 +331,10 @@ class _Batch:
         return self.rows is not None or self.mass.size == 1
 
     def parts(self) -> list[slice]:
-        """Return slices of the impacts, at most `_CHUNK` long."""
         return [slice(i, min(i + _CHUNK, self.size)) for i in range(0, self.size, _CHUNK)]
 
     def coefficients(self, part: slice) -> tuple[CoefficientArrays, Array]:
-        """Return the coefficients and masses (kg) of a slice: one per impact, or one for all."""
+        """Return coefficients and masses (kg): one per impact, or one for all."""
         if self.rows is not None:
             rows = self.rows[part]
             return self.table.select(rows), self.mass[rows]
@@ -354,23 +353,19 @@ def contact_map(
     rows: Rows | None = None,
     acceleration_m_s2: ArrayLike | None = None,
 ) -> WallHit[Array]:
-    """Predict wall hits (paper, Sec. IV-B) in closed form.
+    """Predict wall hits (paper, Sec. IV-B) in closed form; the results have the broadcast shape, without NaN.
 
     Args:
         coefficients: one set, or one set per collision (any shape that broadcasts with the velocities). With
             `rows`: a table of shape (n,).
-        mass_kg: vehicle mass; broadcasts with `coefficients`.
+        mass_kg: broadcasts with `coefficients`.
         normal_m_s: velocity along the outward normal at the onset, collision frame. If the vehicle does not
             approach, it does not touch the wall: the velocity is unchanged, and force and contact time are 0.
         tangential_m_s: velocity along the wall at the onset.
-        onset: onset rule.
         rows: index of the table's row for each collision; broadcasts with the velocities.
         acceleration_m_s2: constant acceleration along the normal by other forces during the contact, such as
             the controller's push. It is negative into the wall; None means no acceleration. If a pushed
             vehicle comes to rest at the wall, contact time and impulse are infinite and the speeds are 0.
-
-    Returns:
-        Arrays of the broadcast shape, without NaN.
 
     Raises:
         ValueError: an input is not finite, mass or k is not positive, or f, mu or nu is negative.
@@ -402,11 +397,9 @@ def contact_map(
 def friction_per_speed(
     coefficients: CoefficientArrays, mass_kg: float, onset: Onset
 ) -> Callable[[Array], Array]:
-    """Return a fast function for one set of coefficients that computes the peak friction per speed.
+    """Return a fast function of the normal velocity (m/s, any shape, < 0 approaches) for one set.
 
-    Returns:
-        A function of the normal velocity (m/s, any shape, < 0 approaches). It returns the peak friction force
-            per speed along the wall, N s/m, as in `contact_map`.
+    Its result is the peak friction force per speed along the wall in N s/m, as in `contact_map`.
     """
     shape = _shape(coefficients, np.asarray(mass_kg), onset)
 
@@ -459,10 +452,8 @@ def drop_map(
 
     Args:
         coefficients: one set, or one per drop (broadcasts with the heights).
-        mass_kg: vehicle mass.
         height_m: height, > 0, of the vehicle's centre above the plane of first touch at the release from
             rest.
-        onset: onset rule.
 
     Raises:
         ValueError: as `contact_map`, or a height is not positive.

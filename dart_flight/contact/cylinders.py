@@ -19,8 +19,8 @@ surface again. While the surface presses one of a bar's guards, this guard carri
 touches no edge.
 
 The same holds for several walls. If a guard's depth in a face exceeds the partition's thickness, the guard
-has not passed through the partition, and the other face cannot press it. A bar that already
-rests on one wall touches no edge of another.
+has not passed through the partition, and the other face cannot press it. A bar that already rests on one wall
+touches no edge of another.
 """
 
 from __future__ import annotations
@@ -66,10 +66,8 @@ class NearestPoint(NamedTuple):
     Attributes:
         x_m: distance to the cylinder's face; negative inside the cylinder.
         normal: NED, horizontal, from the cylinder into the vehicle.
-        guard: the point itself as a guard, body FRD.
         share: stiffness and damping at this point, as a share of the whole side's k and f.
-        deflections: index and deflection per metre of depth, for each guard whose spring supports the
-            point.
+        deflections: index and deflection per metre of depth, for each guard whose spring supports the point.
     """
 
     x_m: float
@@ -83,7 +81,6 @@ class ContactPoint(NamedTuple):
     """A point of the vehicle that a surface may press.
 
     Attributes:
-        guard: the point, body FRD.
         normal: NED, into the vehicle.
         tangent: NED, horizontal: the Y axis of the collision frame that has this normal.
         x_m: distance to the surface; negative behind it.
@@ -111,11 +108,7 @@ def nearest_point(
 ) -> NearestPoint:
     """Return the point of an outline that is nearest to a cylinder, or deepest inside it.
 
-    Args:
-        corners: corners of the outline.
-        q: attitude, body FRD to NED.
-        position: position of the centre of mass, NED, metres.
-        cylinder: the cylinder, in contact or not.
+    `q` is the attitude, body FRD to NED; `position` is the centre of mass, NED, metres.
     """
     ax, ay = cylinder.axis[0] - position[0], cylinder.axis[1] - position[1]
     places = [rotate(q, corner.guard.at) for corner in corners]
@@ -152,11 +145,10 @@ class CylinderContact:
     """A cylinder that the outline may touch, and the state of its contact.
 
     Attributes:
-        cylinder: its position and radius.
         coefficients: coefficients for the whole side of the vehicle; None if not set.
         share: share of k and f, fixed at the touch; None if the outline is not pressed.
-        stood_in: whether the outline is inside the cylinder but is not pressed. The reason is that a guard
-            carried the load first, or that the outline did not come from outside.
+        stood_in: whether the outline is inside the cylinder but is not pressed, because a guard carried the
+            load first, or because the outline did not come from outside.
     """
 
     def __init__(self, cylinder: Cylinder) -> None:
@@ -168,10 +160,7 @@ class CylinderContact:
     def point(self, near: NearestPoint, c: Coefficients, borne: bool) -> ContactPoint | None:
         """Return the contact point at the outline's nearest point, or None if the cylinder cannot press it.
 
-        Args:
-            near: nearest point of the outline.
-            c: coefficients of the whole side.
-            borne: whether guards already carry the load at this point.
+        `c` is for the whole side; `borne` means that guards already carry the load at this point.
         """
         if near.x_m > 0.0:
             self.stood_in = False
@@ -197,9 +186,7 @@ class CylinderContact:
 class PostContact:
     """A free-standing cylinder in contact with the outline.
 
-    Attributes:
-        contact: state of the contact, with its cylinder.
-        depths: deflection of each guard at the last call of `touch`, metres.
+    `depths` is the deflection of each guard at the last call of `touch`, metres.
     """
 
     def __init__(self, cylinder: Cylinder, guards: Sequence[PropellerGuard]) -> None:
@@ -208,7 +195,6 @@ class PostContact:
         self._corners = outline(guards)
 
     def nearest(self, q: Quaternion, position: Vec3) -> NearestPoint:
-        """Return the outline's point that is nearest to the post."""
         return nearest_point(self._corners, q, position, self.contact.cylinder)
 
     def touch(self, c: Coefficients, motion: BodyMotion, law: GuardLaw) -> Touch:
@@ -228,7 +214,6 @@ class WallWithEnds:
     """A wall's surface near its ends: the surface touches each guard, and its two edges touch the outline.
 
     Attributes:
-        plane: the surface.
         edges: edges at the left and the right end, looking along the normal.
         beside: indices of the guards that are behind the surface but did not pass through it.
         bearing: indices of the guards that the wall pressed at the last call of `touch`.
@@ -285,8 +270,7 @@ class WallWithEnds:
     ) -> bool:
         """Return whether the wall can press a point of the vehicle that moves by at most `within_m`.
 
-        If the wall can press no point, update the stored contact state as `touch` would, with the same
-        `faces`.
+        If not, update the stored contact state as `touch` would, with the same `faces`.
         """
 
         def held(number: int) -> bool:
@@ -309,7 +293,6 @@ class WallWithEnds:
         return False
 
     def nearest(self, q: Quaternion, position: Vec3) -> Iterator[tuple[CylinderContact, NearestPoint]]:
-        """Yield each edge, and the point of the outline that is nearest to this edge."""
         for edge in self.edges:
             yield edge, nearest_point(self._corners, q, position, edge.cylinder)
 
@@ -324,15 +307,13 @@ class WallWithEnds:
     def touch(
         self, c: Coefficients, motion: BodyMotion, law: GuardLaw, faces: Sequence[WallWithEnds] = ()
     ) -> Touch:
-        """Return force and torque on the vehicle.
+        """Return force and torque on the vehicle; `motion` is in NED.
 
         If every guard is in front of the finite surface, the result equals `propeller_guards.touch`, except
         for rounding.
 
         Args:
             c: coefficients for the surface; an edge has its own.
-            motion: motion of the vehicle, NED.
-            law: the rest of the law.
             faces: the walls near the vehicle; this wall may be one of them.
         """
         plane, n = self.plane, self.plane.normal
@@ -385,7 +366,6 @@ class WallWithEnds:
             yield i, height + _dot(n, guard.at), along + _dot(t, guard.at)
 
     def _foot_point(self, number: int, q: Quaternion, position: Vec3) -> tuple[float, float]:
-        """Return one guard's distance in front of the surface, and its offset from the wall's middle."""
         x, y, z = add(position, rotate(q, self._guards[number].at))
         px, py, pz = self.plane.point
         offset = (x - px, y - py, z - pz)
@@ -393,14 +373,12 @@ class WallWithEnds:
 
 
 def _force(point: ContactPoint, motion: BodyMotion, onset: Onset) -> float:
-    """Return the normal force on one point, newton."""
     n = rotate_back(motion.q, point.normal)
     closing = _dot(point.normal, motion.velocity) + _dot(n, _cross(motion.rate_frd, point.guard.at))
     return normal_force(point.c, onset, point.x_m, closing)
 
 
 def _press(points: Sequence[ContactPoint], motion: BodyMotion, law: GuardLaw) -> tuple[Touch, list[float]]:
-    """Return force and torque of all points together, and the normal force on each point."""
     forces = [_force(point, motion, law.onset) for point in points]
     total = sum(forces)
     if not total > 0.0:
@@ -449,7 +427,6 @@ def _bar_load(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tup
 
 
 def _update_deflections(depths: list[float], near: NearestPoint, force_n: float) -> None:
-    """Update the deflections of the guards whose springs support a point."""
     if force_n > 0.0 and near.x_m < 0.0:
         for number, per_depth in near.deflections:
             depths[number] = max(depths[number], -near.x_m * per_depth)

@@ -30,7 +30,7 @@ class Onset(StrEnum):
 
 
 def normal_force(c: Coefficients, onset: Onset, x_m: float, vx_m_s: float) -> float:
-    """Return the normal force, newton, >= 0: the solution of the scalar complementarity problem."""
+    """Return the solution of the scalar complementarity problem, newton, >= 0."""
     force = -(c.k * x_m + c.f * vx_m_s)
     if force <= 0.0 or (onset is Onset.TOUCH and x_m >= 0.0):
         return 0.0
@@ -43,10 +43,8 @@ def coefficients_in_force(
     """Return the coefficients of a material for a lock state and an angle of incidence.
 
     If the angle is at or above `airframe.incidence_rigid_deg`, the arms cannot fold. The rigid coefficients
-    then hold even if the lock is open (paper, Sec. IV-B).
-
-    Raises:
-        KeyError: the material is not in the vehicle's table.
+    then hold even if the lock is open (paper, Sec. IV-B). A material that is not in the vehicle's table
+    raises KeyError.
     """
     table = vehicle.materials[material]
     folds = abs(incidence_rad) < math.radians(vehicle.airframe.incidence_rigid_deg)

@@ -23,7 +23,7 @@ _NEWTON_STEPS = 60
 
 
 def oscillator(c: CoefficientArrays, mass: Array) -> tuple[Array, Array, Array]:
-    """Return omega, zeta and w^2 = 1 - zeta^2; w^2 is computed without numerical cancellation."""
+    """Return omega, zeta and w^2 = 1 - zeta^2, the latter without numerical cancellation."""
     omega = np.sqrt(c.k / mass)
     zeta = 0.5 * c.f / np.sqrt(c.k * mass)
     return omega, zeta, (1.0 - zeta) * (1.0 + zeta)
@@ -128,7 +128,7 @@ def _solution(basis: tuple[Array, Array], zeta: Array, z0: Array, dz0: Array) ->
 
 
 def motion(c: Oscillation, tau: Array) -> tuple[Array, Array, Array]:
-    """Return phi, phi' and xi' at tau."""
+    """Return phi, phi' and xi'."""
     basis = _basis(c, tau)
     curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
     return (
@@ -143,10 +143,7 @@ def falling_root(
 ) -> Array:
     """Return the zero of a function that is >= 0 at `low` and <= 0 at `high`, by bracketed Newton steps.
 
-    Args:
-        function: value and derivative.
-        low, high: the bracket.
-        start: initial guess, inside the bracket.
+    `function` returns value and derivative; `start` lies inside the bracket.
     """
     x = start
     for _ in range(_NEWTON_STEPS):
@@ -173,7 +170,6 @@ class ContactTimes(NamedTuple):
 
 
 def find_contact_times(c: Oscillation) -> ContactTimes:
-    """Return the times of a contact's events (`ContactTimes` defines them), exact to rounding."""
     curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
     falls = (c.slope0 < 0.0) | ((c.slope0 == 0.0) & (c.phi0 > 0.0))
     peak = np.where(falls, 0.0, first_zero(c, c.slope0, curve0))

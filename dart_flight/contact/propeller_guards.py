@@ -8,9 +8,9 @@ therefore has the normal force, contact time and exit velocity of the point law.
 times the guard's normal force times the guard's own sliding velocity. The vertical force of all guards
 together is -nu L/(1 + L), where L is the sum of the normal forces on the wall.
 
-The paper specifies neither the lever arm of the friction nor the lever arm of the vertical force.
-Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at a point with a
-reduced lever arm. The sliding velocity is computed at the same point, so friction only removes energy.
+The paper specifies neither the lever arm of the friction nor the lever arm of the vertical force. Both are
+parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at a point with a reduced lever
+arm. The sliding velocity is computed at the same point, so friction only removes energy.
 
 Unlocked arms fold: each arm rotates in the horizontal plane about a bearing in the vehicle's middle. Its
 guard thereby yields by a share of the penetration (`fold_angles`). The law already accounts for this yield by
@@ -75,9 +75,7 @@ class GuardLaw(NamedTuple):
     """The parts of the contact law that do not depend on material and mode.
 
     Attributes:
-        onset: onset rule.
-        vertical_sign: -1: the vertical force is up, as the paper writes lz; 1: it is down. Z of the
-            collision frame points down.
+        vertical_sign: -1 if the vertical force is up, as the paper writes lz; 1 if it is down.
         vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
     """
 
@@ -92,7 +90,6 @@ class Touch(NamedTuple):
     Attributes:
         force: total force, world frame, newton.
         torque: torque about the centre of mass, body FRD, N m.
-        normal_n: sum of the normal forces.
         friction_n: sum of the friction forces along the tangent, signed.
         normal: outward normal at the strongest contact.
     """
@@ -129,15 +126,8 @@ def touch(
 ) -> Touch:
     """Return force and torque of one wall on the guards; every guard must lie between the wall's ends.
 
-    The computation uses body axes: rotating the wall's three directions is cheaper than rotating two levers
-    per guard.
-
-    Args:
-        guards: guards of the vehicle.
-        c: coefficients of the whole side, as in the point law.
-        plane: the surface.
-        motion: motion of the vehicle, in the frame of `plane`.
-        law: the rest of the law.
+    The coefficients are those of the whole side, as in the point law. The computation uses body axes:
+    rotating the wall's three directions is cheaper than rotating two levers per guard.
     """
     position, velocity, q, (wx, wy, wz) = motion
     onset = law.onset
@@ -193,18 +183,13 @@ def touch(
 def clearance_m(guards: Sequence[PropellerGuard], q: Quaternion, plane: Plane, position: Vec3) -> float:
     """Return the distance of the nearest guard from a wall's surface, metres; negative behind the surface.
 
-    Args:
-        guards: guards of the vehicle.
-        q: attitude, body FRD to world.
-        plane: the surface.
-        position: position of the centre of mass, world frame, metres.
+    `q` is the attitude, body FRD to world; `position` is the centre of mass, world frame, metres.
     """
     x, y, z = rotate_back(q, plane.normal)
     return _height(plane, position) + min(x * g.at[0] + y * g.at[1] + z * g.at[2] for g in guards)
 
 
 def _height(plane: Plane, position: Vec3) -> float:
-    """Return the distance of the centre of mass from a surface along its normal."""
     n, o = plane.normal, plane.point
     return n[0] * (position[0] - o[0]) + n[1] * (position[1] - o[1]) + n[2] * (position[2] - o[2])
 
@@ -212,22 +197,17 @@ def _height(plane: Plane, position: Vec3) -> float:
 def fold_angles(
     body: ContactBody, share: float, depths: Sequence[float]
 ) -> tuple[float, float, float, float]:
-    """Return the fold angles of the arms, radians, positive clockwise seen from above.
+    """Return the fold angle of each arm (`arm_of`), radians, positive clockwise seen from above.
 
     Args:
-        body: positions of the guards.
         share: movement of an arm as a share of the guard's penetration.
         depths: penetration of each guard in the order of `propeller_guards`, m; 0 without contact.
-
-    Returns:
-        Angles in the order of `arm_of`.
     """
     angles = [0.0, 0.0, 0.0, 0.0]
     along = max(body.guard_along_m, _MIN_ARM_M)
     for i, (guard, depth) in enumerate(zip(propeller_guards(body), depths, strict=True)):
         if depth > 0.0:
-            # A side has two guards: when pressed, the first one's arm swings clockwise, the second one's
-            # counter.
+            # When a side is pressed, the arm of its first guard swings clockwise, the other one counter.
             turn = math.atan2(share * depth, along)
             angles[arm_of(guard.at[0], guard.at[1])] += turn if i % 2 == 0 else -turn
     return (angles[0], angles[1], angles[2], angles[3])

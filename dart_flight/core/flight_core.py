@@ -33,12 +33,8 @@ _NOTHING: Final = Sensed()
 class FlightCore:
     """Core that estimates the force, detects impacts, flies one mission and applies the guard's rules.
 
-    Args:
-        mission: the mission, checked and resolved.
-        rules: rules of the guard; tests may use another table.
-
-    Raises:
-        NoApproachError: there is no room for an approach of the mission (`core.mission.approach`).
+    `rules` are those of the guard; tests may use another table. If there is no room for an approach of the
+    mission, the constructor raises NoApproachError (`core.mission.approach`).
     """
 
     def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:
@@ -56,12 +52,10 @@ class FlightCore:
 
     @property
     def phase(self) -> Phase:
-        """Present phase of the mission."""
         return self._executive.progress.phase
 
     @property
     def override(self) -> Override:
-        """Active override of the guard."""
         return self._guard.action
 
     @property

@@ -1,7 +1,8 @@
 """Constraints of a plan: the reasons to refuse a candidate, and their tests.
 
 The tests apply the limits of the mission file and the rules of the core (`core.mission`, `core.guard`), so
-that the core does not abort a plan in flight.
+that the core does not abort a plan in flight. Most tests return refusal codes: `CODE`, or 0 for an accepted
+candidate.
 """
 
 from __future__ import annotations
@@ -71,10 +72,7 @@ CODE = {reason: i + 1 for i, reason in enumerate(REFUSALS)}
 class Constraints:
     """The tests of one task, vectorised over candidates.
 
-    Args:
-        task: limits, bounds, walls.
-        ignored: reasons that are ignored, to find out which reasons prevent a plan.
-        posts: posts in the flight space.
+    `ignored` reasons do not count, to find out which reasons prevent a plan.
     """
 
     def __init__(
@@ -97,20 +95,13 @@ class Constraints:
     def mark(
         self, codes: Codes, where: NDArray[np.bool_] | NDArray[np.intp] | np.bool_, reason: Refusal
     ) -> None:
-        """Set the code of the selected candidates to a reason, unless the reason is ignored."""
         if reason not in self._ignored:
             codes[where] = CODE[reason]
 
     def hit(
         self, velocity: tuple[Array, Array], normal_n: Array, tangential_n: Array, rebound_m_s: Array
     ) -> Codes:
-        """Return a refusal code (`CODE`, 0: accepted) for each impact.
-
-        Args:
-            velocity: normal and tangential velocity at the onset, m/s.
-            normal_n, tangential_n: peak normal force and peak friction, N.
-            rebound_m_s: normal velocity after the contact, m/s.
-        """
+        """Check each impact, given its velocity at the onset and its normal velocity after the contact."""
         codes, limits = np.zeros(normal_n.shape, dtype=np.int8), self.limits
         normal, tangential = velocity
         if limits.closing_m_s is not None:
@@ -125,7 +116,7 @@ class Constraints:
         return codes
 
     def command(self, leg: SetpointResponse, loop: tuple[float, float, float, float, float]) -> Codes:
-        """Check each recovery by its setpoint and first command; return refusal codes (0: accepted).
+        """Check each recovery by its setpoint and first command.
 
         The recovery setpoint may lie at most `SETPOINT_OUTSIDE_M` outside the bounds. The command must be
         within PX4's tilt limit, because the linear model does not hold beyond this limit.
@@ -147,14 +138,11 @@ class Constraints:
         begins: bool,
         walls: Sequence[Wall] | None = None,
     ) -> Codes:
-        """Return a refusal code (0: accepted) for each flight.
-
-        Before the grid index `until`, the flight is checked for walls, posts, the bounds and the speed limit.
+        """Check each flight for walls, posts, the bounds and the speed limit.
 
         Args:
-            window: positions and velocities.
             until: first grid index that is not checked, for each candidate.
-            target: the next wall or post that the plan hits. This wall or post is no obstacle.
+            target: the next wall or post that the plan hits; it is no obstacle.
             begins: whether the first grid point is the release from a wall.
             walls: estimated walls, or None to use the mission's walls.
         """
@@ -181,7 +169,6 @@ class Constraints:
     def _classify(
         self, w: GridWindow, until: NDArray[np.intp], obstacles: list[Wall], posts: list[Post], begins: bool
     ) -> Codes:
-        """Return the code of the broken rule, or 0, for each candidate."""
         codes = np.zeros(until.size, dtype=np.int8)
         alive = np.arange(w.times.size) < until[:, None]
         over = w.vx * w.vx + w.vy * w.vy > self.limits.speed_m_s**2
@@ -213,7 +200,7 @@ class Constraints:
         return leaves
 
     def last_setpoint(self, leg: SetpointResponse, hit: Wall) -> Codes:
-        """Return refusal codes (0: accepted): refuse a last recovery setpoint that is behind another wall."""
+        """Refuse a last recovery setpoint that is behind another wall."""
         codes = np.zeros(leg.size, dtype=np.int8)
         place, target = (leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y), (leg.goal_x, leg.goal_y)
         for wall in self.walls:
@@ -222,12 +209,7 @@ class Constraints:
         return codes
 
     def to_goal(self, x: Array, y: Array, goal: Vec2) -> Codes:
-        """Return refusal codes (0: accepted): refuse if a wall is between the closest approach and the goal.
-
-        Args:
-            x, y: positions of the closest approaches, mission frame, m.
-            goal: position of the goal, mission frame, m.
-        """
+        """Refuse if a wall is between the closest approach (x, y) and the goal."""
         codes = np.zeros(x.shape, dtype=np.int8)
         for wall in self.walls:
             (nx, ny), (px, py) = wall.normal, wall.point
@@ -264,11 +246,8 @@ class Constraints:
     ) -> NDArray[np.bool_]:
         """Return whether the executive would abort the approach because the lock is still moving.
 
-        Args:
-            ready: states when the lock settles.
-            impact: states at the impact.
-            after_s: time from the release to the impact.
-            wall: the wall.
+        `ready` has the states when the lock settles, and `after_s` is the time from the release to the
+        impact.
         """
         late = after_s < self.lock_s
         rows = np.flatnonzero(~late & ~self.lock_in_time(ready, wall))

@@ -60,9 +60,7 @@ SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong 
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
-_PLACE_M: Final = (
-    0.1  # least deviation of a wall's place from the plan; wide, because the force determines it
-)
+_PLACE_M: Final = 0.1  # least deviation of a wall's place from the plan; wide: the force determines it
 _WALL_RAD: Final = math.radians(4.0)  # least deviation of a planned wall's direction and of the attitude
 _UNPLANNED_RAD: Final = math.radians(15.0)  # of an unplanned wall, whose normal is the force's direction
 _UNKNOWN_SPREAD: Final = 0.8  # of the coefficients of a wall of unknown material, relative
@@ -115,13 +113,11 @@ class Belief(NamedTuple):
 
 
 class Ticks(NamedTuple):
-    """The readings of a contact, averaged over short intervals (ticks).
-
-    The arrays have the shape (T,) for T ticks, or (T, M) for T ticks and M modes.
+    """The readings of a contact, averaged over short intervals (ticks): arrays (T,) for T ticks.
 
     Attributes:
         h: duration of the tick, s.
-        normal, along: mean force along the planned wall's axes, N, for each mode (T, M).
+        normal, along: mean force along the planned wall's axes, N, for each of M modes: (T, M).
         up: mean vertical force, N.
         push_normal, push_along: force of thrust and drag, N.
         turned, turning: rotation since the middle of the first tick, rad, and its rate, rad/s; positive to
@@ -164,7 +160,7 @@ class Contact(NamedTuple):
 
     Attributes:
         ticks: readings from a few ticks before the first touch until shortly after the contact.
-        touched_s: approximate time from the beginning of the first tick to the first touch, s.
+        touched_s: approximate time from the beginning of the first tick to the first touch.
         velocity: PX4's velocity at the touch along the planned wall's axes, m/s.
         incidence_rad: angle of incidence to the planned wall at the touch.
         noise_n, noise_nm: standard deviation of a force reading and of a torque reading.
@@ -207,14 +203,8 @@ class Hypothesis(NamedTuple):
 class ContactFit:
     """Fit of the contact law to a contact's readings, once for each mode.
 
-    Args:
-        contact: readings of the contact.
-        before: prior of the wall in each mode.
-        vehicle: configuration with mass and geometry.
-        scatter: relative scatter of the coefficients between contacts.
-
-    Raises:
-        ValueError: the force is too small for a contact.
+    `before` is the prior of the wall in each mode, `scatter` the relative scatter of the coefficients between
+    contacts. A force that is too small for a contact raises ValueError.
     """
 
     def __init__(
@@ -243,7 +233,6 @@ class ContactFit:
         self._sd[_B] = _LEVER_SD
 
     def run(self) -> list[Hypothesis]:
-        """Fit every mode and return the most probable parameters of each."""
         modes, starts = len(self.before), 2 * len(_STARTS_RAD)
         mode = np.repeat(np.arange(modes), starts)
         believed = np.tile(np.arange(starts) < len(_STARTS_RAD), modes)
@@ -284,8 +273,8 @@ class ContactFit:
     def _begin(self, lead: Array, believed: NDArray[np.bool_], mode: NDArray[np.intp]) -> Array:
         """Return start parameters; the wall's angle is chosen to give the angle of incidence `lead`.
 
-        The starts flagged in `believed` use the prior of k. For the other starts, k is computed from the
-        peak force. A point mass has the peak force v (k m)^0.5.
+        The starts flagged in `believed` use the prior of k. For the other starts, k is computed from the peak
+        force. A point mass has the peak force v (k m)^0.5.
         """
         c, (vn, vt), before = self.contact, self.contact.velocity, np.array(self.before)[mode].T
         angle = c.incidence_rad - lead
@@ -334,14 +323,8 @@ class ContactFit:
     ) -> tuple[Array, Array, Array]:
         """Integrate the motion by leapfrog steps with implicit damping.
 
-        Args:
-            t: ticks to integrate over.
-            theta: parameters of the lanes (8, L).
-            mode: modes of the lanes (L,).
-            substeps: number of steps per tick (S).
-
-        Returns:
-            Normal force, N, friction, N, and torque, N m, (T, S, L).
+        Return normal force and friction, N, and torque, N m, each (T, S, L) for S `substeps` per tick and L
+        lanes, with parameters (8, L) and modes (L,).
         """
         m, a, out, touch = self._mass, self._along, self._out, Onset(self._vehicle.onset) is Onset.TOUCH
         before = np.array(self.before)[mode].T
@@ -427,8 +410,7 @@ class ContactFit:
     def _vertical(self, b: Belief, force: Array) -> tuple[float, float, float]:
         """Fit nu to the mean vertical force; return the factor on nu, its deviation, and the evidence.
 
-        nu is the coefficient of the vertical force. At the normal force F, the vertical force is
-        nu F/(1 + F).
+        At the normal force F, the vertical force is nu F/(1 + F).
         """
         t, touching = self._ticks, force > 0.0
         time_s = float(t.h[touching].sum())
@@ -448,9 +430,6 @@ class ContactFitter:
     """Fits the contacts of one flight.
 
     The posterior coefficients after a contact are the prior of the next contact with the same wall and mode.
-
-    Args:
-        vehicle: configuration with geometry and materials.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -526,10 +505,9 @@ class ContactFitter:
         return body, estimate
 
     def _fit(self, request: ContactRequest) -> tuple[ContactFit, int]:
-        """Return the fit of a request's samples, and the stamp at which the first tick begins, microseconds.
+        """Return the fit of a request's samples, and the stamp at which the first tick begins.
 
-        Raises:
-            ValueError: the readings are too few, or the vehicle did not fly towards the wall.
+        If the readings are too few, or the vehicle did not fly towards the wall, this raises ValueError.
         """
         onset, wall, imu = request.onset, request.wall, self._vehicle.imu
         (nx, ny), (vx, vy, _) = request.normal, onset.velocity_mission
@@ -557,7 +535,7 @@ class ContactFitter:
         return ContactFit(contact, before, self._vehicle), begin_us
 
     def _ticks(self, request: ContactRequest) -> Ticks:
-        """Return the readings. Only the readings for the flexible mode are without the arms' vibration."""
+        """Return the readings; only those for the flexible mode are without the arms' vibration."""
         arms, mass = self._vehicle.estimation.arm_vibration, self._vehicle.airframe.mass_kg
         tick_s, (nx, ny) = self._vehicle.imu.tick_s, request.normal
         t_us, force = np.array(request.sample_us), np.array(request.force_mission)
@@ -644,13 +622,7 @@ def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mo
 
 
 def measure_incidence(frame_heading_rad: float, q: Quaternion, normal: Vec2) -> float:
-    """Return the angle of incidence at a wall, rad, for the vehicle's side that faces the wall most directly.
-
-    Args:
-        frame_heading_rad: heading of the mission frame.
-        q: attitude of the vehicle.
-        normal: the wall's normal.
-    """
+    """Return the angle of incidence, rad, for the vehicle's side that faces the wall most directly."""
     seen = wrap_angle(frame_heading_rad - yaw_ned_of(q) - math.atan2(-normal[1], -normal[0]))
     return seen - _QUARTER * round(seen / _QUARTER)
 

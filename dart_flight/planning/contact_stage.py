@@ -187,12 +187,7 @@ class ContactStage:
     # -- impacts --
 
     def normal(self, speed: Array, acceleration: Array, integral: Array) -> NormalOut:
-        """Return the motion along the normal.
-
-        Args:
-            speed: normal velocity at the onset, m/s, < 0.
-            acceleration, integral: acceleration, and integral of the velocity loop, at the onset, m/s2.
-        """
+        """Return the motion along the normal; at the onset `speed` is in m/s, < 0, the rest in m/s2."""
         inputs = (speed, acceleration, integral)
         rows = [sum(c * v for c, v in zip(row, inputs, strict=True) if c != 0.0) for row in self._normal]
         return NormalOut(-self.lead_s * speed, *(np.asarray(row) for row in rows))
@@ -219,12 +214,9 @@ class ContactStage:
         )
 
     def tangential(self, s: TangentialShape, v: Array, a: Array, i: Array) -> TangentialOut:
-        """Return the motion along the wall.
+        """Return the motion along the wall, for `s` from `tangential_shape`.
 
-        Args:
-            s: result of `tangential_shape`; broadcasts with the other arguments.
-            v: velocity along the wall at the onset, m/s.
-            a, i: acceleration, and integral of the velocity loop, at the onset, m/s2.
+        At the onset, v is the velocity along the wall, a the acceleration and i the velocity loop's integral.
         """
         friction = -s.friction_v * v
         setpoint = s.distance_to_peak * v - self.alphas[1] * friction
@@ -252,8 +244,6 @@ def build_stages(
     """Return one stage for each row of a table; a row belongs to one wall, mode and random draw.
 
     Args:
-        vehicle: mass, loop, detector.
-        table: contact coefficients, one set per row.
         alphas: gains (A_n, A_t) per row, m/N.
         drags: air drag along the normal per row, 1/s.
         extra_delay_s: time per row, added to the expected delay between force peak and recovery setpoint.

@@ -2,7 +2,8 @@
 
 The limits of speed and force come from the flights in docs/px4.md. These flights are a sweep (acrylic and
 wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come
-from the flights in docs/results/body.md and docs/results/tumbles.md.
+from the flights in docs/results/body.md and docs/results/tumbles.md. A warning is None if there is nothing to
+warn about; its `velocity` is the predicted (normal, tangential) velocity if the mission does not specify one.
 """
 
 from __future__ import annotations
@@ -39,18 +40,17 @@ LOST_SHARE = 1.3
 
 
 def full_scale_n(mission: Mission) -> float:
-    """Return the force in newton at the accelerometer's full scale."""
     return mission.vehicle.airframe.mass_kg * mission.vehicle.imu.full_scale_m_s2
 
 
 def expected_force_n(mission: Mission, collision: Collision) -> float | None:
-    """Return a collision's expected peak force (normal and friction together), newton, or None."""
+    """Return a collision's expected peak force, normal and friction together, or None."""
     hit = expected_hit(mission, collision)
     return None if hit is None else math.hypot(hit.peak_normal_force_n, hit.peak_friction_force_n)
 
 
 def impact_problem(mission: Mission) -> str | None:
-    """If an impact exceeds the mission's force limit, return the reason not to fly; otherwise None."""
+    """Return the reason not to fly if an impact exceeds the mission's force limit."""
     for collision in mission.collisions:
         force = expected_force_n(mission, collision)
         if force is not None and force > mission.limits.peak_force_n:
@@ -62,7 +62,7 @@ def impact_problem(mission: Mission) -> str | None:
 
 
 def clipping_warning(mission: Mission, collision: Collision) -> str | None:
-    """Return a warning about an impact at or above the accelerometer's full scale, or None."""
+    """Warn about an impact at or above the accelerometer's full scale."""
     force, full_n = expected_force_n(mission, collision), full_scale_n(mission)
     if force is None or force <= CLIP_SHARE * full_n:
         return None
@@ -79,12 +79,7 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def speed_warning(collision: Collision, velocity: tuple[float, float] | None = None) -> str | None:
-    """Return a warning if an impact is faster than those from which PX4 reliably recovered, or None.
-
-    Args:
-        collision: the collision to evaluate.
-        velocity: predicted (normal, tangential) velocity if the mission does not specify one, m/s.
-    """
+    """Warn about an impact that is faster than those from which PX4 reliably recovered."""
     velocity = impact_velocity(collision) or velocity
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None
@@ -107,22 +102,22 @@ def impact_yaw(mission: Mission, collision: Collision) -> float:
 
 
 def incidence_deg(mission: Mission, collision: Collision) -> float:
-    """Return the planned angle of incidence of a collision, degrees, 0 to 45."""
+    """Return the planned angle of incidence of a collision, 0 to 45."""
     return math.degrees(collision.wall.incidence(impact_yaw(mission, collision)))
 
 
 def max_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
-    """Return the largest permitted angle of incidence, degrees.
+    """Return the largest angle of incidence at which flights have recovered from impacts.
 
-    Flights have recovered from impacts up to this angle. In the flexible mode the limit is at most
-    `incidence_rigid_deg`, because unlocked arms do not fold at larger angles.
+    In the flexible mode the limit is at most `incidence_rigid_deg`, because unlocked arms do not fold at
+    larger angles.
     """
     arms = vehicle.airframe.incidence_rigid_deg if mode is Mode.FLEXIBLE else INCIDENCE_FLOWN_DEG
     return min(arms, INCIDENCE_FLOWN_DEG)
 
 
 def incidence_warning(mission: Mission, collision: Collision) -> str | None:
-    """Return a warning if the incidence of an impact exceeds the limit of its mode, or None."""
+    """Warn about an impact whose incidence exceeds the limit of its mode."""
     planned, most = incidence_deg(mission, collision), max_incidence_deg(mission.vehicle, collision.mode)
     if planned <= most:
         return None
@@ -134,11 +129,7 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def heights_flown_m(normal_m_s: float, mode: Mode) -> tuple[float, float]:
-    """Return the range of guard heights at which flights recovered from impacts with this speed.
-
-    Returns:
-        Largest distance of the guards below and above the vehicle's centre of mass, metres.
-    """
+    """Return the guards' largest distance below and above the centre of mass at which flights recovered."""
     speeds, rigid, flexible, above = zip(*HEIGHTS_FLOWN_M, strict=True)
     below = rigid if mode is Mode.RIGID else flexible
     return float(np.interp(normal_m_s, speeds, below)), float(np.interp(normal_m_s, speeds, above))
@@ -156,12 +147,7 @@ def is_leaned(mission: Mission, collision: Collision) -> bool:
 def height_warning(
     mission: Mission, collision: Collision, velocity: tuple[float, float] | None = None
 ) -> str | None:
-    """Return a warning if the guards may be too far below or above the centre of mass, or None.
-
-    Args:
-        mission, collision: mission, and the collision to evaluate.
-        velocity: predicted (normal, tangential) velocity if the mission does not specify one, m/s.
-    """
+    """Warn about guards that may be too far below or above the centre of mass."""
     contact = mission.vehicle.simulation.contact
     velocity = impact_velocity(collision) or velocity
     if velocity is None or contact.body is BodyModel.POINT:
@@ -181,7 +167,6 @@ def height_warning(
 
 
 def impact_warnings(mission: Mission) -> list[str]:
-    """Return the warnings about a mission's impacts, one line each."""
     found = (
         warning
         for collision in mission.collisions

@@ -51,12 +51,10 @@ class SetpointResponse(NamedTuple):
     goal_y: Array
 
     def select(self, rows: Rows | NDArray[np.bool_]) -> SetpointResponse:
-        """Return the selected candidates."""
         return SetpointResponse(self.x[:, rows], self.y[:, rows], self.goal_x[rows], self.goal_y[rows])
 
     @property
     def size(self) -> int:
-        """Number of candidates."""
         return int(self.goal_x.size)
 
 
@@ -107,12 +105,7 @@ class _Axis:
 
 
 class FreeFlight:
-    """The position loop of one vehicle, tabulated up to the time `horizon_s`.
-
-    Args:
-        vehicle: gains and drag.
-        horizon_s: longest flight considered.
-    """
+    """The position loop of one vehicle, tabulated up to the time `horizon_s`."""
 
     def __init__(self, vehicle: VehicleConfig, horizon_s: float) -> None:
         self.loop = PositionLoop.from_px4(vehicle.px4)
@@ -125,7 +118,6 @@ class FreeFlight:
         )
 
     def grid(self, leg: SetpointResponse) -> Grid:
-        """Return the leg, prepared for evaluation on the time grid."""
         x, y = (np.ascontiguousarray(z.T, dtype=np.float32) for z in (leg.x, leg.y))
         goals = (leg.goal_x[:, None].astype(np.float32), leg.goal_y[:, None].astype(np.float32))
         return Grid(self, x, y, *goals)
@@ -162,7 +154,6 @@ class Grid(NamedTuple):
     goal_y: Array32
 
     def select(self, rows: Rows | NDArray[np.bool_]) -> Grid:
-        """Return the selected candidates."""
         return Grid(self.flight, self.x[rows], self.y[rows], self.goal_x[rows], self.goal_y[rows])
 
     def window(self, first: int) -> GridWindow:
@@ -188,7 +179,7 @@ class Grid(NamedTuple):
 
 
 class SeriesSolution:
-    """Solutions as power series in time. Each candidate's series is about the candidate's own grid point."""
+    """Solutions as power series in time, each about its candidate's own grid point."""
 
     def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes
@@ -252,12 +243,9 @@ def _with_curvature(coefficients: Array, d: Array) -> tuple[Array, Array, Array]
 
 
 def first_crossing(position: Array, lead_s: float, low: float, high: float) -> Array:
-    """Return the time at which x + lead_s x' falls below 0, seconds from the grid point.
+    """Return the time between `low` and `high` at which x + lead_s x' falls below 0.
 
-    Args:
-        position: power series (order + 1, n) of x about the grid point.
-        lead_s: weight of the velocity x'.
-        low, high: range of the search, seconds from the grid point.
+    `position` is the power series (order + 1, n) of x about the grid point, from which times count.
     """
     g = position
     if lead_s:
@@ -278,17 +266,14 @@ def first_crossing(position: Array, lead_s: float, low: float, high: float) -> A
 def closest(
     x: Array, y: Array, goal: tuple[float, float], low: Array, high: Array
 ) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
-    """Return the closest approach of each candidate to the goal, near one grid point per candidate.
+    """Return time, distance and state (x, y, vx, vy) of each candidate's closest approach to the goal.
+
+    All are (n,); times are seconds from one grid point per candidate.
 
     Args:
         x, y: power series (order + 1, n) of the position about the grid point.
-        goal: position of the goal.
-        low, high: range of the search, seconds from the grid point: one grid step to either side. `low` is 0
-            if a flight begins at the grid point, and `high` is 0 if a flight ends there.
-
-    Returns:
-        Time of the closest approach (from the grid point), distance to the goal, and state (x, y, vx, vy) at
-        this time, each (n,).
+        low, high: range of the search: one grid step to either side. `low` is 0 if a flight begins at the
+            grid point, and `high` is 0 if a flight ends there.
     """
     both = np.stack((x, y), axis=1)
     at = np.array(goal)[:, None]

@@ -11,11 +11,9 @@ Array = NDArray[np.float64]
 
 
 def quintic(begin: Array | Sequence[Array | float], end: Sequence[Array | float], duration_s: Array) -> Array:
-    """Return coefficients (6, n) of the polynomials between pairs of states.
+    """Return coefficients (6, n) of the polynomials between pairs of (position, velocity, acceleration).
 
-    Args:
-        begin, end: states, each a position, velocity and acceleration; numbers or arrays (n,).
-        duration_s: durations, array (n,).
+    States are numbers or arrays (n,), durations an array (n,).
     """
     p, v, a = begin
     q, w, b = end

@@ -68,8 +68,8 @@ class PredictedFlight(msgspec.Struct):
             at the start to the goal. In the first row of a leg after a contact, the velocity is 0.
         hits: impacts by collision index, except impacts that the model does not reach.
         goal_miss_m: smallest distance to the goal after the last contact; None if not predicted.
-        walls: walls at random positions, drawn from the uncertainty that the mission declares. If the
-            prediction uses the nominal walls, this is empty.
+        walls: walls at random positions, drawn from the uncertainty that the mission declares; empty if the
+            prediction uses the nominal walls.
     """
 
     approaches: dict[int, list[Vec2]]
@@ -80,10 +80,7 @@ class PredictedFlight(msgspec.Struct):
 
 
 def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> Vec2:
-    """Return the impact point, mission frame.
-
-    The mission's point is used if known, otherwise the model's point, otherwise the middle of the wall.
-    """
+    """Return the impact point, mission frame: the mission's, else the model's, else the wall's middle."""
     if collision.impact_point is not None:
         return collision.impact_point
     if collision.predicted is not None:
@@ -95,10 +92,7 @@ def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> V
 def predicted_segments(mission: Mission, hits: Mapping[int, PredictedImpact]) -> list[TransitSegment]:
     """Return the rest-to-rest segments; a segment after a recovery begins at the predicted setpoint.
 
-    Args:
-        mission: the mission to be flown.
-        hits: predicted impacts by collision index. A segment after a collision without a predicted impact
-            has None as its beginning.
+    Its beginning is None if the collision before it has no predicted impact.
     """
     found = []
     ends = {w.name: w.after for w in mission.waypoints}
@@ -116,7 +110,6 @@ def describe_goal_miss(
     after_impact: AfterImpact = AfterImpact.SETPOINT,
     along_trajectory: bool = False,
 ) -> str:
-    """Describe the miss distance at the goal, and the capture radius."""
     if along_trajectory:
         return (
             "the vehicle reaches the goal at rest, along a trajectory "
@@ -189,7 +182,6 @@ def _add_prediction(
 
 
 def _add_written(planned: PredictedFlight, mission: Mission, group: Sequence[Collision]) -> None:
-    """Add impacts and trajectories as the mission specifies them."""
     first = group[0]
     assert first.trajectory is not None
     planned.approaches[first.index] = [state.position for state in _sampled(first.trajectory)]
@@ -224,7 +216,6 @@ def _add_written(planned: PredictedFlight, mission: Mission, group: Sequence[Col
 
 
 def _sampled(written: TrajectoryPieces) -> list[MotionState]:
-    """Return the motion at many times, including both ends."""
     planned = Trajectory.from_mission(written, 0.0)
     found = []
     for t in np.linspace(0.0, planned.duration_s, _POINTS):
@@ -264,10 +255,7 @@ def _fly(
 
 
 def _rename_walls(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> UncertaintyDraw | None:
-    """Return a draw whose walls have the names that the task uses.
-
-    The task has one wall per collision, named by the collision's index.
-    """
+    """Return a draw whose walls have the names in the task: one wall per collision, named by its index."""
     if draw is None:
         return None
     places = {

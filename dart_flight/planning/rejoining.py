@@ -40,7 +40,6 @@ class RejoiningTrajectories(NamedTuple):
     """The n candidate trajectories back to a planned trajectory, sampled at k times each.
 
     Attributes:
-        planned: the planned trajectory.
         shares: (k,) sampling times, as shares of each duration.
         from_s: (n,) time on the planned trajectory at which the candidate begins.
         slower: (n,) factor, 1 or larger, by which the candidate slows down the planned trajectory.
@@ -66,12 +65,10 @@ class RejoiningTrajectories(NamedTuple):
     jerk: Array
 
     def select(self, rows: Rows) -> RejoiningTrajectories:
-        """Return the selected trajectories."""
         by_row = (v[rows] for v in self[2:6])
         return RejoiningTrajectories(self.planned, self.shares, *by_row, *(v[:, rows] for v in self[6:]))
 
     def trajectory(self, row: int) -> Trajectory:
-        """Return one trajectory as consecutive polynomials."""
         planned, slower, begin = self.planned, float(self.slower[row]), float(self.from_s[row])
         pieces: list[float] = []
         axes: tuple[list[float], list[float]] = ([], [])
@@ -104,7 +101,6 @@ def candidate_trajectories(
     """Return the candidate trajectories back to a planned trajectory.
 
     Args:
-        planned: planned trajectory of one or more polynomial pieces.
         start: initial position, velocity and acceleration per axis; mission frame.
         moved: final position minus the planned one, m.
         pushed: final acceleration minus the planned one, m/s2.
@@ -150,10 +146,9 @@ def _sampled(planned: Trajectory, times: Array) -> Array:
 
 
 def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = False) -> Array:
-    """Return a derivative (2, n, k) of polynomials at times (n, k).
+    """Return a derivative (2, n, k) of polynomials (2, n, 6) at times (n, k).
 
-    The coefficients have the shape (2, n, 6). If `per_time`, the shape is (2, n, k, 6): one polynomial for
-    every time.
+    If `per_time`, the coefficients are (2, n, k, 6): one polynomial for every time.
     """
     for _ in range(order):
         coefficients = coefficients[..., 1:] * np.arange(1, coefficients.shape[-1])

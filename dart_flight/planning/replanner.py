@@ -72,10 +72,7 @@ _OFF_PLACE_S = 1.0  # cost of a contact as far from the planned place as the mis
 
 
 class _EndStates(NamedTuple):
-    """End states and durations of n candidate polynomials.
-
-    `cost_s` is added to the duration when the candidates are compared.
-    """
+    """End states and durations of n candidate polynomials, compared by their duration plus `cost_s`."""
 
     x: Array
     y: Array
@@ -86,11 +83,7 @@ class _EndStates(NamedTuple):
 
 
 class Replanner:
-    """Planner of new trajectories during one flight.
-
-    Args:
-        mission: the mission that is flown.
-    """
+    """Planner of new trajectories during one flight."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -271,7 +264,7 @@ class Replanner:
     # -- end states --
 
     def _planned_velocity(self, collision: Collision) -> Vec2 | None:
-        """Return the planned (normal, tangential) velocity of an impact, m/s, or None if none is planned."""
+        """Return the planned (normal, tangential) velocity of an impact, m/s, or None."""
         hit = self._planned.get(collision.index)
         if collision.predicted is None and hit is not None:
             return (hit.normal_m_s, hit.tangential_m_s)
@@ -363,11 +356,10 @@ class Replanner:
         )
 
     def _within_limits(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:
-        """Check the acceleration and jerk of trajectories.
+        """Return the indices of the trajectories within the limits of acceleration and jerk.
 
-        Returns:
-            Indices of the trajectories within the limits, and an array over all trajectories: the largest
-                horizontal acceleration, divided by the acceleration that PX4's tilt limit permits.
+        The second result is each trajectory's largest horizontal acceleration, divided by the acceleration
+        that PX4's tilt limit permits.
         """
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
         push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
@@ -378,9 +370,9 @@ class Replanner:
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
         """Return the known walls; `start` is (position, velocity, acceleration) of the vehicle in x and y.
 
-        The vehicle may start slightly behind the plane of the wall that it has just left. The reasons are
-        that flexible arms release while still compressed, and that a wall's place is uncertain. The plane of
-        such a wall is shifted back to the vehicle.
+        The vehicle may start slightly behind the plane of the wall that it has just left, because flexible
+        arms release while still compressed, and because a wall's place is uncertain. The plane of such a wall
+        is shifted back to the vehicle.
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []

@@ -52,7 +52,6 @@ class Hits(NamedTuple):
     """One collision of the sequence, for n candidates; arrays (n,).
 
     Attributes:
-        wall: the wall.
         t_s: time from the start of the run-up to the onset.
         x, y: position at the onset, mission frame.
         normal_m_s, tangential_m_s: velocity at the onset, collision frame.
@@ -74,11 +73,9 @@ class Hits(NamedTuple):
 
     @property
     def peak_force_n(self) -> Array:
-        """Peak of the contact force, normal force and friction together, newton."""
         return np.hypot(self.normal_n, self.tangential_n)
 
     def select(self, rows: Rows | NDArray[np.bool_]) -> Hits:
-        """Return the selected candidates."""
         return Hits._make((self.wall, *(v[rows] for v in self[1:-1]), self.leg.select(rows)))
 
 
@@ -108,11 +105,7 @@ class Arrivals(NamedTuple):
 
 
 class _Impacts(NamedTuple):
-    """Candidates at their impact on one wall; arrays (n,).
-
-    `position` and `velocity` are those of the impact, the velocity in the wall's frame. `normal` and
-    `tangential` are the results of the contact.
-    """
+    """Candidates at their impact on one wall; arrays (n,). The velocity is in the wall's frame."""
 
     wall: Wall
     number: int  # of the wall in the sequence, from 1
@@ -139,13 +132,11 @@ class _Released(NamedTuple):
     hits: tuple[Hits, ...]
 
     def select(self, rows: Rows | NDArray[np.bool_]) -> _Released:
-        """Return the selected candidates."""
         hits = tuple(hit.select(rows) for hit in self.hits)
         return _Released._make((*(v[rows] for v in self[:5]), self.leg.select(rows), hits))
 
 
 def _merge(fronts: list[_Released]) -> _Released:
-    """Merge groups of candidates that were released from the same wall."""
     if len(fronts) == 1:
         return fronts[0]
     hits = tuple(
@@ -181,7 +172,6 @@ class UncertaintyDraw(NamedTuple):
 
 
 def draw_wall(wall: Wall, rng: np.random.Generator) -> Wall:
-    """Return the wall at a random position and direction, drawn with the wall's standard deviations."""
     away, angle = rng.standard_normal(2)
     moved = wall.displaced(float(away) * (wall.position_sd_m or 0.0))
     return moved.rotated(float(angle) * (wall.yaw_sd_rad or 0.0))
@@ -211,11 +201,9 @@ def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stag
 
 
 class Rollout:
-    """One sequence of walls, for any approach velocities.
+    """One sequence of walls, in the order of the impacts, for any approach velocities.
 
     Args:
-        task: walls, goal, limits.
-        sequence: names of the walls in the order of the impacts.
         flight: the loop's tables, shared between rollouts.
         constraints: constraints of the task, or None to fly every candidate to its end (for comparisons).
         keep_hits: whether arrivals contain their collisions.
@@ -236,7 +224,6 @@ class Rollout:
         self._goal: Vec2 = task.goal.position_m
 
     def approach(self, normal: Array, tangential: Array) -> ApproachGrid:
-        """Return the approaches to the first wall."""
         return approach_grid(self.task, self.walls[0], normal, tangential, self.constraints)
 
     def fly(
@@ -336,10 +323,7 @@ class Rollout:
         return self._release(stage, _Impacts(wall, 1, rows, modes, time, force, (), (x, y), (n, t), *flat))
 
     def _release(self, stage: ContactStage, impacts: _Impacts) -> _Released | None:
-        """Return the candidates released from a contact.
-
-        Candidates whose recovery exceeds a limit are removed.
-        """
+        """Return the candidates released from a contact, without those whose recovery exceeds a limit."""
         wall, number, rows, modes, time, force, hits, position, velocity, n, t = impacts
         (nx, ny), (tx, ty) = wall.normal, wall.tangent
 
@@ -403,8 +387,7 @@ class Rollout:
     ) -> NDArray[np.int8] | None:
         """Check incidence, lock and detector of the candidates that reach a wall.
 
-        Returns:
-            Refusal codes (0: accepted) for the mode with the index `mode`, or None without constraints.
+        Return refusal codes (0: accepted) for the mode with the index `mode`, or None without constraints.
         """
         if self.constraints is None:
             return None
@@ -519,12 +502,9 @@ class Rollout:
         return arrivals
 
     def _search_goal(self, front: _Released) -> tuple[Rows, Rows]:
-        """Find the grid point at which each candidate is closest to the goal.
+        """Return the grid index of each remaining candidate's closest approach, and the candidate's index.
 
         The search ends when the vehicle has passed the goal (rule in `core/mission/recovery.py`).
-
-        Returns:
-            The grid index of the closest approach for each remaining candidate, and the candidate's index.
         """
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
@@ -579,13 +559,10 @@ def _actual_approach(
 ) -> tuple[ApproachGrid, Array, Array, float, float]:
     """Return the impacts of planned approaches on a wall that differs from the planned wall.
 
-    The velocities, and the velocity offsets `shift`, are converted from the planned wall's frame to the true
-    wall's frame. The gains of a recovery setpoint therefore apply to the true wall's axes. If the gains of
-    both axes are equal, the frame makes no difference.
-
-    Returns:
-        Approaches, normal velocity, tangential velocity, offset of the normal velocity, and offset of the
-        tangential velocity. All velocities are in the true wall's frame.
+    The results are the approaches, the normal and tangential velocity, and their offsets. The velocities, and
+    the velocity offsets `shift`, are converted from the planned wall's frame to the true wall's frame. The
+    gains of a recovery setpoint therefore apply to the true wall's axes. If the gains of both axes are equal,
+    the frame makes no difference.
     """
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
     (ox, oy), (sx, sy) = grid.wall.normal, grid.wall.tangent
@@ -619,7 +596,6 @@ def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
 
 
 def new_flight(task: Task) -> FreeFlight:
-    """Return the flight tables for a task."""
     return FreeFlight(task.vehicle, min(_HORIZON_S, task.limits.collision_timeout_s))
 
 

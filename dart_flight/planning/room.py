@@ -38,7 +38,7 @@ Array = NDArray[Any]
 
 
 class RoomContact(NamedTuple):
-    """A contact: position of the vehicle's centre, heading, and measured direction of the wall.
+    """A contact of a probe with a wall.
 
     Attributes:
         place: position of the vehicle's centre at the contact, mission frame, metres.
@@ -54,14 +54,7 @@ class RoomContact(NamedTuple):
 
 
 class RoomWall(NamedTuple):
-    """A wall's surface: c . n = offset_m, with the normal n into the room.
-
-    Attributes:
-        normal_rad: direction of n, mission frame.
-        offset_m: component along n of every point c of the surface.
-        offset_sd_m, normal_sd_rad: standard deviations.
-        touches: contacts with the wall.
-    """
+    """A wall's surface: c . n = offset_m. The normal n points into the room, at `normal_rad` from x."""
 
     normal_rad: float
     offset_m: float
@@ -91,15 +84,13 @@ class Room(NamedTuple):
 
     @property
     def is_closed(self) -> bool:
-        """Whether every wall intersects the next one in a corner."""
         return len(self.walls) >= 3 and None not in self.corners and not self.gaps_rad
 
 
 def plan_star(mission: Mission, directions_rad: Sequence[float], speed_m_s: float = _SPEED_M_S) -> Mission:
     """Return the mission with a probe in each direction, from the mission's start to its bounds.
 
-    Raises:
-        InputError: the mission does not permit the probes.
+    If the mission does not permit the probes, this raises InputError.
     """
     probes = []
     for k, angle in enumerate(directions_rad):
@@ -126,11 +117,10 @@ def _reach_m(mission: Mission, direction: Vec2) -> float:
 
 
 class RoomFit:
-    """Estimates walls from contacts.
+    """Estimates walls from contacts, in any order.
 
     Args:
         start: a point inside the room, mission frame, metres.
-        touches: contacts in any order.
         along_m: distance from a guard to the middle of the vehicle's side.
         out_m: distance from the vehicle's centre to its side.
     """
@@ -175,8 +165,7 @@ class RoomFit:
     def _partition(self, order: list[int]) -> tuple[float, list[list[int]]]:
         """Divide the contacts into groups of neighbours at the lowest cost, by dynamic programming.
 
-        Returns:
-            The cost and the groups.
+        Return the cost and the groups.
         """
         n = len(order)
         cost: list[float] = [0.0] + [math.inf] * n
@@ -255,12 +244,7 @@ def _crossing(a: RoomWall, b: RoomWall) -> Vec2 | None:
 
 
 def contacts_from_walls(walls: Sequence[Any], directions_rad: Sequence[float]) -> list[RoomContact]:
-    """Return the contacts of a flight whose probes `plan_star` planned in these directions.
-
-    Args:
-        walls: `MeasuredWall`s of the flight's verdict.
-        directions_rad: directions of the flight's probes, mission frame.
-    """
+    """Return the contacts of a flight along the probes of `plan_star`; `walls` are `MeasuredWall`s."""
     found = []
     for wall in walls:
         heading = directions_rad[int(wall.name.rpartition(" ")[2]) - 1]

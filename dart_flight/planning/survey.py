@@ -27,25 +27,17 @@ _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 
 
 class SurveyPlan(NamedTuple):
-    """A mission that touches walls, and the walls that the mission cannot reach.
-
-    `unreachable` maps the name of such a wall to the reason.
-    """
+    """A mission that touches walls, and the reason for each wall, by name, that it cannot reach."""
 
     mission: Mission
     unreachable: dict[str, str]
 
 
 def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
-    """Return a mission that touches the walls of the given mission.
+    """Return a mission that touches the flat walls of the given mission.
 
-    Args:
-        mission: mission whose flat walls are measured. The survey has the same start, bounds, limits and
-            vehicle, and ends at the start.
-        speed_m_s: speed of the contacts.
-
-    Raises:
-        InputError: the mission has no wall, or none can be reached.
+    The survey has the same start, bounds, limits and vehicle, and ends at the start. If the mission has no
+    wall, or none can be reached, this raises InputError.
     """
     mission = mission.replace(_figures(mission))
     left = list(mission.flat_walls)
@@ -132,7 +124,6 @@ def _probe_leg(mission: Mission, wall: Wall, here: Vec2) -> _SurveyLeg | None:
 
 
 def _is_clear(mission: Mission, a: Vec2, b: Vec2) -> bool:
-    """Return whether the segment between two places is clear of walls and posts."""
     walls = any(is_blocked(wall, a, b) for wall in mission.walls)
     return not walls and not any(is_blocked_by_post(mission, post, a, b) for post in mission.posts)
 
@@ -146,12 +137,7 @@ def _modes(mission: Mission, wall: Wall) -> Sequence[Mode]:
 
 
 def surveyed_walls(mission: Mission, measured: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the mission file's keys for each measured wall, by wall name.
-
-    Args:
-        mission: mission with these walls.
-        measured: `MeasuredWall` by name.
-    """
+    """Return the mission file's keys for each measured wall (`MeasuredWall`), by wall name."""
     found = {}
     for wall in mission.flat_walls:
         new = measured.get(wall.name)
@@ -176,12 +162,7 @@ def surveyed_collisions(
     """Return the mission file's keys for each collision, expressed relative to the measured walls.
 
     Gains along the mission's axes, and places in the mission frame, would be wrong for a wall that was found
-    at another place.
-
-    Args:
-        mission: mission as loaded.
-        written: collisions as in the mission's file.
-        measured: `MeasuredWall` by name.
+    at another place. The collisions `written` are those in the mission's file.
     """
     found = []
     for keys, collision in zip(written, mission.collisions, strict=True):

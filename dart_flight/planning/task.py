@@ -36,32 +36,27 @@ class Task(Protocol):
     """The inputs of a rollout, from part of a mission (`MissionTask`) or from a scenario."""
 
     @property
-    def vehicle(self) -> VehicleConfig:
-        """The vehicle."""
+    def vehicle(self) -> VehicleConfig: ...
 
     @property
     def start(self) -> Vec2:
         """Start of the run-up, mission frame, metres."""
 
     @property
-    def goal(self) -> GoalSpec:
-        """The goal."""
+    def goal(self) -> GoalSpec: ...
 
     @property
-    def bounds(self) -> BoundsSpec:
-        """Bounds of the room."""
+    def bounds(self) -> BoundsSpec: ...
 
     @property
     def walls(self) -> dict[str, Wall]:
         """Walls by name; each is hit at most once."""
 
     @property
-    def limits(self) -> Limits:
-        """Limits of all candidates."""
+    def limits(self) -> Limits: ...
 
     @property
-    def modes(self) -> tuple[Mode, ...]:
-        """Modes that may be used."""
+    def modes(self) -> tuple[Mode, ...]: ...
 
     @property
     def alphas(self) -> dict[str, tuple[float, float]]:

@@ -1,7 +1,8 @@
 """The description of a flight in its log, and the mission reconstructed from it.
 
 The log contains everything that a replay needs: the mission as written, the mission as flown (with the
-vehicle's configuration and all command-line options), the software and the machine.
+vehicle's configuration and all command-line options), the software and the machine. If the description lacks
+or contradicts what a function needs, the function raises InputError.
 """
 
 from __future__ import annotations
@@ -27,10 +28,8 @@ from dart_flight.recording.reader import Log, MissingDataError
 def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[str, str]:
     """Return the description of a flight that is about to begin.
 
-    Keys: `mission` (name), `mission_source`, `mission_text` (as written), `flown` (the resolved mission with
-    its vehicle, JSON), `vehicle` (configuration, JSON), `world`, `seed`, `software`, `host`, `machine`,
-    `started_utc` and `started_monotonic_us`. The last two are the same moment by the host's calendar and by
-    the host's monotonic clock.
+    `mission_text` is the mission as written, `flown` the resolved mission with its vehicle. `started_utc` and
+    `started_monotonic_us` are the same moment by the host's calendar and by the host's monotonic clock.
     """
     about = {
         "mission": mission.name,
@@ -64,7 +63,6 @@ def machine() -> str:
 
 @lru_cache(maxsize=1)
 def software_version() -> str:
-    """Return the package's version; if the package runs from a checkout, also the commit."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return __version__
@@ -81,12 +79,9 @@ def software_version() -> str:
 
 
 def flown_mission(about: dict[str, str], source: str) -> Mission:
-    """Return the mission as flown, from a log's description.
+    """Return the mission as flown.
 
     A key that is not in the log gets its default value.
-
-    Raises:
-        InputError: the mission is missing, or does not fit this version of the program.
     """
     text = about.get("flown")
     if text is None:
@@ -98,11 +93,7 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
 
 
 def written_mission(about: dict[str, str], source: str) -> tuple[Document, Document]:
-    """Return a log's mission text and vehicle configuration as documents that can be edited.
-
-    Raises:
-        InputError: the log lacks the mission text or the vehicle configuration.
-    """
+    """Return the mission's text and the vehicle's configuration as documents that can be edited."""
     if "mission_text" not in about or "vehicle" not in about:
         raise InputError("the log does not contain its mission's text", source=source)
     text = msgspec.json.format(about["vehicle"], indent=2)
@@ -110,11 +101,7 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
 
 
 def parse_written(mission: Document, vehicle: Document) -> Mission:
-    """Return the mission that the two documents of `written_mission` define.
-
-    Raises:
-        InputError: a key is unknown, or a value has the wrong type or is out of range.
-    """
+    """Return the mission that the two documents of `written_mission` define."""
     return parse_mission(mission, vehicle.convert(VehicleConfig))
 
 

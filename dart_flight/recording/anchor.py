@@ -12,11 +12,9 @@ from dart_flight.config.mission import ESTIMATE_MOVED_M, Mission
 class MissionFrameReader:
     """Tracks the mission frame during a flight; `add` receives the flight's records in order.
 
-    Attributes:
-        frame: the mission frame in local NED, or None before the mission leaves `READYING`. When the mission
-            leaves `READYING`, the frame is anchored at the take-off point. If the position estimate then
-            changes before the climb, the frame is anchored again at the start of the climb. In a mission
-            anchored by touch, contacts displace the frame.
+    `frame` is in local NED, and None before the mission leaves `READYING`, when it is anchored at the
+    take-off point. If the position estimate then changes before the climb, the frame is anchored again at the
+    start of the climb. In a mission anchored by touch, contacts displace the frame.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -27,7 +25,6 @@ class MissionFrameReader:
         self.frame: MissionFrame | None = None
 
     def add(self, record: Record) -> None:
-        """Process the next record; most kinds are ignored."""
         if type(record) is FrameAnchor and self.frame is not None:
             self.frame = self.frame.displaced(*record.moved_mission)
         if self._climbs:

@@ -24,18 +24,14 @@ _WORDS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def encode(record: Record) -> bytes:
-    """Return a record as JSON. Two records have equal JSON exactly if the records are equal bit for bit."""
+    """Return a record as JSON; two records have equal JSON exactly if the records are equal bit for bit."""
     data = _ENCODER.encode(record)
     # The fast encoder writes null for a missing value and for a number that is not finite.
     return _ENCODER.encode(_spell(msgspec.to_builtins(record))) if b"null" in data else data
 
 
 def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
-    """Return the record that `data` encodes.
-
-    Raises:
-        msgspec.MsgspecError: the data are not a record of the decoder's type.
-    """
+    """Return the record in `data`; raise msgspec.MsgspecError if there is none of the decoder's type."""
     try:
         return decoder.decode(data)
     except msgspec.ValidationError:
@@ -53,10 +49,7 @@ def _spell(value: Any) -> Any:
 
 
 def _restore(value: Any, kind: Any) -> Any:
-    """Restore omitted None values and spelled numbers, also in nested records.
-
-    Each field without a default that is missing becomes None, and a spelled number becomes a float.
-    """
+    """Restore omitted None values and spelled numbers, also in nested records."""
     if isinstance(value, list):
         return [_restore(part, kind) for part in value]
     parts = list(_parts(kind))
@@ -73,7 +66,6 @@ def _restore(value: Any, kind: Any) -> Any:
 
 
 def _parts(kind: Any) -> Iterator[Any]:
-    """Yield a type and the types that it contains."""
     yield kind
     for part in get_args(kind):
         yield from _parts(part)

@@ -39,7 +39,6 @@ class Event(NamedTuple):
     """One event.
 
     Attributes:
-        level: severity.
         source: part that reports it: mission, contact, guard, lock, px4, link or log.
         head: what happened.
         detail: reason or amount; may be empty.
@@ -52,7 +51,6 @@ class Event(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Head and detail in one line."""
         return f"{self.head} ({self.detail})" if self.detail else self.head
 
 
@@ -68,9 +66,8 @@ _SEVERITIES = {
 class EventFormatter:
     """Converts the records of a flight, in order, to events.
 
-    Args:
-        every_problem: whether to report PX4's problems in other flight modes while there is no problem in the
-            present mode. Problems in the present mode are always reported.
+    PX4's problems in the present flight mode are always reported. With `every_problem`, its problems in other
+    modes are reported while there is none in the present mode.
     """
 
     def __init__(self, every_problem: bool = False) -> None:
@@ -79,7 +76,6 @@ class EventFormatter:
         self._ready = False
 
     def format_event(self, record: Record) -> Event | None:
-        """Return the event of a record, or None if the record has no event."""
         if record.frequent:  # the usual case
             return None
         if isinstance(record, PhaseChange):
@@ -129,10 +125,6 @@ class EventFormatter:
         return None
 
     def _health(self, record: HealthReport) -> Event | None:
-        """Return an event with the problems of PX4's preflight checks.
-
-        If the problems are unchanged, or there are none, return None.
-        """
         problems = record.blocking or (record.others if self._every_problem else ())
         changed, self._problems = problems != self._problems, problems
         if not changed or not problems:

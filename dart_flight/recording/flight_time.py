@@ -12,30 +12,21 @@ from dart_flight.base.records import ImuSample, Record
 
 
 class FlightTime:
-    """Converts autopilot times to seconds since the flight's zero; receives the records in order.
-
-    Attributes:
-        zero_us: autopilot time of 0 s, or None before this time is known.
-    """
+    """Converts autopilot times to seconds since the flight's zero; receives the records in order."""
 
     def __init__(self) -> None:
         self.zero_us: int | None = None
 
     def add(self, record: Record) -> None:
-        """Process the next record; all records except the first IMU sample are ignored."""
         if self.zero_us is None and isinstance(record, ImuSample):
             self.zero_us = record.t_us
 
     def seconds(self, t_us: int) -> float | None:
-        """Return the seconds since the zero, or None before the zero is known."""
         return None if self.zero_us is None else (t_us - self.zero_us) * 1e-6
 
 
 def find_zero(records: Iterable[Record]) -> int:
-    """Return the zero of a recorded flight's time, as autopilot time in microseconds.
-
-    Without an IMU sample the first record with a time is the zero.
-    """
+    """Return the zero of a recorded flight's time, autopilot time; without an IMU sample, the first stamp."""
     time = FlightTime()
     first_us = 0
     for record in records:

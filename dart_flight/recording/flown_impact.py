@@ -118,7 +118,6 @@ class FlownImpact(CollisionVerdict, kw_only=True):
     """A planned collision as flown: its verdict, and further data for figures.
 
     Attributes:
-        collision: the collision that was planned.
         onset, peak: records of the flight core; peak is None if not measured.
         contact: simulated contact, or None on the drone.
         lock_mode: mode in which the lock was settled at the onset; rigid without a lock.
@@ -142,20 +141,13 @@ class FlownImpact(CollisionVerdict, kw_only=True):
         return x, y
 
     def verdict(self) -> CollisionVerdict:
-        """Return the part that belongs to the verdict."""
         return CollisionVerdict(*(getattr(self, name) for name in CollisionVerdict.__struct_fields__))
 
 
 class ImpactCollector:
-    """Assembles the impacts of one flight from its records, in order.
+    """Assembles the impacts of one flight, in the order flown, from its records.
 
-    Attributes:
-        impacts: impacts so far, in the order flown.
-        handlers: handlers of the records, by kind.
-
-    Args:
-        mission: the mission flown.
-        anchor: reader of the mission frame; the reader must process each record before the collector.
+    The reader `anchor` of the mission frame must process each record before the collector.
     """
 
     def __init__(self, mission: Mission, anchor: MissionFrameReader) -> None:
@@ -186,11 +178,7 @@ class ImpactCollector:
         }
 
     def match_truth(self) -> None:
-        """Assign a simulated contact with the same wall to every impact.
-
-        If there are several such contacts, the nearest in time is used. Without such a contact, `contact` is
-        None.
-        """
+        """Assign to every impact the simulated contact with the same wall that is nearest in time, if any."""
         for impact in self.impacts:
             near = [
                 t
@@ -206,10 +194,10 @@ class ImpactCollector:
             impact.truth = _true_velocities(true)
 
     def other_contacts(self) -> list[OtherContact]:
-        """Return the contacts that were not planned, in order.
+        """Return the contacts that were not planned, in order; call `match_truth` before.
 
         In simulation each has the values of its simulated contact, and after the guard has overruled the
-        mission the list includes contacts that were not detected. Call `match_truth` before.
+        mission the list includes contacts that were not detected.
         """
         found = list(self._others)
         planned = [impact.contact for impact in self.impacts]
@@ -227,7 +215,7 @@ class ImpactCollector:
         return sorted(found, key=lambda one: one.t_us)
 
     def _newest(self) -> FlownImpact | None:
-        """Return the impact that began with the last onset; None if the last onset was not planned."""
+        """Return the impact that began with the last onset; None if this onset was not planned."""
         return self.impacts[-1] if self.impacts and self.impacts[-1].onset is self._onset else None
 
     def _handle_onset(self, record: ImpactOnset) -> None:

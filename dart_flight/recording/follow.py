@@ -18,10 +18,7 @@ _READ_BYTES = 8 * 1024 * 1024  # per read
 
 
 class LogFollower:
-    """Reads the new records of a growing log, without writing to the file.
-
-    Args:
-        path: file of the log's first part.
+    """Reads the new records of a growing log, from its first part on, without writing to the file.
 
     Attributes:
         about: description of the flight; empty until it has been read.
@@ -44,8 +41,7 @@ class LogFollower:
     def read(self) -> list[LogEntry]:
         """Return the records that were added since the last call, in the order written.
 
-        Raises:
-            InputError: the file cannot be read, is damaged, or was written by a newer version.
+        A file that cannot be read, is damaged, or was written by a newer version raises InputError.
         """
         try:
             return self._read()

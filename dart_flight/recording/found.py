@@ -1,4 +1,4 @@
-"""Finding flight logs among files and folders named on the command line."""
+"""Finding flight logs among files and folders named on the command line; InputError if there are none."""
 
 from __future__ import annotations
 
@@ -15,11 +15,7 @@ T = TypeVar("T")
 
 
 def find_logs(paths: Iterable[str | Path]) -> list[Path]:
-    """Return each named file as it is, and the flight logs below each folder, sorted by name.
-
-    Raises:
-        InputError: there is no flight log below a folder.
-    """
+    """Return each named file as it is, and the flight logs below each folder, sorted by name."""
     found: list[Path] = []
     for path in map(Path, paths):
         if not path.is_dir():
@@ -33,14 +29,7 @@ def find_logs(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
-    """Return the PX4 logs that belong to the paths, in order.
-
-    For a flight log, the PX4 logs next to this log are returned. For a folder, the PX4 logs below the folder
-    are returned. Any other file is returned unchanged.
-
-    Raises:
-        InputError: there is no PX4 log next to a flight log or below a folder.
-    """
+    """Return the PX4 logs next to a flight log or below a folder; any other file is returned unchanged."""
     found: list[Path] = []
     for path in map(Path, paths):
         flight = path.name == LOG_NAME
@@ -60,14 +49,8 @@ def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
 def read_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callable[[str], None]) -> list[T]:
     """Return the result of `read` for every log that has the wanted data.
 
-    Args:
-        paths: the logs.
-        read: raises `MissingDataError` for a log that lacks the wanted data.
-        left_out: receives one line for each omitted log.
-
-    Raises:
-        MissingDataError: there are logs, but no log has the wanted data.
-        InputError: `read` raises this error for another reason.
+    `read` raises `MissingDataError` for a log without the data, and `left_out` receives one line about this
+    log. If no log has the data, the first such error is raised.
     """
     results: list[T] = []
     empty: list[MissingDataError] = []

@@ -60,7 +60,6 @@ class WallMeasurements:
         self._truths: list[TruthContact] = []
 
     def add(self, record: Record) -> None:
-        """Process the next record; most kinds are ignored."""
         if isinstance(record, WallEstimate) and record.wall in self._walls:
             self._found.add_estimate(record, self._walls[record.wall])
             self._estimates[record.wall] = record
@@ -84,9 +83,7 @@ class WallMeasurements:
     def build(self, end_us: int, drawn: Mapping[str, float | str]) -> list[MeasuredWall]:
         """Return the touched walls, in the order of their first contact.
 
-        Args:
-            end_us: end of the flight, autopilot time.
-            drawn: random values of the simulated world, including the true wall offsets.
+        `drawn` contains random values of the simulated world, including the true wall offsets.
         """
         return [self._measured(name, end_us, drawn) for name in self._estimates]
 
@@ -114,7 +111,6 @@ class WallMeasurements:
         return found
 
     def _true_wall(self, name: str, estimate: WallEstimate, drawn: Mapping[str, float | str]) -> Wall | None:
-        """Return the simulated wall that the vehicle touched, or None if there is no such wall."""
         near = [t for t in self._truths if abs(t.t_us - estimate.first_us) < _SAME_US]
         if not near or near[0].wall not in self._standing:
             return None

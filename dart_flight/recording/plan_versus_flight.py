@@ -36,7 +36,7 @@ class Deviation(msgspec.Struct, frozen=True):
 
     @property
     def within(self) -> bool:
-        """Whether there is a flown value and this value is within the tolerance."""
+        """Whether there is a flown value within the tolerance."""
         if isinstance(self.planned, float) and isinstance(self.flown, float):
             return abs(self.flown - self.planned) <= (self.tolerance or 0.0)
         return self.flown == self.planned
@@ -46,7 +46,7 @@ class Prediction(NamedTuple):
     """Predicted course of a mission.
 
     Attributes:
-        velocities: velocities and peak force, by index of the collision; fields are None if not predicted.
+        velocities: by index of the collision; fields are None if not predicted.
         places: predicted impact points, by index of the collision, mission frame.
         goal_miss_m: predicted smallest distance to the goal during the last recovery. None if this distance
             is unknown, or if the goal is approached from rest.
@@ -58,11 +58,11 @@ class Prediction(NamedTuple):
 
 
 def predict_flight(mission: Mission) -> Prediction:
-    """Return the prediction of a mission.
+    """Predict each collision from the first available source.
 
-    For each collision, the first available source is used. The sources are, in this order: the planner's
-    prediction in the mission file, the contact law at the planned approach velocity, and the flight model. If
-    the mission replans after every impact, the predicted miss distance at the goal is 0.
+    The sources are, in this order: the planner's prediction in the mission file, the contact law at the
+    planned approach velocity, and the flight model. If the mission replans after every impact, the predicted
+    miss distance at the goal is 0.
     """
     velocities, places, miss_m = dict[int, Velocities](), dict[int, Vec2](), None
     for collision in mission.collisions:
@@ -97,13 +97,9 @@ def _as_written(mission: Mission, collision: Collision) -> tuple[Velocities, Vec
 def deviations(
     mission: Mission, planned: Prediction, flown: Sequence[FlownImpact], goal_miss_m: float | None
 ) -> list[Deviation]:
-    """Return a deviation for every planned value, in the mission's order. For a rehearsal the list is empty.
+    """Return a deviation for every planned value, in the mission's order, and none for a rehearsal.
 
-    Args:
-        mission: the mission with its tolerances.
-        planned: prediction of the mission (`predict_flight`).
-        flown: the impacts of the flight.
-        goal_miss_m: miss distance, or None if the goal was not passed.
+    `goal_miss_m` is None if the goal was not passed.
     """
     if mission.standoff_m is not None:
         return []
@@ -144,16 +140,13 @@ def _compare_collision(
 
 
 def out_of_tolerance(found: Sequence[Deviation]) -> list[Deviation]:
-    """Return the deviations outside their tolerance, largest first.
-
-    The list begins with the deviations that have no flown value or no numbers.
-    """
+    """Return the deviations outside their tolerance: first those without numbers, then the largest first."""
     outside = [one for one in found if not one.within]
     return sorted(outside, key=lambda one: -_excess_ratio(one))
 
 
 def format_departures(found: Sequence[Deviation], most: int = 3) -> str:
-    """Describe the largest deviations, at most `most` of them; return "" if all are within tolerance."""
+    """Describe the `most` largest deviations; return "" if all are within tolerance."""
     outside = out_of_tolerance(found)
     more = len(outside) - most
     return "; ".join(map(_format_deviation, outside[:most])) + (f"; {more} more" if more > 0 else "")

@@ -46,10 +46,7 @@ class DamagedLogError(Exception):
 
 
 class LogEntry(msgspec.Struct, frozen=True, gc=False):
-    """One record of a log.
-
-    An input has its own number. Any other record has the number of the input that caused the record.
-    """
+    """One record of a log, with its own number if it is an input, or else with the number of its input."""
 
     number: int
     record: Record
@@ -164,11 +161,8 @@ def read_entries(
     """Yield the records of one part of a log, and store the other contents in the dictionaries.
 
     Args:
-        stream: bytes of the part.
-        about: receives the description of the flight.
-        end: receives the data that are known only at the end of the flight.
+        about, end: receive the descriptions from the start and from the end of the flight.
         topics: receives the channels by number.
-        source: file of the log, for error messages.
         begun: whether the stream continues a part that was read before, and so has no file header.
 
     Raises:
@@ -182,7 +176,6 @@ def read_entries(
 
 @contextlib.contextmanager
 def _convert_damage() -> Iterator[None]:
-    """Convert the libraries' exceptions for damaged bytes to `DamagedLogError`."""
     try:
         yield
     except (EndOfFile, InputError):

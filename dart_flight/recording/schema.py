@@ -61,7 +61,7 @@ CLOCKS = {
 
 
 def describe(name: str, comment: str = "") -> str:
-    """Return one line with a field's unit, frame and comment; unit, clock and frame follow from the name."""
+    """Return a field's unit, frame and comment; unit, clock and frame follow from the name."""
     parts = [_unit(name), _frame(name), comment]
     return "; ".join(part for part in parts if part)
 
@@ -94,8 +94,8 @@ def _comments(kind: type[Record]) -> dict[str, str]:
 def schema(kind: type[Record]) -> dict[str, Any]:
     """Return the JSON Schema of a record.
 
-    The schema has no references and no unions, because Foxglove refuses them. No field is required: a message
-    omits the values that are missing.
+    Foxglove refuses references and unions, so there are none. No field is required: a message omits the
+    values that are missing.
     """
     properties = {}
     for name, type_ in get_type_hints(kind).items():

@@ -68,14 +68,7 @@ class Topic:
 
 
 class Topics:
-    """The channels of a log.
-
-    Args:
-        records: records of the log, in the order written.
-
-    Attributes:
-        names: names of the channels that have records.
-    """
+    """The channels of a log; `names` are those that have records."""
 
     def __init__(self, records: Iterable[Record]) -> None:
         found: dict[type[Record], list[Record]] = {}

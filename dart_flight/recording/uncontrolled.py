@@ -28,8 +28,6 @@ class TruthExtremes:
     Attributes:
         excursion_m: largest distance outside the bounds, sideways or upwards.
         landing_m_s: largest downward speed at the ground.
-        tilt_rad: largest tilt of the body.
-        last: the last sample.
     """
 
     def __init__(self, bounds: BoundsSpec) -> None:
@@ -39,7 +37,6 @@ class TruthExtremes:
         self._was_high = False
 
     def update(self, truth: TruthSample) -> None:
-        """Add a sample."""
         self.last = truth
         x, y, z = truth.position_mission
         self.excursion_m = max(self.excursion_m, self._bounds.excess2((x, y)), z - self._bounds.z[1])
@@ -55,8 +52,6 @@ def find_uncontrolled(
     """Yield a phrase for each reason why a flight is uncontrolled; yield nothing for a controlled flight.
 
     Args:
-        truth: extremes of the whole flight.
-        completed: whether the flight completed.
         explained: whether a reason is known why the flight did not complete.
         allowed_m: allowed distance out of the bounds.
         falls: whether the vehicle is meant to fall, for example after a kill switch.

@@ -116,13 +116,9 @@ class Verdict(msgspec.Struct):
     log_failure: str | None = None  # missing part of the log, with the reason
     own_lateness_ms: float | None = None  # worst scheduling latency of the program; None if not measured
     px4_log: str | None = None
-    ekf_error_m: float | None = (
-        None  # largest distance of the estimated position from the true one, in the air
-    )
+    ekf_error_m: float | None = None  # largest distance between estimated and true position, in the air
     px4: Px4Figures | None = None
-    drawn: dict[str, float | str] = msgspec.field(
-        default_factory=dict
-    )  # values of the simulated world (`--vary`)
+    drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # simulated world (`--vary`)
     vehicle: VehicleSource | None = None
     plan_followed: bool | None = None  # as predicted; None without a prediction, as in a rehearsal
     goal_reached: bool | None = None  # within the capture radius; None if the log lacks the flight's end
@@ -130,9 +126,7 @@ class Verdict(msgspec.Struct):
     deviations: list[Deviation] = msgspec.field(default_factory=list)
     walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as measured by the contacts
     estimator_resets: list[ResetFigures] = msgspec.field(default_factory=list)  # in the air
-    arms_moved: bool | None = (
-        None  # whether simulated arms ever followed the lock; None if the lock never moved
-    )
+    arms_moved: bool | None = None  # whether simulated arms ever followed; None if the lock never moved
     time: TimeKind | None = None  # None for a real vehicle
     speed: float | None = None  # achieved simulated seconds per second
     uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, from a simulation's truth
@@ -140,14 +134,11 @@ class Verdict(msgspec.Struct):
 
 
 class PositionError:
-    """Largest distance between the estimated and the true position at the same stamp.
+    """Largest distance between the estimated and the true position at the same stamp, mission frame, metres.
 
     The true position is interpolated between two samples. Estimate and truth arrive on separate threads, in
     either order. Each estimate waits until a true position of the same or a later time arrives. At most
     `_KEPT` samples wait, so memory is bounded.
-
-    Attributes:
-        worst_m: largest distance so far, metres, or None if no estimate was compared.
     """
 
     def __init__(self) -> None:
@@ -156,11 +147,9 @@ class PositionError:
         self._truths: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
 
     def add_estimate(self, t_us: int, position: Vec3) -> None:
-        """Add an estimated position, mission frame."""
         self._estimates.append((t_us, position))
 
     def add_truth(self, t_us: int, position: Vec3) -> None:
-        """Add a true position, mission frame, and compare it with the waiting estimates."""
         truths, estimates = self._truths, self._estimates
         if truths and t_us <= truths[-1][0]:
             truths.clear()  # the clock jumped back
@@ -186,12 +175,7 @@ class PositionError:
 
 
 class VerdictBuilder:
-    """Builds the verdict of one flight from its records, in order.
-
-    Attributes:
-        handlers: handlers of the records, by kind; other kinds are irrelevant.
-        end: end of the flight, or None during the flight.
-    """
+    """Builds the verdict of one flight from its records, in order."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -236,7 +220,6 @@ class VerdictBuilder:
         )
 
     def add(self, record: Any) -> None:
-        """Process the next record; irrelevant kinds are skipped."""
         handler = self.handlers.get(type(record))
         if handler is not None:
             handler(record)
@@ -297,7 +280,6 @@ class VerdictBuilder:
             self._settled.add(record.mode)
 
     def impacts(self) -> list[FlownImpact]:
-        """Return the impacts so far; in simulation, each impact has the values of its simulated contact."""
         self._impacts.match_truth()
         return self._impacts.impacts
 
@@ -311,10 +293,7 @@ class VerdictBuilder:
     ) -> Verdict:
         """Return the verdict on the records so far; without an end the flight counts as aborted.
 
-        Args:
-            world, seed: world and random seed of the flight.
-            log, px4_log: paths of the logs.
-            drawn: random values of the simulated world.
+        `drawn` contains random values of the simulated world.
         """
         planned, impacts, so_far = predict_flight(self._mission), self.impacts(), self._so_far
         for impact in impacts:
@@ -352,8 +331,8 @@ class VerdictBuilder:
     def _goal_reached(self) -> bool | None:
         """Return whether the vehicle came within the goal's capture radius, or None before the flight's end.
 
-        If the vehicle passed the goal, the miss distance is compared with the radius. Otherwise, for a
-        completed flight, the final distance from the goal is compared.
+        The distance is the miss distance if the vehicle passed the goal, or else, after a completed flight,
+        the final distance.
         """
         if self.end is None:
             return None
@@ -363,7 +342,6 @@ class VerdictBuilder:
         return nearest_m is not None and nearest_m <= self._mission.goal.capture_radius_m
 
     def _find_uncontrolled(self) -> list[str]:
-        """Return the reasons why a simulated flight is uncontrolled, or an empty list on the drone."""
         if self._extremes.last is None:
             return []
         completed = self._so_far.outcome is Outcome.COMPLETED
@@ -376,7 +354,7 @@ class VerdictBuilder:
 
 
 def _merge_handlers(*parts: Mapping[type, Callable[[Any], None]]) -> dict[type, Callable[[Any], None]]:
-    """Return one function per kind of record. The function calls the handlers of all parts, in order."""
+    """Return one function per kind of record, which calls the handlers of all parts in order."""
     by_kind: dict[type, list[Callable[[Any], None]]] = {}
     for part in parts:
         for kind, handler in part.items():
@@ -398,10 +376,7 @@ def evaluate(log: Log) -> tuple[Verdict, list[FlownImpact]]:
     """Return the verdict on a recorded flight, and its impacts.
 
     This verdict equals the verdict at the end of the flight, except for two values that the log does not
-    contain: `px4` and the reason for missing records.
-
-    Raises:
-        InputError: the log does not contain its mission.
+    contain: `px4` and the reason for missing records. A log without its mission raises InputError.
     """
     builder = VerdictBuilder(flown_mission(log.about, log.source))
     for entry in log.entries:

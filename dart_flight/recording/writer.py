@@ -61,26 +61,20 @@ class LogPart:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes written to the file so far."""
         return self._file.tell()
 
     def write(self, record: Record, time_us: int, number: int) -> None:
-        """Add a record at an autopilot time.
-
-        `number` is the number of the recorded input, or of the input that caused the record.
-        """
+        """Add a record at an autopilot time, with the number as in `FlightLog.put`."""
         time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times, but a faulty clock has
         channel = self._channels[type(record)]
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
 
     def flush(self) -> None:
-        """End the chunk and pass it to the operating system."""
         # The library ends a chunk only at a megabyte; a killed process would lose many seconds of records.
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.flush()
 
     def sync(self) -> None:
-        """Sync the flushed data to the disk."""
         os.fsync(self._file.fileno())
 
     def finish(self, end: dict[str, str]) -> None:
@@ -91,7 +85,6 @@ class LogPart:
         self.sync()
 
     def close(self) -> None:
-        """Close the file, finished or not."""
         self._file.close()
 
 
@@ -103,18 +96,12 @@ class FlightLog:
 
     Args:
         path: the first file, which must not exist.
-        about: description of the flight (`recording.about.describe_flight`).
         part_bytes: size after which the next file begins.
         most_parts: number of files that contain telemetry. One more file contains only decisions.
 
     Attributes:
-        lost: number of records that were not written.
         failure: reason why the log stopped before the flight ended, or None.
-        patience_s: timeout of `close`, seconds. `close` waits for the disk twice, each time up to this
-            timeout.
-
-    Raises:
-        OSError: the file cannot be created.
+        patience_s: timeout of `close`, which waits for the disk twice, each time up to this timeout.
     """
 
     def __init__(
@@ -147,10 +134,7 @@ class FlightLog:
         return f"{self.lost} records lost" if self.lost else None
 
     def put(self, record: Record, number: int) -> None:
-        """Queue a record.
-
-        `number` is the number of the recorded input, or of the input that caused the record.
-        """
+        """Queue a record with the number of the recorded input, or of the input that caused the record."""
         if len(self._waiting) >= _MAX_WAITING:
             self.lost += 1
             return
@@ -227,18 +211,12 @@ class FlightLog:
 
 
 def part_path(first: Path, number: int) -> Path:
-    """Return the file of a part: flight.mcap, flight.part2.mcap, ..."""
+    """Return flight.mcap, flight.part2.mcap, ..."""
     return first if number == 1 else first.with_suffix(f".part{number}{first.suffix}")
 
 
 def new_flight_folder(root: Path, name: str) -> Path:
-    """Create and return a new folder for one flight, root/<date>T<time>-<name>.
-
-    If this folder exists, a number is appended to the name.
-
-    Raises:
-        OSError: the folder cannot be created.
-    """
+    """Create root/<date>T<time>-<name>, with a number appended if this folder exists."""
     stamp = time.strftime("%Y%m%dT%H%M%S")
     slug = "".join(c if c.isalnum() else "-" for c in name)
     for attempt in range(1000):

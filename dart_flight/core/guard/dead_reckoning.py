@@ -38,9 +38,7 @@ _SAME_M, _SAME_M_S = 0.2, 0.3  # agreement at which PX4's estimate has recovered
 class DeadReckoning:
     """Motion in local NED, integrated from the state before a reset.
 
-    Args:
-        odometry: state before the reset.
-        rotation: rotation D of `heading_step` before the reset.
+    `rotation` is the rotation D of `heading_step` before the reset.
     """
 
     def __init__(self, odometry: OdometrySample, rotation: Quaternion) -> None:
@@ -64,12 +62,7 @@ class DeadReckoning:
         """Return whether the guard can use PX4's estimate again.
 
         After a large error PX4's heading recovers first. Then PX4's motion approaches the integral, or motion
-        capture resets PX4's position.
-
-        Args:
-            odometry: newest sample.
-            error_rad: error of PX4's heading.
-            step_m: step of the position in this sample.
+        capture resets PX4's position, by `step_m` in this sample.
         """
         since_s = (self._t_us - self._since_us) * 1e-6
         if abs(error_rad) > WRONG_RAD:

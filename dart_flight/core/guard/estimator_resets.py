@@ -26,7 +26,7 @@ class EstimatorReset:
         t_us: autopilot time at which the counter rose.
         position_m, velocity_m_s: largest differences between an odometry sample and its prediction from the
             previous sample.
-        heading_rad: largest step of the heading, positive clockwise seen from above.
+        heading_rad: positive clockwise seen from above.
     """
 
     def __init__(self, t_us: int) -> None:
@@ -37,8 +37,7 @@ class EstimatorReset:
 class EstimatorResets:
     """Detector of the estimator resets in one flight.
 
-    Attributes:
-        newest: the last reset, or None if the counter has not changed.
+    `newest` is the last reset, or None if the counter has not changed.
     """
 
     def __init__(self) -> None:
@@ -52,7 +51,6 @@ class EstimatorResets:
         self._reckoned: DeadReckoning | None = None  # since that reset
 
     def add_imu(self, item: ImuSample) -> None:
-        """Update the heading comparison and the dead reckoning with an IMU sample."""
         self._heading.add_imu(item)
         if self._before is not None or self._rotation is not None:
             self._measure_heading(item.t_us)
@@ -60,14 +58,10 @@ class EstimatorResets:
             self._reckoned.add_imu(item, self._heading.gyro)
 
     def add_attitude(self, item: AttitudeSample) -> None:
-        """Update the heading comparison with an attitude."""
         self._heading.add_attitude(item)
 
     def add_odometry(self, item: OdometrySample) -> tuple[float, float]:
-        """Return the steps of position (m) and velocity (m/s) since the previous sample.
-
-        The step of position is the distance between the sample's position and the extrapolated position.
-        """
+        """Return the differences in position (m) and velocity (m/s) from the extrapolated previous sample."""
         before, self._odometry = self._odometry, item
         if before is None or not 0 < item.t_us - before.t_us <= _JUMP_REACH_US:
             return 0.0, 0.0
@@ -85,7 +79,7 @@ class EstimatorResets:
     def update_counter(self, counter: int, now_us: int, aligning: bool = False) -> bool:
         """Return whether the reset counter has changed since the last call.
 
-        If PX4 may be `aligning` its heading, the heading before the reset is not taken for the true one.
+        If PX4 may be `aligning` its heading, the heading before the reset does not count as the true one.
         """
         before, self._counter = self._counter, counter
         if before is None or counter == before:
@@ -139,7 +133,7 @@ class EstimatorResets:
 
 
 def _extrapolate(before: OdometrySample, after: OdometrySample) -> Vec3:
-    """Return the position predicted from the mean of the two velocities."""
+    """Predict the position from the mean of the two velocities."""
     dt = (after.t_us - before.t_us) * 1e-6
     p, v, w = before.position_ned, before.velocity_ned, after.velocity_ned
     return (

@@ -31,11 +31,9 @@ _ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
 
 
 class EstimatorWatch:
-    """Monitor of PX4's estimator in one flight.
+    """Monitor of PX4's estimator in one flight. Its methods describe a problem as text, or return None.
 
-    Attributes:
-        jump: problem of this step's odometry, as text; empty if none.
-        resets: detector of the resets.
+    `jump` is the problem of this step's odometry, as text; empty if none.
     """
 
     def __init__(self) -> None:
@@ -65,12 +63,10 @@ class EstimatorWatch:
             self.jump = f"velocity jumped by {faster_m_s:.2f} m/s, limit {VELOCITY_JUMP_M_S:g} m/s"
 
     def reject_odometry(self, item: OdometrySample) -> None:
-        """Process an implausible position."""
         away_m, fast_m_s = norm(item.position_ned), norm(item.velocity_ned)
         self.jump = f"implausible position: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"
 
     def add_report(self, item: EstimatorSample, phase: Phase) -> None:
-        """Process the reset counter and the estimator's own flags."""
         counter = item.reset_counter
         if counter is not None and self.resets.update_counter(counter, self._now_us, phase in _ALIGNING):
             self._reset_phase = phase
@@ -94,7 +90,6 @@ class EstimatorWatch:
         return self._recovers_us is not None and self._now_us - self._recovers_us <= 2 * REACH_US
 
     def reset_step(self) -> str | None:
-        """Return a text about the step of position or velocity in a reset, or None without such a step."""
         reset = self._reset_within(REACH_US)
         if reset is None or self._excused or self._recovers:
             return None
@@ -103,7 +98,6 @@ class EstimatorWatch:
         return None
 
     def heading_step(self) -> str | None:
-        """Return a text about the step of the heading in a reset, or None without such a step."""
         reset = self._reset_within(2 * REACH_US)
         if reset is None or self._reset_phase in _ALIGNING:
             return None
@@ -113,7 +107,6 @@ class EstimatorWatch:
         return f"heading stepped by {step_deg:.1f} deg, limit {limit:.0f} deg"
 
     def invalid_estimate(self) -> str | None:
-        """Return a text if PX4's estimate has been invalid for too long; otherwise None."""
         since_us = self._invalid_since_us
         lasting_s = 0.0 if since_us is None else (self._now_us - since_us) * 1e-6
         return f"no valid estimate for {lasting_s:.1f} s" if lasting_s > ESTIMATOR_BAD_S else None

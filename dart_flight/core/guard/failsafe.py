@@ -57,7 +57,6 @@ class FailsafeEvidence:
         return words is not None and _TO_STICKS.search(words.lower()) is not None
 
     def termination(self, now_us: int) -> str | None:
-        """Return PX4's text about a termination or kill, or None if there was none."""
         return self._termination if self._termination and now_us - self._terminated_us < _MEMORY_US else None
 
     def words(self, now_us: int) -> str:
@@ -69,7 +68,6 @@ class FailsafeEvidence:
 
 
 def in_failsafe(status: SystemStatus) -> bool:
-    """Return whether the heartbeat reports a failsafe."""
     return status in _FAILSAFES
 
 

@@ -145,7 +145,6 @@ class FlightConditions:
     # -- conditions for the rules --
 
     def is_asked(self, request: Request) -> bool:
-        """Return whether the operator makes this request in this step."""
         return self.request is not None and self.request.request is request
 
     @property
@@ -161,7 +160,6 @@ class FlightConditions:
 
     @property
     def has_paused(self) -> bool:
-        """Whether this program has paused within the last seconds."""
         return bool(self._pause_us) and self.state.host_us - self._paused_us < _PAUSE_MEMORY_US
 
     @property
@@ -177,14 +175,12 @@ class FlightConditions:
 
     @property
     def failsafe_announced(self) -> str | None:
-        """PX4's announcement that its failsafe takes over, or None if there is none."""
         if in_failsafe(self.state.status.system_status) and not self.status_unreliable:
             return self.failsafe_words
         return self._failsafe.announcement(self.state.now_us)
 
     @property
     def failsafe_hands_to_sticks(self) -> bool:
-        """Whether the announced failsafe switches to a mode in which a pilot flies with the sticks."""
         return self._failsafe.hands_to_sticks(self.state.now_us)
 
     @property
@@ -194,9 +190,8 @@ class FlightConditions:
 
     @property
     def termination(self) -> str | None:
-        """PX4's termination of the flight, as text, or None if there is none.
-
-        The result is None on the ground, because a kill after touchdown is the normal end of a landing.
+        """PX4's termination of the flight, as text; None also on the ground, where a landing ends with a
+        kill.
         """
         if not self.was_armed or self.state.on_ground:
             return None
@@ -247,7 +242,7 @@ class FlightConditions:
         return self.others.is_suspected(self.streams.host_us)
 
     def duration_s(self, since_us: int | None) -> float:
-        """Return how long a condition has lasted, autopilot time, seconds; 0 if it does not hold."""
+        """Return how long a condition has lasted, autopilot time; 0 if it does not hold."""
         return 0.0 if since_us is None else (self.state.now_us - since_us) * 1e-6
 
     def stop_excess_m(self) -> float:
@@ -261,10 +256,9 @@ class FlightConditions:
 
     @property
     def landing_s(self) -> float:
-        """Time in land mode while armed, seconds.
+        """Time in land mode while armed: the smaller of autopilot time and host time.
 
-        The result is the smaller of autopilot time and host time. Otherwise a jump of the stamps could make
-        the guard stop the motors in the air.
+        Otherwise a jump of the stamps could make the guard stop the motors in the air.
         """
         if self._landing_since_us is None:
             return 0.0

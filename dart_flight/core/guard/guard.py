@@ -69,12 +69,7 @@ class _PhaseRules(NamedTuple):
 
 
 class Guard:
-    """Evaluates the rules and flies the vehicle once a rule has fired.
-
-    Args:
-        mission: the mission, for bounds, limits and thresholds.
-        rules: the table of rules; tests may pass a different table.
-    """
+    """Evaluates the rules and flies the vehicle once a rule has fired; tests may pass a different table."""
 
     def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:
         self._mission = mission
@@ -106,16 +101,12 @@ class Guard:
     def review(
         self, item: Input, state: FlightState, sensed: Sensed, phase: Phase, proposal: Proposal
     ) -> list[Output]:
-        """Review a step's proposal.
+        """Return the actual outputs of a step. Once a rule has fired, the commands are the guard's own.
 
         Args:
             item: the step's input, which has updated `state`.
-            state, sensed: estimates of the step.
             phase: phase of the mission after this step's proposal.
             proposal: the mission's proposal.
-
-        Returns:
-            The actual outputs of the step. Once a rule has fired, the commands are the guard's own.
         """
         self._watch.observe(item, state, sensed, phase)
         events: list[Output] = []
@@ -154,7 +145,6 @@ class Guard:
 
     @property
     def telemetry_late(self) -> bool:
-        """Whether samples arrive late."""
         return self._watch.streams.delay.late
 
     @property
@@ -213,13 +203,10 @@ class Guard:
     def _fire(
         self, name: str, detail: str, state: FlightState, events: list[Output], noted: bool = False
     ) -> None:
-        """Fire the rule of this name: overrule the mission from now on.
+        """Overrule the mission from now on.
 
         If an action at least as strong is already active, nothing changes. With `noted` the rule is only
         logged.
-
-        Raises:
-            KeyError: no such rule exists.
         """
         rule = self._rules.get(name)
         if rule is None:
@@ -297,8 +284,8 @@ class Guard:
         """Return the setpoint that holds the vehicle at `hold`, with its true heading.
 
         After a wrong reset of the heading, PX4 rotates every horizontal acceleration by the error of its
-        heading, and its position and velocity are wrong. Until they have recovered, the axes are free, and
-        an acceleration that is rotated back leads to `hold`.
+        heading, and its position and velocity are wrong. Until they have recovered, the axes are free, and an
+        acceleration that is rotated back leads to `hold`.
         """
         resets, trigger = self._watch.estimator.resets, SetpointTrigger(item.t_us, item.received_us)
         error_rad, reckoned = resets.heading_error_rad, resets.reckoned
@@ -348,10 +335,10 @@ class Guard:
         return state.now_us - self._down_us >= DOWN_US
 
     def _hold_point(self, state: FlightState) -> Vec3:
-        """Return the point to hold: the present place at the mission's altitude.
+        """Return the present place at the mission's altitude.
 
-        After breaking off, the point keeps the retreat distance from the mission's walls, and from an
-        unknown wall that was just touched.
+        After breaking off, the point keeps the retreat distance from the mission's walls, and from an unknown
+        wall that was just touched.
         """
         (x, y, z), velocity = self._motion(state)
         if self.action is Override.BREAK_OFF:

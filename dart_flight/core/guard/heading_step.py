@@ -31,11 +31,7 @@ _GAP_US: Final = 20_000  # a longer gap between rates invalidates the integral
 
 
 class HeadingStep:
-    """Recent rotations of the heading estimate that the gyro did not measure, each with its stamp.
-
-    Attributes:
-        gyro: the integrated rate.
-    """
+    """Recent rotations of the heading estimate that the gyro did not measure, each with its stamp."""
 
     def __init__(self) -> None:
         self.gyro: Quaternion = IDENTITY
@@ -72,9 +68,9 @@ class HeadingStep:
         return self._turns[0][1] if self._turns else None
 
     def step_since(self, before: Quaternion) -> float:
-        """Return the step of the heading since `before`, radians, positive clockwise from above.
+        """Return the step of the heading since an earlier value of `before`, positive clockwise from above.
 
-        `before` is an earlier value of the property, which must not be None at present.
+        At present `before` must not be None.
         """
         w, _, _, z = quaternion_multiply(self._turns[-1][1], quaternion_conjugate(before))
         return wrap_angle(2.0 * math.atan2(z, w))

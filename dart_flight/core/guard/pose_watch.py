@@ -54,11 +54,7 @@ _RECOVERED_S: Final = 0.5  # in a recovery; from then on the vehicle flies to th
 
 
 class PoseWatch:
-    """Monitor of the poses in one flight.
-
-    Args:
-        mocap: motion capture settings: room axes and forwarding rate.
-    """
+    """Monitor of the poses in one flight."""
 
     def __init__(self, mocap: MotionCapture) -> None:
         self._room, self._rate_hz = mocap.room_frame(), mocap.rate_hz
@@ -85,7 +81,6 @@ class PoseWatch:
         self._alternates_us: int | None = None  # host time at which two senders last alternated
 
     def tick(self, host_us: int) -> None:
-        """Advance to a host time, microseconds."""
         self._begun_us = self._begun_us or host_us
         self._now_us = host_us
 
@@ -111,7 +106,6 @@ class PoseWatch:
         self._compare_estimate(now_us, position, attitude, state)
 
     def fault(self, phase: Phase) -> str | None:
-        """Return the fault of the poses in a phase as text, or None."""
         ground = phase in ON_GROUND
         lost_s = LOST_APPROACH_S if phase is Phase.APPROACH else LOST_S
         text = (
@@ -132,9 +126,7 @@ class PoseWatch:
     def blind(self, estimate_steps: bool, phase: Phase) -> str | None:
         """Return the reason why PX4's position is unusable, or None if it is usable.
 
-        Args:
-            estimate_steps: whether PX4's estimate has just jumped.
-            phase: phase of the flight.
+        `estimate_steps` means that PX4's estimate has just jumped.
         """
         if estimate_steps and (self.fault(phase) or self._now_us - self._recent_us < _RECENT_US):
             return f"{self._recent}; then PX4's estimate stepped"

@@ -31,10 +31,9 @@ class RuleCondition(NamedTuple):
     """The condition that fires a rule.
 
     Attributes:
-        description: description of the problem for the manual's table.
+        description: for the manual's table.
         threshold: limits that `cause` applies, as text: keys of configuration or mission, or constants.
-        cause: function that returns the present problem as text. If `cause` is None, a finding of the mission
-            fires the rule.
+        cause: if None, a finding of the mission fires the rule.
     """
 
     description: str
@@ -43,7 +42,7 @@ class RuleCondition(NamedTuple):
 
 
 def condition(description: str, threshold: str = "") -> Callable[[Cause], RuleCondition]:
-    """Return a decorator that turns a cause function into a `RuleCondition`."""
+    """Turn a cause function into a `RuleCondition`."""
 
     def wrap(cause: Cause) -> RuleCondition:
         return RuleCondition(description, threshold, cause)
@@ -55,10 +54,7 @@ class Rule(NamedTuple):
     """One rule.
 
     Attributes:
-        name: name of the rule in the log and in the verdict.
-        action: action of the guard.
-        scope: part of the flight in which it is evaluated.
-        condition: condition that fires it.
+        name: as in the log and in the verdict.
         at_once: inputs after which the rule is evaluated immediately. Modes, arming and requests are urgent;
             some other conditions hold during a single sample only.
         by_person: whether the rule means that a person took over. The flight then counts as released, not as
@@ -83,14 +79,12 @@ class Rule(NamedTuple):
 
 
 def in_scope(rule: Rule, phase: Phase) -> bool:
-    """Return whether a rule is evaluated in a phase."""
     if phase is Phase.DONE:
         return False
     if rule.scope is Scope.ALWAYS:
         return True
-    if (
-        rule.scope is Scope.GROUND or phase in ON_GROUND
-    ):  # on the ground the mission's timeouts apply otherwise
+    # On the ground the mission's timeouts apply otherwise.
+    if rule.scope is Scope.GROUND or phase in ON_GROUND:
         return rule.scope is Scope.GROUND and phase in ON_GROUND
     if rule.scope is Scope.AIR or phase is Phase.LANDING:
         return rule.scope is Scope.AIR

@@ -360,7 +360,6 @@ RULES_BY_NAME = {rule.name: rule for rule in RULES}
 
 
 def table() -> str:
-    """Return the rules as a Markdown table, one row each."""
     rows = ["| rule | fires when | threshold | action | judged by |", "|---|---|---|---|---|"]
     for rule in RULES:
         description, threshold, cause = rule.condition

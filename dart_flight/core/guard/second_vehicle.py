@@ -1,8 +1,8 @@
 """Detection of a second vehicle that shares the link and the system id.
 
-In MAVLink the two vehicles are one system, so their samples alternate between two clocks or two positions.
-A single vehicle does not alternate: after a clock reset, restart or jump of its estimate, the old clock or
-position does not return.
+In MAVLink the two vehicles are one system, so their samples alternate between two clocks or two positions. A
+single vehicle does not alternate: after a clock reset, restart or jump of its estimate, the old clock or
+position does not return. The detectors process every sample in the order of receipt.
 """
 
 from __future__ import annotations
@@ -26,9 +26,7 @@ _SUSPECT_US: Final = 250_000  # a second vehicle is detected for certain within 
 class SecondClockDetector:
     """Detects a second clock in the stamps of one stream.
 
-    Args:
-        tolerance_us: a stamp that is older than the newest stamp by at most this time comes from a late
-            datagram, not from a second clock.
+    A stamp that is older than the newest one by at most `tolerance_us` comes from a late datagram.
     """
 
     def __init__(self, tolerance_us: float) -> None:
@@ -41,7 +39,6 @@ class SecondClockDetector:
         self._turns: deque[int] = deque(maxlen=_TURNS)  # receipts, host time
 
     def update(self, t_us: int, received_us: int) -> None:
-        """Process the stamp of a sample; call for every sample of the stream, in the order of receipt."""
         newest = self._newest_us
         if newest is None or t_us > newest:
             goes_on = newest is None or t_us - newest < _REACH_US
@@ -64,11 +61,7 @@ class SecondClockDetector:
         self._behind_us, self._was_behind = t_us, True
 
     def clock_difference_s(self, now_us: int) -> float | None:
-        """Return the difference of the two clocks, seconds, or None if there is one clock.
-
-        Args:
-            now_us: host time.
-        """
+        """Return the difference of the two clocks, or None for one clock; `now_us` is host time."""
         if len(self._turns) < _TURNS or now_us - self._turns[0] > _WINDOW_US:
             return None
         assert self._newest_us is not None
@@ -79,8 +72,7 @@ class SecondClockDetector:
 class SecondPositionDetector:
     """Detects a second vehicle in the positions of ODOMETRY.
 
-    Args:
-        jump_m: largest distance between two positions of one vehicle beyond what its speed explains.
+    `jump_m` is the largest distance between two positions of one vehicle beyond what its speed explains.
     """
 
     def __init__(self, jump_m: float) -> None:
@@ -91,7 +83,7 @@ class SecondPositionDetector:
         self._turns: deque[int] = deque(maxlen=_TURNS)  # receipts, host time
 
     def update(self, sample: OdometrySample) -> None:
-        """Process a sample; call for every sample in the order of receipt, whatever its stamp is."""
+        """Process a sample, whatever its stamp is."""
         here, other = self._here, self._other
         self._here = sample
         if here is None or sample.received_us - here.received_us > _REACH_US:
@@ -104,11 +96,7 @@ class SecondPositionDetector:
             self._turns.append(sample.received_us)
 
     def position_difference_m(self, now_us: int) -> float | None:
-        """Return the distance between the two positions, metres, or None if there is only one vehicle.
-
-        Args:
-            now_us: host time.
-        """
+        """Return the distance between the two positions, or None for one vehicle; `now_us` is host time."""
         if len(self._turns) < _TURNS or now_us - self._turns[0] > _WINDOW_US:
             return None
         assert self._here is not None
@@ -126,8 +114,7 @@ class SecondPositionDetector:
 class OtherVehicles:
     """Other vehicles on the link: those with another system id, and one that shares the vehicle's id.
 
-    Attributes:
-        same_system: evidence of a second vehicle with the same system id, as text; it is never cleared.
+    `same_system` is evidence of a second vehicle with the same system id, as text; it is never cleared.
     """
 
     def __init__(self) -> None:
@@ -137,7 +124,6 @@ class OtherVehicles:
         self._other_system: int | None = None
 
     def add_sample(self, name: str, item: Stamped) -> None:
-        """Process a sample of a stream; call for every sample, in the order of receipt."""
         if self.same_system is not None:
             return
         received_us, clocks = item.received_us, self._clocks[name]
@@ -155,12 +141,10 @@ class OtherVehicles:
                 self.same_system = f"two positions alternate in the odometry, {apart_m:.1f} m apart"
 
     def add_system(self, system: int) -> None:
-        """Record the id of another system on the link."""
         self._other_system = system
 
     @property
     def other_system(self) -> str | None:
-        """Another system that sends on the link, as text, or None."""
         if self._other_system is None:
             return None
         return f"system {self._other_system} sends on the same link"

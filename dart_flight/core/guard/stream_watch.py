@@ -50,10 +50,7 @@ class TelemetryDelay:
     A constant delay does not show in stamps, because the clock offset hides it. A request's round trip bounds
     this delay. The autopilot answers at some time between request and receipt, so the clock offset from a
     round trip is wrong by at most half the duration of the round trip. The age of an IMU sample is computed
-    from its stamp, its receipt, and the most accurate offset so far.
-
-    Args:
-        limit_s: samples older than this are late.
+    from its stamp, its receipt, and the most accurate offset so far. Samples older than `limit_s` are late.
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -69,7 +66,6 @@ class TelemetryDelay:
         self.late = False
 
     def add_round_trip(self, trip: RoundTrip) -> None:
-        """Process the timing of a request and its answer."""
         took_us = max(0, trip.received_us - trip.sent_us)
         self._last.append(took_us)
         if trip.autopilot_us is None:
@@ -85,7 +81,7 @@ class TelemetryDelay:
         self._offset_us, self._error_us, self._measured_us = offset_us, error_us, trip.received_us
 
     def add_sample(self, t_us: int, received_us: int) -> None:
-        """Process the stamp and the receipt of an IMU sample."""
+        """Process an IMU sample."""
         if not self._last:
             return
         if self._offset_us is None:
@@ -101,7 +97,7 @@ class TelemetryDelay:
         self.late = self._share > _SHARE
 
     def describe(self, has_paused: bool = False) -> str:
-        """Return the delay as text; after a pause of this program, the link is not the likely cause."""
+        """Describe the delay; after a pause of this program, the link is not the likely cause."""
         shortest_us = min(self._last, default=0)
         slow_link = shortest_us > self._limit_us
         also = f", round trip {shortest_us * 1e-3:.0f} ms" if slow_link else ""
@@ -165,7 +161,7 @@ class StreamWatch:
         return self._since_imu >= _OTHERS_SINCE
 
     def age_s(self, name: str) -> float:
-        """Return the host time since a stream's newest receipt, seconds; infinite without a sample."""
+        """Return the host time since a stream's newest receipt; infinite without a sample."""
         newest = getattr(self.state, name)
         return (self.state.host_us - newest.received_us) * 1e-6 if newest is not None else math.inf
 
@@ -176,8 +172,6 @@ def _silence(
     """Return the condition that streams have been silent together for longer than a limit.
 
     Args:
-        description: description for the manual's table.
-        streams: names of the streams.
         limit: seconds, or the key of the guard's threshold.
         words: format of the message; the fields `s` and `ms` are replaced by the duration in seconds and
             milliseconds.

@@ -53,11 +53,9 @@ class FrameAnchors:
         self._anchors: list[Anchor] = []
 
     def begin(self, t_us: int) -> None:
-        """Set the time at which the vehicle takes off."""
         self._start_us = t_us
 
     def add(self, anchor: Anchor) -> None:
-        """Add a measurement of the frame along a normal."""
         self._anchors = [one for one in self._anchors if not has_same_normal(one.normal, anchor.normal)]
         self._anchors.append(anchor)
 
@@ -65,12 +63,7 @@ class FrameAnchors:
         """Add the anchor of a contact, and return the frame's correction along the wall's normal.
 
         The difference between measured and assumed wall is divided between frame and wall in proportion to
-        their variances.
-
-        Args:
-            wall: the wall as assumed before the contact.
-            estimate: the wall as estimated from the contact.
-            now_us: time of the correction.
+        their variances. `wall` is as assumed before the contact.
         """
         measured_sd, place = estimate.plane_offset_sigma_m, estimate.plane_point_mission
         wall_sd = WALL_SD_M if wall.position_sd_m is None else wall.position_sd_m
@@ -97,7 +90,7 @@ class FrameAnchors:
         return None
 
     def sd_m(self, normal: Vec2, now_us: int) -> float:
-        """Return the standard deviation of the frame's place along a normal, metres."""
+        """Return the standard deviation of the frame's place along a normal."""
         start = 1.0 / self._variance(START_SD_M, self._start_us, now_us)
         xx = yy = start
         xy = 0.0

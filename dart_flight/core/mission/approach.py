@@ -50,19 +50,12 @@ def run_up(
     flying: Flying,
     wall: Wall,
 ) -> RunUp:
-    """Return the run-up of an approach.
+    """Return the run-up of an approach to an impact on the wall's plane; `velocity` in the mission frame.
 
     The approach follows a ray that ends at the impact. If the mission's start lies on this ray and is far
     enough from the wall, the run-up begins there. Otherwise the run-up begins on the ray at the distance that
-    the acceleration and the steady run need. This distance counts from a plane that lies
-    three standard deviations in front of the wall.
-
-    Args:
-        start: start of the mission.
-        impact: impact point, on the wall's plane.
-        velocity: velocity at the impact, mission frame, m/s.
-        flying: settings of acceleration and steady run.
-        wall: the wall to be hit.
+    the acceleration and the steady run need. This distance counts from a plane that lies three standard
+    deviations in front of the wall.
     """
     vx, vy = velocity
     speed = hypot(vx, vy)
@@ -85,7 +78,6 @@ def run_up(
 
 
 def impact_time_s(length_m: Number, speed_m_s: Number, ramp_s: Number) -> Number:
-    """Return the time from the start of a run-up of this length to the impact."""
     return ramp_s + (length_m - 0.5 * speed_m_s * ramp_s) / speed_m_s
 
 
@@ -98,11 +90,7 @@ def is_blocked(
     """Return whether a wall blocks a segment, or the segment begins too close behind the wall.
 
     A segment that passes the wall's end must keep the distance `end_margin_m` from this end.
-
-    Args:
-        wall: the obstacle.
-        a, b: ends of the segment, mission frame.
-        end_clearance_m: required distance of `b` from the plane; for `a` it is `CLEARANCE_M`.
+    `end_clearance_m` is the required distance of `b` from the plane; for `a` it is `CLEARANCE_M`.
     """
     here = wall.signed_distance(a)
     da, db = here - CLEARANCE_M, wall.signed_distance(b) - end_clearance_m
@@ -144,10 +132,8 @@ def segments_to_impact(
 def plan_approach(mission: Mission, collision: Collision) -> Trajectory:
     """Return the approach of a collision: the mission's trajectory, a probe, or a run-up.
 
-    The approach ends at the impact. A probe ends where the vehicle stops searching for the wall.
-
-    Raises:
-        NoApproachError: the run-up leaves the bounds, or an obstacle blocks it.
+    The approach ends at the impact. A probe ends where the vehicle stops searching for the wall. If the
+    run-up leaves the bounds, or an obstacle blocks it, this raises NoApproachError.
     """
     assert collision.impact_point is not None
     altitude_m = mission.altitude_at(collision.index - 1)
@@ -174,10 +160,8 @@ def _probe_trajectory(mission: Mission, probe: Probe, altitude_m: float) -> Traj
     speed = min(probe.speed_m_s, math.sqrt(way_m * a_m_s2 / PEAK_OVER_MEAN))
     ramp_s = PEAK_OVER_MEAN * speed / a_m_s2
     steady_s = max(1e-3, way_m / speed - ramp_s)
-    up, down = (
-        speed / ramp_s**2,
-        -0.5 * speed / ramp_s**3,
-    )  # coefficients of the third and fourth power of time
+    # Coefficients of the third and fourth power of time.
+    up, down = speed / ramp_s**2, -0.5 * speed / ramp_s**3
     parts = (
         (0.0, 0.0, 0.0, up, down, 0.0),
         (0.5 * speed * ramp_s, speed, 0.0, 0.0, 0.0, 0.0),
@@ -223,8 +207,8 @@ class TransitSegment(NamedTuple):
 
     Attributes:
         name: description of the segment's end.
-        begin: start point, mission frame, metres; None if the segment begins where a recovery ends.
-        end: end point, mission frame, metres.
+        begin: mission frame, metres; None if the segment begins where a recovery ends.
+        end: mission frame, metres.
         speed_m_s: largest speed.
     """
 
@@ -253,17 +237,12 @@ def transit_segments(mission: Mission) -> list[TransitSegment]:
 
 
 def plan_transit(mission: Mission, leg: TransitSegment, begin: Vec3) -> Trajectory:
-    """Return the trajectory of a segment from its actual beginning."""
     flying = mission.vehicle.flying
     return Trajectory.rest_to_rest(begin, leg.end, leg.speed_m_s, flying, flying.climb_speed_m_s)
 
 
 def check_segments_clear(mission: Mission) -> None:
-    """Check that no wall blocks a trajectory, or a segment with known ends.
-
-    Raises:
-        NoApproachError: a wall blocks a trajectory or a segment, or a trajectory leaves the bounds.
-    """
+    """Raise NoApproachError if a wall blocks a leg with known ends, or a trajectory leaves the bounds."""
     for collision in mission.collisions:
         if collision.trajectory is not None:
             _check_trajectory_clear(mission, collision.trajectory, f"wall {collision.wall.name}")
@@ -279,7 +258,6 @@ def check_segments_clear(mission: Mission) -> None:
 
 
 def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_to: str) -> None:
-    """Raise NoApproachError if the trajectory crosses a wall or leaves the bounds."""
     trajectory = Trajectory.from_mission(written, mission.altitude_m)
     count = max(2, math.ceil(trajectory.duration_s / _TRAJECTORY_STEP_S))
     places = [trajectory.at(trajectory.duration_s * k / count).position[:2] for k in range(count + 1)]

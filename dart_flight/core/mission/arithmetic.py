@@ -17,27 +17,22 @@ Number = Any  # float, or an array of floats: the same for all arguments of one 
 
 
 def hypot(x: Number, y: Number) -> Number:
-    """Return the length of a vector."""
     return np.hypot(x, y) if _has_array(x, y) else math.hypot(x, y)
 
 
 def sqrt(x: Number) -> Number:
-    """Return the square root."""
     return np.sqrt(x) if _has_array(x) else math.sqrt(x)
 
 
 def maximum(x: Number, y: Number) -> Number:
-    """Return the larger value of each pair."""
     return np.maximum(x, y) if _has_array(x, y) else max(x, y)
 
 
 def minimum(x: Number, y: Number) -> Number:
-    """Return the smaller value of each pair."""
     return np.minimum(x, y) if _has_array(x, y) else min(x, y)
 
 
 def where(condition: Number, yes: Number, no: Number) -> Number:
-    """Return `yes` where the condition holds, and `no` elsewhere."""
     return np.where(condition, yes, no) if _has_array(condition, yes, no) else (yes if condition else no)
 
 

@@ -31,7 +31,7 @@ SETPOINT_OUTSIDE_M = 2.0
 
 
 def setpoint_outside_m(bounds: BoundsSpec, x: Number, y: Number) -> Number:
-    """Return how far a setpoint lies outside the horizontal bounds, metres; 0 inside."""
+    """Return how far a setpoint lies outside the horizontal bounds; 0 inside."""
     beside = maximum(bounds.x[0] - x, x - bounds.x[1])
     return maximum(maximum(beside, maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
 
@@ -42,11 +42,9 @@ def may_commit(
     """Return whether to continue past the last moment for stopping.
 
     Args:
-        mission: the mission, for limits, bounds and vehicle.
         following: the collision ahead.
         met: predicted impact with the wall.
         ready_s: time until the lock is settled; infinite if the lock is in fault.
-        state: state of the vehicle.
     """
     if ready_s > met.after_s - SETTLED_BEFORE_S:
         return False
@@ -78,10 +76,7 @@ def is_acceptable_in_either_mode(
     """Return whether an impact stays within force, tilt and bounds for either state of the arms.
 
     Args:
-        vehicle: the vehicle, for materials, mass and gains.
-        limits: the mission's limits, for the force.
         bounds: the flight space; the recovery setpoint may lie `SETPOINT_OUTSIDE_M` outside.
-        wall: the wall.
         alphas_m_per_n: gains (A_n, A_t) of the recovery setpoint.
         place: position of the vehicle's centre at the impact, mission frame, metres.
         velocity_m_s: (normal, tangential) velocity at the impact, collision frame.

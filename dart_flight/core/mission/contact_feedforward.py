@@ -31,7 +31,7 @@ _AGAINST_PLAN: Final = 1.3  # factor on a lean into the wall if the plan leans o
 
 
 def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:
-    """Return the acceleration to add, away from the wall, m/s2, so that the impact rotates the vehicle less.
+    """Return the acceleration to add, away from the wall, so that the impact rotates the vehicle less.
 
     A lean into the wall by `height_m / out_m` radians brings the propeller guards level with the centre of
     mass. The acceleration of such a lean points into the wall, so the result is negative for a positive
@@ -39,10 +39,10 @@ def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: M
 
     Args:
         height_m: height above the centre of mass at which the wall's force acts; None if unknown.
-        out_m: horizontal distance of the propeller guards from the centre of mass, metres.
+        out_m: horizontal distance of the propeller guards from the centre of mass.
         planned: mode of the arms if the impact ends a trajectory of the mission; None if the impact is
-            replanned. A mission's trajectory with rigid arms leans the vehicle off the wall, further
-            than a replanned trajectory does.
+            replanned. A mission's trajectory with rigid arms leans the vehicle off the wall, further than a
+            replanned trajectory does.
     """
     if height_m is None:
         return 0.0

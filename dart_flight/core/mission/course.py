@@ -29,7 +29,7 @@ class Course(NamedTuple):
     Attributes:
         target: position to reach, mission frame, metres.
         altitude_m: present altitude of the mission.
-        trajectory: trajectory to the target, or into a wall; None if only the target is commanded.
+        trajectory: leads to the target, or into a wall; None if only the target is commanded.
     """
 
     target: Vec3
@@ -37,7 +37,6 @@ class Course(NamedTuple):
     trajectory: Trajectory | None = None
 
     def hold(self, point: Vec2 | Vec3) -> Course:
-        """Hold a point at the present altitude."""
         return Course((point[0], point[1], self.altitude_m), self.altitude_m)
 
     def move_frame(self, by: Vec2) -> Course:
@@ -46,7 +45,6 @@ class Course(NamedTuple):
         return self._replace(target=(x - by[0], y - by[1], z))
 
     def climb(self, flying: Flying) -> Course:
-        """Climb from the ground to the present altitude."""
         x, y, _ = self.target
         return self._transit((x, y, self.altitude_m), flying.climb_speed_m_s, flying)
 
@@ -60,7 +58,7 @@ class Course(NamedTuple):
         return self._replace(altitude_m=place[2])._transit(place, speed_m_s, flying)
 
     def follow(self, trajectory: Trajectory) -> Course:
-        """Follow a planned trajectory; the trajectory's end becomes the target."""
+        """Follow a planned trajectory; its end becomes the target."""
         end = trajectory.at(trajectory.duration_s).position
         return self._replace(target=end, trajectory=trajectory)
 
@@ -79,7 +77,6 @@ class Course(NamedTuple):
 
     @property
     def duration_s(self) -> float:
-        """Duration of the trajectory, seconds; 0 if there is none."""
         return 0.0 if self.trajectory is None else self.trajectory.duration_s
 
 
@@ -93,7 +90,6 @@ class Arrival:
         self._turned_rad = _ARRIVED_YAW_RAD * (_DRIFTING_TURNED if drifts else 1.0)
 
     def is_at(self, target: Vec3, yaw: float, state: FlightState) -> bool:
-        """Return whether the vehicle is near a target, slow, and at the wanted heading."""
         return (
             math.dist(state.position, target) < self._near_m
             and self.is_slow(state)
@@ -101,5 +97,4 @@ class Arrival:
         )
 
     def is_slow(self, state: FlightState) -> bool:
-        """Return whether the mean velocity over `MEAN_SPEED_S` is small."""
         return norm(state.mean_velocity(MEAN_SPEED_S)) < self._slow_m_s

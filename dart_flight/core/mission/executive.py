@@ -72,8 +72,7 @@ _EVENTS: Final = frozenset({PlanAnswer, OperatorRequest})
 class Executive:
     """Runs the phases of one mission.
 
-    Raises:
-        NoApproachError: there is no room for an approach of the mission (`approach`).
+    If there is no room for an approach of the mission, the constructor raises NoApproachError (`approach`).
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -150,7 +149,6 @@ class Executive:
             p.outputs.append(setpoint)
 
     def _handle_event(self, item: Input, state: FlightState, p: Proposal) -> None:
-        """Handle an answer of the planner or a request of the operator."""
         if isinstance(item, PlanAnswer):
             self._apply(self._replanning.accept(self.progress.replan, item, state.now_us), state, p)
         elif isinstance(item, OperatorRequest) and item.request is Request.CONTINUE:
@@ -186,7 +184,6 @@ class Executive:
             p.end = change.end
 
     def _transition(self, cue: PhaseTrigger, state: FlightState, p: Proposal, reason: str = "") -> None:
-        """Change the phase, and record it."""
         p.outputs.append(self._change_phase(cue, state.now_us, reason or cue.value))
 
     def _change_phase(self, cue: PhaseTrigger, now_us: int, reason: str) -> PhaseChange:
@@ -220,7 +217,7 @@ class Executive:
         return [self._change_phase(PhaseTrigger.OVERRULE, now_us, reason)]
 
     def record_end(self, end: MissionEnd) -> list[Output]:
-        """Record that the guard has ended the flight, in the air or on the ground; return the records."""
+        """Record that the guard has ended the flight, in the air or on the ground."""
         if self.progress.phase is Phase.OVERRULED:
             return [self._change_phase(PhaseTrigger.LANDED, end.t_us, end.outcome.value), end]
         if self.progress.phase is Phase.DONE:
@@ -231,7 +228,6 @@ class Executive:
     # -- contacts --
 
     def _handle_contacts(self, sensed: Sensed, state: FlightState, p: Proposal) -> None:
-        """Process the contacts and wall estimates of the last input."""
         progress = self.progress
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
@@ -320,7 +316,6 @@ class Executive:
             self._fly_to_goal()
 
     def _skip_legs(self, state: FlightState, p: Proposal) -> None:
-        """Skip each leg whose condition on a wall is not met."""
         while (leg := self.progress.waypoint or self.progress.collision) is not None:
             reason = skip_reason(leg, self.progress.walls)
             if reason is None:
@@ -361,7 +356,6 @@ class Executive:
             p.add_finding("pause_timeout", f"the operator did not resume within {waypoint.hold_s:g} s")
 
     def _on_operator_continue(self, state: FlightState, p: Proposal) -> None:
-        """End a pause; outside of a pause the request has no effect."""
         if self.progress.phase is Phase.PAUSE:
             self.progress.stops += 1
             self._start_next(PhaseTrigger.NEXT_COLLISION, state, p)
@@ -460,7 +454,6 @@ class Executive:
             p.add_finding("wall_not_met", detail)
 
     def _end_probe(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """End a probe without a contact."""
         p.outputs.append(
             ProbeEnd(state.now_us, f"the probe for wall {collision.wall.name} ended without a contact")
         )
@@ -522,10 +515,9 @@ class Executive:
                 p.add_finding("wall_not_met", detail)
 
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
-        """Return the mode of the lock after a contact.
+        """Return the mode of the lock after a contact: that of the following collision.
 
-        If the vehicle flies to waypoints or the goal, this is the transit mode. Otherwise it is the mode of
-        the following collision.
+        If the vehicle flies to waypoints or the goal, it is the transit mode.
         """
         return self.mission.transit_mode if following is None or stops else following.mode
 

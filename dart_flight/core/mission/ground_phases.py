@@ -26,10 +26,8 @@ class GroundPhases:
 
     def ready(self, progress: MissionState, state: FlightState) -> Change:
         """Wait for telemetry, the lock and a sufficiently accurate position."""
-        mode, sd = (
-            self._mission.transit_mode,
-            state.position_sd_m or 0.0,
-        )  # without a report the accuracy is not checked
+        # Without a report the accuracy is not checked.
+        mode, sd = self._mission.transit_mode, state.position_sd_m or 0.0
         judged = self._mission.collisions and progress.anchors is None
         limit = self._mission.vehicle.guard.position_sd_m if judged else math.inf
         sure = f"standard deviation of the position {sd:.2f} m, limit {limit:.2f} m"

@@ -29,11 +29,9 @@ class Heading(NamedTuple):
 
     Attributes:
         yaw: wanted heading, after rate limiting.
-        yaw_us: time of the last update of `yaw`.
         before: wanted heading before the first contact.
         asked: heading to command instead of `yaw` while the vehicle returns after a contact.
         integral: estimate of what PX4's yaw integrator has accumulated since the contact, normalised torque.
-        integral_us: time of the last update of `integral`.
     """
 
     yaw: float = 0.0
@@ -45,22 +43,16 @@ class Heading(NamedTuple):
 
     @property
     def commanded(self) -> float:
-        """Heading to command."""
         return self.yaw if self.asked is None else self.asked
 
     def turn(self, wanted: float, now_us: int, most_rad_s: float) -> Heading:
-        """Return the heading moved towards a wanted heading, at a limited rate."""
         most = most_rad_s * (now_us - self.yaw_us) * 1e-6
         turned = wrap_angle(self.yaw + max(-most, min(most, wrap_angle(wanted - self.yaw))))
         return self._replace(yaw=turned, yaw_us=now_us)
 
 
 class HeadingControl:
-    """PX4's yaw control with a vehicle's parameters.
-
-    Args:
-        vehicle: motors, inertia, parameters.
-    """
+    """PX4's yaw control with a vehicle's parameters."""
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         motors, px4 = vehicle.airframe.motors, vehicle.px4
@@ -72,10 +64,7 @@ class HeadingControl:
     def lead(self, heading: Heading, yaw: float, rate: float, now_us: int) -> Heading:
         """Return the heading with an updated command, which compensates for PX4's integrator.
 
-        Args:
-            heading: the wanted heading and the integral so far.
-            yaw, rate: present values, mission frame, rad and rad/s.
-            now_us: autopilot time.
+        `yaw` and `rate` are the present values, mission frame, rad and rad/s.
         """
         torque = self._torque(wrap_angle(heading.yaw - yaw), rate)
         off_rad_s = (torque - heading.integral) / self._p
@@ -84,12 +73,9 @@ class HeadingControl:
         return heading._replace(asked=asked, integral=integral, integral_us=now_us)
 
     def time_to_s(self, off: float, rate: float, within: float) -> float:
-        """Return the time after which the heading stays close to the wanted heading.
+        """Return the time after which the heading stays `within` a tolerance.
 
-        Args:
-            off: heading minus wanted heading, rad.
-            rate: rate of the heading, rad/s.
-            within: tolerance of the heading, rad.
+        `off` is the heading minus the wanted heading, rad; `rate` is in rad/s.
         """
         off, last = wrap_angle(off), 0
         for step in range(_MOST_STEPS):

@@ -43,7 +43,6 @@ class ImpactResponse:
     # -- which contact is expected --
 
     def expected(self, progress: MissionState, state: FlightState) -> ExpectedContact:
-        """Return the next expected contact, for the detector."""
         collision, watching = progress.collision, progress.phase in WATCHING
         if (
             collision is None
@@ -64,7 +63,7 @@ class ImpactResponse:
     # -- onset and peak --
 
     def on_onset(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
-        """Respond to an onset: continue if it was planned, leave the wall after a bounce, else report it."""
+        """Continue if the onset was planned, leave the wall after a bounce, else report the onset."""
         if self._is_bounce(progress, event.position_mission, state):
             return self._on_bounce(event, progress, state)
         change, collision = Change(replan=progress.replan.contact_begins()), progress.collision
@@ -107,7 +106,7 @@ class ImpactResponse:
         return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
     def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
-        """If vibration would hide the planned impact, report a finding: PX4 would push into the wall."""
+        """Report a finding if vibration would hide the planned impact: PX4 would push into the wall."""
         collision, vehicle = progress.collision, self._mission.vehicle
         if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
             return NO_CHANGE
@@ -124,11 +123,7 @@ class ImpactResponse:
     ) -> Change:
         """Begin the recovery with the paper's setpoint when the planned contact reaches its peak force.
 
-        Args:
-            event: the peak.
-            progress: state of the mission.
-            state: state of the vehicle.
-            added: feed-forward acceleration (`contact_feedforward`) for the setpoint, mission frame, m/s2.
+        `added` is a feed-forward acceleration (`contact_feedforward`) for the setpoint, mission frame, m/s2.
         """
         collision, course = progress.collision, progress.course
         if progress.phase is not Phase.CONTACT or collision is None:

@@ -29,11 +29,7 @@ def skip_reason(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None:
 def update_collision(collision: Collision, walls: EstimatedWalls, now_us: int, here: Vec2) -> Collision:
     """Return a collision at its wall's estimated position; the impact point keeps its place along the wall.
 
-    Args:
-        collision: the collision as in the mission.
-        walls: estimated walls.
-        now_us: autopilot time.
-        here: resting position, mission frame, m: the start of a probe with `from_here`.
+    `here` is the resting position, mission frame, at which a probe with `from_here` starts.
     """
     wall, probe = walls.known_wall(collision.wall, now_us), collision.probe
     if probe is not None and probe.from_here:

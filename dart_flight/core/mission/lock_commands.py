@@ -20,8 +20,7 @@ class LockCommandState(NamedTuple):
     """State of the commands to the lock; the lock's own state is separate. Times are autopilot time.
 
     Attributes:
-        contact_begin_us: beginning of the last contact.
-        contact_end_us: end of the last contact; None during a contact, or before the first contact.
+        contact_begin_us, contact_end_us: of the last contact; the end is None during a contact.
         permitted: whether the lock may move; None if not decided yet.
         commanded, commanded_us: the last commanded mode, and the time of the command in this phase.
     """
@@ -37,7 +36,7 @@ class LockCommandState(NamedTuple):
         return self._replace(contact_begin_us=t_us, contact_end_us=None)
 
     def contact_ends(self, t_us: int) -> LockCommandState:
-        """Start the relaxation of the arms at the end of a contact."""
+        """Start the relaxation of the arms."""
         return self._replace(contact_end_us=t_us)
 
     def phase_begins(self) -> LockCommandState:
@@ -65,7 +64,7 @@ class LockCommands:
     def ready_us(self, lock: LockCommandState, mode: Mode, state: FlightState) -> int | None:
         """Return the autopilot time at which the lock, if nothing fails, will be settled in a mode.
 
-        The result is None if the lock is in fault or overdue.
+        Return None if the lock is in fault or overdue.
         """
         if state.lock_is_in(mode):
             return state.now_us

@@ -25,12 +25,7 @@ _SLOWEST: Final = 3.0  # host time over vehicle time
 class MissionState:
     """Phase, leg, course, contacts and walls of one flight.
 
-    Args:
-        mission: the mission as loaded.
-        approaches: trajectories of the approaches, by the index of their collision.
-
     Attributes:
-        phase: phase of the mission.
         entered_us, entered_host_us: beginning of the phase, autopilot and host time.
         asked_us: time of the last vehicle command in this phase, or None.
         collisions: collisions of the mission; if a probe has found a wall, the found wall replaces the wall
@@ -38,13 +33,8 @@ class MissionState:
         index: index of the next or present collision.
         stops: number of completed waypoints and pauses.
         approaches: trajectories of the approaches, by the index of their collision.
-        course: target and trajectory of the vehicle.
-        heading: wanted and commanded heading.
-        lock: contacts and commands that affect the lock.
-        replan: requests to the planner, and the planner's trajectory.
         walls: walls as estimated from contacts.
         anchors: contacts that corrected the mission frame; None if PX4's position does not drift.
-        expected: the next expected contact.
         contact_height_m: height above the centre of mass at which the walls' force acts; None if unknown.
         arrived_us, reached_us, captured_us: times of arrival: at the target, at the waypoint, at the goal.
         least_miss_m: smallest distance to the goal after the last contact.
@@ -128,14 +118,10 @@ class Change(NamedTuple):
     Attributes:
         cue, reason: trigger of a phase transition, and the reason to record for this transition. The
             transition is applied after all other changes.
-        outputs: records, in order.
-        finding: finding for the guard.
         action: vehicle command, repeated until telemetry confirms it.
         mode: wanted mode of the lock.
-        course, heading, replan: new values of the state.
         approach: trajectory of the approach to the next collision.
         frame, stood_at_ned: the mission frame, and the vehicle's position when the frame was set.
-        end: end of the mission.
     """
 
     cue: PhaseTrigger | None = None

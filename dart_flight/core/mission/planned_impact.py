@@ -10,10 +10,9 @@ from dart_flight.contact.law import Onset
 
 
 def impact_velocity(collision: Collision) -> tuple[float, float] | None:
-    """Return the planned (normal, tangential) impact velocity in m/s, collision frame.
+    """Return the planned or else the predicted (normal, tangential) impact velocity in m/s, collision frame.
 
-    If no velocity is planned, return the predicted velocity. If a recovery leads to the wall, the mission may
-    contain neither velocity; the result is then None.
+    If a recovery leads to the wall, the mission may contain neither velocity; the result is then None.
     """
     if collision.approach_m_s is not None:
         return collision.approach_m_s

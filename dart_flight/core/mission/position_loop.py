@@ -34,10 +34,7 @@ def stop_share(
     """Return the fraction of the stopping distance that the vehicle can fly before a wall stops it.
 
     The stopping distance is the distance flown in `STOP_TIME_S`. Without a wall ahead, the result is 1.
-
-    Args:
-        walls: walls of the mission.
-        position, velocity: horizontal parts, mission frame, m and m/s.
+    Position and velocity are horizontal, mission frame.
     """
     share: Number = 1.0
     (x, y), (vx, vy) = position, velocity
@@ -65,19 +62,13 @@ class PositionLoop(NamedTuple):
 
     @classmethod
     def from_px4(cls, px4: Px4Parameters) -> PositionLoop:
-        """Return the loop of a vehicle with these parameters."""
         return cls(
             px4.mpc_xy_p, px4.mpc_xy_vel_p_acc, px4.mpc_xy_vel_i_acc, px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S
         )
 
 
 class PlaneImpact(NamedTuple):
-    """Predicted impact with a plane.
-
-    Attributes:
-        after_s: time from now until the impact, seconds.
-        normal_m_s: impact velocity along the outward normal, negative.
-    """
+    """Predicted impact with a plane: time from now, and velocity along the outward normal, negative."""
 
     after_s: float
     normal_m_s: float
@@ -93,7 +84,7 @@ def predict_impact(
 ) -> PlaneImpact | None:
     """Predict the impact with a plane on the way to a setpoint; None: there is none within `horizon_s`.
 
-    Args: as in `least_distance_m`.
+    The arguments are those of `least_distance_m`.
     """
     h = _STEP_S
     before = distance_m
@@ -116,19 +107,10 @@ def least_distance_m(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> float:
-    """Predict the smallest distance between a plane and the vehicle, which flies to a setpoint.
+    """Predict the smallest signed distance between a plane and the vehicle, which flies to a setpoint.
 
-    Args:
-        distance_m: present signed distance to the plane.
-        closing_speed_m_s: speed towards the plane.
-        closing_acceleration_m_s2: acceleration towards the plane.
-        target_distance_m: distance of the setpoint from the plane.
-        px4: gains.
-        horizon_s: length of the prediction.
-
-    Returns:
-        The smallest signed distance within the horizon, metres. If the distance only increases, this is the
-        present distance.
+    If the distance only increases, this is the present distance. `target_distance_m` is the distance of the
+    setpoint from the plane; speed and acceleration are positive towards the plane.
     """
     nearest = distance_m
     for x, v in _course(

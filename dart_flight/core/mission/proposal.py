@@ -16,7 +16,6 @@ class MissionFinding(NamedTuple):
 
     Attributes:
         rule: name of the rule in `core.guard.rules`.
-        detail: description.
         note_only: whether the finding is only logged, so that the mission continues.
     """
 
@@ -30,7 +29,6 @@ class Proposal:
 
     Attributes:
         outputs: setpoints, commands and records of decisions, in order.
-        findings: findings for the guard's rules.
         expected: next expected contact, for the detector at the next step.
         frame: the mission frame, if this step has set it.
         altitude_m: new altitude of the mission, or None if unchanged.
@@ -46,5 +44,4 @@ class Proposal:
         self.end: MissionEnd | None = None
 
     def add_finding(self, rule: str, detail: str, noted: bool = False) -> None:
-        """Add a finding; with `noted` it is only logged."""
         self.findings.append(MissionFinding(rule, detail, noted))

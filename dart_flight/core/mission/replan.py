@@ -40,7 +40,7 @@ class Replan(NamedTuple):
     impact_us: int | None = None
 
     def contact_begins(self) -> Replan:
-        """Return the state after an onset: earlier requests and plans are discarded."""
+        """Discard earlier requests and plans at an onset."""
         return Replan(
             self.number,
             from_rest=self.from_rest,
@@ -55,15 +55,13 @@ class Replan(NamedTuple):
 
     @property
     def is_leaned(self) -> bool:
-        """Whether the active trajectory ends with the lean that the impact needs."""
         return self.trajectory is not None and self.ends_leaning
 
     def is_over(self, now_us: int) -> bool:
-        """Return whether the trajectory has been flown to its end."""
         return self.trajectory is not None and now_us - self.begin_us >= self.trajectory.duration_s * 1e6
 
     def impact_in_s(self, state: FlightState) -> float:
-        """Return the time until the trajectory's next impact, s; minus infinity if no impact is planned."""
+        """Return the time until the trajectory's next impact; minus infinity if no impact is planned."""
         return -math.inf if self.impact_us is None else (self.impact_us - state.now_us) * 1e-6
 
     def predict_impact(self, closing_m_s: float, state: FlightState) -> PlaneImpact | None:

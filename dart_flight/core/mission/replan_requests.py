@@ -54,9 +54,6 @@ class ReplanRequests:
         these trajectories are too short for the errors of PX4's loop to decay.
 
         Args:
-            progress: state of the mission.
-            state: state of the vehicle.
-            sensed: results of the last input.
             square_us: time at which the vehicle, rotated by the contact, is square to the wall again.
             coasts: whether the setpoint commands only thrust, so that no position setpoint pulls the vehicle.
         """
@@ -105,9 +102,8 @@ class ReplanRequests:
     def _should_wait_for_wall(self, progress: MissionState, replan: Replan, state: FlightState) -> bool:
         """Return whether the estimate of the last wall is worth waiting for.
 
-        The estimate is worth waiting for if the vehicle hits that wall again next. It is also worth waiting
-        for if contacts correct the frame, because a trajectory in the old frame would begin in the wrong
-        place.
+        It is if the vehicle hits that wall again next. It is also if contacts correct the frame, because a
+        trajectory in the old frame would begin in the wrong place.
         """
         following = progress.collision
         returns = following is not None and following.wall.name == progress.last_collision.wall.name
@@ -142,7 +138,7 @@ class ReplanRequests:
     # -- accepted answers --
 
     def approach(self, progress: MissionState, now_us: int) -> Change:
-        """If there is room, return an approach from rest with the impact velocity that the planner chose."""
+        """Return an approach from rest with the impact velocity that the planner chose, if there is room."""
         answer, following = progress.replan.answer, progress.collision
         if answer is None or not progress.replan.from_rest or following is None:
             return NO_CHANGE
@@ -182,7 +178,6 @@ class ReplanRequests:
         return Change(outputs=(taken,), replan=replan, course=progress.course.follow(trajectory))
 
     def is_late(self, replan: Replan, wall: Wall, state: FlightState) -> bool:
-        """Return whether the trajectory's impact with a wall is overdue."""
         if replan.impact_us is None:
             return False
         closing_m_s = -(state.velocity[0] * wall.normal[0] + state.velocity[1] * wall.normal[1])
@@ -191,7 +186,6 @@ class ReplanRequests:
 
 
 def _refusal(replan: Replan, answer: PlanAnswer, now_us: int) -> str | None:
-    """Return the reason to reject an answer, or None."""
     asked = replan.request
     if asked is None or answer.number != asked.number:
         return "the plan is for an outdated state"
@@ -236,7 +230,7 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
-    """Return True if the vehicle follows its active trajectory and the new trajectory ends much later."""
+    """Return whether the vehicle follows its active trajectory and the new one ends much later."""
     flown = replan.trajectory
     if flown is None or not replan.must_not_be_later:
         return False

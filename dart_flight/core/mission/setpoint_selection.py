@@ -93,14 +93,9 @@ class SetpointSelection:
         frame: MissionFrame,
         added: Vec3 | None,
     ) -> tuple[Setpoint | None, Heading]:
-        """Return the setpoint of the phase for an odometry sample, and the updated heading.
+        """Return the setpoint of the phase for the triggering odometry sample, and the updated heading.
 
-        Args:
-            sample: the triggering sample.
-            progress: state of the mission.
-            state: state of the vehicle.
-            frame: mission frame.
-            added: feed-forward acceleration (`contact_feedforward`) for the setpoint, mission frame, m/s2.
+        `added` is a feed-forward acceleration (`contact_feedforward`) for the setpoint, mission frame, m/s2.
         """
         phase, heading = progress.phase, progress.heading
         in_contact = phase is Phase.CONTACT
@@ -148,15 +143,14 @@ class SetpointSelection:
         return progress.replan.since_us if progress.phase is Phase.RECOVERY else None
 
     def _next_trajectory(self, progress: MissionState) -> Trajectory | None:
-        """Return the mission's own trajectory to the next leg."""
         collision = progress.collision
         return self._written.get(None if collision is None else collision.index)
 
     def _thrust_after_contact(self, progress: MissionState, state: FlightState) -> Vec3:
         """Return the acceleration of the mission's trajectory, as if it began at the end of the contact.
 
-        The acceleration is zero during a contact. If the vehicle is already as fast as the trajectory, for
-        example because it leans off the wall, the acceleration is also zero.
+        The acceleration is zero during a contact. It is also zero if the vehicle is already as fast as the
+        trajectory, for example because it leans off the wall.
         """
         trajectory, end_us = self._next_trajectory(progress), progress.lock.contact_end_us
         if trajectory is None or end_us is None:
@@ -197,12 +191,8 @@ class SetpointSelection:
 
         The vehicle's actual time to impact corresponds to a point of the trajectory. The result is the
         planned thrust at this point minus the planned thrust at `since_s`. Without this correction, a vehicle
-        ahead of its trajectory would meet the wall before it leans off the wall.
-
-        Args:
-            progress: state of the mission, with the trajectory to the wall.
-            since_s: time since the trajectory began.
-            free: the wall's normal, and the motion at the time at which PX4 executes the setpoint.
+        ahead of its trajectory would meet the wall before it leans off the wall. `free` has the wall's
+        normal, and the motion at the time at which PX4 executes the setpoint.
         """
         trajectory, (nx, ny) = progress.course.trajectory, free.along[0]
         assert trajectory is not None
@@ -257,7 +247,7 @@ class SetpointSelection:
 
 
 def _yaw_rate(state: FlightState) -> float:
-    """Return the rate of the heading, rad/s, mission frame."""
+    """Return the rate of the heading, mission frame, rad/s."""
     assert state.imu is not None
     assert state.attitude is not None
     return -rotate(state.attitude.q_frd_to_ned, state.imu.rate_frd)[2]

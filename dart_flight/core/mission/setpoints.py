@@ -58,11 +58,7 @@ def make_setpoint(
     """Return the setpoint of a reference, in PX4's local frame.
 
     Args:
-        frame: mission frame.
-        trigger: input that triggers the setpoint.
-        reference: motion to command.
         yaw: heading, mission frame, rad.
-        free: axes on which the measured motion replaces the reference's motion.
         added: acceleration in addition to the reference's, mission frame, m/s2.
     """
     position, velocity, acceleration = reference

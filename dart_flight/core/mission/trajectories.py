@@ -45,8 +45,8 @@ def transit_time_s(
 ) -> Number:
     """Return the duration of the fastest rest-to-rest quintic over a distance, within the limits.
 
-    A quintic over a distance d in a time T has the peak speed 1.875 d/T, acceleration 5.774 d/T^2 and jerk
-    60 d/T^3.
+    A quintic over a distance d in a time T has the peak speed 1.875 d/T, acceleration 5.774 d/T^2 and jerk 60
+    d/T^3.
     """
     time_s = maximum(1.875 * way_m / speed_m_s, sqrt(5.774 * way_m / acceleration_m_s2))
     if jerk_m_s3 is None:
@@ -62,7 +62,6 @@ class Trajectory(msgspec.Struct, frozen=True):
             variable of the polynomials is the time since the beginning of the piece, s.
         pieces_s: duration of each piece.
         duration_s: total duration.
-        after: motion after the end.
     """
 
     x: tuple[float, ...]
@@ -95,12 +94,10 @@ class Trajectory(msgspec.Struct, frozen=True):
         flying: Flying,
         climb_speed_m_s: float = math.inf,
     ) -> Trajectory:
-        """Return the fastest smooth flight in a straight line between two points at rest.
+        """Return the fastest smooth straight flight between two points at rest, mission frame, metres.
 
-        Args:
-            begin, end: the two points, mission frame, metres.
-            speed_m_s, climb_speed_m_s: limits of the speed, and of its vertical part.
-            flying: limits of acceleration and jerk.
+        `climb_speed_m_s` limits the vertical part of the speed; `flying` has the limits of acceleration and
+        jerk.
         """
         distance_m, acceleration_m_s2 = math.dist(begin, end), flying.acceleration_m_s2
         duration = transit_time_s(distance_m, speed_m_s, acceleration_m_s2, flying.jerk_m_s3)
@@ -118,13 +115,8 @@ class Trajectory(msgspec.Struct, frozen=True):
     ) -> Trajectory:
         """Return a trajectory that accelerates from rest, then runs steadily and continues through the wall.
 
-        The speed grows as 3 s^2 - 2 s^3, where s is the elapsed fraction of the ramp.
-
-        Args:
-            begin: start of the acceleration, mission frame, metres.
-            velocity: velocity of the steady run, m/s.
-            ramp_s, steady_s: durations.
-            altitude_m: constant altitude.
+        The speed grows to `velocity` (mission frame) as 3 s^2 - 2 s^3, where s is the elapsed fraction of the
+        ramp.
         """
         axes = []
         for place, v in zip(begin, velocity, strict=True):
@@ -146,13 +138,11 @@ class Trajectory(msgspec.Struct, frozen=True):
 
     @classmethod
     def from_plan(cls, answer: PlanAnswer, altitude_m: float) -> Trajectory:
-        """Return the trajectory of a planner's answer."""
         pieces_s = answer.pieces_s or (answer.duration_s,)
         return cls.level(answer.x_mission, answer.y_mission, altitude_m, pieces_s, answer.duration_s)
 
     @property
     def begin(self) -> Vec3:
-        """Position at the beginning."""
         return (self.x[0], self.y[0], self.z[0])
 
     @property
@@ -164,7 +154,6 @@ class Trajectory(msgspec.Struct, frozen=True):
         return math.hypot(*end.velocity) > _AT_REST_M_S and math.hypot(*end.acceleration) < _LEVEL_M_S2
 
     def at(self, t_s: float) -> TrajectoryPoint:
-        """Return the reference `t_s` seconds after the beginning."""
         first, since = self._piece_at(max(0.0, min(t_s, self.duration_s)))
         px, vx, ax, jx = _derivatives(self.x[first : first + 6], since)
         py, vy, ay, jy = _derivatives(self.y[first : first + 6], since)
@@ -178,7 +167,7 @@ class Trajectory(msgspec.Struct, frozen=True):
         return TrajectoryPoint((px + vx * beyond, py + vy * beyond, pz + vz * beyond), (vx, vy, vz), still)
 
     def _piece_at(self, t_s: float) -> tuple[int, float]:
-        """Return the index of the first coefficient of the piece at `t_s`, and the time in this piece, s."""
+        """Return the index of the first coefficient of the piece at `t_s`, and the time in this piece."""
         begin = 0.0
         for i, duration in enumerate(self.pieces_s[:-1]):
             if t_s < begin + duration:

@@ -25,19 +25,15 @@ _SURE_DIRECTION_RAD = 0.05  # a direction estimated less accurately does not cha
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return the tolerance of the plane's position, metres, at the point of the plane nearest to `place`.
+    """Return the tolerance of the plane's position at the point of the plane nearest to `place`.
 
-    The tolerance is 0 if the wall has no standard deviations.
-
-    Args:
-        wall: the wall.
-        place: place in the mission frame, metres; numbers, or arrays of them.
+    The tolerance is 0 if the wall has no standard deviations. `place` is in the mission frame.
     """
     return SURE_SD * wall.plane_sd_m(place)
 
 
 def end_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return the distance to keep from the wall's end, metres.
+    """Return the distance to keep from the wall's end.
 
     An impact must lie at least this far inside the wall's end. A path that passes the wall must stay at least
     this far outside the end. The distance is half the vehicle's width plus the tolerance of the wall's
@@ -47,17 +43,17 @@ def end_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
 
 
 def overrun_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
-    """Return how far behind the plane the vehicle is when a contact becomes overdue, metres."""
+    """Return how far behind the plane the vehicle is when a contact becomes overdue."""
     return float(guard.wall_overrun_m + position_margin_m(wall, place))
 
 
 def early_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
-    """Return how far before the plane a contact already counts as a contact with the wall, metres."""
+    """Return how far before the plane a contact already counts as a contact with the wall."""
     return float(guard.wall_early_m + position_margin_m(wall, place))
 
 
 def late_s(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3, closing_m_s: float) -> float:
-    """Return how long after the planned impact a contact becomes overdue, seconds.
+    """Return how long after the planned impact a contact becomes overdue.
 
     The closing speed is positive towards the wall; at least 0.1 m/s is assumed.
     """
@@ -67,9 +63,7 @@ def late_s(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3, closing_m_s: 
 class EstimatedWalls:
     """Estimator of a mission's walls from the contacts of the flight; core and planner use the same class.
 
-    Args:
-        anchors: contacts that correct the mission frame, or None. The frame's standard deviation is
-            added to the deviation of every wall.
+    If `anchors` correct the mission frame, its standard deviation is added to the deviation of every wall.
     """
 
     def __init__(self, anchors: FrameAnchors | None = None) -> None:
@@ -89,7 +83,6 @@ class EstimatedWalls:
         return self._turned.get(wall.name, 0.0)
 
     def is_measured(self, name: str) -> bool:
-        """Return whether a contact has measured the wall."""
         return name in self._found
 
     def move_frame(self, by: Vec2) -> None:
@@ -105,10 +98,8 @@ class EstimatedWalls:
     def known_wall(self, wall: Wall, now_us: int | None = None) -> Wall:
         """Return the newest estimate of a wall; before the first contact, return the mission's wall.
 
-        Args:
-            wall: the wall as the mission defines it.
-            now_us: autopilot time. If the frame drifts, the standard deviation grows with time. If `now_us`
-                is None, the frame's standard deviation is left out.
+        If the frame drifts, the standard deviation grows with time. If `now_us` is None, the frame's standard
+        deviation is left out.
         """
         wall = self._found.get(wall.name, wall)
         if self._anchors is None or now_us is None:
@@ -120,10 +111,7 @@ class EstimatedWalls:
 def _updated_wall(before: Wall, written: Wall, estimate: WallEstimate) -> Wall:
     """Return the new estimate of a wall after a contact.
 
-    Args:
-        before: previous estimate of the wall.
-        written: the wall as the mission defines it.
-        estimate: estimate of the wall from the contact.
+    `before` is the previous estimate, `written` the wall as the mission defines it.
     """
     sure_m, place, normal = (
         estimate.plane_offset_sigma_m,

@@ -36,7 +36,6 @@ class AngularMotion:
         self._last: Vec3 = (0.0, 0.0, 0.0)
 
     def update(self, imu: ImuSample) -> None:
-        """Add the next IMU sample."""
         old, new = self._last, imu.rate_frd
         dt_s = self.dt_s = (imu.t_us - self._t_us) * 1e-6
         self._last, self._t_us = new, imu.t_us

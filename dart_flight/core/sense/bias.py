@@ -35,7 +35,7 @@ class HoverBias:
     """Accelerometer bias across the thrust axis, thrust scale and noise of one sample.
 
     Attributes:
-        bias_x, bias_y: accelerometer bias, body FRD, m/s2. The accelerometer's readings include the bias.
+        bias_x, bias_y: bias in the accelerometer's readings, body FRD, m/s2.
         scale: true thrust divided by the thrust of the curve, limited to within `THRUST_SCALE_LIMIT` of 1.
         thrust_ratio: the same ratio without a limit, or None before the ratio has settled.
         noise_m_s2: standard deviation of the white noise in one sample of one axis.
@@ -48,9 +48,8 @@ class HoverBias:
         self.noise_m_s2 = config.imu_noise_m_s2
         self._variance = VarianceEstimate(config.imu_noise_m_s2**2, _NOISE_TIME_S, _MIN_NOISE2)
         self._last: Vec3 | None = None
-        self._weight = self._measured_n = self._curve_n = (
-            0.0  # low-pass filters that start at zero, so that their quotient has no bias
-        )
+        # Low-pass filters that start at zero, so that their quotient has no bias.
+        self._weight = self._measured_n = self._curve_n = 0.0
         self.thrust_ratio: float | None = None
 
     def learn(self, f: Vec3, rate: Vec3, speed_m_s: float, curve_thrust_n: float, dt_s: float) -> None:
@@ -59,9 +58,7 @@ class HoverBias:
         Args:
             f: reported specific force, FRD, m/s2.
             rate: body rate, rad/s.
-            speed_m_s: speed of the vehicle.
             curve_thrust_n: mean thrust over the tick by the thrust model, without `scale`.
-            dt_s: time since the previous sample.
         """
         self._learn_noise(f, dt_s)
         share = average_weight(dt_s, LEARNING_S)
@@ -98,8 +95,8 @@ def _bounded(value: float, most: float) -> float:
 class ForceBaseline:
     """Slow horizontal force, mission frame, newton, limited in size.
 
-    The detector subtracts `value` before it compares a force with a threshold. `value` is some
-    samples old, so the start of a contact is not subtracted from the contact itself.
+    The detector subtracts `value` before it compares a force with a threshold. `value` is some samples old,
+    so the start of a contact is not subtracted from the contact itself.
     """
 
     def __init__(self, config: Estimation) -> None:
@@ -109,7 +106,7 @@ class ForceBaseline:
         self.value: Vec2 = (0.0, 0.0)
 
     def update(self, fx: float, fy: float, dt_s: float) -> None:
-        """Update the baseline with a sample outside of contacts, `dt_s` after the previous sample."""
+        """Update with a sample outside of contacts."""
         share = average_weight(dt_s, BASELINE_S)
         x, y = self._now
         x += share * _bounded(fx - x, _BASELINE_STEP_N)

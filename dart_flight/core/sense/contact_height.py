@@ -22,8 +22,7 @@ _LEAST_N2: Final = 1000.0  # sum of the squared forces: a few samples of a conta
 class ContactHeight:
     """Estimator of the height above the centre of mass at which the walls' force acts.
 
-    Args:
-        contact_distance_m: distance from the centre of mass to the guards' plane.
+    `contact_distance_m` is the distance from the centre of mass to the guards' plane.
     """
 
     def __init__(self, contact_distance_m: float) -> None:
@@ -32,7 +31,7 @@ class ContactHeight:
 
     @property
     def height_m(self) -> float | None:
-        """Height of the force above the centre of mass from all contacts, metres, or None if not known."""
+        """Height from all contacts, metres, or None if not known."""
         return self._moment / self._weight if self._weight >= _LEAST_N2 else None
 
     def add(self, contact: ContactRequest) -> None:

@@ -44,11 +44,7 @@ _Sample = tuple[ForceEstimate, TorqueEstimate, Quaternion, Vec3]
 class ContactRecorder:
     """Samples of the current contact, the requests for its fit, and their answers.
 
-    Args:
-        vehicle: configuration with the materials and modes.
-
-    Attributes:
-        unanswered: requests without an answer, by number.
+    `unanswered` contains the requests without an answer, by number.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -65,13 +61,10 @@ class ContactRecorder:
     def update(
         self, state: FlightState, slow: Vec2, events: Events, expected: ExpectedContact
     ) -> ContactRequest | None:
-        """Handle the detector's events, and return a request when a contact ends.
+        """Handle the detector's events at the newest sample, and return a request when a contact ends.
 
-        Args:
-            state: flight state with lock and frame.
-            slow: slow horizontal force (`ForceBaseline`), mission frame, newton.
-            events: detector events at the newest sample.
-            expected: contact that the mission expects; used at the onset.
+        `slow` is the slow horizontal force (`ForceBaseline`), mission frame, newton. `expected` matters at
+        the onset.
         """
         for event in events:
             if isinstance(event, ImpactOnset):
@@ -131,7 +124,7 @@ class ContactRecorder:
         return answer.body, answer.wall
 
     def overdue(self, now_us: int) -> WallEstimate | None:
-        """If the answer for a contact is late, return the undecided estimate, once for each contact."""
+        """Return the undecided estimate if the answer for a contact is late, once for each contact."""
         for number, request in self.unanswered.items():
             if now_us - request.t_us > ANSWER_WITHIN_US:
                 del self.unanswered[number]

@@ -58,8 +58,7 @@ class ExpectedContact(NamedTuple):
     Attributes:
         watching: whether a contact counts as an impact; False on the ground, in the climb and on landing.
         normal: outward normal of the next planned wall, mission frame, or None if no wall is expected.
-        material: material of that wall, a key of the materials table. Its coefficients are the prior of the
-            pulse fit.
+        material: key of the materials table; the coefficients are the prior of the pulse fit.
         wall: that wall, with its name and plane. The contact's wall estimate gets the same name.
     """
 
@@ -135,18 +134,15 @@ class ImpactDetector:
 
     @property
     def in_contact(self) -> bool:
-        """Whether a contact has begun and not ended."""
         return self.stage in ("rising", "falling")
 
     @property
     def crossed_threshold_n(self) -> float:
-        """The threshold that the newest onset crossed, newton."""
         return self._threshold
 
     def update(
         self, estimate: ForceEstimate, received_us: int, state: FlightState, expected: ExpectedContact
     ) -> Events:
-        """Process the next force estimate and return its events, usually none."""
         t_us = estimate.t_us
         dt_us = t_us - self._last_us if self._last_us else self._tick_us
         self._last_us = t_us
@@ -242,9 +238,8 @@ class ImpactDetector:
     def detection_floor_n(self, duration_s: float) -> float:
         """Return the least peak at which a half-sine of this duration is certainly detected, newton.
 
-        Each window has a detection floor. The floor is the threshold plus one standard deviation, divided
-        by the ratio of the window's mean to the peak. The result is the lowest floor among the windows in
-        use.
+        The detection floor of a window is the threshold plus one standard deviation, divided by the ratio of
+        the window's mean to the peak. The result is the lowest floor among the windows in use.
         """
         best = math.inf
         for i, threshold in enumerate(self.thresholds_n()):
@@ -285,7 +280,6 @@ class ImpactDetector:
         return max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
 
     def _mean_is_over(self, fx: float, fy: float, threshold: float) -> bool:
-        """Return whether a mean is over the threshold; the noise decides between two and three samples."""
         x, y = confirmed_force(fx, fy, self._previous, self._noise, self._config)
         size = max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
         return size >= threshold
@@ -399,9 +393,9 @@ class ImpactDetector:
         return (sx / size, sy / size) if size > 0.0 else self._normal
 
     def _readings(self, reference_us: int) -> list[TickReading]:
-        """Return the contact's samples as mean forces over ticks.
+        """Return the contact's samples as mean forces over ticks, in seconds from `reference_us`.
 
-        The ticks are in seconds from `reference_us`. The lag of the anti-alias filter is subtracted.
+        The lag of the anti-alias filter is subtracted from the ticks.
         """
         nx, ny = self._normal
         lag_us = self._lag_s * 1e6
@@ -479,7 +473,7 @@ class ImpactDetector:
     def _noise_hides_release(self, release: float) -> bool:
         """Return whether the noise of a sample often exceeds the release level.
 
-        If so, the mean over the short window replaces the sample in the comparison with the release level.
+        If so, the mean over the short window is compared with the release level instead.
         """
         return _DROP_SIGMA * self._noise > release
 
@@ -501,7 +495,6 @@ def _onset_of_mean(samples: list[_Sample], along: Vec2) -> int:
     the newest. The stamp with the largest sum is the onset.
     """
     forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
-    # Find the largest sum of samples up to the newest, each minus half of the present force.
     rest = 0.5 * sum(forces[-_BEFORE:]) / min(len(forces), _BEFORE)
     best, total, first = -math.inf, 0.0, len(samples) - 1
     for i in range(len(samples) - 1, -1, -1):

@@ -40,10 +40,7 @@ class ForceEstimator:
 
     Attributes:
         thrust: thrust model; the caller passes actuator, ESC and voltage samples to it.
-        hover: bias, thrust scale and noise, learnt in flight.
-        turning: rate and angular acceleration of the newest sample.
         attitude: attitude of the newest estimate, body FRD to NED, or None if there was none.
-        thrust_n: thrust of the newest estimate, newton.
         momenta: integral of mass times specific force since the start, mission frame, N s. Each entry has a
             stamp and belongs to one of the last estimates; a gap in the stream discards the older entries.
             Hover bias is removed from the specific force; gravity is not.
@@ -75,16 +72,12 @@ class ForceEstimator:
         self._heading = (1.0, 0.0)
 
     def add_attitude(self, sample: AttitudeSample) -> None:
-        """Store an attitude for the alignment with IMU samples."""
         self._attitudes.append(sample)
 
     def estimate(self, imu: ImuSample, state: FlightState, in_contact: bool = False) -> ForceEstimate | None:
         """Return the external force at the IMU's stamp, newton, mission frame, or None without attitude.
 
-        Args:
-            imu: IMU sample; stamps must increase.
-            state: flight state with frame, velocity and lock.
-            in_contact: whether a contact is in progress; bias and noise are not learnt then.
+        Stamps must increase. Bias and noise are not learnt while `in_contact`.
         """
         t_us = imu.t_us
         dt_s = (t_us - self._last_us) * 1e-6 if self._last_us is not None else self._tick_s
@@ -145,7 +138,6 @@ class ForceEstimator:
         return ForceEstimate(imu.t_us, force, clipped, filtered, variance, noise, push)
 
     def _without_vibration(self, arms: ArmFilter, force: Vec3, state: FlightState, dt_s: float) -> Vec3:
-        """Return the force without the vibration of unlocked arms."""
         if state.lock_is_in(Mode.RIGID):
             arms.reset()
             return force
@@ -166,10 +158,7 @@ class ForceEstimator:
         )
 
     def _attitude_at(self, t_us: int, rate_frd: Vec3) -> Quaternion | None:
-        """Return the attitude at `t_us`, or None if no stored attitude is near.
-
-        The gyro's rate extrapolates the nearest stored attitude to `t_us`.
-        """
+        """Extrapolate the nearest stored attitude by the gyro's rate; return None if there is none near."""
         best: AttitudeSample | None = None
         away = _ATTITUDE_REACH_US
         for sample in reversed(self._attitudes):

@@ -38,13 +38,11 @@ _MOTION, _AHEAD, _BEHIND = 0.2, 0.6, 0.8
 class PositionDelay:
     """Regression of the estimate's velocity error on past acceleration.
 
-    Args:
-        mass_kg: mass of the vehicle.
-        window_s: time after a disturbance during which no samples are compared.
+    After a disturbance, no samples are compared for `window_s`.
 
     Attributes:
         due_us: stamp from which the next odometry sample is compared.
-        figures: covariance of e and z, variance of z, and variance of e. Each is multiplied by the averaging
+        figures: covariance of e and z, variance of z, and variance of e, each multiplied by the averaging
             time, seconds.
         ahead_s: lead of the position estimate over the IMU, seconds. The lead is negative if the estimate is
             behind, and None if acceleration or correlation is too small.
@@ -68,14 +66,9 @@ class PositionDelay:
         self._quiet_us = t_us + self._window_us
 
     def compare_odometry(self, t_us: int, velocity_mission: Vec3, momenta: Momenta) -> None:
-        """Compare an odometry sample with the IMU.
+        """Compare an odometry sample with the IMU's momenta, once these have reached its stamp.
 
-        The comparison waits until the IMU samples reach the stamp of the odometry sample.
-
-        Args:
-            t_us: stamp of the sample, increasing, at least `due_us`.
-            velocity_mission: velocity of the sample.
-            momenta: momenta from the IMU (`ForceEstimator.momenta`).
+        The stamps must increase and be at least `due_us`.
         """
         waiting = self._waiting or (t_us, velocity_mission)
         if waiting[0] > momenta[-1][0]:
@@ -159,7 +152,6 @@ class _Sums:
         self.e = self.z = self.ee = self.ez = self.zz = 0.0
 
     def add(self, kept: float, dt_s: float, e: float, z: float) -> None:
-        """Scale the sums by `kept` and add a step."""
         self.e = kept * self.e + dt_s * e
         self.z = kept * self.z + dt_s * z
         self.ee = kept * self.ee + dt_s * e * e

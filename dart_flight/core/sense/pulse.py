@@ -53,7 +53,7 @@ class PulsePrior(NamedTuple):
 
     @property
     def half_period_s(self) -> float:
-        """Approximate duration of a contact, half a period of the damped oscillation, seconds."""
+        """Half a period of the damped oscillation, the approximate duration of a contact."""
         return math.pi / math.sqrt(max(self.omega**2 - self.sigma**2, 0.01 * self.omega**2))
 
 
@@ -99,10 +99,9 @@ def fit_normal(
     """Return the fitted normal pulse, or None if the readings are too few or the pulse does not fit.
 
     Args:
-        readings: readings in order, from a few ticks before the onset until shortly after the peak.
+        readings: in order, from a few ticks before the onset until shortly after the peak.
         push: mean force of thrust and drag towards the wall over the contact, newton.
-        prior: expected frequency and damping. The fit may change the frequency within a wide tolerance; the
-            damping is fixed.
+        prior: the fit may change the frequency within a wide tolerance; the damping is fixed.
         noise_n: standard deviation of one reading.
         onset_s: first guess of the onset.
         lag_s: lag of the anti-alias filter, 1 / (2 pi f).
@@ -160,7 +159,7 @@ class _Ends:
         self._sigma, self._push, self._slope = sigma, push, slope
 
     def at(self, s: float) -> tuple[float, float, float, float]:
-        """Return the four quantities of the class's first line, `s` seconds after the onset."""
+        """Return the four quantities `s` seconds after the onset."""
         if s <= 0.0:
             return 0.0, 0.0, 0.0, 0.0
         sigma, push, slope = self._sigma, self._push, self._slope
@@ -273,7 +272,6 @@ class _PulseFit:
         return cost + off * off
 
     def result(self, lag_s: float) -> NormalPulse | None:
-        """Return the fitted pulse with its peak and standard error, or None if it does not fit."""
         omega, sigma, push, slope = self.omega, self.sigma, self._push, self.slope
         wd = math.sqrt(omega * omega - sigma * sigma)
         # The slope is positive (see `run`), so the first extremum is the peak.
@@ -318,13 +316,8 @@ def fit_friction(
 ) -> float | None:
     """Return the friction peak, newton, signed along the tangent, or None if the model does not fit.
 
-    Args:
-        readings: readings of the normal pulse.
-        pulse: fitted normal pulse.
-        push_m_s2: tangential acceleration by thrust and drag.
-        mass_kg: mass of the vehicle.
-        kappa: expected mu/m, with a wide tolerance.
-        noise_n: standard deviation of one reading.
+    `push_m_s2` is the tangential acceleration by thrust and drag. `kappa` is the expected mu/m, with a wide
+    tolerance. `noise_n` is the standard deviation of one reading.
     """
     # Clipped readings count too, because the clipped axis is usually not the one along the wall.
     inside = [r for r in readings if r.b > pulse.start_s]
@@ -366,8 +359,8 @@ def _tangential(
 ) -> tuple[float, float]:
     """Return the best tangential speed at the onset for a given friction, and the sum of squared residuals.
 
-    Each of the `ticks` contains its length in seconds, the tangential reading in newton, and the normal
-    impulse over the tick.
+    Each tick has its length in seconds, the tangential reading in newton, and the normal impulse over the
+    tick.
     """
     kappa = math.exp(log_kappa)
     unit, driven = 1.0, 0.0  # response to the speed at the onset, and to the push
@@ -397,8 +390,8 @@ def _friction_top(
 ) -> float:
     """Return the model's largest friction, newton.
 
-    The model is evaluated about every half tick. A parabola through the largest value and its two neighbours
-    gives the result.
+    The model is evaluated about every half tick, and a parabola goes through the largest value and its two
+    neighbours.
     """
     newest = inside[-1]
     begin, end = pulse.start_s, newest.b

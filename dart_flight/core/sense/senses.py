@@ -46,13 +46,10 @@ class Sensed(NamedTuple):
         estimate: external force, or None if the input yields none.
         impacts: events of the detector, usually none. At the beginning of an approach, they include the
             smallest detectable force (`DetectionFloor`).
-        in_contact: whether a contact has begun and not ended.
         torque: external torque, or None if the input yields none.
         contact: records of a contact that has ended: the request for its fit, or the results of the fit.
-        wall: estimate of a planned wall and of the mode of the arms, or None. This record is also in
-            `contact`.
-        height_m: height above the centre of mass at which the walls' force acts, metres, or None if not
-            known.
+        wall: estimate of a planned wall and of the mode of the arms, or None; it is also in `contact`.
+        height_m: height above the centre of mass at which the walls' force acts, or None if not known.
         thrust_ratio: thrust from mass and accelerometer, divided by thrust from the curve, in the last
             seconds of free flight; None if not known.
     """
@@ -74,14 +71,7 @@ _TOUCHING: Final = Sensed(in_contact=True)
 class Senses:
     """State, estimators and impact detector, updated together.
 
-    Attributes:
-        state: newest sample of every stream.
-        estimator: estimator of the external force.
-        torque: estimator of the external torque.
-        detector: impact detector; active only while `ExpectedContact.watching` is set.
-        contacts: recorder of the contacts and of their fits.
-        height: estimator of the height above the centre of mass at which the walls' force acts.
-        delay: estimator of the position estimate's lead over the IMU.
+    The detector is active only while `ExpectedContact.watching` is set.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -94,7 +84,6 @@ class Senses:
         self.delay = PositionDelay(mission.vehicle.airframe.mass_kg, IMPACT_WINDOW_S)
 
     def update(self, item: Input, expected: ExpectedContact) -> Sensed:
-        """Process one input and return its results; `expected` is the contact that the mission expects."""
         state, estimator = self.state, self.estimator
         if type(item) is ImuSample:
             if state.update_imu(item):

@@ -42,10 +42,9 @@ class FlightState:
     """Newest samples and values derived from them.
 
     `now_us` is the estimate of the autopilot's time: the newest stamp, or the host's time plus the clock
-    offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick.
-
-    Args:
-        has_lock: whether the vehicle can change its stiffness; without a lock, `lock` is settled and rigid.
+    offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick. Without a
+    lock, `lock` is settled and rigid. An `update_` that returns False has discarded the sample, whose stamp
+    does not increase or which is implausible.
     """
 
     def __init__(self, has_lock: bool = True) -> None:
@@ -79,10 +78,6 @@ class FlightState:
         self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
 
     def update_odometry(self, sample: OdometrySample) -> bool:
-        """Store position and velocity, or return False.
-
-        The result is False if the sample is implausible or its stamp does not increase.
-        """
         if not self.is_plausible(sample):
             return False
         previous, t_us, received_us = self.odometry, sample.t_us, sample.received_us
@@ -114,7 +109,7 @@ class FlightState:
 
     @staticmethod
     def is_plausible(sample: OdometrySample) -> bool:
-        """Return whether position and velocity are within physical limits; other samples are discarded."""
+        """Return whether position and velocity are within physical limits."""
         (x, y, z), (u, v, w) = sample.position_ned, sample.velocity_ned
         return (
             abs(x) < _FURTHEST_M
@@ -126,7 +121,6 @@ class FlightState:
         )
 
     def update_attitude(self, sample: AttitudeSample) -> bool:
-        """Store an attitude; return False if its stamp does not increase."""
         previous, t_us, received_us = self.attitude, sample.t_us, sample.received_us
         if previous is not None and t_us <= previous.t_us:
             return False
@@ -141,7 +135,6 @@ class FlightState:
         return True
 
     def update_imu(self, sample: ImuSample) -> bool:
-        """Store an IMU sample; return False if its stamp does not increase."""
         previous, t_us, received_us = self.imu, sample.t_us, sample.received_us
         if previous is not None and t_us <= previous.t_us:
             return False
@@ -152,7 +145,6 @@ class FlightState:
         return True
 
     def update_actuator(self, sample: ActuatorSample) -> None:
-        """Store the motor commands."""
         received_us = sample.received_us
         if self._leaps("actuator", sample.t_us, received_us, self.actuator):
             return
@@ -160,7 +152,6 @@ class FlightState:
         self.host_us = max(self.host_us, received_us)
 
     def update_status(self, sample: StatusSample) -> None:
-        """Store the autopilot's status: flight mode, landed state, battery."""
         self.status = sample
         self.in_offboard = sample.flight_mode is FlightMode.OFFBOARD
         self.on_ground = sample.landed is LandedState.ON_GROUND
@@ -173,12 +164,10 @@ class FlightState:
         self.host_us = max(self.host_us, sample.received_us)
 
     def update_pose(self, sample: PoseSample) -> None:
-        """Store a pose of the motion capture."""
         self.pose = sample
         self.host_us = max(self.host_us, sample.received_us)
 
     def update_lock(self, sample: LockState) -> None:
-        """Store the state of the lock."""
         self.lock = sample
 
     def advance(self, tick: Tick) -> None:
@@ -191,11 +180,9 @@ class FlightState:
             self.now_us = max(self.now_us, now_us)
 
     def update_clock(self, sample: ClockOffset) -> None:
-        """Store the clock offset, autopilot time minus host time."""
         self.clock_offset_us = sample.offset_us
 
     def add_text(self, sample: StatusText) -> None:
-        """Store a text of PX4 or of this program if it is a warning or worse."""
         if sample.severity in _SEVERE:
             texts = self._found_on_link if sample.found_here else self._px4_texts
             texts.pop(sample.text, None)  # insert again, so that the newest is last
@@ -204,17 +191,16 @@ class FlightState:
                 del texts[next(iter(texts))]
 
     def text_about(self, beginning: str) -> str:
-        """Return the newest warning with this beginning, after a "; "; an empty string if there is none."""
+        """Return the newest warning with this beginning, after a "; ", or an empty string."""
         texts = {**self._px4_texts, **self._found_on_link}
         found = [text for text in sorted(texts, key=lambda text: texts[text]) if text.startswith(beginning)]
         return f"; {found[-1]}" if found else ""
 
     def update_health(self, sample: HealthReport) -> None:
-        """Store PX4's health and arming checks."""
         self.health = sample
 
     def add_result(self, sample: CommandResult) -> None:
-        """Store PX4's answer if PX4 refuses a command; delete the answer if PX4 accepts the command."""
+        """Store PX4's answer if it refuses a command; delete it once PX4 accepts the command."""
         if sample.ok:
             self._refused.pop(sample.command, None)
         else:
@@ -258,7 +244,7 @@ class FlightState:
     # -- derived --
 
     def anchor(self, frame: MissionFrame) -> None:
-        """Set the mission frame of positions, velocities and yaw, and convert the present values."""
+        """Set the mission frame, and convert the present positions, velocities and yaw."""
         self.frame = frame
         if self.odometry is not None:
             self.position = frame.point_from_ned(self.odometry.position_ned)
@@ -267,26 +253,23 @@ class FlightState:
             self.yaw = frame.yaw_from_ned(yaw_ned_of(self.attitude.q_frd_to_ned))
 
     def position_at(self, t_us: int) -> Vec3:
-        """Return the position at a stamp, mission frame, extrapolated from odometry at constant velocity."""
+        """Extrapolate the position to a stamp, mission frame, from odometry at constant velocity."""
         if self.odometry is None:
             return self.position
         return add(self.position, scale(self.velocity, (t_us - self.odometry.t_us) * 1e-6))
 
     def velocity_before(self, t_us: int) -> Vec3:
-        """Return the last velocity stamped before `t_us`, mission frame, m/s."""
+        """Return the last velocity stamped before `t_us`, mission frame."""
         for stamp, velocity in reversed(self._velocities):
             if stamp < t_us:
                 return velocity
         return self.velocity
 
     def mean_velocity(self, over_s: float) -> Vec3:
-        """Return the mean odometry velocity of the last seconds, mission frame, m/s.
+        """Return the mean odometry velocity of the last `over_s`, at most 1 s, mission frame.
 
         PX4's velocity estimate follows accelerometer vibration. Use this mean to test whether the vehicle is
         slow.
-
-        Args:
-            over_s: averaging time, at most 1 s.
         """
         if not self._velocities:
             return self.velocity
@@ -300,13 +283,10 @@ class FlightState:
         return scale((x, y, z), 1.0 / n)
 
     def reasons(self, command: str | None = None) -> str:
-        """Return the reasons why PX4 does not act: faults found on the link, and PX4's own texts.
+        """Return the reasons why PX4 does not act, from faults found on the link and PX4's own texts.
 
-        Args:
-            command: refused command; if PX4 gives no other reason, its answer to the command is returned.
-
-        Returns:
-            Text to append, such as "; PX4 reports: No offboard signal"; empty if there is no reason.
+        The text is to be appended, such as "; PX4 reports: No offboard signal", or empty. If there is no
+        other reason, it is PX4's answer to the refused `command`.
         """
         own = self._recent(self._found_on_link)
         here = "; " + ", ".join(own) if own else ""
@@ -328,5 +308,4 @@ class FlightState:
         return [text for text, t_us in texts.items() if self.now_us - t_us < _TEXT_AGE_US]
 
     def lock_is_in(self, mode: Mode) -> bool:
-        """Return whether the lock reports that it has settled in a mode."""
         return self.lock.phase is LockPhase.SETTLED and self.lock.mode is mode

@@ -40,7 +40,6 @@ class LaggedCommands:
         self.value: Each = ()
 
     def update(self, t_us: int, values: Each) -> None:
-        """Add a command stamped `t_us`."""
         if t_us <= self.newest_us:
             return
         self.newest_us = t_us
@@ -78,7 +77,7 @@ class ThrustModel:
 
     Attributes:
         source: source of the last result. None if no source has data yet; hover thrust is then assumed.
-        each_n: thrust of each motor at the stamp of the last result, newton, or None if not known yet.
+        each_n: thrust of each motor at the stamp of the last result, or None if not known yet.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -98,11 +97,9 @@ class ThrustModel:
         self.each_n: Each | None = None
 
     def add_commands(self, sample: ActuatorSample) -> None:
-        """Add motor commands."""
         self._motors.update(sample.t_us, sample.motors)
 
     def update_esc(self, sample: EscSample) -> None:
-        """Store measured motor speeds."""
         if self._esc is not None:
             if sample.t_us <= self._esc.t_us:
                 return
@@ -110,7 +107,7 @@ class ThrustModel:
         self._esc = sample
 
     def update_voltage(self, volts: float | None) -> None:
-        """Store the battery voltage; None or zero keeps the previous voltage."""
+        """Store the battery voltage; None or zero keeps the previous one."""
         battery = self._config.battery
         if volts is not None and volts > 0.0:
             self._voltage_factor = (volts / battery.reference_v) ** battery.exponent

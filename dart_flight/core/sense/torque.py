@@ -6,7 +6,7 @@ Here w is the gyro's rate, alpha its change over the tick and J the inertia, all
 sample, a torque sample is the mean over the tick that ends at its stamp. The motors' torque follows from the
 thrust, position and propeller drag of each motor, averaged over the same tick. In the air and outside of
 contacts, the estimator learns the noise and a constant torque. The constant torque, for example from an
-offset centre of mass or a weak motor, is subtracted. `Senses` uses the estimator.
+offset centre of mass or a weak motor, is subtracted.
 """
 
 from __future__ import annotations
@@ -29,10 +29,7 @@ _MAX_SLOW_NM: Final = 0.3  # limit of the constant torque
 
 
 class TorqueEstimator:
-    """Estimator of the external torque.
-
-    An IMU sample yields an estimate if it shortly follows the previous IMU sample.
-    """
+    """Estimator of the external torque; it needs two IMU samples that shortly follow each other."""
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._inertia = vehicle.airframe.inertia_kg_m2
@@ -50,7 +47,6 @@ class TorqueEstimator:
         """Return the torque at an IMU sample, N m, FRD, or None if no sample shortly precedes it.
 
         Args:
-            t_us: stamp of the sample.
             turning: angular motion, already updated with the sample.
             each_n: thrust of each motor at `t_us` by the thrust model, without `scale`; None if not known.
             scale: true thrust divided by the thrust of the curve.

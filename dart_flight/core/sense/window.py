@@ -3,7 +3,7 @@
 A mean over 30 or 100 ms reduces motor vibration and white noise. The mean hardly reduces the force of a
 contact that lasts as long as the window. The reduction of a vibration depends on its frequency, so the noise
 of a mean does not follow from the noise of a sample. Each window therefore learns the variance of its own
-mean outside of contacts (docs/force.md). The impact detector uses this module.
+mean outside of contacts (docs/force.md).
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class WindowMean:
     """Mean of the horizontal force over the newest `length_s`, and the learnt deviation of that mean.
 
     Args:
-        length_s: length of the window, or 0 for a single sample.
+        length_s: 0 for a single sample.
         noise_n: initial standard deviation of one sample of one axis; the noise is assumed white.
         samples: number of samples in the window at the IMU's nominal rate.
 
     Attributes:
-        mean: mean force, newton, mission frame.
+        mean: newton, mission frame.
         full: whether the samples cover the whole window.
         noise_n: standard deviation of one component of the mean.
     """
@@ -54,7 +54,6 @@ class WindowMean:
         self.noise_n = math.sqrt(variance)
 
     def add(self, t_us: int, fx: float, fy: float) -> None:
-        """Add a horizontal force sample, newton, mission frame, and update the mean."""
         kept = self._kept
         kept.append((t_us, fx, fy))
         x, y = self._x + fx, self._y + fy
@@ -96,15 +95,10 @@ class WindowMean:
 
 
 def half_sine_share(samples: int, duration_s: float, period_s: float) -> float:
-    """Return the share of a half-sine's height that the largest window mean reaches in the worst case.
+    """Return the share of a half-sine's height that the largest mean of `samples` reaches in the worst case.
 
     In the worst case, the centre of the window lies half a sampling period off the middle of the half-sine.
     The result is the closed form of a sum of equally spaced sines.
-
-    Args:
-        samples: number of samples in the window.
-        duration_s: duration of the half-sine.
-        period_s: time between samples.
     """
     x = 0.5 * math.pi * period_s / duration_s
     if x >= 0.5 * math.pi:
