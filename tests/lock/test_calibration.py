@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from unittest.mock import Mock
@@ -12,13 +11,12 @@ import pytest
 from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError
 from dart_flight.config.edit import edit_values, write_values
-from dart_flight.config.vehicle import LockConfig, packaged
+from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock import ground
 from dart_flight.lock.calibration import STEP_US, Calibration, CalibrationError
 from dart_flight.lock.state_machine import DriverReading
-
-Vary = Callable[..., LockConfig]
+from tests.lock.rigs import Vary
 
 
 def test_both_ends_are_reached_in_small_steps_and_confirmed(vary: Vary) -> None:

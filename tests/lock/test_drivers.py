@@ -10,6 +10,7 @@ from dart_flight.lock.drivers import DRIVERS, Driver, DriverError, driver_names,
 from dart_flight.lock.drivers.limit_switch import DriverWithLimitSwitch
 from dart_flight.lock.drivers.modelled_horn import DriverWithModelledHorn
 from dart_flight.lock.lock_session import LockSession
+from dart_flight.lock.state_machine import describe
 from tests.lock.rigs import RIGS, MakeRig, Rig
 
 KINDS = list(RIGS)
@@ -78,6 +79,7 @@ def test_each_toggle_moves_the_servo_and_settles_after_its_travel_time(
         state = rig.travel(mode)
         assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, mode, False)
         assert rig.horn() is mode
+        assert (state.commanded_us, describe(state)) == (started_us, f"{mode}: settled (no feedback)")
         assert state.settled_us is not None
         # The catalogue's 0.285 s and a margin of 0.03 s, at the next poll.
         assert 315_000 <= state.settled_us - started_us <= 335_000

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,9 +12,8 @@ import pytest
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock.drivers import DriverError, pwm
 from dart_flight.lock.drivers.pwm import PwmDriver
-from tests.lock.rigs import Sysfs
+from tests.lock.rigs import Sysfs, Vary
 
-Vary = Callable[..., LockConfig]
 DATA = Path(__file__).parents[1] / "data"
 
 

@@ -9,7 +9,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -25,6 +25,7 @@ from dart_flight.lock.drivers.pwm import PwmDriver
 from dart_flight.lock.persistence import ServoInUseError
 from dart_flight.run.app import FlightApp
 from tests.accounts import NOBODY, open_to_all
+from tests.lock.rigs import Vary
 
 ROOT = Path(__file__).parents[2]
 URL = "udpin://127.0.0.1:24871"
@@ -35,6 +36,7 @@ import msgspec
 from dart_flight.config.held_files import pass_kept
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock.drivers import ActuatorLink, owned_driver, pwm
+from tests.lock.rigs import Vary
 if sys.argv[4:]:
     os.setgroups([])
     os.umask(0o077)
@@ -55,8 +57,6 @@ child.wait()
 print("child ended", flush=True)
 time.sleep(60)
 """
-
-Vary = Callable[..., LockConfig]
 
 
 def use(config: LockConfig) -> None:
