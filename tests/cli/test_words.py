@@ -44,6 +44,8 @@ FLIGHT = str(next((Path(__file__).parents[1] / "data" / "flights").rglob("*.mcap
         (["calibrate", "thurst", FLIGHT], "thrust"),
         (["completion", "bsh"], "bash"),
         (["dry-run", MISSION, "--fast", "--fault", "servo-slw"], "servo-slow"),
+        (["dry-run", MISSION, "--fast", "--vary", "mas"], "mass"),
+        (["dry-run", MISSION, "--fast", "--set", "simulatio.contact.body=guards"], "simulation"),
         (["dry-run", MISSION, "--fast", "--fault", "servo-slow@aproach"], "approach"),
         (["predict", "--surface", "acrilic", "--mode", "rigid", "--drop", "1"], "acrylic"),
         (["replay", FLIGHT, "--set", "detektion.force_threshold_n=8"], "detection"),
