@@ -1,0 +1,27 @@
+"""Another process that runs a few lines of Python while a test looks at what it holds."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def running(code: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run code that prints a line once it is ready and then waits; kill it at the end of the context."""
+    words = [
+        sys.executable,
+        "-c",
+        f"{code}\nprint('ready', flush=True)\nimport time\ntime.sleep(60)",
+        *arguments,
+    ]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
