@@ -39,6 +39,7 @@ from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.pipe import FULL_SPEED
 from tests.doubles.operator_station import PX4_PORT, OperatorStation
+from tests.doubles.other_process import is_alive, stat_of
 from tests.real_time import TooSlow, assert_flown, wait_until
 
 pytestmark = pytest.mark.px4
@@ -201,7 +202,7 @@ class Flight:
         command += ["--px4", str(px4_dir), "--speed", "2", "--log-dir", str(folder)]
         self.app = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.px4 = int(self.wait_for(r"PX4 instance \d+, process (\d+)"))
-        self.world = _parent_of(self.px4)
+        self.world = int(stat_of(self.px4)[1])
 
     def text(self) -> str:
         """Return the world's log so far."""
@@ -238,7 +239,7 @@ class Flight:
         def are_gone() -> bool:
             self.app.poll()
             own = (self.app.pid, self.world, self.px4)
-            return not any(map(_is_alive, own)) and not _session_members(self.px4)
+            return not any(map(is_alive, own)) and not _session_members(self.px4)
 
         wait_until(are_gone, timeout_s, "no process of the flight is left")
         print(f"nothing left after {time.monotonic() - started_s:.1f} s")  # `pytest -rP` shows it
@@ -255,27 +256,12 @@ def flight(px4_dir: Path, tmp_path: Path) -> Iterator[Flight]:
     started.app.communicate()
 
 
-def _stat(pid: int) -> list[str]:
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-
-
-def _parent_of(pid: int) -> int:
-    return int(_stat(pid)[1])
-
-
-def _is_alive(pid: int) -> bool:
-    try:
-        return _stat(pid)[0] not in "ZX"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-
-
 def _session_members(session: int) -> list[int]:
     members = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             with contextlib.suppress(OSError, IndexError):
-                if int(_stat(int(entry.name))[3]) == session and _is_alive(int(entry.name)):
+                if int(stat_of(int(entry.name))[3]) == session and is_alive(int(entry.name)):
                     members.append(int(entry.name))
     return members
 
