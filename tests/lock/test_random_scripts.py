@@ -19,8 +19,8 @@ from dart_flight.lock.drivers.maestro import MaestroDriver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.servo import NO_FAULTS, ServoFaults
 from dart_flight.lock.state_machine import DriverReading, LockStateMachine, SetPulse
-from tests.lock.conftest import BOTH_SWITCHES, RIGID_SWITCH, Vary
-from tests.lock.rigs import MaestroRig, MockRig, Rig
+from tests.lock.conftest import BOTH_SWITCHES, RIGID_SWITCH
+from tests.lock.rigs import MaestroRig, MockRig, Rig, Vary
 
 Script = list[tuple[str, object]]
 

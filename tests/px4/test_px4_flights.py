@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -40,11 +37,11 @@ from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.pipe import FULL_SPEED
 from tests.doubles.operator_station import PX4_PORT, OperatorStation
 from tests.doubles.other_process import is_alive, stat_of
-from tests.real_time import TooSlow, assert_flown, wait_until
+from tests.px4.real_px4 import MISSIONS, DryRun
+from tests.real_time import assert_flown, wait_until
 
 pytestmark = pytest.mark.px4
 
-MISSIONS = Path(__file__).parents[2] / "missions"
 SWEEP = Path(__file__).with_name("sweep_mission.yaml")
 _POSITION_MODE = (3,)  # PX4's own number
 
@@ -191,41 +188,19 @@ def test_a_switch_to_position_mode_releases_the_flight_only_with_sticks(
 # --- process deaths ------------------------------------------------------------------------------
 
 
-class Flight:
-    """A dry-run in its own process, with the pids of app, plant and PX4."""
+class Flight(DryRun):
+    """A dry-run at twice real time, with the pids of app, plant and PX4."""
 
     def __init__(self, px4_dir: Path, folder: Path) -> None:
-        self.folder = folder
+        super().__init__(px4_dir, folder, MISSIONS / "paper_dual_collision.yaml", "--speed", "2")
         self.killed_at: float | None = None
-        mission = str(MISSIONS / "paper_dual_collision.yaml")
-        command = [sys.executable, "-m", "dart_flight", "dry-run", mission, "--json"]
-        command += ["--px4", str(px4_dir), "--speed", "2", "--log-dir", str(folder)]
-        self.app = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.px4 = int(self.wait_for(r"PX4 instance \d+, process (\d+)"))
         self.world = int(stat_of(self.px4)[1])
-
-    def text(self) -> str:
-        """Return the world's log so far."""
-        return "".join(path.read_text() for path in self.folder.glob("*/autopilot.log"))
-
-    def wait_for(self, pattern: str, timeout_s: float = 40.0) -> str:
-        """Wait for a match in the world's log and return its first group."""
-        try:
-            found = wait_until(lambda: re.search(pattern, self.text()), timeout_s, repr(pattern))
-        except TooSlow as error:
-            raise TooSlow(f"{error}: {self.text()}") from None
-        return found[1] if found.groups() else found[0]
 
     def wait_until_airborne(self) -> None:
         """Wait until the vehicle flies."""
         self.wait_for("PX4 armed")
         time.sleep(2.5)  # at twice real time: in the climb or beyond
-
-    def verdict(self) -> dict[str, Any]:
-        """Return the verdict that the app prints at its end."""
-        out, _ = self.app.communicate(timeout=40.0)
-        result: dict[str, Any] = json.loads(out)
-        return result
 
     def kill(self, pid: int) -> None:
         """Send SIGKILL to one of the three processes."""
@@ -237,8 +212,8 @@ class Flight:
         started_s = self.killed_at or time.monotonic()
 
         def are_gone() -> bool:
-            self.app.poll()
-            own = (self.app.pid, self.world, self.px4)
+            self.process.poll()
+            own = (self.process.pid, self.world, self.px4)
             return not any(map(is_alive, own)) and not _session_members(self.px4)
 
         wait_until(are_gone, timeout_s, "no process of the flight is left")
@@ -250,10 +225,10 @@ class Flight:
 def flight(px4_dir: Path, tmp_path: Path) -> Iterator[Flight]:
     started = Flight(px4_dir, tmp_path)
     yield started
-    for pid in (started.app.pid, started.world, started.px4):
+    for pid in (started.process.pid, started.world, started.px4):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
-    started.app.communicate()
+    started.process.communicate()
 
 
 def _session_members(session: int) -> list[int]:
@@ -274,7 +249,7 @@ def _log_records(folder: Path) -> list[Any]:
 def test_killing_px4_in_flight_aborts_with_its_cause(flight: Flight) -> None:
     flight.wait_until_airborne()
     flight.kill(flight.px4)
-    verdict = flight.verdict()
+    verdict, _ = flight.verdict()
     assert verdict["outcome"] == "aborted"
     assert "PX4 was killed by SIGKILL" in verdict["reason"]
     assert flight.wait_all_gone() < 30.0
@@ -286,7 +261,7 @@ def test_killing_px4_in_flight_aborts_with_its_cause(flight: Flight) -> None:
 def test_killing_the_plant_in_flight_aborts_and_ends_px4(flight: Flight) -> None:
     flight.wait_until_airborne()
     flight.kill(flight.world)
-    verdict = flight.verdict()
+    verdict, _ = flight.verdict()
     assert verdict["outcome"] == "aborted"
     assert "the plant under PX4 was killed by SIGKILL" in verdict["reason"]
     assert flight.wait_all_gone() < 30.0
@@ -295,7 +270,7 @@ def test_killing_the_plant_in_flight_aborts_and_ends_px4(flight: Flight) -> None
 
 def test_px4_lands_by_its_failsafe_after_the_app_is_killed(flight: Flight) -> None:
     flight.wait_until_airborne()
-    flight.kill(flight.app.pid)
+    flight.kill(flight.process.pid)
     assert flight.wait_all_gone() < 30.0
     log_text = flight.text()
     assert "app disconnected; PX4 continues until its failsafe acts" in log_text
@@ -309,17 +284,17 @@ def test_px4_lands_by_its_failsafe_after_the_app_is_killed(flight: Flight) -> No
 
 def test_killing_the_app_while_px4_boots_leaves_no_process(px4_dir: Path, tmp_path: Path) -> None:
     flight = Flight(px4_dir, tmp_path)
-    flight.kill(flight.app.pid)
+    flight.kill(flight.process.pid)
     assert flight.wait_all_gone() < 30.0
-    flight.app.communicate()
+    flight.process.communicate()
 
 
 def test_ctrl_c_lands_the_vehicle_and_ends_every_process(flight: Flight) -> None:
     flight.wait_until_airborne()
-    flight.app.send_signal(signal.SIGINT)
-    verdict = flight.verdict()
+    flight.process.send_signal(signal.SIGINT)
+    verdict, _ = flight.verdict()
     assert verdict["outcome"] == "aborted"
     assert "operator" in verdict["reason"]
-    assert flight.app.returncode == 1
+    assert flight.process.returncode == 1
     assert "PX4 disarmed" in flight.text()
     assert flight.wait_all_gone() < 30.0
