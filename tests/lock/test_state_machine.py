@@ -193,65 +193,77 @@ def test_a_slow_servo_with_a_switch_settles_late(vary: Vary) -> None:
     assert 0.84e6 < state.settled_us - started_us < 0.9e6
 
 
+LOST_PULSE = DriverReading(None)
+AT_FLEXIBLE, AT_RIGID = DriverReading(1020.0), DriverReading(1980.0)
+CLAMPED = DriverReading(1900.0, errors=("protocol error",))
+NOT_ACCEPTED = "fault; the driver did not accept the command within 1.5 s"
+SILENT = "fault; the driver reported nothing within 1.5 s"
+TOO_EARLY = "fault; after the travel time, no reading arrived within 1.5 s of the command"
+BAD_PULSE = "fault; the controller outputs 1900 us instead of 1980 us; protocol error"
+
+# Inputs of the machine with their times, and the description of its state after them: a mode is a command, a
+# number is a pulse that the driver has accepted, None is a step.
+# fmt: off
+TIMELINES: dict[str, tuple[tuple[int, Any, str], ...]] = {
+    "a command that the driver does not accept is a fault": (
+        (0, Mode.FLEXIBLE, UNLOCKING), (1490, None, UNLOCKING), (1500, None, NOT_ACCEPTED)),
+    "a driver that reports nothing is a fault": (
+        (0, Mode.FLEXIBLE, UNLOCKING), (10, 1020.0, UNLOCKING), (1490, None, UNLOCKING),
+        (1500, None, SILENT)),
+    "a reading before the end of the travel time does not suffice": (
+        (0, Mode.FLEXIBLE, UNLOCKING), (10, 1020.0, UNLOCKING), (200, AT_FLEXIBLE, UNLOCKING),
+        (1490, None, UNLOCKING), (1500, None, TOO_EARLY)),
+    "a clamped pulse is a fault": (
+        (0, Mode.RIGID, LOCKING), (0, 1980.0, LOCKING), (400, CLAMPED, LOCKING), (1500, None, BAD_PULSE)),
+    "the travel time starts when the driver first accepts the travel's pulse": (
+        (0, 1020.0, "unknown"), (0, Mode.FLEXIBLE, UNLOCKING), (5, 1980.0, UNLOCKING),
+        (10, 1020.0, UNLOCKING), (200, 1020.0, UNLOCKING), (320, AT_FLEXIBLE, UNLOCKING),
+        (330, AT_FLEXIBLE, UNLOCKED)),
+    "a reading from before the command is ignored": (  # it was delivered after the command
+        (0, Mode.FLEXIBLE, UNLOCKING), (15, 1020.0, UNLOCKING), (0, LOST_PULSE, UNLOCKING),
+        (20, LOST_PULSE, UNLOCKING), (40, LOST_PULSE, LOST)),
+    "a fault does not shorten the next travel's debounce time": (
+        (0, Mode.FLEXIBLE, UNLOCKING), (0, 1020.0, UNLOCKING), (0, LOST_PULSE, UNLOCKING),
+        (20, LOST_PULSE, LOST), (100, Mode.FLEXIBLE, UNLOCKING),
+        (100, 1020.0, UNLOCKING), (110, LOST_PULSE, UNLOCKING), (120, AT_FLEXIBLE, UNLOCKING),
+        (420, AT_FLEXIBLE, UNLOCKED)),
+}
+# fmt: on
+
+
+@pytest.mark.parametrize("name", TIMELINES)
+def test_a_timeline_leads_through_the_expected_states(vary: Vary, name: str) -> None:
+    machine = LockStateMachine(vary())
+    machine.permit(0, True)
+    for t_ms, given, says in TIMELINES[name]:
+        t_us = 1000 * t_ms
+        if isinstance(given, Mode):
+            machine.command(t_us, given)
+        elif isinstance(given, DriverReading):
+            machine.reading(t_us, given)
+        elif given is None:
+            machine.step(t_us)
+        else:
+            machine.confirm_sent(t_us, given)
+        assert describe(machine.state) == says, (t_ms, given)
+
+
+def test_a_travel_is_due_its_time_after_the_accepted_pulse(vary: Vary) -> None:
+    machine = LockStateMachine(vary())
+    machine.command(0, Mode.FLEXIBLE)
+    assert machine.due_us is None
+    machine.confirm_sent(10_000, 1020.0)
+    assert machine.due_us == 10_000 + 315_000
+    machine.reading(330_000, AT_FLEXIBLE)
+    assert machine.due_us is None
+
+
 def test_a_bouncing_switch_neither_confirms_nor_causes_a_fault(vary: Vary) -> None:
     machine = locking(vary(limit_switch=BOTH_SWITCHES))
     for t_us in range(10_000, 1_000_000, 10_000):
         closed = (t_us // 10_000) % 2 == 0
         machine.reading(t_us, DriverReading(1980.0, rigid_switch=closed, flexible_switch=False))
         assert machine.state.phase is LockPhase.TRAVELLING
-
-
-def test_a_clamped_pulse_is_a_fault(vary: Vary) -> None:
-    machine = locking(vary())
-    machine.reading(400_000, DriverReading(1900.0, errors=("protocol error",)))
-    assert machine.state.phase is LockPhase.TRAVELLING
-    machine.step(1_500_000)
-    assert (machine.state.phase, machine.state.reason) == (
-        LockPhase.FAULT,
-        "the controller outputs 1900 us instead of 1980 us; protocol error",
-    )
-
-
-@pytest.mark.parametrize(
-    ("sent_us", "reading_us", "reason"),
-    [
-        (None, 400_000, "the driver did not accept the command within 1.5 s"),
-        (10_000, None, "the driver reported nothing within 1.5 s"),
-        (10_000, 200_000, "after the travel time, no reading arrived within 1.5 s of the command"),
-    ],
-)
-def test_a_command_without_a_timely_reading_is_a_fault(
-    vary: Vary, sent_us: int | None, reading_us: int | None, reason: str
-) -> None:
-    machine = LockStateMachine(vary())
-    machine.command(0, Mode.FLEXIBLE)
-    if sent_us is not None:
-        machine.confirm_sent(sent_us, 1020.0)
-    if reading_us is not None:
-        machine.reading(reading_us, DriverReading(1020.0))
-    for t_us in range(400_000, 1_490_000, 10_000):
-        machine.step(t_us)
-        assert machine.state.phase is LockPhase.TRAVELLING
-    machine.step(1_500_000)
-    assert (machine.state.phase, machine.state.reason) == (LockPhase.FAULT, reason)
-
-
-def test_the_travel_time_starts_when_the_driver_first_accepts_the_travels_pulse(vary: Vary) -> None:
-    machine = LockStateMachine(vary())
-    machine.confirm_sent(0, 1020.0)  # before any travel
-    machine.command(0, Mode.FLEXIBLE)
-    assert machine.due_us is None
-    machine.confirm_sent(5_000, 1980.0)  # another pulse
-    assert machine.due_us is None
-    for t_us in (10_000, 200_000):
-        machine.confirm_sent(t_us, 1020.0)
-        assert machine.due_us == 10_000 + 315_000
-    phases = []
-    for t_us in (320_000, 330_000):
-        machine.reading(t_us, DriverReading(1020.0))
-        phases.append(machine.state.phase)
-    assert phases == [LockPhase.TRAVELLING, LockPhase.SETTLED]
-    assert machine.due_us is None
 
 
 def test_both_states_of_a_slow_reading_are_reported(vary: Vary) -> None:
@@ -277,18 +289,6 @@ def test_both_states_of_a_slow_reading_are_reported(vary: Vary) -> None:
     assert [state.phase for state in bench.states] == [LockPhase.SETTLED, LockPhase.FAULT]
 
 
-def test_a_reading_from_before_the_command_is_ignored(vary: Vary) -> None:
-    machine = LockStateMachine(vary())
-    machine.command(0, Mode.FLEXIBLE)
-    machine.confirm_sent(15_000, 1020.0)
-    machine.reading(0, DriverReading(None))  # measured before the command, delivered after it
-    phases = []
-    for t_us in (20_000, 40_000):
-        machine.reading(t_us, DriverReading(None))
-        phases.append(machine.state.phase)
-    assert phases == [LockPhase.TRAVELLING, LockPhase.FAULT]
-
-
 def test_a_confirmed_state_needs_readings_to_stay_confirmed(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
     bench.session.machine.step(bench.t_us + 1_400_000)
@@ -298,24 +298,6 @@ def test_a_confirmed_state_needs_readings_to_stay_confirmed(vary: Vary) -> None:
     without_switch = homed(vary())
     without_switch.session.machine.step(without_switch.t_us + 60_000_000)
     assert without_switch.state.phase is LockPhase.SETTLED
-
-
-def test_a_fault_does_not_shorten_the_next_travels_debounce_time(vary: Vary) -> None:
-    """The debounce time starts again with the new travel."""
-    machine = LockStateMachine(vary())
-    machine.command(0, Mode.FLEXIBLE)
-    for t_us in (0, 20_000, 40_000):
-        machine.confirm_sent(0, 1020.0)
-        machine.reading(t_us, DriverReading(None))
-    assert machine.state.phase is LockPhase.FAULT
-    machine.command(100_000, Mode.FLEXIBLE)
-    machine.confirm_sent(100_000, 1020.0)
-    machine.reading(110_000, DriverReading(None))  # the controller needs a moment
-    phases = []
-    for t_us in (120_000, 420_000):
-        machine.reading(t_us, DriverReading(1020.0))
-        phases.append(machine.state.phase)
-    assert phases == [LockPhase.TRAVELLING, LockPhase.SETTLED]
 
 
 # --- pulses off, start-up ----------------------------------------------------------------------------
@@ -341,56 +323,37 @@ def test_homing_to_rigid_needs_permission(vary: Vary) -> None:
     assert bench.state.phase is LockPhase.UNKNOWN
 
 
+NO_POSITION = "unknown; no position found: "
+
+
 @pytest.mark.parametrize(
-    ("reading", "mode", "feedback", "reason"),
+    ("reading", "says"),
     [
-        (None, None, False, "no position found: the driver gave no reading"),
-        (DriverReading(None), None, False, "the servo's position is unknown: its pulses are off"),
-        (
-            DriverReading(1500.0),
-            None,
-            False,
-            "no position found: the pulse of 1500 us belongs to neither end",
-        ),
-        (DriverReading(1980.0), Mode.RIGID, False, None),
-        (DriverReading(None, rigid_switch=True), Mode.RIGID, True, None),
-        (DriverReading(1020.0, flexible_switch=True), Mode.FLEXIBLE, True, None),
+        (None, f"{NO_POSITION}the driver gave no reading"),
+        (LOST_PULSE, "unknown; the servo's position is unknown: its pulses are off"),
+        (DriverReading(1500.0), f"{NO_POSITION}the pulse of 1500 us belongs to neither end"),
+        (AT_RIGID, LOCKED),
+        (DriverReading(None, rigid_switch=True), CONFIRMED),
+        (DriverReading(1020.0, flexible_switch=True), OPEN),
         (
             DriverReading(1020.0, rigid_switch=True),
-            None,
-            False,
-            "no position found: pulse and rigid limit switch contradict each other",
+            f"{NO_POSITION}pulse and rigid limit switch contradict each other",
         ),
         (
             DriverReading(None, rigid_switch=True, flexible_switch=True),
-            None,
-            False,
-            "no position found: both limit switches are closed",
+            f"{NO_POSITION}both limit switches are closed",
         ),
     ],
 )
-def test_adoption_requires_a_consistent_reading(
-    vary: Vary, reading: DriverReading | None, mode: Mode | None, feedback: bool, reason: str | None
-) -> None:
+def test_adoption_requires_a_consistent_reading(vary: Vary, reading: DriverReading | None, says: str) -> None:
     machine = LockStateMachine(vary(startup=LockStartup.ADOPT))
     assert machine.start(0, reading) == []
-    if mode is None or reading is None:
-        assert (machine.state.phase, machine.state.mode) == (LockPhase.UNKNOWN, None)
-        assert machine.state.reason == reason
-        return
-    # The last process may have died during the travel, so the machine waits for its end.
-    assert machine.state.phase is LockPhase.TRAVELLING
-    for t_us in range(10_000, 400_000, 10_000):
-        machine.reading(t_us, reading)
-    assert (machine.state.phase, machine.state.mode) == (LockPhase.SETTLED, mode)
-    assert machine.state.feedback is feedback
-
-
-def test_a_contact_does_not_retract_adopted_rigid_rods(vary: Vary) -> None:
-    machine = LockStateMachine(vary(startup=LockStartup.ADOPT))
-    machine.start(0, DriverReading(1980.0))
-    assert machine.permit(10_000, False) == []
-    assert machine.state.mode is Mode.RIGID
+    if machine.state.phase is LockPhase.TRAVELLING:
+        # The last process may have died during the travel, so the machine waits for its end.
+        assert machine.permit(10_000, False) == [], "a contact does not retract adopted rods"
+        for t_us in range(20_000, 400_000, 10_000):
+            machine.reading(t_us, reading)
+    assert describe(machine.state) == says
 
 
 def test_a_driver_that_cannot_be_opened_is_a_fault(vary: Vary) -> None:
