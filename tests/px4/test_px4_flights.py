@@ -7,7 +7,7 @@ import os
 import re
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -26,6 +26,7 @@ from dart_flight.base.records import (
     PlanTaken,
     Record,
 )
+from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.rotors import rotor_differences
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -46,6 +47,21 @@ SWEEP = Path(__file__).with_name("sweep_mission.yaml")
 _POSITION_MODE = (3,)  # PX4's own number
 
 
+Fly = Callable[..., Verdict]
+
+
+@pytest.fixture
+def fly(px4_dir: Path, tmp_path: Path) -> Fly:
+    """Fly a mission, by default at full speed: `fly("single_wall", speed=1.0)`."""
+
+    def fly(mission: str | Mission, speed: float = FULL_SPEED, **options: Any) -> Verdict:
+        if isinstance(mission, str):
+            mission = load_flyable(MISSIONS / f"{mission}.yaml")
+        return fly_px4(mission, px4_dir, 1, tmp_path, speed=speed, **options)
+
+    return fly
+
+
 def assert_requirements(verdict: Verdict) -> None:
     """Assert the requirements on a flight with motion capture or RTK."""
     assert verdict.outcome == "completed", verdict.reason
@@ -59,8 +75,8 @@ def assert_requirements(verdict: Verdict) -> None:
     assert verdict.ekf_error_m < 0.2
 
 
-def test_the_dual_collision_completes_indoors_in_real_time(px4_dir: Path, tmp_path: Path) -> None:
-    verdict = fly_px4(load_flyable(MISSIONS / "paper_dual_collision.yaml"), px4_dir, 1, tmp_path)
+def test_the_dual_collision_completes_indoors_in_real_time(fly: Fly) -> None:
+    verdict = fly("paper_dual_collision", speed=1.0)
     assert_requirements(verdict)
     assert [c.wall for c in verdict.collisions] == ["wood", "acrylic"]
     for collision in verdict.collisions:
@@ -73,8 +89,8 @@ def test_the_dual_collision_completes_indoors_in_real_time(px4_dir: Path, tmp_pa
     assert Path(verdict.px4_log).stat().st_size > 100_000
 
 
-def test_a_flight_replanned_after_every_collision_reaches_its_goal(px4_dir: Path, tmp_path: Path) -> None:
-    verdict = fly_px4(load_flyable(MISSIONS / "dual_collision_replan.yaml"), px4_dir, 1, tmp_path)
+def test_a_flight_replanned_after_every_collision_reaches_its_goal(fly: Fly) -> None:
+    verdict = fly("dual_collision_replan", speed=1.0)
     assert_requirements(verdict)
     assert verdict.log is not None
     taken = [e.record for e in read_log(verdict.log).entries if isinstance(e.record, PlanTaken)]
@@ -87,38 +103,32 @@ def test_a_flight_replanned_after_every_collision_reaches_its_goal(px4_dir: Path
     )
 
 
-def test_stiffer_gains_reach_the_papers_second_impact_speed(px4_dir: Path, tmp_path: Path) -> None:
-    verdict = fly_px4(
-        load_flyable(MISSIONS / "dual_collision_stiff.yaml"), px4_dir, 1, tmp_path, speed=FULL_SPEED
-    )
+def test_stiffer_gains_reach_the_papers_second_impact_speed(fly: Fly) -> None:
+    verdict = fly("dual_collision_stiff")
     assert_requirements(verdict)
     assert verdict.collisions[1].measured.normal_m_s is not None
     assert verdict.collisions[1].measured.normal_m_s < -1.3
 
 
-def test_the_single_wall_completes_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
-    mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
-    assert_requirements(
-        fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.RTK, speed=FULL_SPEED)
-    )
+def test_the_single_wall_completes_outdoors_with_rtk(fly: Fly) -> None:
+    assert_requirements(fly("paper_single_wall", position_from=PositionSource.RTK))
 
 
-def test_a_flight_with_plain_gps_does_not_take_off(px4_dir: Path, tmp_path: Path) -> None:
-    mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
-    verdict = fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.PLAIN, speed=FULL_SPEED)
+def test_a_flight_with_plain_gps_does_not_take_off(fly: Fly) -> None:
+    verdict = fly("paper_single_wall", position_from=PositionSource.PLAIN)
     assert verdict.reason is not None
     assert verdict.reason.startswith("not_ready: standard deviation of the position")
     assert verdict.flight_time_s is None
 
 
-def test_the_lock_servo_works_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
+def test_the_lock_servo_works_on_px4s_own_output(fly: Fly) -> None:
     mission = with_driver(load_flyable(MISSIONS / "paper_dual_collision.yaml"), LockDriver.PX4)
-    assert_requirements(fly_px4(mission, px4_dir, 1, tmp_path, speed=FULL_SPEED))
+    assert_requirements(fly(mission))
 
 
-def test_a_hexarotor_completes_with_the_lock_servo_after_its_motors(px4_dir: Path, tmp_path: Path) -> None:
+def test_a_hexarotor_completes_with_the_lock_servo_after_its_motors(fly: Fly) -> None:
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml", packaged("configs", "hexarotor.yaml"))
-    verdict = fly_px4(with_driver(mission, LockDriver.PX4), px4_dir, 1, tmp_path, speed=FULL_SPEED)
+    verdict = fly(with_driver(mission, LockDriver.PX4))
     assert_requirements(verdict)
     (hit,) = verdict.collisions
     assert hit.truth is not None
@@ -129,13 +139,12 @@ def test_a_hexarotor_completes_with_the_lock_servo_after_its_motors(px4_dir: Pat
     assert rotor_differences(mission.vehicle.airframe.motors, motors) == ([], [])
 
 
-def test_an_impact_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_path: Path) -> None:
+def test_an_impact_beyond_full_scale_is_marked_as_clipped(fly: Fly, tmp_path: Path) -> None:
     text = SWEEP.read_text().replace("MODE", "rigid").replace("MATERIAL", "acrylic").replace("SPEED", "4.0")
     mission = tmp_path / "sweep.yaml"
     mission.write_text(text)
     # Contacts of the guards would tilt the body over 60 degrees; a point body isolates the saturation.
-    loaded = load_flyable(mission, settings=["simulation.contact.body=point"])
-    verdict = fly_px4(loaded, px4_dir, 1, tmp_path, speed=FULL_SPEED)
+    verdict = fly(load_flyable(mission, settings=["simulation.contact.body=point"]))
     assert verdict.outcome == "completed", verdict.reason
     (hit,) = verdict.collisions
     assert hit.clipped
@@ -155,7 +164,7 @@ def test_an_impact_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_pat
 @pytest.mark.realtime  # the pilot moves the sticks in the computer's time
 @pytest.mark.parametrize("sticks", [True, False])
 def test_a_switch_to_position_mode_releases_the_flight_only_with_sticks(
-    px4_dir: Path, tmp_path: Path, sticks: bool
+    fly: Fly, tmp_path: Path, sticks: bool
 ) -> None:
     """Without sticks PX4 refuses the mode and stays in offboard, and the flight continues."""
     stick_parameters = tmp_path / "sticks.params"
@@ -173,9 +182,9 @@ def test_a_switch_to_position_mode_releases_the_flight_only_with_sticks(
         elif isinstance(record, PhaseChange) and record.after is Phase.APPROACH:
             answers.append(pool.submit(stations[0].set_mode, *_POSITION_MODE, wait_s=30.0))
 
-    mission, files = load_flyable(MISSIONS / "single_wall.yaml"), (stick_parameters,) if sticks else ()
+    files = (stick_parameters,) if sticks else ()
     with ExitStack() as held, ThreadPoolExecutor(1) as pool:
-        verdict = fly_px4(mission, px4_dir, 1, tmp_path, observe, parameter_files=files)
+        verdict = fly("single_wall", speed=1.0, progress=observe, parameter_files=files)
         assert_flown(verdict.outcome, verdict.reason, "released" if sticks else "completed")
         (answer,) = (found.result() for found in answers)
     assert answer == (MAV_RESULT_ACCEPTED if sticks else MAV_RESULT_TEMPORARILY_REJECTED)
