@@ -13,6 +13,7 @@ import sys
 import textwrap
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -184,6 +185,10 @@ def test_a_log_cut_at_any_byte_opens_up_to_the_cut(
     path.unlink()
 
 
+def is_longer(path: Path, than_bytes: int) -> bool:
+    return path.stat().st_size > than_bytes
+
+
 def small_log(path: Path) -> bytes:
     """Write a finished log of a few records in several chunks; schemas make up most of it."""
     log = FlightLog(path, {"mission": "small"})
@@ -191,7 +196,7 @@ def small_log(path: Path) -> bytes:
         before = path.stat().st_size
         log.put(imu(i), i)
         log.put(Tick(i), i)
-        wait_until(lambda size=before: path.stat().st_size > size, 5.0, "the writer")
+        wait_until(partial(is_longer, path, before), 5.0, "the writer")
     log.close()
     return path.read_bytes()
 
