@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.vehicle import packaged
-from dart_flight.vehicle.link import LinkLease, feed_name
+from dart_flight.sim import standalone
 from tests.command_fixtures import Refuse, RunJson
 
 pytestmark = pytest.mark.usefixtures("folder")
@@ -58,10 +60,19 @@ def test_identify_uses_the_mass_that_was_set(folder: Path, run_json: RunJson) ->
     assert "with airframe.mass_kg=1.95" in errors
 
 
-def test_simulate_uses_the_mass_that_was_set(capsys: pytest.CaptureFixture[str]) -> None:
-    with LinkLease(feed_name(14778), "test"):  # the vehicle is loaded, and refused at its port
-        assert main([*COMMANDS["simulate"], "--port", "14778", "--set", "airframe.mass_kg=1.5"]) == 2
-    assert "1.5 kg, with airframe.mass_kg=1.5" in capsys.readouterr().err
+def test_simulate_uses_the_mass_that_was_set(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown: list[Any] = []
+    run: Callable[..., None] = lambda mission, *rest: flown.append(mission)  # noqa: E731
+    monkeypatch.setattr(standalone, "run_vehicle", run)
+    monkeypatch.setattr(
+        standalone.VehiclePortLease, "__init__", lambda self, port: setattr(self, "own_port", port)
+    )
+    monkeypatch.setattr(standalone.VehiclePortLease, "release", lambda self: None)
+    assert main([*COMMANDS["simulate"], "--set", "airframe.mass_kg=1.5"]) == 0
+    assert flown[0].vehicle.airframe.mass_kg == 1.5
+    assert "with airframe.mass_kg=1.5" in capsys.readouterr().err
 
 
 WRONG = {
