@@ -169,7 +169,7 @@ def test_the_reported_state_of_the_modelled_lock_is_true(
     Player(MockRig(vary(limit_switch=switch, startup=startup), pulse_us=horn_us)).play(script)
 
 
-@settings(max_examples=25)
+@settings(max_examples=20)
 @given(
     script=st.lists(steps | serial_steps, min_size=10, max_size=30),
     switch=switches,
