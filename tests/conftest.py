@@ -11,10 +11,11 @@ from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
 import dart_flight  # noqa: F401  before NumPy: it sets the number of its threads
+from tests.command_fixtures import alarm, folder, refusal_of, run_json, type_lines
 from tests.real_time import TooSlow
 from tests.shared_flights import commanded, flown
 
-__all__ = ["commanded", "flown"]
+__all__ = ["alarm", "commanded", "flown", "folder", "refusal_of", "run_json", "type_lines"]
 
 # Examples must be the same on every machine. Hypothesis also draws constants from the sources of all imported
 # modules. They would depend on the other imports of a worker, and reading them takes 7 s per worker.

@@ -23,6 +23,7 @@ from dart_flight.config.provenance import find_vehicle
 from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
+from tests.command_fixtures import Refuse
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,23 +33,15 @@ SINGLE = dart_flight.packaged("missions", "single_wall.yaml")
 # --- choice of the configuration --------------------------------------------------------------------------
 
 
-def write_two_configurations(folder: Path) -> None:
+def test_an_extending_configuration_is_preferred_to_its_base(folder: Path) -> None:
     (folder / "configs").mkdir()
     text = dart_flight.packaged("configs", "dart.yaml").read_text(encoding="utf-8")
     (folder / "configs" / "base.yaml").write_text(text, encoding="utf-8")
     mine = "extends: base.yaml\nairframe:\n  mass_kg: 1.05\n"
     (folder / "configs" / "mine.yaml").write_text(mine, encoding="utf-8")
-
-
-def test_an_extending_configuration_is_preferred_to_its_base(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_two_configurations(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("DART_FLIGHT_CONFIG", raising=False)
     found = find_vehicle()
     assert (found.source.source, found.config.airframe.mass_kg) == ("configs/mine.yaml", 1.05)
-    (tmp_path / "configs" / "other.yaml").write_text("extends: base.yaml\n", encoding="utf-8")
+    (folder / "configs" / "other.yaml").write_text("extends: base.yaml\n", encoding="utf-8")
     with pytest.raises(dart_flight.InputError, match="several vehicles"):  # the choice is not guessed
         find_vehicle()
 
@@ -153,12 +146,9 @@ def test_a_plan_without_ruckig_prints_the_complete_install_advice(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "ruckig", None)
-    monkeypatch.setattr(
-        "dart_flight.lab.search.plan_table.install_command", lambda extra: install_command(extra, tmp_path)
-    )
     scenario = str(ROOT / "missions" / "scenarios" / "one_wall.yaml")
     assert main(["plan", scenario, "-o", str(tmp_path / "planned.yaml"), "--no-verify"]) == 0
-    assert ".[plan]" in "".join(capsys.readouterr().out.split())
+    assert "".join(install_command("plan").split()) in "".join(capsys.readouterr().out.split())
 
 
 # --- missions --------------------------------------------------------------------------------------------
@@ -205,15 +195,11 @@ def test_an_invalid_impact_distance_along_the_wall_is_refused(
 # --- pages and folders -----------------------------------------------------------------------------------
 
 
-def test_a_campaign_refuses_a_folder_that_is_not_empty(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = tmp_path / "missions"
-    folder.mkdir()
-    (folder / "mine.yaml").write_text("version: 1\n", encoding="utf-8")
-    assert main(["campaign", str(SINGLE), "--runs", "1", "--out", str(folder)]) == 2
-    assert "the folder is not empty; choose a new folder" in capsys.readouterr().err
-    assert [path.name for path in folder.iterdir()] == ["mine.yaml"]
+def test_a_campaign_refuses_a_folder_that_is_not_empty(tmp_path: Path, refusal_of: Refuse) -> None:
+    (tmp_path / "mine.yaml").write_text("version: 1\n", encoding="utf-8")
+    line = refusal_of("campaign", SINGLE, "--runs", "1", "--out", tmp_path)
+    assert "the folder is not empty; choose a new folder" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.yaml"]
 
 
 @pytest.mark.rest
@@ -229,12 +215,15 @@ def test_the_animation_shows_a_lock_only_if_the_vehicle_has_one(
     assert all("D.hasLock" in line for line in shows)
 
 
-def test_a_package_that_does_not_load_is_not_reported_as_missing() -> None:
-    for error, beginning in (
+@pytest.mark.parametrize(
+    ("error", "beginning"),
+    [
         (ImportError("libopenblas.so.0: cannot open"), "needs SciPy, but it does not load: libopenblas.so.0"),
         (ModuleNotFoundError("No module named 'scipy'"), "needs SciPy: "),
-    ):
-        try:
-            raise error
-        except ImportError:
-            assert missing_package("needs SciPy", "identify").message.startswith(beginning)
+    ],
+)
+def test_a_package_that_does_not_load_is_not_reported_as_missing(error: Exception, beginning: str) -> None:
+    try:
+        raise error
+    except ImportError:
+        assert missing_package("needs SciPy", "identify").message.startswith(beginning)

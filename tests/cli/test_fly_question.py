@@ -24,15 +24,21 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize(("answer", "flies"), [("y\n", True), ("Yes\n", True), ("\n", False), ("", False)])
-def test_only_a_yes_confirms_the_flight(answer: str, flies: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", Terminal(answer))
+@pytest.mark.parametrize(
+    ("answers", "flies"),
+    [
+        (Terminal("y\n"), True),
+        (Terminal("Yes\n"), True),
+        (Terminal("\n"), False),
+        (Terminal(""), False),
+        (io.StringIO("y\n"), False),  # no terminal
+    ],
+)
+def test_only_a_yes_in_a_terminal_confirms_the_flight(
+    answers: io.StringIO, flies: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", answers)
     assert confirm("Fly?") is flies
-
-
-def test_confirmation_fails_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
-    assert not confirm("Fly?")
 
 
 @pytest.mark.parametrize("as_json", [True, False])

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import os
 import pty
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,20 +12,11 @@ from dart_flight.check.checks import FlightContext
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.vehicle_reading import VehicleReading
 from dart_flight.cli import hitl_preflight, main
+from tests.command_fixtures import Refuse, Type
 
 MISSION = str(Path(__file__).parents[2] / "missions" / "single_wall.yaml")
 HITL, LINK = "udpout://127.0.0.1:14570", "udpin://127.0.0.1:14999"
-
-
-def refusal_of(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    try:
-        status = main(["dry-run", MISSION, *words])
-    except SystemExit as exit_:
-        status = int(str(exit_.code))
-    streams = capsys.readouterr()
-    assert status == 2, streams.err
-    assert streams.out == ""
-    return streams.err
+FLY = ["dry-run", MISSION, "--hitl", HITL, "--connection", LINK]
 
 
 @pytest.mark.parametrize(
@@ -46,23 +35,18 @@ def refusal_of(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_contradictory_options_are_refused_in_one_line(
-    words: list[str], problem: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], problem: str, refusal_of: Refuse
 ) -> None:
-    err = refusal_of(capsys, *words)
-    assert problem in err
-    assert err.count("\n") == 1
+    assert problem in refusal_of("dry-run", MISSION, *words)
 
 
-def test_two_names_of_one_serial_port_are_recognised(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_names_of_one_serial_port_are_recognised(tmp_path: Path, refusal_of: Refuse) -> None:
     master, slave = pty.openpty()
     by_id = tmp_path / "by-id"
     by_id.symlink_to(os.ttyname(slave))
-    urls = (f"serial://{os.ttyname(slave)}:921600", f"serial://{by_id}:921600")
-    assert "also the link of the application" in refusal_of(
-        capsys, "--hitl", urls[0], "--connection", urls[1]
-    )
+    first, second = f"serial://{os.ttyname(slave)}:921600", f"serial://{by_id}:921600"
+    line = refusal_of("dry-run", MISSION, "--hitl", first, "--connection", second)
+    assert "also the link of the application" in line
     os.close(slave)
     os.close(master)
 
@@ -88,25 +72,22 @@ def ready(monkeypatch: pytest.MonkeyPatch) -> list[CheckFinding]:
 
 @pytest.mark.parametrize("typed", ["", "y\n", "propellers on\n"])
 def test_an_unconfirmed_flight_does_not_start(
-    typed: str,
-    ready: list[CheckFinding],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    typed: str, ready: list[CheckFinding], type_lines: Type, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
-    err = refusal_of(capsys, "--hitl", HITL, "--connection", LINK)
+    type_lines(typed)
+    assert main(FLY) == 2
+    err = capsys.readouterr().err
     assert "Take the propellers off" in err
     assert err.splitlines()[-1].endswith("'propellers off' was not typed; the mission was not flown")
 
 
 def test_a_flight_controller_that_is_not_ready_does_not_fly(
-    ready: list[CheckFinding], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ready: list[CheckFinding], type_lines: Type, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ready.append(CheckFinding("SYS_HITL", False, "SYS_HITL is 0, wanted 1"))
-    monkeypatch.setattr(sys, "stdin", io.StringIO("propellers off\n"))
-    status = main(["dry-run", MISSION, "--hitl", HITL, "--connection", LINK])
+    type_lines("propellers off\n")
+    assert main(FLY) != 0
     err = capsys.readouterr().err
-    assert status != 0
     assert "SYS_HITL is 0, wanted 1" in err
     assert "not ready for hardware in the loop; the mission was not flown" in err
     assert "Take the propellers off" not in err

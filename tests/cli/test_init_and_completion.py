@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -21,6 +19,7 @@ from dart_flight.config.starter import DART, VEHICLES
 from dart_flight.config.vehicle import default_config_path
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.search.scenario import load_scenario
+from tests.command_fixtures import Refuse, RunJson
 from tests.mission_findings import check_mission
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -58,15 +57,12 @@ def test_every_shipped_file_is_copied_unchanged_for_some_vehicle(tmp_path: Path)
 
 @pytest.mark.parametrize("name", _OTHERS)
 def test_init_of_another_vehicle_recommends_two_commands_that_work(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = tmp_path / "lab"
     assert main(["init", str(folder), "--vehicle", name]) == 0
     lines = capsys.readouterr().err.splitlines()
     commands = [line.split()[1:] for line in lines if line.startswith("  dart-flight ")]
     assert [words[0] for words in commands] == ["check", "dry-run"]
-    monkeypatch.chdir(folder)
-    monkeypatch.delenv("DART_FLIGHT_CONFIG", raising=False)
     for words in commands:
         assert main(words) == 0
     # DART's configuration is there too, but commands without a mission use the chosen vehicle.
@@ -84,11 +80,8 @@ def test_init_of_another_vehicle_recommends_two_commands_that_work(
     assert not re.search(r"\b(cam|rods?|servo|arms? .*(lock|free))\b", text)
 
 
-def test_an_unknown_vehicle_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["init", str(tmp_path / "lab"), "--vehicle", "blimp"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+def test_an_unknown_vehicle_is_refused_in_one_line(tmp_path: Path, refusal_of: Refuse) -> None:
+    line = refusal_of("init", tmp_path / "lab", "--vehicle", "blimp")
     assert "--vehicle: unknown vehicle 'blimp', known: dart, rigid_cage, ring_guard_250g" in line
     assert not (tmp_path / "lab").exists()
 
@@ -114,56 +107,43 @@ def test_every_copied_file_names_an_existing_schema(lab_folder: Path) -> None:
         assert json.loads(schema.read_text())["title"].startswith("DART"), path
 
 
-def test_init_overwrites_nothing(lab_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_init_overwrites_nothing(lab_folder: Path, refusal_of: Refuse) -> None:
     mine = lab_folder / "configs" / "dart.yaml"
     mine.write_text("mine")
     (lab_folder / "missions" / "single_wall.yaml").unlink()
-    assert main(["init", str(lab_folder)]) == 2
-    error = capsys.readouterr().err.splitlines()
-    assert len(error) == 1
-    assert "dart.yaml: already exists, and " in error[0]
-    assert " more files exist; name an empty folder" in error[0]
+    line = refusal_of("init", lab_folder)
+    assert "dart.yaml: already exists, and " in line
+    assert " more files exist; name an empty folder" in line
     assert mine.read_text() == "mine"
     assert not (lab_folder / "missions" / "single_wall.yaml").exists(), "init writes all files or none"
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_cannot_be_written_is_reported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    tmp_path.chmod(0o500)
-    try:
-        assert main(["init", str(tmp_path / "lab")]) == 2
-    finally:
-        tmp_path.chmod(0o700)
-    assert "cannot write: Permission denied" in capsys.readouterr().err
+def test_a_folder_that_cannot_be_written_is_reported(refusal_of: Refuse) -> None:
+    assert "cannot write: " in refusal_of("init", "/proc/lab")
 
 
-def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path, refusal_of: Refuse) -> None:
     (tmp_path / "lab").write_text("")
-    assert main(["init", str(tmp_path / "lab")]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert str(tmp_path / "lab") in refusal_of("init", tmp_path / "lab")
 
 
-def test_json_lists_the_written_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["init", str(tmp_path / "lab"), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+def test_json_lists_the_written_files(tmp_path: Path, run_json: RunJson) -> None:
+    report, _ = run_json("init", tmp_path / "lab")
     assert report["directory"] == str(tmp_path / "lab")
     assert {Path(name) for name in report["files"]} == {
         p for p in (tmp_path / "lab").rglob("*") if p.is_file()
     }
 
 
-def test_completion_scripts_contain_every_command_and_option(capsys: pytest.CaptureFixture[str]) -> None:
-    for shell in ("bash", "zsh", "tcsh"):
-        assert main(["completion", shell]) == 0
-        script = capsys.readouterr().out
-        for command in COMMANDS:
-            assert command in script, f"{command} in {shell}"
-        if shell == "tcsh":
-            continue  # completes only commands and their choices
-        for option in ("--standoff", "--objective", "--incidence-deg"):
-            assert option in script, f"{option} in {shell}"
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_a_completion_script_contains_every_command_and_option(
+    shell: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert [command for command in COMMANDS if command not in script] == []
+    options = ("--standoff", "--objective", "--incidence-deg") if shell != "tcsh" else ()
+    assert [option for option in options if option not in script] == []
 
 
 def complete_in_bash(words: list[str], folder: Path, script: Path) -> set[str]:
@@ -183,16 +163,13 @@ def complete_in_bash(words: list[str], folder: Path, script: Path) -> set[str]:
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
-def test_bash_completes_commands_options_choices_and_files(lab_folder: Path, tmp_path: Path) -> None:
+def test_bash_completes_commands_options_choices_and_files(
+    lab_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     script = tmp_path / "completion.bash"
-    done = subprocess.run(
-        [sys.executable, "-m", "dart_flight", "completion", "bash"],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=ROOT,
-    )
-    script.write_text(done.stdout)
+    capsys.readouterr()
+    assert main(["completion", "bash"]) == 0
+    script.write_text(capsys.readouterr().out)
     assert complete_in_bash(["dart-flight", "dry"], lab_folder, script) == {"dry-run"}
     assert "--standoff" in complete_in_bash(["dart-flight", "fly", "--st"], lab_folder, script)
     assert complete_in_bash(["dart-flight", "lock", "fle"], lab_folder, script) == {"flexible"}

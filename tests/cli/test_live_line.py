@@ -63,9 +63,8 @@ def test_a_pipe_has_no_live_line(log: Log) -> None:
 
 @pytest.mark.rest
 def test_the_commands_recommended_after_a_flight_run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     mission = str(packaged("missions", "paper_single_wall.yaml"))
     main(["dry-run", mission, "--fast", "--log-dir", "my flights"])
     steps = re.findall(r"^  dart-flight (.*)$", capsys.readouterr().err, re.MULTILINE)

@@ -26,6 +26,7 @@ from dart_flight.recording.about import describe_flight
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import verdict_of
 from dart_flight.recording.writer import FlightLog
+from tests.command_fixtures import Refuse, RunJson
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]
@@ -33,13 +34,12 @@ MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 
 
 @pytest.fixture
-def folder(flown: SharedFlights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def two_flights(flown: SharedFlights, folder: Path) -> Path:
     """A working folder with two flights in its folder `flights`."""
     for seed in (1, 2):
         log = flown("paper_single_wall", seed).log
-        shutil.copytree(log.parent, tmp_path / "flights" / f"{log.parent.name}-seed{seed}")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+        shutil.copytree(log.parent, folder / "flights" / f"{log.parent.name}-seed{seed}")
+    return folder
 
 
 def write_incomplete_log(folder: Path) -> Path:
@@ -53,9 +53,7 @@ def log_paths(folder: Path) -> list[str]:
     return [str(path) for path in sorted((folder / "flights").glob("*/flight.mcap"))]
 
 
-def test_replay_accepts_a_folder(
-    flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_accepts_a_folder(flown: SharedFlights, tmp_path: Path, run_json: RunJson) -> None:
     """The logs end in the climb; `test_incomplete_logs_are_skipped` replays a whole log."""
     whole = read_log(flown("paper_single_wall", 1).log)
     end = whole.entries[4000].number
@@ -65,34 +63,30 @@ def test_replay_accepts_a_folder(
         for entry in (e for e in whole.entries[:4000] if e.number < end):
             log.put(entry.record, entry.number)
         log.close()
-    assert main(["replay", str(tmp_path / "flights"), "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    printed, _ = run_json("replay", tmp_path / "flights")
     assert printed["equal"] is True
     assert [len(printed["replays"]), len({r["log"] for r in printed["replays"]})] == [2, 2]
 
 
-def test_export_writes_tables_beside_each_log(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", "flights", "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["exports"]) == 2
-    for log in log_paths(folder):
+def test_export_writes_tables_beside_each_log(two_flights: Path, run_json: RunJson) -> None:
+    assert len(run_json("export", "flights")[0]["exports"]) == 2
+    for log in log_paths(two_flights):
         assert (Path(log).parent / "csv" / "columns.csv").exists()
-    assert main(["export", *log_paths(folder), "-o", "all"]) == 0
+    assert main(["export", *log_paths(two_flights), "-o", "all"]) == 0
     assert len(list(Path("all").glob("*/columns.csv"))) == 2
 
 
 @pytest.mark.rest
-def test_a_report_of_several_logs_is_written_into_their_folder(folder: Path) -> None:
+def test_a_report_of_several_logs_is_written_into_their_folder(two_flights: Path) -> None:
     """A report of one log: `test_all_outputs_share_one_time_origin`."""
     pytest.importorskip("matplotlib")
     assert main(["report", "flights"]) == 0
-    assert (folder / "flights" / "report.html").exists()
+    assert (two_flights / "flights" / "report.html").exists()
 
 
-def test_a_folder_without_flights_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    Path("empty").mkdir()
-    for command in ("replay", "export", "report", "identify"):
-        assert main([command, "empty"]) == 2
-        assert "no flight log (flight.mcap) below this folder" in capsys.readouterr().err
+@pytest.mark.parametrize("command", ["replay", "export", "report", "identify"])
+def test_a_folder_without_flights_is_refused(command: str, tmp_path: Path, refusal_of: Refuse) -> None:
+    assert "no flight log (flight.mcap) below this folder" in refusal_of(command, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -107,23 +101,22 @@ def test_a_folder_without_flights_is_refused(folder: Path, capsys: pytest.Captur
     ids=["replay", "identify", "calibrate"],
 )
 def test_incomplete_logs_are_skipped(
-    words: list[str], count: Callable[[Any], int], folder: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], count: Callable[[Any], int], two_flights: Path, run_json: RunJson
 ) -> None:
     pytest.importorskip("scipy")
-    empty, whole = folder / "empty.mcap", log_paths(folder)[-1]
+    empty, whole = two_flights / "empty.mcap", log_paths(two_flights)[-1]
     empty.touch()
-    incomplete = [str(empty)]
+    incomplete = [empty]
     if words != ["replay"]:  # nothing to decide is replayed as equal
-        incomplete.append(str(write_incomplete_log(folder)))
-    assert main([*words, *incomplete, whole, "--json"]) == 0
-    streams = capsys.readouterr()
-    assert count(json.loads(streams.out)) == 1
-    for name in incomplete:
-        assert any(name in line and "skipped" in line for line in streams.err.splitlines())
+        incomplete.append(write_incomplete_log(two_flights))
+    printed, errors = run_json(*words, *incomplete, whole)
+    assert count(printed) == 1
+    for path in incomplete:
+        assert any(str(path) in line and "skipped" in line for line in errors.splitlines())
 
 
-def test_an_incomplete_log_alone_is_refused(folder: Path) -> None:
-    assert main(["identify", "--surface", "acrylic", str(write_incomplete_log(folder))]) == 2
+def test_an_incomplete_log_alone_is_refused(two_flights: Path) -> None:
+    assert main(["identify", "--surface", "acrylic", str(write_incomplete_log(two_flights))]) == 2
 
 
 @pytest.mark.rest
@@ -157,8 +150,8 @@ def test_all_outputs_of_an_oddly_named_log_share_one_time_origin(
     assert float(cell[1]) == pytest.approx(table_s, abs=0.051)
 
 
-def test_replay_shows_only_changed_decisions(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = log_paths(folder)[0]
+def test_replay_shows_only_changed_decisions(two_flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = log_paths(two_flights)[0]
     assert main(["replay", log, "--set", "detection.force_threshold_n=20"]) == 1
     out = capsys.readouterr().out
     assert "ContactEnd" in out
@@ -166,18 +159,18 @@ def test_replay_shows_only_changed_decisions(folder: Path, capsys: pytest.Captur
     assert "decisions are as recorded" in out
 
 
-def test_an_abort_shows_its_reason(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_abort_shows_its_reason(two_flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dry-run", MISSION, "--fast", "--fault", "ekf-jump@transit"]) == 1
     out = capsys.readouterr().out
     assert "reason: " in out
     assert "peak" not in out, "no empty columns"
-    reason = verdict_of(read_log(log_paths(folder)[-1])).reason
+    reason = verdict_of(read_log(log_paths(two_flights)[-1])).reason
     assert reason is not None
     assert reason in out.replace("\n", " ") or reason[:30] in out
 
 
-def test_truth_is_null_if_the_log_has_none(folder: Path) -> None:
-    log = read_log(log_paths(folder)[0])
+def test_truth_is_null_if_the_log_has_none(two_flights: Path) -> None:
+    log = read_log(log_paths(two_flights)[0])
     log.entries = [e for e in log.entries if not isinstance(e.record, TruthSample | TruthContact)]
     verdict = verdict_of(log)
     assert [c.truth for c in verdict.collisions] == [None]
@@ -186,7 +179,7 @@ def test_truth_is_null_if_the_log_has_none(folder: Path) -> None:
 
 @pytest.mark.rest
 def test_tables_fit_eighty_columns(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    two_flights: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     scenarios = packaged("missions", "scenarios")
@@ -247,8 +240,7 @@ def test_nothing_starts_without_the_simulation_package(
     ]:  # fmt: skip
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "pymavlink", None)
-    before = set(folder.rglob("*"))
     assert main(words) == 2
     errors = capsys.readouterr().err.splitlines()
     assert errors[-1] == f"simulation needs pymavlink: {install_command('sim')}"
-    assert set(folder.rglob("*")) == before, "no log folder is left behind"
+    assert list(folder.iterdir()) == [], "no log folder is left behind"

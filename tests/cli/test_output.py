@@ -7,7 +7,8 @@ import io
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import msgspec
@@ -30,6 +31,7 @@ from dart_flight.cli.terminal import (
 from dart_flight.config.document import InputError
 from dart_flight.config.provenance import display_path
 from dart_flight.config.vehicle import packaged
+from tests.command_fixtures import Refuse, RunJson
 from tests.shared_flights import ROOT
 
 MISSION = packaged("missions", "single_wall.yaml")
@@ -107,60 +109,49 @@ def test_text_is_not_interpreted_as_markup(text: str, capsys: pytest.CaptureFixt
     assert output.out.count(text) == 3
 
 
-def test_an_ascii_terminal_receives_only_ascii(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_ascii_terminal_receives_only_ascii() -> None:
     data = io.BytesIO()
-    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(data, encoding="ascii"))
-    tables().print("0.02\N{NO-BREAK SPACE}m ± 0.01 → ü \udcff", soft_wrap=True)
+    terminal = io.TextIOWrapper(data, encoding="ascii")
+    with redirect_stdout(terminal):
+        tables().print("0.02\N{NO-BREAK SPACE}m ± 0.01 → ü \udcff", soft_wrap=True)
     assert data.getvalue() == b"0.02 m +/- 0.01 -> \\xfc \\xff\n"
 
 
 # --- names -----------------------------------------------------------------------------------------------
 
 
-def test_a_mission_with_an_odd_file_name_flies(
-    odd_mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    logs = tmp_path / "logs [/y]"
-    assert main(["dry-run", str(odd_mission), "--fast", "--log-dir", str(logs), "--json"]) == 0
-    streams = capsys.readouterr()
-    log = msgspec.json.decode(streams.out)["log"]
-    assert "logs [/y]" in log
-    assert Path(log).exists()
-    assert "dart-flight report" not in streams.err, "--json recommends no command"
+def test_a_mission_with_an_odd_file_name_flies(odd_mission: Path, tmp_path: Path, run_json: RunJson) -> None:
+    printed, errors = run_json("dry-run", odd_mission, "--fast", "--log-dir", tmp_path / "logs [/y]")
+    assert "logs [/y]" in printed["log"]
+    assert Path(printed["log"]).exists()
+    assert "dart-flight report" not in errors, "--json recommends no command"
 
 
 @pytest.mark.parametrize(
     "command", ["check", "dry-run", "plan", "survey", "report", "inspect", "identify", "replay"]
 )
 def test_an_error_in_an_oddly_named_file_is_reported_in_one_line(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, tmp_path: Path, refusal_of: Refuse
 ) -> None:
     path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/n\xfe[/].yaml"))
     path.parent.mkdir()
     path.write_bytes(b"version: [")
-    assert main([command, str(path)]) == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("vehicle: ")]
-    assert len(lines) == 1
-    assert "n\\xfe[/].yaml" in lines[0]
+    assert "n\\xfe[/].yaml" in refusal_of(command, path)
 
 
-def test_a_vehicle_with_an_odd_file_name_is_named_in_json(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/c\xff.yaml"))
+def test_a_vehicle_with_an_odd_file_name_is_named_in_json(folder: Path, run_json: RunJson) -> None:
+    path = Path(os.fsdecode(os.fsencode(folder) + b"/c\xff.yaml"))
     path.write_bytes(packaged("configs", "dart.yaml").read_bytes())
-    monkeypatch.chdir(tmp_path)
-    assert main([*PREDICT, "--config", str(path), "--json"]) == 0
-    output = capsys.readouterr()
-    assert msgspec.json.decode(output.out)["vehicle"]["source"] == "c\\xff.yaml"
-    assert "vehicle: c\\xff.yaml" in output.err
+    printed, errors = run_json(*PREDICT, "--config", path)
+    assert printed["vehicle"]["source"] == "c\\xff.yaml"
+    assert "vehicle: c\\xff.yaml" in errors
 
 
 def test_a_campaign_refuses_file_names_that_are_not_utf_8(
-    odd_mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    odd_mission: Path, tmp_path: Path, refusal_of: Refuse
 ) -> None:
-    assert main(["campaign", str(odd_mission), "--runs", "1", "--out", str(tmp_path / "c")]) == 2
-    assert "the file name is not UTF-8" in capsys.readouterr().err
+    words = ["campaign", odd_mission, "--runs", "1", "--out", tmp_path / "c"]
+    assert "the file name is not UTF-8" in refusal_of(*words)
 
 
 def test_json_output_of_any_text_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
@@ -177,12 +168,9 @@ def test_json_output_of_any_text_is_valid(capsys: pytest.CaptureFixture[str]) ->
 
 @pytest.mark.usefixtures("removed_folder")
 @pytest.mark.parametrize("command", [["check", str(MISSION)], ["dry-run", str(MISSION), "--fast"], PREDICT])
-def test_a_removed_working_folder_is_reported_in_one_line(
-    command: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(command) == 2
-    line = "cannot use the working folder: No such file or directory; cd to another folder\n"
-    assert capsys.readouterr().err == line
+def test_a_removed_working_folder_is_reported_in_one_line(command: list[str], refusal_of: Refuse) -> None:
+    line = "cannot use the working folder: No such file or directory; cd to another folder"
+    assert refusal_of(*command) == line
 
 
 @pytest.mark.usefixtures("removed_folder")
@@ -191,14 +179,11 @@ def test_log_paths_can_be_displayed_in_a_removed_working_folder() -> None:
     assert display_path("/logs/a/flight.mcap") == "/logs/a/flight.mcap"
 
 
-def test_a_circular_or_unknown_px4_folder_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_circular_or_unknown_px4_folder_is_refused(tmp_path: Path, refusal_of: Refuse) -> None:
     (tmp_path / "a").symlink_to(tmp_path / "b")
     (tmp_path / "b").symlink_to(tmp_path / "a")
     for folder in (str(tmp_path / "a"), "~nobody-of-that-name/px4"):
-        assert main(["dry-run", str(MISSION), "--px4", folder]) == 2
-        assert "no PX4 SITL in this folder" in capsys.readouterr().err
+        assert "no PX4 SITL in this folder" in refusal_of("dry-run", MISSION, "--px4", folder)
 
 
 def test_an_unexpected_system_error_is_one_line_with_its_source_line(
@@ -216,27 +201,25 @@ def test_an_unexpected_system_error_is_one_line_with_its_source_line(
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC, errno.EPIPE])
-def test_a_lost_terminal_does_not_end_a_flight(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stderr", BrokenStream(number))
-    print_status("→ APPROACH 1")
-    messages().print("→ APPROACH 1")
+def test_a_lost_terminal_does_not_end_a_flight(number: int) -> None:
+    with redirect_stderr(BrokenStream(number)):
+        print_status("→ APPROACH 1")
+        messages().print("→ APPROACH 1")
 
 
-def test_a_full_standard_output_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdout", BrokenStream(errno.ENOSPC))
-    with pytest.raises(OutputError, match="cannot write standard output: No space left"):
+@pytest.mark.parametrize("write", [lambda: emit_json({}), lambda: tables().print("a")])
+def test_a_full_standard_output_is_reported(write: Callable[[], None]) -> None:
+    with (
+        redirect_stdout(BrokenStream(errno.ENOSPC)),
+        pytest.raises(OutputError, match="cannot write standard output: No space left"),
+    ):
+        write()
+
+
+def test_a_finished_flight_keeps_its_status_if_the_output_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    text = "dual-collision, fast: completed, log: a.mcap"
+    with redirect_stdout(BrokenStream(errno.EDQUOT)), keep_status(text):
         emit_json({})
-    with pytest.raises(OutputError, match="cannot write standard output: No space left"):
-        tables().print("a")
-
-
-def test_a_finished_flight_keeps_its_status_if_the_output_fails(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "stdout", BrokenStream(errno.EDQUOT))
-    with keep_status("dual-collision, fast: completed, log: a.mcap"):
-        emit_json({})
-    monkeypatch.undo()
     err = capsys.readouterr().err
     assert err.startswith("dual-collision, fast: completed, log: a.mcap (cannot write standard output: ")
 

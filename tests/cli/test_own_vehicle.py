@@ -13,22 +13,15 @@ from dart_flight.vehicle.link import LinkLease, feed_name
 
 NO_PORT = "serial:///dev/no_such_port:57600"
 # Every command below loads its vehicle before it refuses the serial port.
-LINKED = [
-    ["mocap", "--mocap", "udp://127.0.0.1:9763/ring"],
-    ["monitor"],
-    ["bringup"],
-    ["standby"],
-]
+LINKED = [["mocap", "--mocap", "udp://127.0.0.1:9763/ring"], ["monitor"], ["bringup"], ["standby"]]
 
 
 @pytest.fixture(params=VEHICLES)
-def vehicle(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def vehicle(request: pytest.FixtureRequest, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """Change to a folder that `init` made for a vehicle, and return the vehicle's name."""
     name: str = request.param
-    assert main(["init", str(tmp_path / "lab"), "--vehicle", name]) == 0
-    monkeypatch.chdir(tmp_path / "lab")
-    monkeypatch.delenv("DART_FLIGHT_CONFIG", raising=False)
-    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    assert main(["init", str(folder / "lab"), "--vehicle", name]) == 0
+    monkeypatch.chdir(folder / "lab")
     return name
 
 

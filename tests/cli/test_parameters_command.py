@@ -2,65 +2,60 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from dart_flight.cli import main
 from dart_flight.config.parameter_file import Value, format_parameters, load_parameters
+from dart_flight.config.vehicle import packaged
+from tests.command_fixtures import Refuse, RunJson, exit_status
 from tests.doubles.parameter_vehicle import Losses, ParameterVehicle
 from tests.doubles.ports import free_udp_port
-from tests.flights.test_embedded_flights import SINGLE, simulated_vehicle
+from tests.flights.test_embedded_flights import simulated_vehicle
+
+SINGLE = str(packaged("missions", "paper_single_wall.yaml"))
+
+
+class ParametersCommand:
+    """`dart-flight parameters` on a vehicle at a URL, with the folder of saved values."""
+
+    def __init__(self, run_json: RunJson, url: str, folder: Path) -> None:
+        self._run_json = run_json
+        self._words = ["parameters", SINGLE, "--connection", url, "--save-dir", str(folder)]
+
+    def __call__(self, *options: object, status: int = 0) -> tuple[Any, str]:
+        return self._run_json(*self._words, *options, status=status)
 
 
 @pytest.mark.rest
 @pytest.mark.mavlink
 def test_parameters_are_listed_written_and_restored(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, run_json: RunJson, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
-
-    def run(*options: str) -> tuple[int, dict, str]:  # type: ignore[type-arg]
-        status = main(["parameters", SINGLE, "--connection", url, "--save-dir", str(tmp_path), *options])
-        out, err = capsys.readouterr()
-        return status, json.loads(out) if "--json" in options else {}, out + err
-
     with simulated_vehicle(SINGLE) as url:
-        status, listed, _ = run("--json")
-        assert status == 1
+        parameters = ParametersCommand(run_json, url, folder)
+        listed, _ = parameters(status=1)
         differing = {row["name"]: row for row in listed["parameters"]}
         assert (differing["COM_OBL_RC_ACT"]["vehicle"], differing["COM_OBL_RC_ACT"]["wanted"]) == (5, 4)
         assert differing["COM_OBL_RC_ACT"]["why"].startswith("Companion computer lost")
         assert listed["position_from"] == "mocap"
         # The embedded autopilot has no files with restart flags.
         assert "@reboot_required" in listed["restart_source"]
-        status, written, output = run("--write", "--yes", "--json")
-        assert (status, written["refused"], set(written["written"])) == (0, {}, set(differing))
+        written, output = parameters("--write", "--yes")
+        assert (written["refused"], set(written["written"])) == ({}, set(differing))
         assert "previous values: " in output
-        status, _, output = run()
-        assert (status, "all parameters have the wanted values" in output) == (0, True)
-        status, restored, _ = run("--restore", written["saved"], "--yes", "--json")
-        assert status == 0
+        assert exit_status("parameters", SINGLE, "--connection", url) == 0
+        assert "all parameters have the wanted values" in capsys.readouterr().err
+        restored, _ = parameters("--restore", written["saved"], "--yes")
         assert {row["name"]: row["wanted"] for row in restored["parameters"]} == {
             name: row["vehicle"] for name, row in differing.items()
         }
 
 
-def test_a_missing_save_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_save_folder_is_refused(folder: Path, refusal_of: Refuse) -> None:
     url = ("--connection", "udpin://127.0.0.1:14999")
-    assert main(["parameters", SINGLE, *url, "--save-dir", str(tmp_path / "none")]) == 2
-    assert "--save-dir" in capsys.readouterr().err
-
-
-def run_json(
-    capsys: pytest.CaptureFixture[str], port: int, folder: Path, *options: str
-) -> tuple[int, dict[str, Any], str]:
-    url = ("--connection", f"udpin://127.0.0.1:{port}")
-    status = main(["parameters", SINGLE, *url, "--save-dir", str(folder), "--json", *options])
-    out, err = capsys.readouterr()
-    return status, json.loads(out), err
+    assert "--save-dir" in refusal_of("parameters", SINGLE, *url, "--save-dir", folder / "none")
 
 
 def _rest(*values: object) -> object:
@@ -82,23 +77,17 @@ def _rest(*values: object) -> object:
     ids=["entries lost once", "values lost", "an entry lost for ever", "not in the list"],
 )
 def test_absent_means_missing_from_the_complete_list(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    losses: Losses,
-    states: dict[str, str],
-    status: int,
+    folder: Path, run_json: RunJson, losses: Losses, states: dict[str, str], status: int
 ) -> None:
-    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
     port = free_udp_port()
+    parameters = ParametersCommand(run_json, f"udpin://127.0.0.1:{port}", folder)
     with ParameterVehicle(SINGLE, port, losses) as vehicle:
         wanted: dict[str, Value] = {f"OLD_GONE_{k:02d}": k for k in range(45)}
         wanted |= {name: vehicle.values[name] for name in ("MPC_XY_P", "SYS_HITL", "MPC_Z_P")}
-        file = tmp_path / "other_version.params"
+        file = folder / "other_version.params"
         file.write_text(format_parameters(wanted, []))
-        found, listed, messages = run_json(capsys, port, tmp_path, "--restore", str(file))
+        listed, messages = parameters("--restore", file, status=status)
         assert vehicle.requests < 4 * len(wanted)
-    assert found == status
     assert {name: listed["states"][name] for name in states} == states
     assert {row["name"]: row["state"] for row in listed["parameters"]} == {
         name: state for name, state in listed["states"].items() if state != "present"
@@ -110,21 +99,16 @@ def test_absent_means_missing_from_the_complete_list(
 @pytest.mark.mavlink
 @pytest.mark.parametrize("dies_after", [None, pytest.param(2, marks=pytest.mark.rest)])
 def test_written_means_read_back_after_px4_has_limited_the_values(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    dies_after: int | None,
+    folder: Path, run_json: RunJson, dies_after: int | None
 ) -> None:
-    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
-    port = free_udp_port()
-    file = tmp_path / "some.params"
+    port, file = free_udp_port(), folder / "some.params"
+    parameters = ParametersCommand(run_json, f"udpin://127.0.0.1:{port}", folder)
     names = ["MPC_XY_P", "MPC_Z_P", "COM_OF_LOSS_T", "SYS_AUTOSTART"]
     with ParameterVehicle(SINGLE, port, Losses(limits={"MPC_Z_P": 1.5}, dies_after=dies_after)) as vehicle:
         before = dict(vehicle.values)
         wanted: dict[str, Value] = {"MPC_XY_P": 1.3, "MPC_Z_P": 9.0, "COM_OF_LOSS_T": 0.7}
         file.write_text(format_parameters({**wanted, "SYS_AUTOSTART": 16777217}, []))
-        status, report, messages = run_json(capsys, port, tmp_path, "--restore", str(file), "--yes")
-    assert status == 1
+        report, messages = parameters("--restore", file, "--yes", status=1)
     if dies_after is None:
         assert report["written"] == [names[0], *names[2:]]
         assert report["refused"] == {"MPC_Z_P": "MPC_Z_P is 1.5 after writing 9"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,9 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config.vehicle import packaged
 from dart_flight.sim import standalone
+from tests.command_fixtures import Refuse, RunJson
+
+pytestmark = pytest.mark.usefixtures("folder")
 
 MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))
@@ -25,32 +27,19 @@ COMMANDS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
-    return tmp_path
-
-
-def run_json(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[Any, str]:
-    assert main([*words, "--json"]) == 0
-    streams = capsys.readouterr()
-    return json.loads(streams.out), streams.err
-
-
 @pytest.mark.parametrize("name", ["predict", "plan", "check"])
-def test_settings_are_reported_with_the_vehicle(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    printed, errors = run_json(capsys, *COMMANDS[name], "--set", "airframe.mass_kg=1.5")
+def test_settings_are_reported_with_the_vehicle(name: str, run_json: RunJson) -> None:
+    printed, errors = run_json(*COMMANDS[name], "--set", "airframe.mass_kg=1.5")
     assert printed["vehicle"]["set"] == ["airframe.mass_kg=1.5"]
     assert printed["vehicle"]["mass_kg"] == 1.5
     assert "1.5 kg, with airframe.mass_kg=1.5" in errors
-    plain, errors = run_json(capsys, *COMMANDS[name])
+    plain, errors = run_json(*COMMANDS[name])
     assert "set" not in plain["vehicle"]
     assert ", with" not in errors
     assert plain != printed
 
 
-def test_identify_uses_the_mass_that_was_set(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_identify_uses_the_mass_that_was_set(folder: Path, run_json: RunJson) -> None:
     """The estimate of k is proportional to the mass."""
     trial = folder / "trial.csv"
     lines = ["time_s,normal_m"]
@@ -63,8 +52,8 @@ def test_identify_uses_the_mass_that_was_set(folder: Path, capsys: pytest.Captur
         x += h * v
     trial.write_text("\n".join(lines) + "\n")
     command = ["identify", str(trial), "--mode", "rigid"]
-    light, _ = run_json(capsys, *command)
-    heavy, errors = run_json(capsys, *command, "--set", "airframe.mass_kg=1.95")
+    light, _ = run_json(*command)
+    heavy, errors = run_json(*command, "--set", "airframe.mass_kg=1.95")
     k = [found["coefficients"]["rigid"]["k"]["value"] for found in (light, heavy)]
     assert k[1] == pytest.approx(1.5 * k[0], rel=0.02)
     assert heavy["vehicle"]["set"] == ["airframe.mass_kg=1.95"]
@@ -100,32 +89,27 @@ WRONG = {
 
 
 @pytest.mark.parametrize("setting", WRONG)
-def test_an_invalid_setting_is_refused_in_one_line(setting: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*PREDICT, "--set", setting]) == 2
-    errors = capsys.readouterr().err
-    assert errors.startswith(f"--set {setting.partition('=')[0]}")
-    assert WRONG[setting] in errors
-    assert errors.count("\n") == 1
+def test_an_invalid_setting_is_refused_in_one_line(setting: str, refusal_of: Refuse) -> None:
+    line = refusal_of(*PREDICT, "--set", setting)
+    assert line.startswith(f"--set {setting.partition('=')[0]}")
+    assert WRONG[setting] in line
 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name != "predict"])
-def test_every_command_refuses_an_unknown_key_with_the_same_line(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*COMMANDS[name], "--set", "airframe.mas_kg=2"]) == 2
-    assert capsys.readouterr().err == "--set airframe.mas_kg=2: unknown key, did you mean mass_kg?\n"
+def test_every_command_refuses_an_unknown_key_with_the_same_line(name: str, refusal_of: Refuse) -> None:
+    line = refusal_of(*COMMANDS[name], "--set", "airframe.mas_kg=2")
+    assert line == "--set airframe.mas_kg=2: unknown key, did you mean mass_kg?"
 
 
-def test_a_section_that_the_file_omits_can_be_set(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_section_that_the_file_omits_can_be_set(run_json: RunJson) -> None:
     text = packaged("configs", "dart.yaml").read_text()
     begin, end = text.index("  contact:    "), text.index("  imu_ringing: ")
     Path("old.yaml").write_text(text[:begin] + text[end:])
     settings = ["--set", "simulation.contact.body=guards", "--set", "simulation.imu_ringing.tone_m_s2=3"]
-    printed, _ = run_json(capsys, *PREDICT, "--config", "old.yaml", *settings)
+    printed, _ = run_json(*PREDICT, "--config", "old.yaml", *settings)
     assert printed["vehicle"]["set"] == settings[1::2]
 
 
-def test_set_is_refused_with_restitution(capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["predict", "--restitution", "0.5", "--velocity", "-1", "0", "--set", "airframe.mass_kg=2"]
-    assert main(command) == 2
-    assert "--restitution cannot be combined with --set" in capsys.readouterr().err
+def test_set_is_refused_with_restitution(refusal_of: Refuse) -> None:
+    words = ["predict", "--restitution", "0.5", "--velocity", "-1", "0", "--set", "airframe.mass_kg=2"]
+    assert "--restitution cannot be combined with --set" in refusal_of(*words)

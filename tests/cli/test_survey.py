@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
@@ -11,26 +10,20 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
+from tests.command_fixtures import Refuse, RunJson
 
 DUAL = packaged("missions", "dual_collision.yaml")
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
-    return tmp_path
-
-
-def test_displaced_walls_are_measured_and_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_displaced_walls_are_measured_and_written(
+    folder: Path, refusal_of: Refuse, run_json: RunJson
+) -> None:
     command = ["survey", str(DUAL), "--fast", "--seed", "4", "--vary", "wall_offset_m"]
-    command += ["--vary", "wall_yaw_deg"]
-    assert main([*command, "--output", "new/mission.yaml", "--json"]) == 2
-    assert "no such folder" in capsys.readouterr().err
+    command += ["--vary", "wall_yaw_deg", "--output", "new/mission.yaml"]
+    assert "no such folder" in refusal_of(*command, "--json")
     assert not (folder / "flights").exists(), "refused before the flight"
     (folder / "new").mkdir()
-    assert main([*command, "--output", "new/mission.yaml", "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    printed, _ = run_json(*command)
     assert printed["unreachable"] == {}
     assert printed["flight"]["outcome"] == "completed"
     drawn = printed["flight"]["drawn"]
@@ -53,10 +46,8 @@ def test_displaced_walls_are_measured_and_written(folder: Path, capsys: pytest.C
     assert [c.mode for c in after.collisions] == [c.mode for c in before.collisions]
 
 
-def test_a_touch_that_is_too_slow_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["survey", str(DUAL), "--fast", "--touch-speed", "0.1"])
-    assert "0.3" in capsys.readouterr().err
+def test_a_touch_that_is_too_slow_is_refused(refusal_of: Refuse) -> None:
+    assert "0.3" in refusal_of("survey", DUAL, "--fast", "--touch-speed", "0.1")
 
 
 @pytest.mark.rest
@@ -71,11 +62,10 @@ def test_a_plan_that_does_not_fit_the_measured_walls_is_reported(
 
 
 @pytest.mark.rest
-def test_an_unknown_room_is_mapped_and_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_room_is_mapped_and_written(folder: Path, run_json: RunJson) -> None:
     """The survey writes a closed outline, a map, and a mission whose walls match the simulated ones."""
     path = packaged("missions", "unknown_room.yaml")
-    assert main(["survey", str(path), "--fast", "--plot", "map.svg", "-o", "room.yaml", "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    printed, _ = run_json("survey", path, "--fast", "--plot", "map.svg", "-o", "room.yaml")
     assert printed["closed"] is True
     assert (folder / "map.svg").read_text("utf-8").startswith("<?xml")
     before, after = load_mission(path), load_mission("room.yaml")

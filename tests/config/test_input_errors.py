@@ -11,11 +11,11 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dart_flight.cli import main
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import load_mission, parse_mission
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.run.prepare import load_flyable
+from tests.command_fixtures import Refuse
 
 ROOT = Path(__file__).parents[2]
 DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()
@@ -96,23 +96,16 @@ def test_each_mistake_is_named_with_its_place(old: str, new: str, place: str, wo
     ],
     ids=lambda c: repr(c[:12]),
 )
-def test_a_file_that_is_not_a_mission_is_refused(
-    content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_not_a_mission_is_refused(content: bytes, tmp_path: Path, refusal_of: Refuse) -> None:
     path = tmp_path / "m.yaml"
     path.write_bytes(content)
-    assert main(["dry-run", str(path), "--fast", "--log-dir", str(tmp_path / "flights")]) == 2
-    output = capsys.readouterr()
-    assert output.out == ""
-    assert output.err.count("\n") == 1
-    assert str(path) in output.err
+    assert str(path) in refusal_of("dry-run", path, "--fast", "--log-dir", tmp_path / "flights")
     assert not (tmp_path / "flights").exists()  # nothing has started
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dry-run", str(tmp_path / "none.yaml")]) == 2
-    assert main(["dry-run", str(tmp_path)]) == 2
-    assert capsys.readouterr().err.count("\n") == 2
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path, refusal_of: Refuse) -> None:
+    for path in (tmp_path / "none.yaml", tmp_path):
+        assert str(path) in refusal_of("dry-run", path)
 
 
 @pytest.mark.parametrize(
@@ -128,16 +121,10 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path, capsys: pytest.
     ],
 )
 def test_wrong_arguments_are_refused_in_one_line_with_exit_status_2(
-    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    arguments: list[str], refusal_of: Refuse, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(ROOT)
-    try:
-        status: int | str | None = main(arguments)
-    except SystemExit as end:
-        status = end.code
-    streams = capsys.readouterr()
-    assert (status, streams.out) == (2, "")
-    assert len(streams.err.strip().splitlines()) == 1
+    refusal_of(*arguments)
 
 
 def test_a_refusal_is_the_status_of_the_process() -> None:

@@ -14,6 +14,7 @@ from dart_flight.config.mission_file import MissionFile
 from dart_flight.config.units import unit_from_name
 from dart_flight.config.vehicle import VehicleConfig, packaged
 from dart_flight.lab.search.scenario import ScenarioFile
+from tests.command_fixtures import Refuse
 
 ROOT = Path(__file__).parents[2]
 DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()
@@ -60,23 +61,20 @@ def test_every_number_has_a_lower_and_an_upper_limit(file: type) -> None:
     ],
 )
 def test_a_configuration_value_out_of_range_is_refused(
-    before: str, after: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    before: str, after: str, message: str, tmp_path: Path, refusal_of: Refuse
 ) -> None:
     assert before in CONFIG
     path = tmp_path / "dart.yaml"
     path.write_text(CONFIG.replace(before, after))
-    assert main(["check", str(ROOT / "missions/paper_dual_collision.yaml"), "--config", str(path)]) == 2
-    output = capsys.readouterr().err
-    assert message in output
-    assert output.count("\n") == 1
+    assert message in refusal_of("check", ROOT / "missions/paper_dual_collision.yaml", "--config", path)
 
 
-def test_a_mission_value_out_of_range_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mission_value_out_of_range_is_refused(tmp_path: Path, refusal_of: Refuse) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text(DUAL.replace("[0.12, 0.025]", "[25, 25]"))
-    assert main(["check", str(path)]) == 2
-    assert "alpha_m_per_n[0]: " in (errors := capsys.readouterr().err)
-    assert "0 to 1 m/N, not 25" in errors
+    line = refusal_of("check", path)
+    assert "alpha_m_per_n[0]: " in line
+    assert "0 to 1 m/N, not 25" in line
 
 
 def run_check(
@@ -120,23 +118,10 @@ def test_the_setpoint_of_the_second_recovery_is_checked_too(
 
 
 @pytest.mark.parametrize("scenario", ["dual_collision", "one_wall", "any_walls"])
-def test_a_planned_mission_passes_check(
-    scenario: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "planned.yaml"
-    assert (
-        main(
-            [
-                "plan",
-                str(packaged("missions", "scenarios", f"{scenario}.yaml")),
-                "-o",
-                str(path),
-                "--no-verify",
-            ]
-        )
-        == 0
-    )
-    assert main(["check", str(path)]) == 0
+def test_a_planned_mission_passes_check(scenario: str, tmp_path: Path) -> None:
+    path, source = str(tmp_path / "planned.yaml"), packaged("missions", "scenarios", f"{scenario}.yaml")
+    assert main(["plan", str(source), "-o", path, "--no-verify"]) == 0
+    assert main(["check", path]) == 0
 
 
 def test_units_are_read_from_names() -> None:

@@ -7,34 +7,23 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.base.records import Mode
-from dart_flight.config.document import InputError
+from dart_flight.config.document import Document, InputError, dotted, iterate_leaves
 from dart_flight.config.edit import edit_values
 from dart_flight.config.inherited import FOLLOWS_FROM, LOCK, Inherited, find_inherited
 from dart_flight.config.vehicle import default_config_path, load_vehicle, packaged
 
-OWN = {
-    "rigid_cage": (
-        0.9, 0.18, 0.006, 0.08, 0.09, 8.0, 15.6, 0.2, 2.0, (2100.0, 8.8, 0.3, 3.46), 4.0, 13.2, 0.1,
-    ),
-    "ring_guard_250g": (
-        0.25, 0.12, 0.0008, 0.055, 0.06, 2.0, 11.7, 0.06, 0.6, (1260.0, 3.6, 0.3, 0.96), 1.5, 9.9, 0.08,
-    ),
-}  # fmt: skip
+VEHICLES = ["rigid_cage", "ring_guard_250g"]
+AS_DART = {"imu.full_scale_m_s2", "imu.position_m"}  # the same flight controller in the same place
 
 
-@pytest.mark.parametrize("name", OWN)
-def test_a_vehicle_defines_every_value_that_scales_with_its_size(name: str) -> None:
-    v = load_vehicle(packaged("configs", f"{name}.yaml"))
-    acrylic = v.materials["acrylic"].coefficients(Mode.RIGID)
-    figures = (
-        v.airframe.mass_kg, v.airframe.contact_distance_m, v.airframe.inertia_kg_m2[0], v.airframe.arm_x_m,
-        v.airframe.guard_along_m, v.thrust.full_n, v.estimation.battery.reference_v,
-        v.estimation.thrust_error_n, v.estimation.baseline_limit_n,
-        (acrylic.k, acrylic.f, acrylic.mu, acrylic.nu), v.detection.force_threshold_n, v.guard.battery_v,
-        v.px4.mc_rollrate_p,
-    )  # fmt: skip
-    assert figures == OWN[name]
+@pytest.mark.parametrize("name", VEHICLES)
+def test_a_vehicle_defines_every_value_that_must_be_measured(name: str) -> None:
+    path = packaged("configs", f"{name}.yaml")
+    given = {dotted(key) for key, _ in iterate_leaves(Document.load(path).tree)}
+    assert {key for key in FOLLOWS_FROM if key not in given} == AS_DART
+    v = load_vehicle(path)
+    assert {key.split(".")[1] for key in given if key.startswith("materials.")} == set(v.materials)
+    assert v.airframe.mass_kg < load_vehicle(packaged("configs", "dart.yaml")).airframe.mass_kg
     body = v.simulation.contact
     assert (body.guard_out_m, body.guard_along_m) == (v.airframe.contact_distance_m, v.airframe.guard_along_m)
     assert v.simulation.battery_v == v.estimation.battery.reference_v
@@ -42,7 +31,7 @@ def test_a_vehicle_defines_every_value_that_scales_with_its_size(name: str) -> N
     assert all(material.flexible is None for material in v.materials.values())
 
 
-@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize("name", VEHICLES)
 def test_calibrate_can_write_its_values_into_each_configuration(name: str) -> None:
     text = packaged("configs", f"{name}.yaml").read_text("utf-8")
     battery = ("estimation", "battery")

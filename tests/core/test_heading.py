@@ -9,7 +9,7 @@ from dart_flight.core.mission.heading import Heading, HeadingControl
 from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
 from dart_flight.sim.embedded_autopilot import default_parameters
 from dart_flight.sim.plant import Plant
-from tests.sim.test_plant import HOVER, VEHICLE
+from tests.sim.plants import HOVER, VEHICLE
 
 SQUARE_RAD = 0.09
 STEP_S, WITHIN_S = 0.02, 5.0

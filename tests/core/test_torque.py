@@ -41,8 +41,7 @@ from dart_flight.sim.plant import Plant
 from tests.core.conftest import HOVER, known
 from tests.shared_campaigns import campaign_rows
 from tests.shared_flights import SharedFlights
-from tests.sim.test_body import WALL, before_the_wall, body_vehicle
-from tests.sim.test_plant import VEHICLE
+from tests.sim.plants import VEHICLE, WALL, before_the_wall, body_vehicle
 
 MASS, DT_S = VEHICLE.airframe.mass_kg, 0.004
 component = st.floats(-3.0, 3.0)

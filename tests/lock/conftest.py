@@ -11,8 +11,9 @@ import pytest
 
 from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
-from tests.lock.rigs import RIGS, Rig
+from tests.lock.rigs import RIGS, Rig, Vary
 
+RIGID_SWITCH = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23)
 BOTH_SWITCHES = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23, flexible_line=24)
 
 
@@ -24,7 +25,7 @@ def lock_config() -> LockConfig:
 
 
 @pytest.fixture(scope="session")
-def vary(lock_config: LockConfig) -> Callable[..., LockConfig]:
+def vary(lock_config: LockConfig) -> Vary:
     """The packaged lock configuration with some values changed: `vary(servo={...}, startup=...)`."""
 
     def varied(**changes: Any) -> LockConfig:
@@ -37,9 +38,7 @@ def vary(lock_config: LockConfig) -> Callable[..., LockConfig]:
 
 
 @pytest.fixture
-def make_rig(
-    vary: Callable[..., LockConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Callable[..., Rig]]:
+def make_rig(vary: Vary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Rig]]:
     """A rig of a kind of driver with a varied configuration: `make_rig(LockDriver.PWM, startup=...)`."""
     made: list[Rig] = []
 

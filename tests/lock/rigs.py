@@ -72,10 +72,14 @@ class Rig:
         return self.run(seconds)
 
     @property
+    def state(self) -> LockState:
+        """Present state of the session."""
+        return self.session.state
+
+    @property
     def fault(self) -> str | None:
         """The reason of the session's fault, or None without a fault."""
-        state = self.session.state
-        return state.reason if state.phase is LockPhase.FAULT else None
+        return self.state.reason if self.state.phase is LockPhase.FAULT else None
 
     def horn(self) -> Mode | None:
         """Return the mode of the modelled horn."""
@@ -110,10 +114,13 @@ class MockRig(Rig):
 
     KIND = LockDriver.MOCK
 
-    mock: MockDriver
+    def __init__(
+        self, config: LockConfig, faults: MockFaults | None = None, pulse_us: float | None = None
+    ) -> None:
+        self.mock = MockDriver(config, self.clock_us, faults=faults, pulse_us=pulse_us)
+        super().__init__(config)
 
     def make_driver(self) -> Driver:
-        self.mock = MockDriver(self.config, self.clock_us)
         return self.mock
 
     def horn_us(self) -> float:
@@ -294,3 +301,4 @@ RIGS: dict[LockDriver, Callable[..., Rig]] = {
     LockDriver.PX4: lambda config, folder, patch: Px4Rig(config),
 }
 MakeRig = Callable[..., Any]
+Vary = Callable[..., LockConfig]

@@ -1,24 +1,17 @@
-"""Calibration in small steps, and writing its result to the configuration file."""
+"""Calibration of the two ends in small steps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
 
 from dart_flight.base.records import Mode
-from dart_flight.config.document import InputError
-from dart_flight.config.edit import edit_values, write_values
-from dart_flight.config.vehicle import LockConfig, packaged
-from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock import ground
 from dart_flight.lock.calibration import STEP_US, Calibration, CalibrationError
 from dart_flight.lock.state_machine import DriverReading
-
-Vary = Callable[..., LockConfig]
+from tests.lock.rigs import Vary
 
 
 def test_both_ends_are_reached_in_small_steps_and_confirmed(vary: Vary) -> None:
@@ -96,82 +89,13 @@ def test_a_failed_step_keeps_the_last_reached_position(vary: Vary) -> None:
     assert steps.pulse_us == 1520.0
 
 
-# --- the file ----------------------------------------------------------------------------------------
-
-
-def test_writing_values_changes_nothing_else_in_the_file(tmp_path: Path) -> None:
-    before = packaged("configs", "dart.yaml").read_text()
-    path = tmp_path / "dart.yaml"
-    path.write_text(before)
-    path.chmod(0o640)
-    write_values(
-        path,
-        {
-            ("lock", "servo", "rigid_pulse_us"): 1932.25,
-            ("lock", "servo", "flexible_pulse_us"): 987.0,
-            ("lock", "servo", "direction"): 1,
-        },
-    )
-    after = path.read_text()
-    changed = [(a, b) for a, b in zip(before.splitlines(), after.splitlines(), strict=True) if a != b]
-    assert [b.split("#")[0].strip() for _, b in changed] == [
-        "rigid_pulse_us: 1932.25",
-        "flexible_pulse_us: 987.0",
-    ]
-    for a, b in changed:
-        assert a.index("#") == b.index("#")
-        assert a[a.index("#") :] == b[b.index("#") :]
-    lock = load_vehicle(path).lock
-    assert lock is not None
-    servo = lock.servo
-    assert (servo.rigid_pulse_us, servo.flexible_pulse_us) == (1932.25, 987.0)
-    assert path.stat().st_mode & 0o777 == 0o640
-    assert [entry.name for entry in tmp_path.iterdir()] == ["dart.yaml"]
-
-
-@pytest.mark.parametrize(
-    ("text", "key", "value", "expected"),
-    [
-        ("a: 1", ("a",), 12.5, "a: 12.5"),
-        ("a: {b: 1, c: 2}  # é\n", ("a", "c"), 30.0, "a: {b: 1, c: 30.0}  # é\n"),
-        ("a:\n  b: 12345.0 # tight\n", ("a", "b"), 1, "a:\n  b: 1       # tight\n"),
-        ("a: 1 # tight\nb: 2\n", ("a",), 123456.5, "a: 123456.5 # tight\nb: 2\n"),
-        ("é: 1\na: 'x'\n", ("a",), -3.0, "é: 1\na: -3.0\n"),
-    ],
-)
-def test_an_edit_replaces_the_value_and_keeps_the_layout(
-    text: str, key: tuple[str, ...], value: float, expected: str
-) -> None:
-    assert edit_values(text, {key: value}) == expected
-
-
-@pytest.mark.parametrize(("text", "key"), [("a: 1", ("b",)), ("a: {b: 1}", ("a",)), ("a:\nb: 1", ("a",))])
-def test_an_edit_without_a_value_to_replace_is_refused(text: str, key: tuple[str, ...]) -> None:
-    with pytest.raises(InputError, match="but the file has no value there"):
-        edit_values(text, {key: 1.0}, "f.yaml")
-
-
-def test_a_symbolic_link_to_the_file_is_kept(tmp_path: Path) -> None:
-    (tmp_path / "real.yaml").write_text("a: 1\n")
-    (tmp_path / "link.yaml").symlink_to(tmp_path / "real.yaml")
-    write_values(tmp_path / "link.yaml", {("a",): 2.0})
-    assert (tmp_path / "link.yaml").is_symlink()
-    assert (tmp_path / "real.yaml").read_text() == "a: 2.0\n"
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot read: No such file"):
-        write_values(tmp_path / "none.yaml", {("a",): 2.0})
-
-
 # --- on the ground -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("held_us", "start_us"), [(1400.0, 1400.0), (None, 1500.0)])
 def test_calibration_starts_at_the_current_pulse_or_the_middle(
-    vary: Vary, monkeypatch: pytest.MonkeyPatch, held_us: float | None, start_us: float
+    vary: Vary, held_us: float | None, start_us: float
 ) -> None:
-    monkeypatch.setattr("dart_flight.lock.ground.time.sleep", lambda seconds: None)
     driver, moved = Mock(), list[float]()
     driver.read.return_value = DriverReading(pulse_us=held_us)
     driver.set_pulse.side_effect = moved.append

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,8 +11,7 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.vehicle import LockConfig, LockDriver, VehicleConfig, packaged
 from dart_flight.lock import servo as calibration
 from dart_flight.lock.servo import ServoFaults, ServoModel
-
-Vary = Callable[..., LockConfig]
+from tests.lock.rigs import Vary
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from enum import Enum
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -129,11 +129,10 @@ def test_version_1_of_the_gpiod_package_is_refused(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_gpiod_package_that_fails_to_load_is_not_reported_as_missing(
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(name: str) -> None:
-        raise ImportError("libgpiod.so.3: cannot open shared object file")
-
-    monkeypatch.setattr(importlib, "import_module", broken)
+    (tmp_path / "gpiod.py").write_text("raise ImportError('libgpiod.so.3: cannot open shared object file')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "gpiod", raising=False)
     with pytest.raises(DriverError, match=r"cannot load the gpiod package: libgpiod\.so\.3"):
         GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))

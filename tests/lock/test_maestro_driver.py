@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from dart_flight.base.records import LockPhase, Mode
-from dart_flight.config.vehicle import LockConfig, LockDriver
+from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers import DriverError
 from dart_flight.lock.drivers.maestro import MaestroDriver, error_names
-from dart_flight.lock.servo import ServoFaults
-from tests.lock.rigs import MaestroRig, MakeRig
+from tests.lock.rigs import MaestroRig, MakeRig, Vary
 from tests.real_time import TooSlow
-
-Vary = Callable[..., LockConfig]
 
 
 @pytest.fixture
@@ -120,21 +116,6 @@ def test_a_silent_controller_raises_a_driver_error_within_1_5_s(rig: MaestroRig)
         raise TooSlow("the driver waits for more than 1.5 s")
     rig.controller.mute(False)
     assert rig.driver.read().pulse_us is None
-
-
-def test_a_stalled_servo_is_invisible_to_the_controller(rig: MaestroRig) -> None:
-    rig.begin()
-    rig.controller.set_servo_faults(ServoFaults(stall_fraction=0.5))
-    state = rig.travel(Mode.RIGID, 0.5)
-    assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.RIGID, False)
-    assert rig.horn() is None
-
-
-def test_a_clamped_channel_range_is_a_fault(rig: MaestroRig) -> None:
-    rig.controller.limits_us = (992.0, 1900.0)
-    rig.begin()
-    rig.travel(Mode.RIGID, 1.6)
-    assert rig.fault == "the controller outputs 1900 us instead of 1980 us"
 
 
 def test_an_unusable_port_is_a_driver_error(vary: Vary, tmp_path: Path) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
 
 from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.document import InputError
-from dart_flight.config.state_folder import state_dir
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.persistence import CommandStore, delete_last, load_last
 
@@ -22,15 +22,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def state(phase: LockPhase, mode: Mode | None, feedback: bool = False) -> LockState:
     return LockState(t_us=5, phase=phase, mode=mode, commanded_us=1, feedback=feedback)
-
-
-def test_the_state_folder_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert state_dir() == tmp_path / "state"
-    monkeypatch.delenv("DART_FLIGHT_STATE_DIR")
-    monkeypatch.setenv("XDG_STATE_HOME", "/x")
-    assert state_dir() == Path("/x/dart-flight")
-    monkeypatch.delenv("XDG_STATE_HOME")
-    assert state_dir() == Path.home() / ".local/state/dart-flight"
 
 
 @pytest.mark.parametrize(
@@ -81,19 +72,13 @@ def test_an_unreadable_record_is_an_error(folder: Path) -> None:
         load_last()
 
 
-def test_a_full_disk_is_reported_without_stopping_the_lock(
-    monkeypatch: pytest.MonkeyPatch, folder: Path
-) -> None:
-    def full(source: str, target: Path) -> None:
-        raise OSError(28, "No space left on device")
-
+def test_a_failed_write_is_reported_without_stopping_the_lock(folder: Path) -> None:
     store = CommandStore(LockDriver.PWM)
-    monkeypatch.setattr("os.replace", full)
+    (folder / "last_command.json" / "in the way").mkdir(parents=True)
     store.store(state(LockPhase.TRAVELLING, Mode.RIGID))
-    assert "No space left on device" in (store.problem or "")
-    assert list(folder.iterdir()) == []
-    monkeypatch.undo()
-    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(folder))
+    assert "Is a directory" in (store.problem or "")
+    assert [path.name for path in folder.iterdir()] == ["last_command.json"]
+    shutil.rmtree(folder / "last_command.json")
     store.store(state(LockPhase.TRAVELLING, Mode.RIGID))
     assert store.problem is None
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,9 +12,8 @@ import pytest
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock.drivers import DriverError, pwm
 from dart_flight.lock.drivers.pwm import PwmDriver
-from tests.lock.rigs import Sysfs
+from tests.lock.rigs import Sysfs, Vary
 
-Vary = Callable[..., LockConfig]
 DATA = Path(__file__).parents[1] / "data"
 
 
@@ -80,33 +78,36 @@ def test_the_driver_waits_for_the_exported_channel(
     ]
 
 
-def test_a_running_channel_is_adopted_without_a_glitch(config: LockConfig, sysfs: Sysfs) -> None:
-    PwmDriver(config).set_pulse(1980.0)
-    sysfs.writes.clear()
-    second = PwmDriver(config)
-    second.open()
-    assert second.read().pulse_us == 1980.0
-    assert sysfs.writes == []
+STARTED = {"period": "20000000", "duty_cycle": "1980000", "polarity": "normal", "enable": "1"}
 
 
-def test_a_wrong_period_and_polarity_are_corrected(config: LockConfig, sysfs: Sysfs) -> None:
-    sysfs.set(period="50000000", duty_cycle="30000000", polarity="inversed", enable="1")
-    PwmDriver(config).open()
-    assert sysfs.writes == [
-        ("pwm1/enable", b"0"),
-        ("pwm1/duty_cycle", b"0"),
-        ("pwm1/period", b"20000000"),
-        ("pwm1/polarity", b"normal"),
-    ]
-
-
-def test_a_running_inverted_channel_is_stopped_before_its_polarity_is_changed(
-    config: LockConfig, sysfs: Sysfs
+@pytest.mark.parametrize(
+    ("found", "written"),
+    [
+        (STARTED, []),  # adopted without a glitch
+        (  # the kernel refuses the polarity of a running channel
+            STARTED | {"polarity": "inversed"},
+            [("pwm1/enable", b"0"), ("pwm1/polarity", b"normal")],
+        ),
+        (
+            {"period": "50000000", "duty_cycle": "30000000", "polarity": "inversed", "enable": "1"},
+            [
+                ("pwm1/enable", b"0"),
+                ("pwm1/duty_cycle", b"0"),
+                ("pwm1/period", b"20000000"),
+                ("pwm1/polarity", b"normal"),
+            ],
+        ),
+    ],
+)
+def test_opening_corrects_a_running_channel_only_as_far_as_needed(
+    config: LockConfig, sysfs: Sysfs, found: dict[str, str], written: list[tuple[str, bytes]]
 ) -> None:
-    """The kernel refuses the polarity of a running channel."""
-    sysfs.set(period="20000000", duty_cycle="1500000", polarity="inversed", enable="1")
-    PwmDriver(config).open()
-    assert sysfs.writes == [("pwm1/enable", b"0"), ("pwm1/polarity", b"normal")]
+    sysfs.set(**found)
+    driver = PwmDriver(config)
+    driver.open()
+    assert driver.read().pulse_us == (None if written else 1980.0)
+    assert sysfs.writes == written
 
 
 def test_damaged_sysfs_entries_are_reported(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,9 +15,7 @@ from dart_flight.lock.drivers.px4_output import (
     parameter_problems,
     required_parameters,
 )
-from tests.lock.rigs import MakeRig
-
-Vary = Callable[..., LockConfig]
+from tests.lock.rigs import MakeRig, Vary
 
 
 def test_a_pulse_is_sent_as_an_actuator_value(make_rig: MakeRig) -> None:

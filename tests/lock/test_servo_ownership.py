@@ -9,7 +9,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -18,13 +18,14 @@ import pytest
 from dart_flight.config import held_files
 from dart_flight.config.document import InputError
 from dart_flight.config.held_files import shared_file
-from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import LockConfig, LockDriver, packaged
 from dart_flight.lock.drivers import ActuatorLink, DriverError, owned_driver
 from dart_flight.lock.drivers.pwm import PwmDriver
 from dart_flight.lock.persistence import ServoInUseError
 from dart_flight.run.app import FlightApp
 from tests.accounts import NOBODY, open_to_all
+from tests.lock.rigs import Vary
 
 ROOT = Path(__file__).parents[2]
 URL = "udpin://127.0.0.1:24871"
@@ -35,6 +36,7 @@ import msgspec
 from dart_flight.config.held_files import pass_kept
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock.drivers import ActuatorLink, owned_driver, pwm
+from tests.lock.rigs import Vary
 if sys.argv[4:]:
     os.setgroups([])
     os.umask(0o077)
@@ -56,14 +58,20 @@ print("child ended", flush=True)
 time.sleep(60)
 """
 
-Vary = Callable[..., LockConfig]
-
 
 def use(config: LockConfig) -> None:
     """Own the servo for a moment."""
     link = ActuatorLink(lambda index, value: None, URL)
     with owned_driver(config, clock_us=lambda: 0, link=link):
         pass
+
+
+def fly(config: LockConfig) -> None:
+    """Fly with this lock on a link without a vehicle."""
+    mission = load_mission(packaged("missions", "single_wall.yaml"))
+    vehicle = msgspec.structs.replace(mission.vehicle, lock=config)
+    app = FlightApp(msgspec.structs.replace(mission, vehicle=vehicle), URL, lambda record, number: None)
+    asyncio.run(app.run())
 
 
 def command_of(config: LockConfig, how: str, account: int | None) -> list[str]:
@@ -249,11 +257,8 @@ def test_a_flight_is_refused_before_it_connects(
     pwm: LockConfig, tmp_path: Path, holders: list[Holder]
 ) -> None:
     holders.append(Holder(tmp_path, pwm))
-    mission: Mission = load_mission(packaged("missions", "single_wall.yaml"))
-    vehicle = msgspec.structs.replace(mission.vehicle, lock=pwm)
-    app = FlightApp(msgspec.structs.replace(mission, vehicle=vehicle), URL, lambda record, number: None)
     with pytest.raises(ServoInUseError, match=f"process {holders[0].pid}$"):
-        asyncio.run(app.run())
+        fly(pwm)
 
 
 def test_a_flight_without_the_servos_chip_is_refused(pwm: LockConfig, chip: Path) -> None:
@@ -261,11 +266,8 @@ def test_a_flight_without_the_servos_chip_is_refused(pwm: LockConfig, chip: Path
     chip.rmdir()
     with pytest.raises(DriverError, match="pwmchip0 does not exist"):
         use(pwm)
-    mission = load_mission(packaged("missions", "single_wall.yaml"))
-    vehicle = msgspec.structs.replace(mission.vehicle, lock=pwm)
-    app = FlightApp(msgspec.structs.replace(mission, vehicle=vehicle), URL, lambda record, number: None)
     with pytest.raises(InputError, match=r"lock\.pwm\.chip: .* does not exist"):
-        asyncio.run(app.run())
+        fly(pwm)
 
 
 def test_a_computer_without_a_shared_folder_is_refused_in_one_line(

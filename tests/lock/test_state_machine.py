@@ -1,4 +1,4 @@
-"""The state machine with a modelled servo in simulated time: its rules, its faults, its properties."""
+"""The state machine with a modelled servo in simulated time: its rules and its faults."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from dart_flight.base.records import LockPhase, LockState, Mode
-from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockStartup
-from dart_flight.lock.drivers.mock import MockDriver, MockFaults
+from dart_flight.base.records import LockPhase, Mode
+from dart_flight.config.vehicle import LockConfig, LockStartup
+from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 from dart_flight.lock.state_machine import (
     NOT_PERMITTED,
@@ -19,50 +17,18 @@ from dart_flight.lock.state_machine import (
     CommandRefused,
     DriverReading,
     LockStateMachine,
-    SetPulse,
     describe,
     status_text,
 )
 
-from .conftest import BOTH_SWITCHES
-from .rigs import MockRig
-
-Vary = Callable[..., LockConfig]
-RIGID_SWITCH = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23)
-
-
-class SlowMock(MockDriver):
-    """The mock driver, whose readings take some simulated time."""
-
-    takes_us = 0
-    bench: Bench
-
-    def read(self) -> DriverReading:
-        reading = super().read()
-        self.bench.t_us += self.takes_us
-        return reading
+from .conftest import BOTH_SWITCHES, RIGID_SWITCH
+from .rigs import MockRig, Vary
 
 
 class Bench(MockRig):
     """The mock driver and its session, polled every 10 ms of simulated time."""
 
     POLL_US = 10_000
-    mock: SlowMock
-
-    def __init__(
-        self, config: LockConfig, faults: MockFaults | None = None, pulse_us: float | None = None
-    ) -> None:
-        self._faults, self._pulse_us = faults, pulse_us
-        super().__init__(config)
-
-    def make_driver(self) -> MockDriver:
-        self.mock = SlowMock(self.config, self.clock_us, faults=self._faults, pulse_us=self._pulse_us)
-        self.mock.bench = self
-        return self.mock
-
-    @property
-    def state(self) -> LockState:
-        return self.session.state
 
 
 def homed(config: LockConfig, faults: MockFaults | None = None) -> Bench:
@@ -82,22 +48,6 @@ def locking(config: LockConfig) -> LockStateMachine:
     machine.command(0, Mode.RIGID)
     machine.confirm_sent(0, config.servo.pulse_us(Mode.RIGID))
     return machine
-
-
-def test_a_travel_without_switches_settles_after_the_catalogues_time(vary: Vary) -> None:
-    bench = homed(vary())
-    started_us = bench.t_us
-    assert bench.session.command(Mode.RIGID) is None
-    assert (bench.state.phase, bench.state.mode) == (LockPhase.TRAVELLING, Mode.RIGID)
-    assert bench.state.commanded_us == started_us
-    state = bench.run(1.0)
-    assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.RIGID, False)
-    assert state.settled_us is not None
-    # The catalogue's 0.285 s and a margin of 0.03 s, at the next poll.
-    assert 0.315e6 <= state.settled_us - started_us <= 0.325e6
-    assert bench.horn() is Mode.RIGID
-    assert describe(state) == "rigid: settled (no feedback)"
-    assert status_text(state) == "lock rigid: settled (no feedback)"
 
 
 def test_a_switch_confirms_the_arrival_without_the_margin(vary: Vary) -> None:
@@ -243,65 +193,77 @@ def test_a_slow_servo_with_a_switch_settles_late(vary: Vary) -> None:
     assert 0.84e6 < state.settled_us - started_us < 0.9e6
 
 
+LOST_PULSE = DriverReading(None)
+AT_FLEXIBLE, AT_RIGID = DriverReading(1020.0), DriverReading(1980.0)
+CLAMPED = DriverReading(1900.0, errors=("protocol error",))
+NOT_ACCEPTED = "fault; the driver did not accept the command within 1.5 s"
+SILENT = "fault; the driver reported nothing within 1.5 s"
+TOO_EARLY = "fault; after the travel time, no reading arrived within 1.5 s of the command"
+BAD_PULSE = "fault; the controller outputs 1900 us instead of 1980 us; protocol error"
+
+# Inputs of the machine with their times, and the description of its state after them: a mode is a command, a
+# number is a pulse that the driver has accepted, None is a step.
+# fmt: off
+TIMELINES: dict[str, tuple[tuple[int, Any, str], ...]] = {
+    "a command that the driver does not accept is a fault": (
+        (0, Mode.FLEXIBLE, UNLOCKING), (1490, None, UNLOCKING), (1500, None, NOT_ACCEPTED)),
+    "a driver that reports nothing is a fault": (
+        (0, Mode.FLEXIBLE, UNLOCKING), (10, 1020.0, UNLOCKING), (1490, None, UNLOCKING),
+        (1500, None, SILENT)),
+    "a reading before the end of the travel time does not suffice": (
+        (0, Mode.FLEXIBLE, UNLOCKING), (10, 1020.0, UNLOCKING), (200, AT_FLEXIBLE, UNLOCKING),
+        (1490, None, UNLOCKING), (1500, None, TOO_EARLY)),
+    "a clamped pulse is a fault": (
+        (0, Mode.RIGID, LOCKING), (0, 1980.0, LOCKING), (400, CLAMPED, LOCKING), (1500, None, BAD_PULSE)),
+    "the travel time starts when the driver first accepts the travel's pulse": (
+        (0, 1020.0, "unknown"), (0, Mode.FLEXIBLE, UNLOCKING), (5, 1980.0, UNLOCKING),
+        (10, 1020.0, UNLOCKING), (200, 1020.0, UNLOCKING), (320, AT_FLEXIBLE, UNLOCKING),
+        (330, AT_FLEXIBLE, UNLOCKED)),
+    "a reading from before the command is ignored": (  # it was delivered after the command
+        (0, Mode.FLEXIBLE, UNLOCKING), (15, 1020.0, UNLOCKING), (0, LOST_PULSE, UNLOCKING),
+        (20, LOST_PULSE, UNLOCKING), (40, LOST_PULSE, LOST)),
+    "a fault does not shorten the next travel's debounce time": (
+        (0, Mode.FLEXIBLE, UNLOCKING), (0, 1020.0, UNLOCKING), (0, LOST_PULSE, UNLOCKING),
+        (20, LOST_PULSE, LOST), (100, Mode.FLEXIBLE, UNLOCKING),
+        (100, 1020.0, UNLOCKING), (110, LOST_PULSE, UNLOCKING), (120, AT_FLEXIBLE, UNLOCKING),
+        (420, AT_FLEXIBLE, UNLOCKED)),
+}
+# fmt: on
+
+
+@pytest.mark.parametrize("name", TIMELINES)
+def test_a_timeline_leads_through_the_expected_states(vary: Vary, name: str) -> None:
+    machine = LockStateMachine(vary())
+    machine.permit(0, True)
+    for t_ms, given, says in TIMELINES[name]:
+        t_us = 1000 * t_ms
+        if isinstance(given, Mode):
+            machine.command(t_us, given)
+        elif isinstance(given, DriverReading):
+            machine.reading(t_us, given)
+        elif given is None:
+            machine.step(t_us)
+        else:
+            machine.confirm_sent(t_us, given)
+        assert describe(machine.state) == says, (t_ms, given)
+
+
+def test_a_travel_is_due_its_time_after_the_accepted_pulse(vary: Vary) -> None:
+    machine = LockStateMachine(vary())
+    machine.command(0, Mode.FLEXIBLE)
+    assert machine.due_us is None
+    machine.confirm_sent(10_000, 1020.0)
+    assert machine.due_us == 10_000 + 315_000
+    machine.reading(330_000, AT_FLEXIBLE)
+    assert machine.due_us is None
+
+
 def test_a_bouncing_switch_neither_confirms_nor_causes_a_fault(vary: Vary) -> None:
     machine = locking(vary(limit_switch=BOTH_SWITCHES))
     for t_us in range(10_000, 1_000_000, 10_000):
         closed = (t_us // 10_000) % 2 == 0
         machine.reading(t_us, DriverReading(1980.0, rigid_switch=closed, flexible_switch=False))
         assert machine.state.phase is LockPhase.TRAVELLING
-
-
-def test_a_clamped_pulse_is_a_fault(vary: Vary) -> None:
-    machine = locking(vary())
-    machine.reading(400_000, DriverReading(1900.0, errors=("protocol error",)))
-    assert machine.state.phase is LockPhase.TRAVELLING
-    machine.step(1_500_000)
-    assert (machine.state.phase, machine.state.reason) == (
-        LockPhase.FAULT,
-        "the controller outputs 1900 us instead of 1980 us; protocol error",
-    )
-
-
-@pytest.mark.parametrize(
-    ("sent_us", "reading_us", "reason"),
-    [
-        (None, 400_000, "the driver did not accept the command within 1.5 s"),
-        (10_000, None, "the driver reported nothing within 1.5 s"),
-        (10_000, 200_000, "after the travel time, no reading arrived within 1.5 s of the command"),
-    ],
-)
-def test_a_command_without_a_timely_reading_is_a_fault(
-    vary: Vary, sent_us: int | None, reading_us: int | None, reason: str
-) -> None:
-    machine = LockStateMachine(vary())
-    machine.command(0, Mode.FLEXIBLE)
-    if sent_us is not None:
-        machine.confirm_sent(sent_us, 1020.0)
-    if reading_us is not None:
-        machine.reading(reading_us, DriverReading(1020.0))
-    for t_us in range(400_000, 1_490_000, 10_000):
-        machine.step(t_us)
-        assert machine.state.phase is LockPhase.TRAVELLING
-    machine.step(1_500_000)
-    assert (machine.state.phase, machine.state.reason) == (LockPhase.FAULT, reason)
-
-
-def test_the_travel_time_starts_when_the_driver_first_accepts_the_travels_pulse(vary: Vary) -> None:
-    machine = LockStateMachine(vary())
-    machine.confirm_sent(0, 1020.0)  # before any travel
-    machine.command(0, Mode.FLEXIBLE)
-    assert machine.due_us is None
-    machine.confirm_sent(5_000, 1980.0)  # another pulse
-    assert machine.due_us is None
-    for t_us in (10_000, 200_000):
-        machine.confirm_sent(t_us, 1020.0)
-        assert machine.due_us == 10_000 + 315_000
-    phases = []
-    for t_us in (320_000, 330_000):
-        machine.reading(t_us, DriverReading(1020.0))
-        phases.append(machine.state.phase)
-    assert phases == [LockPhase.TRAVELLING, LockPhase.SETTLED]
-    assert machine.due_us is None
 
 
 def test_both_states_of_a_slow_reading_are_reported(vary: Vary) -> None:
@@ -314,58 +276,28 @@ def test_both_states_of_a_slow_reading_are_reported(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
     bench.session.command(Mode.RIGID)
     bench.run((settled_us - started_us) * 1e-6 - 0.01)
-    bench.mock.takes_us = 2_000_000
+    read = bench.mock.read
+
+    def read_slowly() -> DriverReading:
+        reading = read()
+        bench.t_us += 2_000_000
+        return reading
+
+    bench.mock.read = read_slowly  # type: ignore[method-assign]
     bench.states.clear()
     bench.run(0.01)
     assert [state.phase for state in bench.states] == [LockPhase.SETTLED, LockPhase.FAULT]
 
 
-def test_a_reading_from_before_the_command_is_ignored(vary: Vary) -> None:
-    machine = LockStateMachine(vary())
-    machine.command(0, Mode.FLEXIBLE)
-    machine.confirm_sent(15_000, 1020.0)
-    machine.reading(0, DriverReading(None))  # measured before the command, delivered after it
-    phases = []
-    for t_us in (20_000, 40_000):
-        machine.reading(t_us, DriverReading(None))
-        phases.append(machine.state.phase)
-    assert phases == [LockPhase.TRAVELLING, LockPhase.FAULT]
-
-
 def test_a_confirmed_state_needs_readings_to_stay_confirmed(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
-    machine = bench.session.machine
-    machine.step(bench.t_us + 1_400_000)
-    assert machine.state.phase is LockPhase.SETTLED
-    machine.step(bench.t_us + 1_600_000)
-    assert (machine.state.phase, machine.state.reason) == (
-        LockPhase.FAULT,
-        "the driver gave no reading for 1.6 s",
-    )
-
-
-def test_a_state_without_a_switch_needs_no_further_readings(vary: Vary) -> None:
-    bench = homed(vary())
-    bench.session.machine.step(bench.t_us + 60_000_000)
+    bench.session.machine.step(bench.t_us + 1_400_000)
     assert bench.state.phase is LockPhase.SETTLED
-
-
-def test_a_fault_does_not_shorten_the_next_travels_debounce_time(vary: Vary) -> None:
-    """The debounce time starts again with the new travel."""
-    machine = LockStateMachine(vary())
-    machine.command(0, Mode.FLEXIBLE)
-    for t_us in (0, 20_000, 40_000):
-        machine.confirm_sent(0, 1020.0)
-        machine.reading(t_us, DriverReading(None))
-    assert machine.state.phase is LockPhase.FAULT
-    machine.command(100_000, Mode.FLEXIBLE)
-    machine.confirm_sent(100_000, 1020.0)
-    machine.reading(110_000, DriverReading(None))  # the controller needs a moment
-    phases = []
-    for t_us in (120_000, 420_000):
-        machine.reading(t_us, DriverReading(1020.0))
-        phases.append(machine.state.phase)
-    assert phases == [LockPhase.TRAVELLING, LockPhase.SETTLED]
+    bench.session.machine.step(bench.t_us + 1_600_000)
+    assert bench.fault == "the driver gave no reading for 1.6 s"
+    without_switch = homed(vary())
+    without_switch.session.machine.step(without_switch.t_us + 60_000_000)
+    assert without_switch.state.phase is LockPhase.SETTLED
 
 
 # --- pulses off, start-up ----------------------------------------------------------------------------
@@ -385,69 +317,43 @@ def test_the_mock_loses_its_pulse_during_the_travel_unless_it_was_released(vary:
     assert other.mock.read().errors == ()
 
 
-def test_homing_moves_the_lock_to_the_home_mode(vary: Vary) -> None:
-    bench = Bench(vary(), pulse_us=1700.0)
-    assert bench.session.start() is None
-    assert bench.run(1.0).mode is Mode.FLEXIBLE
-    assert bench.horn() is Mode.FLEXIBLE
-
-
 def test_homing_to_rigid_needs_permission(vary: Vary) -> None:
     bench = Bench(vary(home_mode=Mode.RIGID))
     assert bench.session.start() == CommandRefused("rigid", NOT_PERMITTED)
     assert bench.state.phase is LockPhase.UNKNOWN
 
 
+NO_POSITION = "unknown; no position found: "
+
+
 @pytest.mark.parametrize(
-    ("reading", "mode", "feedback", "reason"),
+    ("reading", "says"),
     [
-        (None, None, False, "no position found: the driver gave no reading"),
-        (DriverReading(None), None, False, "the servo's position is unknown: its pulses are off"),
-        (
-            DriverReading(1500.0),
-            None,
-            False,
-            "no position found: the pulse of 1500 us belongs to neither end",
-        ),
-        (DriverReading(1980.0), Mode.RIGID, False, None),
-        (DriverReading(None, rigid_switch=True), Mode.RIGID, True, None),
-        (DriverReading(1020.0, flexible_switch=True), Mode.FLEXIBLE, True, None),
+        (None, f"{NO_POSITION}the driver gave no reading"),
+        (LOST_PULSE, "unknown; the servo's position is unknown: its pulses are off"),
+        (DriverReading(1500.0), f"{NO_POSITION}the pulse of 1500 us belongs to neither end"),
+        (AT_RIGID, LOCKED),
+        (DriverReading(None, rigid_switch=True), CONFIRMED),
+        (DriverReading(1020.0, flexible_switch=True), OPEN),
         (
             DriverReading(1020.0, rigid_switch=True),
-            None,
-            False,
-            "no position found: pulse and rigid limit switch contradict each other",
+            f"{NO_POSITION}pulse and rigid limit switch contradict each other",
         ),
         (
             DriverReading(None, rigid_switch=True, flexible_switch=True),
-            None,
-            False,
-            "no position found: both limit switches are closed",
+            f"{NO_POSITION}both limit switches are closed",
         ),
     ],
 )
-def test_adoption_requires_a_consistent_reading(
-    vary: Vary, reading: DriverReading | None, mode: Mode | None, feedback: bool, reason: str | None
-) -> None:
+def test_adoption_requires_a_consistent_reading(vary: Vary, reading: DriverReading | None, says: str) -> None:
     machine = LockStateMachine(vary(startup=LockStartup.ADOPT))
     assert machine.start(0, reading) == []
-    if mode is None or reading is None:
-        assert (machine.state.phase, machine.state.mode) == (LockPhase.UNKNOWN, None)
-        assert machine.state.reason == reason
-        return
-    # The last process may have died during the travel, so the machine waits for its end.
-    assert machine.state.phase is LockPhase.TRAVELLING
-    for t_us in range(10_000, 400_000, 10_000):
-        machine.reading(t_us, reading)
-    assert (machine.state.phase, machine.state.mode) == (LockPhase.SETTLED, mode)
-    assert machine.state.feedback is feedback
-
-
-def test_a_contact_does_not_retract_adopted_rigid_rods(vary: Vary) -> None:
-    machine = LockStateMachine(vary(startup=LockStartup.ADOPT))
-    machine.start(0, DriverReading(1980.0))
-    assert machine.permit(10_000, False) == []
-    assert machine.state.mode is Mode.RIGID
+    if reading is not None and machine.state.phase is LockPhase.TRAVELLING:
+        # The last process may have died during the travel, so the machine waits for its end.
+        assert machine.permit(10_000, False) == [], "a contact does not retract adopted rods"
+        for t_us in range(20_000, 400_000, 10_000):
+            machine.reading(t_us, reading)
+    assert describe(machine.state) == says
 
 
 def test_a_driver_that_cannot_be_opened_is_a_fault(vary: Vary) -> None:
@@ -472,97 +378,3 @@ def test_the_status_text_fits_into_50_ascii_bytes(vary: Vary) -> None:
     text = status_text(bench.run(2.0))
     assert text == "lock fault; the flexible limit switch did not open"
     assert len(text.encode()) == 50
-
-
-faults = st.builds(
-    MockFaults,
-    servo=st.builds(
-        ServoFaults,
-        stuck=st.booleans(),
-        slow=st.sampled_from([1.0, 1.0, 2.5, 9.0]),
-        stall_fraction=st.none() | st.floats(0.0, 1.0),
-    ),
-    unplugged=st.booleans(),
-    brown_out=st.booleans(),
-    switch_silent=st.booleans(),
-)
-script_steps = st.one_of(
-    st.tuples(st.just("command"), st.sampled_from(Mode)),
-    st.tuples(st.just("permit"), st.booleans()),
-    st.tuples(st.just("inject"), faults),
-    st.tuples(st.just("release"), st.none()),
-    st.tuples(st.just("run"), st.floats(0.0, 0.7)),
-)
-
-
-@given(
-    script=st.lists(script_steps, max_size=25),
-    switches=st.sampled_from([None, BOTH_SWITCHES, RIGID_SWITCH]),
-    adopt=st.booleans(),
-    horn_us=st.floats(1020.0, 1980.0),
-)
-def test_the_reported_state_is_true_after_any_script(
-    *,
-    lock_config: LockConfig,
-    vary: Vary,
-    script: list[tuple[str, object]],
-    switches: LimitSwitch | None,
-    adopt: bool,
-    horn_us: float,
-) -> None:
-    startup = LockStartup.ADOPT if adopt else LockStartup.HOME
-    bench = Bench(vary(limit_switch=switches, startup=startup), pulse_us=horn_us)
-    bench.session.start()
-    permitted = False
-    for action, value in script:
-        before = bench.state
-        if action == "command":
-            assert isinstance(value, Mode)
-            refused = bench.session.command(value)
-            if value is Mode.RIGID and not permitted and refused is None:
-                assert bench.state is before  # no new travel has begun
-        elif action == "permit":
-            permitted = bool(value)
-            bench.session.permit(permitted)
-        elif action == "inject":
-            assert isinstance(value, MockFaults)
-            bench.mock.inject(value)
-        elif action == "release":
-            bench.session.release()
-        else:
-            assert isinstance(value, float)
-            for _ in range(round(value * 100)):
-                bench.run(0.01)
-                state = bench.state
-                assert (state.phase is LockPhase.SETTLED) == (state.settled_us is not None)
-                assert (state.mode is None) == (state.phase in (LockPhase.UNKNOWN, LockPhase.FAULT))
-                assert state.feedback <= (state.phase is LockPhase.SETTLED)
-                if state.phase is LockPhase.SETTLED and state.feedback:
-                    assert bench.horn() is state.mode
-                if state.phase is LockPhase.TRAVELLING:
-                    assert state.t_us >= bench.t_us - round(lock_config.timeout_s * 1e6)
-
-
-@given(
-    events=st.lists(st.tuples(st.sampled_from(["rigid", "flexible", "on", "off"]), st.integers(0, 400_000)))
-)
-def test_a_rigid_pulse_is_never_sent_without_permission(
-    lock_config: LockConfig, events: list[tuple[str, int]]
-) -> None:
-    machine = LockStateMachine(lock_config)
-    t_us, permitted, pulse = 0, False, 1020.0
-    for event, elapsed in events:
-        t_us += elapsed
-        machine.reading(t_us, DriverReading(pulse))
-        if event in ("on", "off"):
-            permitted = event == "on"
-            actions = machine.permit(t_us, permitted)
-        else:
-            actions = machine.command(t_us, Mode(event))
-        for action in actions:
-            if isinstance(action, SetPulse):
-                assert permitted or action.mode is Mode.FLEXIBLE
-                pulse = action.pulse_us
-                machine.confirm_sent(t_us, pulse)
-        if not permitted and machine.state.phase is LockPhase.TRAVELLING:
-            assert machine.state.mode is Mode.FLEXIBLE

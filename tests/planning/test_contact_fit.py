@@ -30,7 +30,7 @@ from dart_flight.planning.contact_fit import (
 )
 from tests.oracles.point_law import contact_force
 from tests.shared_campaigns import campaign_rows
-from tests.sim.test_plant import VEHICLE as AS_SHIPPED
+from tests.sim.plants import VEHICLE as AS_SHIPPED
 
 VEHICLE = msgspec.structs.replace(
     AS_SHIPPED,

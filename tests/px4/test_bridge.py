@@ -61,18 +61,28 @@ def pair(booting: Pair) -> Iterator[Pair]:
         yield booting
 
 
-def mode_of(vehicle: Px4Vehicle) -> Mode:
-    return vehicle.plant.mode
+class Bridge:
+    """A vehicle whose simulator has a link to the fake PX4."""
+
+    def __init__(self, pair: Pair, mission: Mission, **options: Any) -> None:
+        self.link, self.fake = pair
+        self.vehicle = Px4Vehicle(mission, 1, self.link, **options)
+
+    def fly(self, ticks: int, arriving: str = "HIL_SENSOR") -> list[Any]:
+        """Advance by `ticks`, and return the messages of a kind that PX4 has received by then."""
+        for _ in range(ticks):
+            self.vehicle.step()
+        sensors, now_us = "HIL_SENSOR", self.vehicle.time_us
+        self.fake.wait_for(
+            lambda: self.fake.received_of(sensors)[-1].time_usec == now_us, 10.0, "the last tick"
+        )
+        return self.fake.received_of(arriving)
 
 
-def fly(vehicle: Px4Vehicle, ticks: int, fake: FakePx4, arriving: str = "HIL_SENSOR") -> list[Any]:
-    """Advance by `ticks`, and return the messages of a kind that PX4 has received by then."""
-    for _ in range(ticks):
-        vehicle.step()
-    fake.wait_for(
-        lambda: fake.received_of("HIL_SENSOR")[-1].time_usec == vehicle.time_us, 10.0, "the last tick"
-    )
-    return fake.received_of(arriving)
+@pytest.fixture
+def bridge(pair: Pair, mission: Mission) -> Bridge:
+    """A vehicle with motion capture."""
+    return Bridge(pair, mission)
 
 
 def test_the_plant_has_the_motors_of_px4s_parameters(mission: Mission, pair: Pair) -> None:
@@ -84,14 +94,13 @@ def test_the_plant_has_the_motors_of_px4s_parameters(mission: Mission, pair: Pai
     assert vehicle.plant.mass == own.mass_kg
 
 
-def test_px4_answers_every_tick_on_the_simulators_clock(mission: Mission, pair: Pair) -> None:
-    link, fake = pair
-    vehicle = Px4Vehicle(mission, 1, link)
+def test_px4_answers_every_tick_on_the_simulators_clock(bridge: Bridge) -> None:
+    link, vehicle = bridge.link, bridge.vehicle
     for i in range(250):
         vehicle.step()
         assert link.controls.time_us == vehicle.time_us == (i + 1) * 4000
     assert link.locked
-    sensors = fake.received_of("HIL_SENSOR")
+    sensors = bridge.fake.received_of("HIL_SENSOR")
     assert [m.time_usec for m in sensors] == [4000 * (i + 1) for i in range(250)]
     assert {m.id for m in sensors} == {0}
     # At rest: gravity upwards on the accelerometer, pressure of the home altitude, the earth's field.
@@ -103,27 +112,21 @@ def test_px4_answers_every_tick_on_the_simulators_clock(mission: Mission, pair: 
     assert sum(m.pressure_alt for m in slow) / 50 == pytest.approx(488.0, abs=0.5)
 
 
-def test_px4_receives_poses_and_no_gps_indoors(mission: Mission, pair: Pair) -> None:
-    link, fake = pair
-    vehicle = Px4Vehicle(mission, 1, link)
-    fly(vehicle, 250, fake)
-    poses = fake.received_of("ODOMETRY")
+def test_px4_receives_poses_and_no_gps_indoors(bridge: Bridge) -> None:
+    poses = bridge.fly(250, "ODOMETRY")
     assert 95 <= len(poses) <= 100
-    assert not fake.received_of("HIL_GPS")
+    assert not bridge.fake.received_of("HIL_GPS")
     assert math.isnan(poses[-1].vx)
     assert math.hypot(poses[-1].x, poses[-1].y, poses[-1].z) < 0.01
     # A pose precedes the HIL_SENSOR of its tick, which advances the clock that PX4 stamps the pose with.
-    kinds = [m.get_type() for m in fake.received]
-    assert kinds[-1] == "HIL_SENSOR"
+    assert bridge.fake.received[-1].get_type() == "HIL_SENSOR"
 
 
 def test_px4_receives_gps_and_no_poses_outdoors(mission: Mission, pair: Pair) -> None:
-    link, fake = pair
-    vehicle = Px4Vehicle(mission, 1, link, position_from=PositionSource.RTK)
-    fly(vehicle, 500, fake)
-    fixes = fake.received_of("HIL_GPS")
+    outdoors = Bridge(pair, mission, position_from=PositionSource.RTK)
+    fixes = outdoors.fly(500, "HIL_GPS")
     assert 18 <= len(fixes) <= 20
-    assert not fake.received_of("ODOMETRY")
+    assert not outdoors.fake.received_of("ODOMETRY")
     for fix in fixes:
         assert fix.fix_type == 6
         assert abs(fix.lat - HOME_LAT_DEG * 1e7) < 12  # 0.13 m
@@ -131,32 +134,31 @@ def test_px4_receives_gps_and_no_poses_outdoors(mission: Mission, pair: Pair) ->
         assert fix.eph == 2
 
 
-def test_motor_commands_reach_the_plant_and_lift_it(mission: Mission, pair: Pair) -> None:
-    link, fake = pair
-    vehicle = Px4Vehicle(mission, 1, link)
-    fake.controls, fake.armed = (0.8,) * 4 + (0.0,) * 12, True
-    fly(vehicle, 250, fake)
-    assert vehicle.armed
-    assert vehicle.plant.position[2] < -1.0
-    assert math.hypot(*vehicle.plant.position[:2]) < 0.05
+def test_motor_commands_reach_the_plant_and_lift_it(bridge: Bridge) -> None:
+    bridge.fake.controls, bridge.fake.armed = (0.8,) * 4 + (0.0,) * 12, True
+    bridge.fly(250)
+    assert bridge.vehicle.armed
+    position = bridge.vehicle.plant.position
+    assert position[2] < -1.0
+    assert math.hypot(*position[:2]) < 0.05
 
 
 def test_the_servo_follows_its_channel_only_while_armed(mission: Mission, pair: Pair) -> None:
-    link, fake = pair
     mission = with_driver(mission, LockDriver.PX4)
-    vehicle = Px4Vehicle(mission, 1, link)
+    bridge = Bridge(pair, mission)
+    fake, plant = bridge.fake, bridge.vehicle.plant
     lock = mission.vehicle.lock
     assert lock is not None
     controls = [0.0] * 16
     controls[servo_channel(mission.vehicle)] = actuator_value(lock, lock.servo.rigid_pulse_us)
     fake.controls = tuple(controls)
-    fly(vehicle, 100, fake)
-    assert mode_of(vehicle) is Mode.FLEXIBLE  # outputs of a disarmed PX4 do not move the servo
-    fake.armed = True
-    fly(vehicle, 60, fake)
-    assert mode_of(vehicle) is Mode.FLEXIBLE  # 0.24 s: still travelling
-    fly(vehicle, 40, fake)
-    assert mode_of(vehicle) is Mode.RIGID
+    modes = []
+    for armed, ticks in ((False, 100), (True, 60), (True, 40)):
+        fake.armed = armed
+        bridge.fly(ticks)
+        modes.append(plant.mode)
+    # Outputs of a disarmed PX4 do not move the servo, and after 0.24 s it still travels.
+    assert modes == [Mode.FLEXIBLE, Mode.FLEXIBLE, Mode.RIGID]
 
 
 @pytest.mark.parametrize("value", [160.0, -160.0, 300.0, -300.0, 156.9, -156.9])
@@ -174,19 +176,16 @@ def test_a_reading_below_full_scale_is_unchanged() -> None:
     assert accelerometer_output(400.0, 313.8) == ACCELEROMETER_LIMIT_M_S2  # PX4's upper limit
 
 
-def test_an_impact_beyond_full_scale_is_sent_saturated_and_counted(mission: Mission, pair: Pair) -> None:
-    link, fake = pair
-    vehicle = Px4Vehicle(mission, 1, link)
-    plant = vehicle.plant
+def test_an_impact_beyond_full_scale_is_sent_saturated_and_counted(bridge: Bridge) -> None:
+    plant = bridge.vehicle.plant
     plant.set_mode(Mode.RIGID)
     acrylic = plant.planes[1]
     # 4 m/s into the wall at x = 1.65 m: 254 N, 20 g.
     plant.position = (acrylic.point[0] - 0.05, 0.0, -1.0)
     plant.velocity = (4.0, 0.0, 0.0)
-    fly(vehicle, 25, fake)
-    lowest = min(m.xacc for m in fake.received_of("HIL_SENSOR"))
+    lowest = min(m.xacc for m in bridge.fly(25))
     assert lowest == pytest.approx(-ACCELEROMETER_LIMIT_M_S2, abs=1e-3)
-    assert vehicle.clipped >= 3
+    assert bridge.vehicle.clipped >= 3
 
 
 def test_the_plant_runs_without_answers_only_while_px4_boots(
@@ -215,20 +214,17 @@ def test_the_plant_runs_without_answers_only_while_px4_boots(
 
 
 def test_a_closed_connection_is_a_lost_px4(mission: Mission, booting: Pair) -> None:
-    link, fake = booting
-    with fake:
-        vehicle = Px4Vehicle(mission, 1, link)
-        fly(vehicle, 3, fake)
+    bridge = Bridge(booting, mission)
+    with bridge.fake:
+        bridge.fly(3)
     with pytest.raises(Px4LostError, match="closed"):
-        vehicle.step()
+        bridge.vehicle.step()
 
 
-def test_bytes_that_are_not_mavlink_are_skipped(mission: Mission, pair: Pair) -> None:
-    link, fake = pair
-    vehicle = Px4Vehicle(mission, 1, link)
-    fake.send_bytes(b"\xfd\x09garbage" * 20)
-    fly(vehicle, 50, fake)
-    assert link.locked
+def test_bytes_that_are_not_mavlink_are_skipped(bridge: Bridge) -> None:
+    bridge.fake.send_bytes(b"\xfd\x09garbage" * 20)
+    bridge.fly(50)
+    assert bridge.link.locked
 
 
 def test_geodetic_is_the_inverse_of_px4s_projection() -> None:
@@ -245,15 +241,10 @@ def test_geodetic_is_the_inverse_of_px4s_projection() -> None:
 
 
 def test_wind_reaches_the_plant_and_still_air_does_not(mission: Mission, pair: Pair) -> None:
-    link, fake = pair
-    simulation = msgspec.structs.replace(
-        mission.vehicle.simulation, wind_north_east_m_s=(5.0, 0.0), gust_m_s=0.5
-    )
-    windy = msgspec.structs.replace(
-        mission, vehicle=msgspec.structs.replace(mission.vehicle, simulation=simulation)
-    )
-    vehicle = Px4Vehicle(windy, 1, link)
-    fly(vehicle, 100, fake)
-    assert 3.0 < vehicle.plant.wind_ned[0] < 7.0
-    assert vehicle.plant.wind_ned[1] != 0.0
-    assert Px4Vehicle(mission, 1, link).plant.wind_ned == (0.0, 0.0, 0.0)
+    wind = {"vehicle.simulation.wind_north_east_m_s": [5.0, 0.0], "vehicle.simulation.gust_m_s": 0.5}
+    windy, still = Bridge(pair, mission.replace(wind)), Bridge(pair, mission)
+    windy.fly(100)
+    north, east, _ = windy.vehicle.plant.wind_ned
+    assert 3.0 < north < 7.0
+    assert east != 0.0
+    assert still.vehicle.plant.wind_ned == (0.0, 0.0, 0.0)

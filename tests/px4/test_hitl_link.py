@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pty
 import socket
 import time
-import tty
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -20,6 +18,7 @@ from dart_flight.sim.px4 import hitl_link
 from dart_flight.sim.px4.bridge import Controls, Px4LostError
 from dart_flight.sim.px4.hitl_link import HitlLink, open_port
 from tests.doubles.ports import free_udp_port
+from tests.doubles.scripted_peer import PtyLink
 
 ARMED, DISARMED = 128 | 32, 32
 MARK_US = 10**9  # later timestamps mark the test's own messages
@@ -48,10 +47,10 @@ def shell_answer(*outputs: str) -> list[Any]:
 class FlightControllersEnd:
     """The flight controller's end; it marks its messages because the kernel delivers them with delay."""
 
-    def __init__(self, master: int, link: HitlLink) -> None:
-        self._master, self._link, self._marks = master, link, 0
+    def __init__(self, port: PtyLink, link: HitlLink) -> None:
+        self._master, self._link, self._marks = port.fileno(), link, 0
         self._pack, self._parser = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), mavlink.MAVLink(None)
-        os.set_blocking(master, False)
+        os.set_blocking(self._master, False)
 
     def send(self, *messages: Any, noise: bytes = b"") -> None:
         """Send messages and wait until the link has read them; the mark is the outputs' timestamp."""
@@ -93,13 +92,11 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 @pytest.fixture
 def cable(clock: list[float]) -> Iterator[tuple[HitlLink, FlightControllersEnd]]:
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    link = HitlLink(open_port(f"serial://{os.ttyname(slave)}:921600"))
-    yield link, FlightControllersEnd(master, link)
+    port = PtyLink()
+    link = HitlLink(open_port(f"serial://{port.device}:921600"))
+    yield link, FlightControllersEnd(port, link)
     link.close()
-    os.close(slave)
-    os.close(master)
+    port.close()
 
 
 Cable = tuple[HitlLink, FlightControllersEnd]
@@ -177,10 +174,9 @@ def test_a_stalled_plant_ends_the_flight(cable: Cable, clock: list[float]) -> No
 
 
 def test_an_unplugged_port_ends_the_flight_with_its_cause() -> None:
-    master, slave = pty.openpty()
-    link = HitlLink(open_port(f"serial://{os.ttyname(slave)}:921600"))
-    os.close(master)
-    os.close(slave)
+    port = PtyLink()
+    link = HitlLink(open_port(f"serial://{port.device}:921600"))
+    port.close()
     with pytest.raises(Px4LostError, match="port to the flight controller is gone"):
         link.exchange(sensor())
     link.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -43,27 +44,27 @@ def imu(sensor: Any) -> list[float]:
     return [getattr(sensor, axis) for axis in AXES]
 
 
-def test_unreported_ticks_are_averaged_into_the_next_message(mission: Mission) -> None:
-    every_tick, merged = RecordingLink(), RecordingLink()
-    vehicle, late_vehicle = Px4Vehicle(mission, 1, every_tick), Px4Vehicle(mission, 1, merged)
-    for tick in range(1, 4):
+def step_both(mission: Mission, ticks: int, reported: set[int]) -> tuple[RecordingLink, RecordingLink]:
+    """Step one vehicle that reports every tick and one that reports some; return their links."""
+    links = RecordingLink(), RecordingLink()
+    vehicle, late_vehicle = (Px4Vehicle(mission, 1, link) for link in links)
+    for tick in range(1, ticks + 1):
         vehicle.step()
-        late_vehicle.step(report=tick == 3)
-    (sent,) = merged.sensors
-    means = [sum(axis) / 3.0 for axis in zip(*map(imu, every_tick.sensors), strict=True)]
+        late_vehicle.step(report=tick in reported)
+    return links
+
+
+def test_unreported_ticks_are_averaged_into_the_next_message(mission: Mission) -> None:
+    every_tick, merged = step_both(mission, 4, {3, 4})
+    sent, single = merged.sensors
+    means = [sum(axis) / 3.0 for axis in zip(*map(imu, every_tick.sensors[:3]), strict=True)]
     assert imu(sent) == pytest.approx(means, abs=1e-5)
-    assert sent.time_usec == every_tick.sensors[-1].time_usec
-    late_vehicle.step()
-    assert len(merged.sensors) == 2  # the next message covers a single tick
-    assert imu(merged.sensors[1]) != pytest.approx(means, abs=1e-5)
+    assert sent.time_usec == every_tick.sensors[2].time_usec
+    assert imu(single) != pytest.approx(means, abs=1e-5)  # the next message covers a single tick
 
 
 def test_no_pose_is_lost_in_unreported_ticks(mission: Mission) -> None:
-    every_tick, merged = RecordingLink(), RecordingLink()
-    vehicle, late_vehicle = Px4Vehicle(mission, 1, every_tick), Px4Vehicle(mission, 1, merged)
-    for tick in range(1, 51):
-        vehicle.step()
-        late_vehicle.step(report=tick % 25 == 0)
+    every_tick, merged = step_both(mission, 50, {25, 50})
     assert len(merged.sensors) == 2
     assert len(every_tick.others) > 10
     assert [m.time_usec for m in merged.others] == [m.time_usec for m in every_tick.others]
@@ -144,31 +145,28 @@ class Host(RecordingLink):
         """Do nothing."""
 
 
-def test_late_ticks_are_sent_as_one_message(
-    mission: Mission, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    host = Host(mission, monkeypatch, tmp_path, {2: 0.0201}, 5)  # five ticks are due then
+@pytest.fixture
+def run_host(mission: Mission, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Host]:
+    """Run the simulator on a host: `run_host(delays_s, reports, ...)`."""
+    return partial(Host, mission, monkeypatch, tmp_path)
+
+
+def test_late_ticks_are_sent_as_one_message(run_host: Callable[..., Host]) -> None:
+    host = run_host({2: 0.0201}, 5)  # five ticks are due then
     assert host.reported == [1, 2, 7, 8, 9]
     assert "4 of 10 ticks reported late" in host.summary
 
 
-def test_a_late_plant_catches_up_and_then_reports_every_tick(
-    mission: Mission, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    host = Host(mission, monkeypatch, tmp_path, {1: 0.1}, 76)
+def test_a_late_plant_catches_up_and_then_reports_every_tick(run_host: Callable[..., Host]) -> None:
+    host = run_host({1: 0.1}, 76)
     assert host.reported == [1, *range(26, 101)]
     assert host.now_s == pytest.approx(1000.4, abs=0.005)
     assert "24 of 101 ticks reported late" in host.summary
 
 
-def test_the_plant_pauses_after_a_stall(
-    mission: Mission, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_plant_pauses_after_a_stall(run_host: Callable[..., Host]) -> None:
     offsets_us: list[int] = []
-    host = Host(
-        mission, monkeypatch, tmp_path, {1: 1.0}, 3,
-        lambda host, tick: offsets_us.append(host.vehicle.plant.time_offset_us),
-    )  # fmt: skip
+    host = run_host({1: 1.0}, 3, lambda host, tick: offsets_us.append(host.vehicle.plant.time_offset_us))
     assert host.reported == [1, 2, 3]  # the second at once, none merged
     assert offsets_us[1] - offsets_us[0] == pytest.approx(1e6, abs=8000)
     assert "0 of 4 ticks reported late" in host.summary
@@ -176,7 +174,7 @@ def test_the_plant_pauses_after_a_stall(
 
 @pytest.mark.parametrize("armed", [True, False])
 def test_the_plant_freezes_while_an_armed_flight_controller_is_silent(
-    mission: Mission, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, armed: bool
+    run_host: Callable[..., Host], armed: bool
 ) -> None:
     """The last outputs would make the plant tumble; samples and the truth's clock continue."""
     truths: dict[int, Any] = {}
@@ -188,7 +186,7 @@ def test_the_plant_freezes_while_an_armed_flight_controller_is_silent(
             plant.position, plant.rate = (0.0, 0.0, -1.0), (3.0, 2.0, 1.0)
         host.silent_s = 0.2 if 10 <= number < 110 else 0.0
 
-    host = Host(mission, monkeypatch, tmp_path, {}, 120, note, armed)
+    host = run_host({}, 120, note, armed)
     assert len(host.sensors) == 120
     frozen, before, after = truths[110], truths[11], truths[120]
     assert (frozen.q_frd_to_ned == before.q_frd_to_ned) is armed

@@ -6,10 +6,8 @@ import errno
 import json
 import os
 import socket
-import subprocess
-import sys
-import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -22,7 +20,7 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorError
-from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
+from dart_flight.sim.pipe import Px4SimulatorSpec, Ready, SimulatorSpec
 from dart_flight.sim.px4 import launch
 from dart_flight.sim.px4.launch import (
     ENVIRONMENT,
@@ -38,6 +36,8 @@ from dart_flight.sim.px4.launch import (
     parse_version,
     select_parameters,
 )
+from tests.command_fixtures import Refuse
+from tests.doubles.other_process import is_alive, running
 from tests.doubles.px4_install import install
 from tests.real_time import wait_until
 
@@ -145,14 +145,10 @@ def test_an_instance_whose_lock_file_is_held_by_px4_is_skipped(
     free.release()
     lock = tmp_path / f"px4_lock-{free.number}"
     lock.touch()
-    hold = f"import fcntl, sys; f = open({str(lock)!r}, 'r+b'); fcntl.lockf(f, fcntl.LOCK_EX)"
-    command = [sys.executable, "-c", f"{hold}; print('held', flush=True); sys.stdin.read()"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as px4:
-        assert px4.stdout is not None
-        px4.stdout.readline()
+    hold = "import fcntl, sys; f = open(sys.argv[1], 'r+b'); fcntl.lockf(f, fcntl.LOCK_EX)"
+    with running(hold, str(lock)):
         other = claim_instance()
         other.release()
-        px4.communicate()
     assert other.number != free.number
     third = claim_instance()  # a leftover file holds no lock
     third.release()
@@ -171,10 +167,12 @@ def test_the_version_is_parsed_from_px4s_output(answer: str, version: tuple[int,
     assert parse_version(answer) == version
 
 
+@pytest.mark.parametrize("version", [(1, 14, 4), (1, 16, 2), (1, 18, 0)])
+def test_a_tested_version_is_accepted(version: tuple[int, int, int]) -> None:
+    assert check_version(version) is None
+
+
 def test_an_old_version_is_refused_and_an_untested_one_is_noted() -> None:
-    assert check_version((1, 16, 2)) is None
-    assert check_version((1, 14, 4)) is None
-    assert check_version((1, 18, 0)) is None
     assert "v1.19.1" in (check_version((1, 19, 1)) or "")
     assert "does not report" in (check_version(None) or "")
     with pytest.raises(Px4Error, match=r"v1\.13\.3 is too old"):
@@ -208,24 +206,39 @@ class WatchedWorld:
         )
         self.world = Px4SimulatorProcess(spec, self.truths.append)
 
+    def wait_ready(self) -> Ready:
+        """Wait until PX4 runs, and return its description."""
+        self.world.wait_ready()
+        assert self.world.ready is not None
+        return self.world.ready
+
+
+Start = Callable[..., WatchedWorld]
+
 
 @pytest.fixture
-def launched() -> Iterator[list[WatchedWorld]]:
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Install the double of PX4 and start a world with it: `start("dies")`."""
     worlds: list[WatchedWorld] = []
-    yield worlds
+
+    def start(
+        behaviour: str = "fly", version: str = "Release 1.16.0", name: str = "flight", **faults: str
+    ) -> WatchedWorld:
+        px4 = tmp_path / "px4"
+        if not worlds:
+            install(px4, behaviour, version, **faults)
+        worlds.append(WatchedWorld(tmp_path / name, px4))
+        return worlds[-1]
+
+    yield start
     for watched in worlds:
         watched.world.close(5.0)
 
 
-def test_the_world_starts_px4_in_a_fresh_folder_and_ends_it(
-    tmp_path: Path, launched: list[WatchedWorld]
-) -> None:
+def test_the_world_starts_px4_in_a_fresh_folder_and_ends_it(tmp_path: Path, start: Start) -> None:
     """A parameter that the version lacks is skipped."""
-    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", missing="COM_RAM_MAX"))
-    launched.append(watched)
-    watched.world.wait_ready()
-    ready = watched.world.ready
-    assert ready is not None
+    watched = start(missing="COM_RAM_MAX")
+    ready = watched.wait_ready()
     assert ready.version == "1.16.0"
     about = json.loads((watched.folder / "px4" / "started.json").read_text())
     assert Path(about["cwd"]) == watched.folder / "px4"
@@ -237,53 +250,33 @@ def test_the_world_starts_px4_in_a_fresh_folder_and_ends_it(
     assert watched.world.port == 14540 + int(about["arguments"][1])
     wait_until(lambda: watched.truths, 10.0, "the truth")
     watched.world.close(10.0)
-    assert ready.pid is not None
     assert not Path(f"/proc/{ready.pid}").exists()
     assert (watched.folder / "px4.ulg").read_bytes() == b"ULog of a fake"
     assert not (watched.folder / "px4").exists()
 
 
-def test_a_stubborn_px4_is_killed(tmp_path: Path, launched: list[WatchedWorld]) -> None:
-    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", "stubborn"))
-    launched.append(watched)
-    watched.world.wait_ready()
-    assert watched.world.ready is not None
+def test_a_stubborn_px4_is_killed(start: Start) -> None:
+    watched = start("stubborn")
+    ready = watched.wait_ready()
     watched.world.close(10.0)
-    assert not Path(f"/proc/{watched.world.ready.pid}").exists()
-
-
-@pytest.mark.parametrize(
-    ("behaviour", "version", "message"),
-    [
-        ("ends", "Release 1.16.0", "PX4 ended with status 3 before it connected: ERROR [init] something"),
-        ("fly", "Release 1.13.2", "PX4 v1.13.2 is too old"),
-    ],
-)
-def test_an_unusable_px4_is_reported_with_its_reason(
-    tmp_path: Path, launched: list[WatchedWorld], behaviour: str, version: str, message: str
-) -> None:
-    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", behaviour, version))
-    launched.append(watched)
-    with pytest.raises(SimulatorError) as caught:
-        watched.world.wait_ready()
-    assert message in str(caught.value)
+    assert not Path(f"/proc/{ready.pid}").exists()
 
 
 @pytest.mark.parametrize(
     ("faults", "message"),
     [
+        ({"behaviour": "ends"}, "PX4 ended with status 3 before it connected: ERROR .init. something"),
+        ({"version": "Release 1.13.2"}, "PX4 v1.13.2 is too old"),
         ({"missing": "FD_FAIL_R"}, "no parameter FD_FAIL_R, which must be 60:"),
         # A start-up script may overwrite a parameter that was set before.
         ({"overwritten": "EKF2_HGT_REF"}, r"parameter not accepted: EKF2_HGT_REF: set to 3, PX4 has 77"),
     ],
 )
-def test_a_rejected_parameter_is_named_with_both_values(
-    tmp_path: Path, launched: list[WatchedWorld], faults: dict[str, str], message: str
+def test_an_unusable_px4_is_reported_with_its_reason_in_one_line(
+    start: Start, faults: dict[str, str], message: str
 ) -> None:
-    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", **faults))
-    launched.append(watched)
     with pytest.raises(SimulatorError, match=message) as caught:
-        watched.world.wait_ready()
+        start(**faults).wait_ready()
     assert "\n" not in str(caught.value)
 
 
@@ -306,14 +299,12 @@ def test_the_command_reports_a_rejected_parameter_in_one_line(
     ],
 )
 def test_a_wrong_number_of_rotors_is_reported_before_px4_starts(
-    count: int, problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    count: int, problem: str, tmp_path: Path, refusal_of: Refuse
 ) -> None:
     px4, own = install(tmp_path / "px4"), tmp_path / "own.params"
     own.write_text(f"1 1 CA_ROTOR_COUNT {count} 6\n")
     logs = tmp_path / "logs"
-    command = ["dry-run", MISSION, "--px4", str(px4), "--params", str(own), "--log-dir", str(logs)]
-    assert main([str(argument) for argument in command]) == 2
-    assert problem in capsys.readouterr().err.splitlines()[-1]
+    assert problem in refusal_of("dry-run", MISSION, "--px4", px4, "--params", own, "--log-dir", logs)
     assert not logs.exists()
 
 
@@ -331,47 +322,27 @@ def test_a_renamed_parameter_is_set_by_its_new_name() -> None:
         select_parameters(wanted, after)
 
 
-def test_the_death_of_px4_in_flight_is_reported_to_the_app(
-    tmp_path: Path, launched: list[WatchedWorld]
-) -> None:
-    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", "dies"))
-    launched.append(watched)
-    watched.world.wait_ready()
+def test_the_death_of_px4_in_flight_is_reported_to_the_app(start: Start) -> None:
+    watched = start("dies")
+    watched.wait_ready()
     wait_until(lambda: watched.world.died, 30.0, "the death of PX4")
     assert watched.world.cause == "PX4 was killed by SIGKILL"
 
 
-def test_killing_the_world_kills_px4(tmp_path: Path, launched: list[WatchedWorld]) -> None:
-    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4"))
-    launched.append(watched)
-    watched.world.wait_ready()
-    assert watched.world.ready is not None
+def test_killing_the_world_kills_px4(start: Start) -> None:
+    watched = start()
+    px4 = watched.wait_ready().pid
     os.kill(watched.world.process.pid, 9)
-    px4 = watched.world.ready.pid
-    wait_until(lambda: watched.world.died and not _is_alive(px4), 15.0, "the death of both")
+    wait_until(lambda: watched.world.died and not is_alive(px4), 15.0, "the death of both")
     assert watched.world.cause == "the process of the plant under PX4 was killed by SIGKILL"
 
 
-def _is_alive(pid: int | None) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
-    except OSError:
-        return False
-
-
 @pytest.mark.rest
-def test_two_simultaneous_worlds_have_separate_instances(
-    tmp_path: Path, launched: list[WatchedWorld]
-) -> None:
-    px4 = install(tmp_path / "px4")
-    for name in ("one", "two"):
-        launched.append(WatchedWorld(tmp_path / name, px4))
-    waits = [threading.Thread(target=w.world.wait_ready) for w in launched]
-    for wait in waits:
-        wait.start()
-    for wait in waits:
-        wait.join()
-    assert launched[0].world.port != launched[1].world.port
+def test_two_simultaneous_worlds_have_separate_instances(start: Start) -> None:
+    worlds = [start(name=name) for name in ("one", "two")]
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(WatchedWorld.wait_ready, worlds))
+    assert worlds[0].world.port != worlds[1].world.port
 
 
 # --- the command -----------------------------------------------------------------------------------
@@ -387,13 +358,8 @@ def test_two_simultaneous_worlds_have_separate_instances(
         (["--px4", "/nowhere", "--fast"], "exclude each other"),
     ],
 )
-def test_wrong_options_are_reported_in_one_line(
-    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["dry-run", str(MISSION), *options]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+def test_wrong_options_are_reported_in_one_line(options: list[str], message: str, refusal_of: Refuse) -> None:
+    assert message in refusal_of("dry-run", MISSION, *options)
 
 
 def test_plain_gps_causes_a_warning() -> None:
@@ -401,11 +367,11 @@ def test_plain_gps_causes_a_warning() -> None:
     assert position_warnings(PositionSource.RTK) == position_warnings(PositionSource.MOCAP) == []
 
 
-def test_a_surveyed_frame_is_refused_with_gps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_surveyed_frame_is_refused_with_gps(tmp_path: Path, refusal_of: Refuse) -> None:
     text = MISSION.read_text().replace("north_m: 0.0", "north_m: 3.0")
     text = text.replace("../configs/dart.yaml", str(packaged("configs", "dart.yaml")))
     mission = tmp_path / "surveyed.yaml"
     mission.write_text(text)
     px4 = install(tmp_path / "px4")
-    assert main(["dry-run", str(mission), "--px4", str(px4), "--outdoor", "--log-dir", str(tmp_path)]) == 2
-    assert "origin: takeoff" in capsys.readouterr().err
+    line = refusal_of("dry-run", mission, "--px4", px4, "--outdoor", "--log-dir", tmp_path)
+    assert "origin: takeoff" in line

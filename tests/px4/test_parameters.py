@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -28,7 +29,20 @@ from dart_flight.sim.px4.launch import (
     values_of,
 )
 
+WriteFile = Callable[[str], Path]
 FILES = sorted(packaged("configs", "px4").glob("*.params"))
+
+
+@pytest.fixture
+def write_file(tmp_path: Path) -> WriteFile:
+    """Write a parameter file with a text."""
+
+    def write_file(text: str) -> Path:
+        path = tmp_path / "some.params"
+        path.write_text(text)
+        return path
+
+    return write_file
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.name)
@@ -58,20 +72,18 @@ def test_parameter_files_do_not_override_the_vehicle_configuration() -> None:
         assert not configured & set(load_parameters(path)), path.name
 
 
-def test_values_types_and_reasons_are_read_from_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "some.params"
-    path.write_text(
+def test_values_types_and_reasons_are_read_from_a_file(write_file: WriteFile) -> None:
+    path = write_file(
         "# a head line\n\n# first\n# and second\n1\t1\tCOM_OBL_RC_ACT\t4\t6\n"
         "1\t1\tEKF2_EV_DELAY\t12.5\t9\n# negative\n1 1 CA_ROTOR1_PX -0.13 9\n"
     )
     parameters = load_parameters(path)
-    assert list(parameters) == ["COM_OBL_RC_ACT", "EKF2_EV_DELAY", "CA_ROTOR1_PX"]
-    assert parameters["COM_OBL_RC_ACT"].value == 4
+    assert [(p.name, p.value, p.reason) for p in parameters.values()] == [
+        ("COM_OBL_RC_ACT", 4, "first and second"),
+        ("EKF2_EV_DELAY", 12.5, ""),
+        ("CA_ROTOR1_PX", -0.13, "negative"),
+    ]
     assert isinstance(parameters["COM_OBL_RC_ACT"].value, int)
-    assert parameters["COM_OBL_RC_ACT"].reason == "first and second"
-    assert parameters["EKF2_EV_DELAY"].value == 12.5
-    assert parameters["EKF2_EV_DELAY"].reason == ""
-    assert parameters["CA_ROTOR1_PX"].value == -0.13
 
 
 @pytest.mark.parametrize(
@@ -88,11 +100,9 @@ def test_values_types_and_reasons_are_read_from_a_file(tmp_path: Path) -> None:
         ("1\t1\tMPC_XY_P\t-3.4028236e38\t9", "out of range for REAL32"),
     ],
 )
-def test_a_wrong_line_is_reported_with_its_number(tmp_path: Path, line: str, message: str) -> None:
-    path = tmp_path / "bad.params"
-    path.write_text(f"# head\n{line}\n")
+def test_a_wrong_line_is_reported_with_its_number(write_file: WriteFile, line: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        load_parameters(path)
+        load_parameters(write_file(f"# head\n{line}\n"))
     assert message in str(caught.value)
     assert caught.value.line == 2
 
@@ -103,22 +113,26 @@ def test_a_wrong_line_is_reported_with_its_number(tmp_path: Path, line: str, mes
         ("", "no parameter of the autopilot"),
         ("# Vehicle-Id Component-Id Name Value Type\n", "no parameter of the autopilot"),
         ("1\t154\tGMB_YAW\t1\t6\n1\t100\tCAM_X\t1\t6\n", "belong to component 154, 100"),
+        ("1\t1\tA\t4\t6\n1\t1\tA\t5\t6\n", "appears twice"),
+        ("#? gone\n1\t1\tA\t4\t6\n", "absent before"),
     ],
 )
-def test_a_file_without_a_parameter_of_the_autopilot_is_refused(
-    tmp_path: Path, rows: str, message: str
+def test_a_file_with_no_or_contradictory_parameters_is_refused(
+    write_file: WriteFile, rows: str, message: str
 ) -> None:
-    path = tmp_path / "empty.params"
-    path.write_text(rows)
     with pytest.raises(InputError, match=message):
-        load_parameters(path)
+        load_parameters(write_file(rows))
 
 
-def test_rows_of_other_components_and_the_head_are_no_parameters(tmp_path: Path) -> None:
-    path = tmp_path / "qgc.params"
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot read"):
+        load_parameters(tmp_path / "none.params")
+
+
+def test_rows_of_other_components_and_the_head_are_no_parameters(write_file: WriteFile) -> None:
     head = "# Onboard parameters for Vehicle 7\n#\n# Vehicle-Id Component-Id Name Value Type\n"
-    path.write_text(f"{head}7\t1\tA\t4\t6\n7\t154\tA\t9\t6\n7\t154\tGMB_YAW\tnan\t9\n")
-    found = read_parameter_file(path)
+    rows = "7\t1\tA\t4\t6\n7\t154\tA\t9\t6\n7\t154\tGMB_YAW\tnan\t9\n"
+    found = read_parameter_file(write_file(head + rows))
     assert [(p.name, p.value, p.reason) for p in found.parameters.values()] == [("A", 4, "")]
     assert found.skipped == {"154": 2}
     assert found.vehicles == {"7"}
@@ -160,28 +174,17 @@ def test_a_value_is_shown_with_the_digits_that_identify_it(value: float, text: s
     assert is_same_value(type(value)(text), value)
 
 
-def test_a_duplicate_parameter_and_a_missing_file_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "twice.params"
-    path.write_text("1\t1\tA\t4\t6\n1\t1\tA\t5\t6\n")
-    with pytest.raises(InputError, match="appears twice"):
-        load_parameters(path)
-    with pytest.raises(InputError, match="cannot read"):
-        load_parameters(tmp_path / "none.params")
-
-
-def test_differences_list_changed_and_missing_parameters(tmp_path: Path) -> None:
-    path = tmp_path / "some.params"
-    path.write_text("# why\n1\t1\tA\t4\t6\n# so\n1\t1\tB\t0.3\t9\n# it\n1\t1\tC\t1\t6\n")
-    wanted = load_parameters(path)
+def test_differences_list_changed_and_missing_parameters(write_file: WriteFile) -> None:
+    rows = "# why\n1\t1\tA\t4\t6\n# so\n1\t1\tB\t0.3\t9\n# it\n1\t1\tC\t1\t6\n"
+    wanted = load_parameters(write_file(rows))
     found = differences(wanted, {"A": 3.0, "B": 0.30000001192092896, "D": 1.0})
     assert [d.name for d in found] == ["A", "C"]
     assert found[0].line() == "A is 3, wanted 4: why"
     assert "not on this vehicle" in found[1].line()
 
 
-def test_a_parameter_that_the_version_lacks_or_renames_is_no_difference(tmp_path: Path) -> None:
-    path = tmp_path / "some.params"
-    path.write_text(
+def test_a_parameter_that_the_version_lacks_or_renames_is_no_difference(write_file: WriteFile) -> None:
+    path = write_file(
         "# why\n#? absent before v1.16\n1\t1\tA\t4\t6\n# so\n#? renamed NEW_B after v1.17\n1\t1\tB\t2\t9\n"
         "# it\n1\t1\tC\t1\t6\n"
     )
@@ -191,12 +194,9 @@ def test_a_parameter_that_the_version_lacks_or_renames_is_no_difference(tmp_path
     assert differences(wanted, {"NEW_B": 2.0, "C": 1.0}) == []
     assert [d.name for d in differences(wanted, {"A": 3.0, "NEW_B": 1.0})] == ["A", "NEW_B", "C"]
     assert [d.name for d in differences(wanted, {"A": 4.0, "C": 1.0})] == ["B"]  # B exists under neither name
-    path.write_text("#? gone\n1\t1\tA\t4\t6\n")
-    with pytest.raises(InputError, match="absent before"):
-        load_parameters(path)
 
 
-def test_flight_parameters_follow_the_position_source_and_the_users_file(tmp_path: Path) -> None:
+def test_flight_parameters_follow_the_position_source_and_the_users_file(write_file: WriteFile) -> None:
     vehicle = load_vehicle()
     indoors = values_of(flight_parameters(vehicle, PositionSource.MOCAP))
     outdoors = values_of(flight_parameters(vehicle, PositionSource.RTK))
@@ -204,8 +204,7 @@ def test_flight_parameters_follow_the_position_source_and_the_users_file(tmp_pat
     assert (outdoors["EKF2_EV_CTRL"], outdoors["EKF2_GPS_CTRL"]) == (0, 7)
     assert indoors["MPC_XY_P"] == vehicle.px4.mpc_xy_p
     assert indoors["MPC_THR_HOVER"] == pytest.approx(vehicle.hover_thrust_fraction())
-    own = tmp_path / "own.params"
-    own.write_text("1\t1\tEKF2_EV_DELAY\t30\t9\n")
+    own = write_file("1\t1\tEKF2_EV_DELAY\t30\t9\n")
     assert flight_parameters(vehicle, PositionSource.MOCAP, [own])["EKF2_EV_DELAY"].value == 30.0
 
 
@@ -221,7 +220,7 @@ def test_px4s_simulated_battery_has_the_vehicles_cells(name: str, cells: int) ->
     assert airframe_parameters(load_vehicle(packaged("configs", f"{name}.yaml")))["BAT1_N_CELLS"] == cells
 
 
-def test_the_plants_motors_match_px4s_parameters(tmp_path: Path) -> None:
+def test_the_plants_motors_match_px4s_parameters(write_file: WriteFile) -> None:
     vehicle = load_vehicle()
     parameters = airframe_parameters(vehicle)
     assert [(m.x_m, m.y_m) for m in motors_from(parameters, vehicle)] == [
@@ -231,8 +230,7 @@ def test_the_plants_motors_match_px4s_parameters(tmp_path: Path) -> None:
         (-0.13, 0.13),
     ]
     # The plant must follow PX4's iris, which is wider than long.
-    own = tmp_path / "iris.params"
-    own.write_text(
+    own = write_file(
         "1\t1\tCA_ROTOR0_PX\t0.1515\t9\n1\t1\tCA_ROTOR0_PY\t0.245\t9\n1\t1\tCA_ROTOR0_KM\t0.05\t9\n"
     )
     first = motors_from(values_of(flight_parameters(vehicle, PositionSource.MOCAP, [own])), vehicle)[0]

@@ -4,44 +4,20 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.parameter_setting import load_restored, read_differences, save_previous, write_rows
-from dart_flight.check.stages import Stage, run_checks
 from dart_flight.check.wanted_parameters import METADATA, RESTART, restart_names, wanted_parameters
-from dart_flight.config.mission import Mission
-from dart_flight.config.parameter_file import PositionSource, load_parameters
+from dart_flight.config.parameter_file import load_parameters
 from dart_flight.config.vehicle import packaged
-from dart_flight.run.prepare import load_flyable
-from dart_flight.run.simulator_process import Px4SimulatorProcess
-from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
 from dart_flight.sim.px4.launch import find_install
 from dart_flight.vehicle.ground_link import GroundLink
+from tests.px4.real_px4 import MOCAP, SINGLE, vehicle_findings, waiting_px4
 
 pytestmark = pytest.mark.px4
-
-MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
-MOCAP = PositionSource.MOCAP
-
-
-@contextmanager
-def px4_with_defaults(mission: Mission, px4_dir: Path, folder: Path) -> Iterator[tuple[str, Path]]:
-    """Start PX4 on the ground with its defaults and `simulation.params`; yield its URL and work folder."""
-    parameters = load_parameters(packaged("configs", "px4", "simulation.params"))
-    spec = SimulatorSpec(mission, 1, [], None, Px4SimulatorSpec(str(px4_dir), str(folder), parameters, MOCAP))
-    folder.mkdir(exist_ok=True)
-    world = Px4SimulatorProcess(spec, lambda record: None)
-    try:
-        world.wait_ready()
-        yield f"udpin://127.0.0.1:{world.port}", folder / "px4"
-    finally:
-        world.close()
 
 
 def keep_saved(work: Path, kept: Path) -> None:
@@ -68,13 +44,13 @@ def install_with_parameters(px4_dir: Path, kept: Path, folder: Path) -> Path:
 
 
 def test_written_parameters_make_the_vehicle_go_and_can_be_restored(px4_dir: Path, tmp_path: Path) -> None:
-    plain = load_flyable(MISSION)
     measured = {"mocap.delay_ms": 12.5, "imu.position_m": [0.02, 0.0, -0.01]}
-    mission = msgspec.structs.replace(plain, vehicle=plain.vehicle.replace(measured))
+    mission = msgspec.structs.replace(SINGLE, vehicle=SINGLE.vehicle.replace(measured))
     kept = tmp_path / "kept"
     kept.mkdir()
+    defaults = load_parameters(packaged("configs", "px4", "simulation.params"))
     with (
-        px4_with_defaults(mission, px4_dir, tmp_path / "first") as (url, work),
+        waiting_px4(px4_dir, tmp_path / "first", mission=mission, base=defaults) as url,
         GroundLink(url, 30.0) as link,
     ):
         found = read_differences(link, mission, MOCAP, None)
@@ -82,7 +58,7 @@ def test_written_parameters_make_the_vehicle_go_and_can_be_restored(px4_dir: Pat
         former = {row.name: row.vehicle for row in found.writable}
         saved = save_previous(found.writable, tmp_path, url, 1)
         assert write_rows(link, found.writable).refused == {}
-        keep_saved(work, kept)
+        keep_saved(tmp_path / "first" / "px4", kept)
     assert {row.name for row in found.rows if row.restart} >= {"EKF2_EV_DELAY", "EKF2_HGT_REF"}
     assert found.restart_source == "the parameter metadata of this PX4"
     # The fallback list for unreadable metadata is that of the newest known version.
@@ -92,10 +68,9 @@ def test_written_parameters_make_the_vehicle_go_and_can_be_restored(px4_dir: Pat
         )
 
     restarted = install_with_parameters(px4_dir, kept, tmp_path / "install")
-    with px4_with_defaults(mission, restarted, tmp_path / "second") as (url, _):
-        context = FlightContext(mission, url=url)
-        findings = run_checks(select_checks(Stage.VEHICLE), context)
-        assert {f.item for f in findings if not f.go} == {"lock_driver"}  # the mission's lock is the mock
+    with waiting_px4(restarted, tmp_path / "second", mission=mission, base=defaults) as url:
+        findings = vehicle_findings(mission, url)
+        assert {item for item, f in findings.items() if not f.go} == {"lock_driver"}  # the lock is the mock
         with GroundLink(url, 30.0) as link:
             assert read_differences(link, mission, None, None).writable == []
             restoring = read_differences(link, mission, None, load_restored(saved))

@@ -2,62 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from dart_flight.check.checks import FlightContext, select_checks
-from dart_flight.check.findings import CheckFinding
-from dart_flight.check.stages import Stage, run_checks
-from dart_flight.config.mission import Mission
-from dart_flight.config.parameter_file import Parameter, PositionSource
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.run.prepare import load_flyable
-from dart_flight.run.simulator_process import Px4SimulatorProcess
-from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
-from dart_flight.sim.px4.launch import ONBOARD_PORT, flight_parameters
-from tests.doubles.operator_station import OperatorStation
+from tests.px4.real_px4 import MISSIONS, SINGLE, vehicle_findings, waiting_px4
 
 pytestmark = pytest.mark.px4
 
-MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
-
-
-@contextmanager
-def waiting_px4(
-    mission: Mission, px4_dir: Path, folder: Path, source: PositionSource, changes: dict[str, int | float]
-) -> Iterator[str]:
-    """Start PX4 on the ground, set up as for `dry-run` except for `changes`, and yield its URL."""
-    own = {name: Parameter(name, value, "") for name, value in changes.items()}
-    parameters = {**flight_parameters(mission.vehicle, source), **own}
-    spec = SimulatorSpec(
-        mission, 1, [], None, Px4SimulatorSpec(str(px4_dir), str(folder), parameters, source)
-    )
-    world = Px4SimulatorProcess(spec, lambda record: None)
-    try:
-        world.wait_ready()
-        yield f"udpin://127.0.0.1:{world.port}"
-    finally:
-        world.close()
-
-
-def station_of(url: str) -> OperatorStation:
-    """Return the ground station of a waiting PX4, whose instance is 0 only if no other PX4 runs."""
-    return OperatorStation.of_px4(int(url.rpartition(":")[2]) - ONBOARD_PORT)
-
-
-def findings_by_item(findings: list[CheckFinding]) -> dict[str, CheckFinding]:
-    items = {f.item: f for f in findings}
-    assert len(items) == len(findings)  # every item has one finding
-    return items
-
 
 def test_the_shipped_setup_is_go_and_every_change_is_reported(px4_dir: Path, tmp_path: Path) -> None:
-    mission = load_flyable(MISSION)
-    changes = {"NAV_RCL_ACT": 2, "COM_FAIL_ACT_T": 5.0}
-    with waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, changes) as url:
-        found = findings_by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
+    with waiting_px4(px4_dir, tmp_path, {"NAV_RCL_ACT": 2, "COM_FAIL_ACT_T": 5.0}) as url:
+        found = vehicle_findings(SINGLE, url)
     assert found["position_source"].says == "motion capture"
     assert found["version"].says.startswith("PX4 1.")
     # The lock's driver of this mission is the mock, which is a no-go.
@@ -75,9 +33,8 @@ def test_the_shipped_setup_is_go_and_every_change_is_reported(px4_dir: Path, tmp
 def test_only_an_rtk_fix_is_accepted_as_gps_position(
     px4_dir: Path, tmp_path: Path, source: PositionSource, go: bool
 ) -> None:
-    mission = load_flyable(MISSION)
-    with waiting_px4(mission, px4_dir, tmp_path, source, {}) as url:
-        found = findings_by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
+    with waiting_px4(px4_dir, tmp_path, source=source) as url:
+        found = vehicle_findings(SINGLE, url)
     position = found["position_source"]
     assert position.go is go
     assert ("rtk fixed" if go else "needs RTK, motion capture or") in position.says
@@ -89,9 +46,9 @@ def test_only_an_rtk_fix_is_accepted_as_gps_position(
 def test_a_vehicle_without_a_lock_is_go_without_an_overrule(
     px4_dir: Path, tmp_path: Path, vehicle: str
 ) -> None:
-    mission = load_flyable(MISSION.parent / vehicle / "single_wall.yaml")
-    with waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {}) as url:
-        found = findings_by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
+    mission = load_flyable(MISSIONS / vehicle / "single_wall.yaml")
+    with waiting_px4(px4_dir, tmp_path, mission=mission) as url:
+        found = vehicle_findings(mission, url)
     assert [f"{item}: {f.says}" for item, f in found.items() if not f.go] == []
     assert not any("lock" in item for item in found)
     assert found["airframe"].go

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -29,6 +26,7 @@ from dart_flight.base.records import (
     PlanTaken,
     Record,
 )
+from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.rotors import rotor_differences
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -39,13 +37,29 @@ from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.pipe import FULL_SPEED
 from tests.doubles.operator_station import OperatorStation
-from tests.real_time import TooSlow, assert_flown, wait_until
+from tests.doubles.other_process import is_alive, stat_of
+from tests.px4.real_px4 import MISSIONS, DryRun
+from tests.real_time import assert_flown, wait_until
 
 pytestmark = pytest.mark.px4
 
-MISSIONS = Path(__file__).parents[2] / "missions"
 SWEEP = Path(__file__).with_name("sweep_mission.yaml")
 _POSITION_MODE = (3,)  # PX4's own number
+
+
+Fly = Callable[..., Verdict]
+
+
+@pytest.fixture
+def fly(px4_dir: Path, tmp_path: Path) -> Fly:
+    """Fly a mission, by default at full speed: `fly("single_wall", speed=1.0)`."""
+
+    def fly(mission: str | Mission, speed: float = FULL_SPEED, **options: Any) -> Verdict:
+        if isinstance(mission, str):
+            mission = load_flyable(MISSIONS / f"{mission}.yaml")
+        return fly_px4(mission, px4_dir, 1, tmp_path, speed=speed, **options)
+
+    return fly
 
 
 def assert_requirements(verdict: Verdict) -> None:
@@ -61,8 +75,8 @@ def assert_requirements(verdict: Verdict) -> None:
     assert verdict.ekf_error_m < 0.2
 
 
-def test_the_dual_collision_completes_indoors_in_real_time(px4_dir: Path, tmp_path: Path) -> None:
-    verdict = fly_px4(load_flyable(MISSIONS / "paper_dual_collision.yaml"), px4_dir, 1, tmp_path)
+def test_the_dual_collision_completes_indoors_in_real_time(fly: Fly) -> None:
+    verdict = fly("paper_dual_collision", speed=1.0)
     assert_requirements(verdict)
     assert [c.wall for c in verdict.collisions] == ["wood", "acrylic"]
     for collision in verdict.collisions:
@@ -75,8 +89,8 @@ def test_the_dual_collision_completes_indoors_in_real_time(px4_dir: Path, tmp_pa
     assert Path(verdict.px4_log).stat().st_size > 100_000
 
 
-def test_a_flight_replanned_after_every_collision_reaches_its_goal(px4_dir: Path, tmp_path: Path) -> None:
-    verdict = fly_px4(load_flyable(MISSIONS / "dual_collision_replan.yaml"), px4_dir, 1, tmp_path)
+def test_a_flight_replanned_after_every_collision_reaches_its_goal(fly: Fly) -> None:
+    verdict = fly("dual_collision_replan", speed=1.0)
     assert_requirements(verdict)
     assert verdict.log is not None
     taken = [e.record for e in read_log(verdict.log).entries if isinstance(e.record, PlanTaken)]
@@ -89,38 +103,32 @@ def test_a_flight_replanned_after_every_collision_reaches_its_goal(px4_dir: Path
     )
 
 
-def test_stiffer_gains_reach_the_papers_second_impact_speed(px4_dir: Path, tmp_path: Path) -> None:
-    verdict = fly_px4(
-        load_flyable(MISSIONS / "dual_collision_stiff.yaml"), px4_dir, 1, tmp_path, speed=FULL_SPEED
-    )
+def test_stiffer_gains_reach_the_papers_second_impact_speed(fly: Fly) -> None:
+    verdict = fly("dual_collision_stiff")
     assert_requirements(verdict)
     assert verdict.collisions[1].measured.normal_m_s is not None
     assert verdict.collisions[1].measured.normal_m_s < -1.3
 
 
-def test_the_single_wall_completes_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
-    mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
-    assert_requirements(
-        fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.RTK, speed=FULL_SPEED)
-    )
+def test_the_single_wall_completes_outdoors_with_rtk(fly: Fly) -> None:
+    assert_requirements(fly("paper_single_wall", position_from=PositionSource.RTK))
 
 
-def test_a_flight_with_plain_gps_does_not_take_off(px4_dir: Path, tmp_path: Path) -> None:
-    mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
-    verdict = fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.PLAIN, speed=FULL_SPEED)
+def test_a_flight_with_plain_gps_does_not_take_off(fly: Fly) -> None:
+    verdict = fly("paper_single_wall", position_from=PositionSource.PLAIN)
     assert verdict.reason is not None
     assert verdict.reason.startswith("not_ready: standard deviation of the position")
     assert verdict.flight_time_s is None
 
 
-def test_the_lock_servo_works_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
+def test_the_lock_servo_works_on_px4s_own_output(fly: Fly) -> None:
     mission = with_driver(load_flyable(MISSIONS / "paper_dual_collision.yaml"), LockDriver.PX4)
-    assert_requirements(fly_px4(mission, px4_dir, 1, tmp_path, speed=FULL_SPEED))
+    assert_requirements(fly(mission))
 
 
-def test_a_hexarotor_completes_with_the_lock_servo_after_its_motors(px4_dir: Path, tmp_path: Path) -> None:
+def test_a_hexarotor_completes_with_the_lock_servo_after_its_motors(fly: Fly) -> None:
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml", packaged("configs", "hexarotor.yaml"))
-    verdict = fly_px4(with_driver(mission, LockDriver.PX4), px4_dir, 1, tmp_path, speed=FULL_SPEED)
+    verdict = fly(with_driver(mission, LockDriver.PX4))
     assert_requirements(verdict)
     (hit,) = verdict.collisions
     assert hit.truth is not None
@@ -131,13 +139,12 @@ def test_a_hexarotor_completes_with_the_lock_servo_after_its_motors(px4_dir: Pat
     assert rotor_differences(mission.vehicle.airframe.motors, motors) == ([], [])
 
 
-def test_an_impact_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_path: Path) -> None:
+def test_an_impact_beyond_full_scale_is_marked_as_clipped(fly: Fly, tmp_path: Path) -> None:
     text = SWEEP.read_text().replace("MODE", "rigid").replace("MATERIAL", "acrylic").replace("SPEED", "4.0")
     mission = tmp_path / "sweep.yaml"
     mission.write_text(text)
     # Contacts of the guards would tilt the body over 60 degrees; a point body isolates the saturation.
-    loaded = load_flyable(mission, settings=["simulation.contact.body=point"])
-    verdict = fly_px4(loaded, px4_dir, 1, tmp_path, speed=FULL_SPEED)
+    verdict = fly(load_flyable(mission, settings=["simulation.contact.body=point"]))
     assert verdict.outcome == "completed", verdict.reason
     (hit,) = verdict.collisions
     assert hit.clipped
@@ -157,7 +164,7 @@ def test_an_impact_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_pat
 @pytest.mark.realtime  # the pilot moves the sticks in the computer's time
 @pytest.mark.parametrize("sticks", [True, False])
 def test_a_switch_to_position_mode_releases_the_flight_only_with_sticks(
-    px4_dir: Path, tmp_path: Path, sticks: bool
+    fly: Fly, tmp_path: Path, sticks: bool
 ) -> None:
     """Without sticks PX4 refuses the mode and stays in offboard, and the flight continues."""
     stick_parameters = tmp_path / "sticks.params"
@@ -175,9 +182,9 @@ def test_a_switch_to_position_mode_releases_the_flight_only_with_sticks(
         elif isinstance(record, PhaseChange) and record.after is Phase.APPROACH:
             answers.append(pool.submit(stations[0].set_mode, *_POSITION_MODE, wait_s=30.0))
 
-    mission, files = load_flyable(MISSIONS / "single_wall.yaml"), (stick_parameters,) if sticks else ()
+    files = (stick_parameters,) if sticks else ()
     with ExitStack() as held, ThreadPoolExecutor(1) as pool:
-        verdict = fly_px4(mission, px4_dir, 1, tmp_path, observe, parameter_files=files)
+        verdict = fly("single_wall", speed=1.0, progress=observe, parameter_files=files)
         assert_flown(verdict.outcome, verdict.reason, "released" if sticks else "completed")
         (answer,) = (found.result() for found in answers)
     assert answer == (MAV_RESULT_ACCEPTED if sticks else MAV_RESULT_TEMPORARILY_REJECTED)
@@ -190,41 +197,19 @@ def test_a_switch_to_position_mode_releases_the_flight_only_with_sticks(
 # --- process deaths ------------------------------------------------------------------------------
 
 
-class Flight:
-    """A dry-run in its own process, with the pids of app, plant and PX4."""
+class Flight(DryRun):
+    """A dry-run at twice real time, with the pids of app, plant and PX4."""
 
     def __init__(self, px4_dir: Path, folder: Path) -> None:
-        self.folder = folder
+        super().__init__(px4_dir, folder, MISSIONS / "paper_dual_collision.yaml", "--speed", "2")
         self.killed_at: float | None = None
-        mission = str(MISSIONS / "paper_dual_collision.yaml")
-        command = [sys.executable, "-m", "dart_flight", "dry-run", mission, "--json"]
-        command += ["--px4", str(px4_dir), "--speed", "2", "--log-dir", str(folder)]
-        self.app = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.px4 = int(self.wait_for(r"PX4 instance \d+, process (\d+)"))
-        self.world = _parent_of(self.px4)
-
-    def text(self) -> str:
-        """Return the world's log so far."""
-        return "".join(path.read_text() for path in self.folder.glob("*/autopilot.log"))
-
-    def wait_for(self, pattern: str, timeout_s: float = 40.0) -> str:
-        """Wait for a match in the world's log and return its first group."""
-        try:
-            found = wait_until(lambda: re.search(pattern, self.text()), timeout_s, repr(pattern))
-        except TooSlow as error:
-            raise TooSlow(f"{error}: {self.text()}") from None
-        return found[1] if found.groups() else found[0]
+        self.world = int(stat_of(self.px4)[1])
 
     def wait_until_airborne(self) -> None:
         """Wait until the vehicle flies."""
         self.wait_for("PX4 armed")
         time.sleep(2.5)  # at twice real time: in the climb or beyond
-
-    def verdict(self) -> dict[str, Any]:
-        """Return the verdict that the app prints at its end."""
-        out, _ = self.app.communicate(timeout=40.0)
-        result: dict[str, Any] = json.loads(out)
-        return result
 
     def kill(self, pid: int) -> None:
         """Send SIGKILL to one of the three processes."""
@@ -236,9 +221,9 @@ class Flight:
         started_s = self.killed_at or time.monotonic()
 
         def are_gone() -> bool:
-            self.app.poll()
-            own = (self.app.pid, self.world, self.px4)
-            return not any(map(_is_alive, own)) and not _session_members(self.px4)
+            self.process.poll()
+            own = (self.process.pid, self.world, self.px4)
+            return not any(map(is_alive, own)) and not _session_members(self.px4)
 
         wait_until(are_gone, timeout_s, "no process of the flight is left")
         print(f"nothing left after {time.monotonic() - started_s:.1f} s")  # `pytest -rP` shows it
@@ -249,25 +234,10 @@ class Flight:
 def flight(px4_dir: Path, tmp_path: Path) -> Iterator[Flight]:
     started = Flight(px4_dir, tmp_path)
     yield started
-    for pid in (started.app.pid, started.world, started.px4):
+    for pid in (started.process.pid, started.world, started.px4):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
-    started.app.communicate()
-
-
-def _stat(pid: int) -> list[str]:
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-
-
-def _parent_of(pid: int) -> int:
-    return int(_stat(pid)[1])
-
-
-def _is_alive(pid: int) -> bool:
-    try:
-        return _stat(pid)[0] not in "ZX"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
+    started.process.communicate()
 
 
 def _session_members(session: int) -> list[int]:
@@ -275,7 +245,7 @@ def _session_members(session: int) -> list[int]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             with contextlib.suppress(OSError, IndexError):
-                if int(_stat(int(entry.name))[3]) == session and _is_alive(int(entry.name)):
+                if int(stat_of(int(entry.name))[3]) == session and is_alive(int(entry.name)):
                     members.append(int(entry.name))
     return members
 
@@ -288,7 +258,7 @@ def _log_records(folder: Path) -> list[Any]:
 def test_killing_px4_in_flight_aborts_with_its_cause(flight: Flight) -> None:
     flight.wait_until_airborne()
     flight.kill(flight.px4)
-    verdict = flight.verdict()
+    verdict, _ = flight.verdict()
     assert verdict["outcome"] == "aborted"
     assert "PX4 was killed by SIGKILL" in verdict["reason"]
     assert flight.wait_all_gone() < 30.0
@@ -300,7 +270,7 @@ def test_killing_px4_in_flight_aborts_with_its_cause(flight: Flight) -> None:
 def test_killing_the_plant_in_flight_aborts_and_ends_px4(flight: Flight) -> None:
     flight.wait_until_airborne()
     flight.kill(flight.world)
-    verdict = flight.verdict()
+    verdict, _ = flight.verdict()
     assert verdict["outcome"] == "aborted"
     assert "the plant under PX4 was killed by SIGKILL" in verdict["reason"]
     assert flight.wait_all_gone() < 30.0
@@ -309,7 +279,7 @@ def test_killing_the_plant_in_flight_aborts_and_ends_px4(flight: Flight) -> None
 
 def test_px4_lands_by_its_failsafe_after_the_app_is_killed(flight: Flight) -> None:
     flight.wait_until_airborne()
-    flight.kill(flight.app.pid)
+    flight.kill(flight.process.pid)
     assert flight.wait_all_gone() < 30.0
     log_text = flight.text()
     assert "app disconnected; PX4 continues until its failsafe acts" in log_text
@@ -323,17 +293,17 @@ def test_px4_lands_by_its_failsafe_after_the_app_is_killed(flight: Flight) -> No
 
 def test_killing_the_app_while_px4_boots_leaves_no_process(px4_dir: Path, tmp_path: Path) -> None:
     flight = Flight(px4_dir, tmp_path)
-    flight.kill(flight.app.pid)
+    flight.kill(flight.process.pid)
     assert flight.wait_all_gone() < 30.0
-    flight.app.communicate()
+    flight.process.communicate()
 
 
 def test_ctrl_c_lands_the_vehicle_and_ends_every_process(flight: Flight) -> None:
     flight.wait_until_airborne()
-    flight.app.send_signal(signal.SIGINT)
-    verdict = flight.verdict()
+    flight.process.send_signal(signal.SIGINT)
+    verdict, _ = flight.verdict()
     assert verdict["outcome"] == "aborted"
     assert "operator" in verdict["reason"]
-    assert flight.app.returncode == 1
+    assert flight.process.returncode == 1
     assert "PX4 disarmed" in flight.text()
     assert flight.wait_all_gone() < 30.0

@@ -8,10 +8,8 @@ from pathlib import Path
 import pytest
 
 from dart_flight.base.records import FlightMode, Input, StatusSample
-from dart_flight.config.parameter_file import PositionSource
-from dart_flight.run.prepare import load_flyable
 from dart_flight.vehicle.vehicle_session import connect
-from tests.px4.test_px4_check import MISSION, station_of, waiting_px4
+from tests.px4.real_px4 import SINGLE, station_of, waiting_px4
 from tests.real_time import TooSlow
 
 pytestmark = [pytest.mark.px4, pytest.mark.realtime]
@@ -29,8 +27,7 @@ def test_a_mode_held_for_a_fifth_of_a_second_is_noticed_on_px4(px4_dir: Path, tm
     async def switch(url: str) -> None:
         with station_of(url) as station:
             async with connect(url, 30.0, keep) as session:
-                mission = load_flyable(MISSION)
-                session.subscribe(mission.vehicle.estimation, len(mission.vehicle.airframe.motors))
+                session.subscribe(SINGLE.vehicle.estimation, len(SINGLE.vehicle.airframe.motors))
                 assert "mode" not in await session.set_rates()
                 for _ in range(5):
                     for mode, seconds in (_HOLD, 0.4), (_ALTITUDE, 0.2):
@@ -39,8 +36,7 @@ def test_a_mode_held_for_a_fifth_of_a_second_is_noticed_on_px4(px4_dir: Path, tm
                 station.set_mode(*_HOLD, wait_s=0.0)
                 await asyncio.sleep(0.4)
 
-    mission = load_flyable(MISSION)
-    with waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"COM_RC_IN_MODE": 4}) as url:
+    with waiting_px4(px4_dir, tmp_path, {"COM_RC_IN_MODE": 4}) as url:
         asyncio.run(switch(url))
     seen = seen[seen.index(FlightMode.HOLD) :]
     assert set(seen) == {FlightMode.HOLD, FlightMode.MANUAL}

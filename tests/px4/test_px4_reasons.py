@@ -12,16 +12,14 @@ from typing import Any, NamedTuple
 import pytest
 
 from dart_flight.base.records import GuardEvent, HealthReport, StatusText
-from dart_flight.config.parameter_file import PositionSource
+from dart_flight.config.parameter_file import format_parameters
 from dart_flight.recording.reader import read_log
-from dart_flight.run.prepare import load_flyable
 from tests.doubles.operator_station import OperatorStation
-from tests.px4.test_px4_check import waiting_px4
-from tests.real_time import wait_until
+from tests.px4.real_px4 import MISSIONS, DryRun, waiting_px4
 
 pytestmark = pytest.mark.px4
 
-MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
+MISSION = MISSIONS / "paper_single_wall.yaml"
 # PX4 v1.14 and v1.15 in simulation do not provide the texts of their events.
 WITHOUT_TEXTS = ("preflight checks failed", "gives no reason")
 # A missing distance sensor fails a preflight check in every version.
@@ -38,41 +36,23 @@ class Refusal(NamedTuple):
     px4_texts: list[str]  # PX4's own texts
 
 
-class DryRun:
-    """A dry-run with a real PX4 and changed parameters, in its own process."""
+def dry_run(px4_dir: Path, folder: Path, changes: dict[str, int | float], *options: str) -> DryRun:
+    """Start a dry-run with changed parameters."""
+    own = folder / "own.params"
+    own.write_text(format_parameters(changes, []))
+    return DryRun(px4_dir, folder / "flights", MISSION, "--params", str(own), *options)
 
-    def __init__(self, px4_dir: Path, folder: Path, changes: dict[str, int | float], *options: str) -> None:
-        own = folder / "own.params"
-        lines = [f"1\t1\t{name}\t{v}\t{6 if isinstance(v, int) else 9}\n" for name, v in changes.items()]
-        own.write_text("# of this test\n" + "".join(lines))
-        self._folder = folder / "flights"
-        self._process = subprocess.Popen(
-            [
-                sys.executable, "-m", "dart_flight", "dry-run", str(MISSION), "--px4", str(px4_dir), "--json",
-                "--params", str(own), "--log-dir", str(self._folder), *options,
-            ],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
 
-    def instance(self) -> int:
-        """Wait for PX4 and return the number of its instance."""
-
-        def started() -> re.Match[str] | None:
-            log_text = "".join(path.read_text() for path in self._folder.glob("*/autopilot.log"))
-            return re.search(r"PX4 instance (\d+)", log_text)
-
-        return int(wait_until(started, 20.0, "PX4 starts")[1])
-
-    def wait_for_refusal(self) -> Refusal:
-        """Wait for the end of the dry-run and return its refusal."""
-        out, error = self._process.communicate(timeout=150)
-        assert self._process.returncode == 1, error
-        (log,) = self._folder.glob("*/flight.mcap")
-        records = [entry.record for entry in read_log(log).entries]
-        px4_texts = [r.text for r in records if isinstance(r, StatusText)]
-        px4_texts += [w for r in records if isinstance(r, HealthReport) for w in (*r.blocking, *r.others)]
-        guard = [f"{r.rule}: {r.detail}" for r in records if isinstance(r, GuardEvent)]
-        return Refusal(json.loads(out)["reason"], " ".join(error.split()), guard, px4_texts)
+def refusal_of(flight: DryRun) -> Refusal:
+    """Wait for the end of a dry-run and return its refusal."""
+    verdict, error = flight.verdict(150.0)
+    assert flight.process.returncode == 1, error
+    (log,) = flight.folder.glob("*/flight.mcap")
+    records = [entry.record for entry in read_log(log).entries]
+    px4_texts = [r.text for r in records if isinstance(r, StatusText)]
+    px4_texts += [w for r in records if isinstance(r, HealthReport) for w in (*r.blocking, *r.others)]
+    guard = [f"{r.rule}: {r.detail}" for r in records if isinstance(r, GuardEvent)]
+    return Refusal(verdict["reason"], " ".join(error.split()), guard, px4_texts)
 
 
 def assert_reason_is_quoted(refusal: Refusal, start: str, expected: str) -> None:
@@ -97,9 +77,8 @@ def assert_reason_is_quoted(refusal: Refusal, start: str, expected: str) -> None
 def test_a_refusal_is_explained_in_terminal_log_and_verdict(
     changes: dict[str, int | float], start: str, expected: str, px4_dir: Path, tmp_path: Path
 ) -> None:
-    assert_reason_is_quoted(
-        DryRun(px4_dir, tmp_path, changes, "--speed", "2").wait_for_refusal(), start, expected
-    )
+    flight = dry_run(px4_dir, tmp_path, changes, "--speed", "2")
+    assert_reason_is_quoted(refusal_of(flight), start, expected)
 
 
 def test_an_offboard_refusal_is_explained_in_terminal_log_and_verdict(px4_dir: Path, tmp_path: Path) -> None:
@@ -108,18 +87,17 @@ def test_an_offboard_refusal_is_explained_in_terminal_log_and_verdict(px4_dir: P
     PX4 permits arming shortly before the mission begins; at a low speed this leaves time on a busy computer.
     """
     changes: dict[str, int | float] = {"COM_OF_LOSS_T": 0.0, "COM_DISARM_PRFLT": -1.0}
-    flight = DryRun(px4_dir, tmp_path, changes, "--outdoor", "--speed", "0.4")
-    number = flight.instance()
+    flight = dry_run(px4_dir, tmp_path, changes, "--outdoor", "--speed", "0.4")
+    number = int(flight.wait_for(r"PX4 instance (\d+)", 20.0))
     with OperatorStation.of_px4(number) as station:
         station.arm()
     assert_reason_is_quoted(
-        flight.wait_for_refusal(), "offboard_refused: PX4 refused offboard mode; PX4 ", "No offboard signal"
+        refusal_of(flight), "offboard_refused: PX4 refused offboard mode; PX4 ", "No offboard signal"
     )
 
 
 def check_findings(px4_dir: Path, folder: Path, changes: dict[str, int | float]) -> dict[str, Any]:
-    mission = load_flyable(MISSION)
-    with waiting_px4(mission, px4_dir, folder, PositionSource.MOCAP, changes) as url:
+    with waiting_px4(px4_dir, folder, changes) as url:
         result = subprocess.run(
             [sys.executable, "-m", "dart_flight", "check", str(MISSION), "--connection", url, "--json"],
             capture_output=True, text=True, timeout=120, check=False,

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.run.operator_buttons import Button
 from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.ground_link import GroundLink
-from tests.px4.test_px4_check import station_of, waiting_px4
+from tests.px4.real_px4 import station_of, waiting_px4
 from tests.real_time import limited
 from tests.run.test_standby_day import MISSION, ROOT
 from tests.shared_flights import patient
@@ -51,7 +50,7 @@ def test_every_button_is_answered_in_standby_and_in_flight(px4_dir: Path, tmp_pa
     (tmp_path / "two.yaml").write_text(PAUSE.format(name="two", x=0.0).replace("dart.yaml", "none.yaml"))
     mission = with_driver(load_flyable(tmp_path / "one.yaml"), LockDriver.PX4)
     with (
-        waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"COM_RC_IN_MODE": 1}) as url,
+        waiting_px4(px4_dir, tmp_path, {"COM_RC_IN_MODE": 1}, mission=mission) as url,
         station_of(url) as station,
     ):
         with standing_by(tmp_path, url, "one.yaml", "--driver", "px4"):
@@ -101,7 +100,6 @@ def test_every_button_is_answered_in_standby_and_in_flight(px4_dir: Path, tmp_pa
 def test_the_buttons_reach_a_program_on_a_vehicle_with_another_system_id(
     px4_dir: Path, tmp_path: Path, system: int
 ) -> None:
-    mission = load_flyable(ROOT / "missions" / "square.yaml")
     presses: list[Press] = []
 
     def answer(press: Press) -> tuple[Result, str]:
@@ -109,7 +107,7 @@ def test_the_buttons_reach_a_program_on_a_vehicle_with_another_system_id(
         return OK, "pressed"
 
     with (
-        waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"MAV_SYS_ID": system}) as url,
+        waiting_px4(px4_dir, tmp_path, {"MAV_SYS_ID": system}) as url,
         station_of(url) as station,
         GroundLink(url, 30.0) as link,
     ):

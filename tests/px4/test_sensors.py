@@ -7,12 +7,12 @@ import math
 import random
 import statistics
 
+import msgspec
 import pytest
 
 from dart_flight.base.geometry import quaternion_from_euler
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import ImuRinging, load_vehicle, packaged
-from dart_flight.sim import wind as wind_module
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant, make_plant
 from dart_flight.sim.sensors import (
@@ -24,7 +24,7 @@ from dart_flight.sim.sensors import (
     altitude_m,
     pressure_hpa,
 )
-from dart_flight.sim.wind import Wind
+from dart_flight.sim.wind import GUST_TIME_S, Wind
 
 
 @pytest.fixture
@@ -100,8 +100,6 @@ def test_noise_does_not_lift_a_saturated_reading_off_full_scale() -> None:
 
 
 def test_stopped_motors_cause_no_vibration() -> None:
-    import msgspec
-
     vehicle = load_vehicle()
     ringing = ImuRinging(white_m_s2=3.0, tone_m_s2=3.0)
     simulation = msgspec.structs.replace(vehicle.simulation, imu_ringing=ringing)
@@ -116,17 +114,12 @@ def test_stopped_motors_cause_no_vibration() -> None:
     assert spread[True] == pytest.approx(math.hypot(3.0, 3.0), rel=0.1)
 
 
-def test_gusts_have_the_configured_size_and_correlation_time(
-    plant: Plant, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import msgspec
-
-    monkeypatch.setattr(wind_module, "GUST_TIME_S", 0.5)
-
+def test_gusts_have_the_configured_size_and_correlation_time(plant: Plant) -> None:
+    lag = 125  # steps after which the correlation is 1/e
     simulation = msgspec.structs.replace(
         load_vehicle().simulation, wind_north_east_m_s=(2.0, -1.0), gust_m_s=0.8
     )
-    wind = Wind(simulation, 1, 0.004)
+    wind = Wind(simulation, 1, GUST_TIME_S / lag)
     north, east = [], []
     for _ in range(100_000):
         wind.step(plant)
@@ -135,7 +128,6 @@ def test_gusts_have_the_configured_size_and_correlation_time(
     assert statistics.mean(north) == pytest.approx(2.0, abs=0.15)
     assert statistics.mean(east) == pytest.approx(-1.0, abs=0.15)
     assert statistics.pstdev(north) == pytest.approx(0.8, rel=0.1)
-    lag = 125  # 0.5 s: correlation 1/e
     mean = statistics.mean(north)
     correlation = statistics.mean(
         (a - mean) * (b - mean) for a, b in zip(north, north[lag:], strict=False)

@@ -126,6 +126,15 @@ def first_at_once(n: int) -> int:
     return n * n
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Handle SIGINT as Python does, although a background shell has started the tests and ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_is_announced_and_lets_running_items_finish() -> None:
     announced: list[int] = []
     with Interrupt(announced.append) as interrupt:
@@ -139,6 +148,7 @@ def test_an_interrupt_is_announced_and_lets_running_items_finish() -> None:
     assert all(done.result == done.item**2 for done in found)
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_a_second_interrupt_abandons_running_items() -> None:
     with Interrupt() as interrupt:
         results = work(first_at_once, range(1000), 2, interrupt)

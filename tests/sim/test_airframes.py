@@ -26,6 +26,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.sim.allocation import Allocation
 from dart_flight.sim.plant import Plant
 from tests.doubles.ulog_file import write_ulog
+from tests.sim.plants import motor_load
 
 ROOT = Path(__file__).parents[2]
 HEXAROTOR = ROOT / "configs/hexarotor.yaml"
@@ -170,8 +171,7 @@ def test_each_motor_of_the_plant_acts_at_its_position() -> None:
         plant = Plant(vehicle, (), MissionFrame())
         commands = [0.0] * 6
         commands[number] = 0.5
-        plant.motor = list(commands)
-        thrust, torque = plant._motors(commands)
+        thrust, torque = motor_load(plant, commands)
         force = vehicle.thrust.force_n(0.5)
         assert thrust == pytest.approx(force)
         expected = np.cross((motor.x_m, motor.y_m, 0.0), (0.0, 0.0, -force))

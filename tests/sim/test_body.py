@@ -1,7 +1,6 @@
 """The simulated vehicle with guards: an independent integration as reference, and its physical limits."""
 
 import math
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -9,47 +8,25 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Vec3, quaternion_from_euler, rotate
-from dart_flight.base.records import Mode, TruthContact
-from dart_flight.base.walls import Wall
-from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody, VehicleConfig
+from dart_flight.base.geometry import MissionFrame, Vec3, quaternion_from_euler
+from dart_flight.base.records import Mode
+from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody
 from dart_flight.contact.law import Onset
 from dart_flight.contact.propeller_guards import BodyMotion, GuardLaw, Plane, propeller_guards, touch
 from dart_flight.sim.plant import Plant
-from tests.oracles.rigid_body import Body, Law, fly
-from tests.sim.test_plant import HOVER, VEHICLE
-
-ROOT = Path(__file__).parents[2]
-WALL = Wall("wall", (1.0, 0.0), (-1.0, 0.0), 80.0, "acrylic")
-
-
-def body_vehicle(**changes: object) -> VehicleConfig:
-    """Return the configured vehicle with guards and without drag."""
-    contact = msgspec.structs.replace(VEHICLE.simulation.contact, body=BodyModel.GUARDS, **changes)
-    simulation = msgspec.structs.replace(VEHICLE.simulation, contact=contact)
-    still_air = msgspec.structs.replace(
-        VEHICLE.airframe, drag_per_s=(0.0, 0.0, 0.0), incidence_rigid_deg=45.0
-    )
-    return msgspec.structs.replace(VEHICLE, simulation=simulation, airframe=still_air)
-
-
-def before_the_wall(
-    vehicle: VehicleConfig, mode: Mode, normal: float, tangential: float, yaw: float
-) -> Plant:
-    """Return a plant in the air, 5 cm before an acrylic wall to the north, turned by `yaw` radians."""
-    plant = Plant(vehicle, (WALL,), MissionFrame())
-    plant.position = plant.frame.point_to_ned((0.95, 0.0, 5.0))
-    plant.velocity = plant.frame.vector_to_ned(WALL.from_collision((normal, tangential, 0.0)))
-    plant.q = quaternion_from_euler(0.0, 0.0, yaw)
-    plant.motor = [HOVER] * 4
-    plant.set_mode(mode)
-    return plant
-
-
-def first_contact(plant: Plant) -> TruthContact:
-    while not plant.finished and plant.time_s < 2.0:
-        plant.advance((HOVER,) * 4)
-    return plant.finished[0]
+from tests.oracles.rigid_body import fly
+from tests.sim.plants import (
+    HOVER,
+    VEHICLE,
+    WALL,
+    before_the_wall,
+    body_vehicle,
+    first_contact,
+    leave_only_contacts,
+    motor_load,
+    oracle_of,
+    rotation,
+)
 
 
 @pytest.mark.parametrize("mode", list(Mode))
@@ -75,9 +52,7 @@ def test_a_symmetric_collision_agrees_with_the_point_model(mode: Mode, speed: fl
 
 def motor_torque(plant: Plant, forces: list[float]) -> Vec3:
     """Return the torque of the motors with these forces in the present state."""
-    plant.motor = [VEHICLE.thrust.command_for(force) for force in forces]
-    (a, b, c, d) = plant.motor
-    return plant._motors((a, b, c, d))[1]
+    return motor_load(plant, [VEHICLE.thrust.command_for(force) for force in forces])[1]
 
 
 def test_folded_arms_move_their_motors_back_and_outwards() -> None:
@@ -120,10 +95,6 @@ def test_a_leading_guard_turns_the_vehicle_away_from_its_side() -> None:
     assert hit.peak_torque_nm > 1.0
 
 
-def rotation(q: tuple[float, float, float, float]) -> np.ndarray:
-    return np.array([rotate(q, e) for e in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]).T
-
-
 # NED to the wall's frame: X = south, Z = X x Y = down, Y = west (right when looking along X).
 TO_WALL = np.array([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
 # FRD to forward, left, up.
@@ -156,25 +127,13 @@ def test_a_contact_agrees_with_an_independent_rigid_body(
     plant.q = quaternion_from_euler(roll, 0.5 * roll, yaw)
     plant.rate = (0.3 * rate, -0.2 * rate, rate)
     contact = vehicle.simulation.contact
-    c = vehicle.materials["acrylic"].coefficients(mode)
-    body = Body(
-        vehicle.airframe.mass_kg,
-        np.array(vehicle.airframe.inertia_kg_m2),
-        contact.guard_out_m,
-        contact.guard_along_m,
-        height,
-        share,
-        contact.vertical_lever_m,
-    )
-    law = Law(c.k, c.f, c.mu, c.nu, vehicle.vertical_force_sign)
+    body, law = oracle_of(vehicle, mode)
     surface = np.array([1.0 + contact.guard_out_m, 0.0, 0.0])
     x = TO_WALL @ (np.array(plant.position) - surface)
     r = TO_WALL @ rotation(plant.q) @ TO_FLU
     w = TO_FLU @ np.array(plant.rate)
     steps = 150
-    # Only the wall acts: the motors are off, and the drag cancels gravity.
-    plant._motors = lambda commands: (0.0, (0.0, 0.0, 0.0))  # type: ignore[method-assign]
-    plant._drag = lambda: (0.0, 0.0, -GRAVITY_M_S2)  # type: ignore[method-assign]
+    leave_only_contacts(plant)
     plant.advance((0.0,) * 4, steps)
     x, v, r, w = fly(body, law, x, TO_WALL @ _start_velocity(normal, tangential), r, w, 1e-3 * steps)
     assert TO_WALL @ (np.array(plant.position) - surface) == pytest.approx(x, abs=1e-4)

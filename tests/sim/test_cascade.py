@@ -8,7 +8,7 @@ from dart_flight.base.geometry import MissionFrame, quaternion_from_euler, tilt_
 from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
 from dart_flight.sim.embedded_autopilot import default_parameters
 from dart_flight.sim.plant import Plant
-from tests.sim.test_plant import HOVER, VEHICLE
+from tests.sim.plants import HOVER, VEHICLE
 
 
 @pytest.mark.parametrize("yaw_deg", [5.0, 90.0, -150.0, 178.0])

@@ -6,12 +6,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.replay import replay
 from dart_flight.sim.draws import NAMES, SPREADS, draw_world, parse_vary
+from tests.command_fixtures import RunJson
 
 ROOT = Path(__file__).parents[2]
 MISSION = load_flyable(ROOT / "missions/paper_single_wall.yaml", None, ["simulation.contact.body=guards"])
@@ -47,20 +47,10 @@ def test_a_draw_does_not_change_the_mission() -> None:
     assert world.mission.vehicle.airframe.mass_kg != MISSION.vehicle.airframe.mass_kg
 
 
-def test_a_varied_flight_reports_its_draws_and_replays(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    arguments = [
-        "dry-run",
-        str(ROOT / "missions/paper_single_wall.yaml"),
-        "--fast",
-        "--json",
-        "--log-dir",
-        str(tmp_path),
-    ]
-    status = main([*arguments, "--set", "simulation.contact.body=guards", "--vary", "all", "--seed", "2"])
-    verdict = json.loads(capsys.readouterr().out)
-    assert status == 0
+def test_a_varied_flight_reports_its_draws_and_replays(run_json: RunJson, tmp_path: Path) -> None:
+    words = ["dry-run", ROOT / "missions/paper_single_wall.yaml", "--fast", "--log-dir", tmp_path]
+    words += ["--set", "simulation.contact.body=guards", "--vary", "all", "--seed", "2"]
+    verdict, _ = run_json(*words)
     assert verdict["outcome"] == "completed"
     assert verdict["drawn"] == pytest.approx(draw_world(MISSION, 2, parse_vary(["all"], VEHICLE)).drawn)
     log = read_log(verdict["log"])
@@ -69,13 +59,3 @@ def test_a_varied_flight_reports_its_draws_and_replays(
     hit = verdict["collisions"][0]
     assert hit["truth"]["peak_force_n"] != hit["planned"]["peak_force_n"]
     assert replay(log).equal
-
-
-def test_a_wrong_name_of_vary_or_set_is_refused_with_the_nearest_one(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    arguments = ["dry-run", str(ROOT / "missions/paper_single_wall.yaml"), "--fast"]
-    assert main([*arguments, "--vary", "mas"]) == 2
-    assert "did you mean mass?" in capsys.readouterr().err
-    assert main([*arguments, "--set", "simulatio.contact.body=guards"]) == 2
-    assert "did you mean simulation?" in capsys.readouterr().err

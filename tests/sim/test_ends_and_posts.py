@@ -10,16 +10,14 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, quaternion_from_euler
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Post, Wall
-from dart_flight.config.vehicle import Coefficients, Material, VehicleConfig
+from dart_flight.config.vehicle import Coefficients, Material
 from dart_flight.contact.cylinders import WallWithEnds
 from dart_flight.contact.propeller_guards import Touch
 from dart_flight.sim.plant import Plant
 from tests.oracles.ends_and_posts import Board, Pillar, Scene
-from tests.oracles.rigid_body import Body, Law
-from tests.sim.test_body import body_vehicle, rotation
+from tests.sim.plants import body_vehicle, drifting_plant, energy_j, oracle_of, rotation
 
 # NED to north, west, up; FRD to forward, left, up.
 FLIP = np.diag([1.0, -1.0, -1.0])
@@ -31,48 +29,14 @@ def board(end_m: float, length_m: float = LENGTH_M) -> Wall:
     return Wall("wall", (1.0, end_m - 0.5 * length_m), (-1.0, 0.0), length_m, "acrylic")
 
 
-def drifting_plant(
-    vehicle: VehicleConfig,
-    mode: Mode,
-    walls: tuple[Wall, ...],
-    posts: tuple[Post, ...],
-    place: tuple[float, float],
-    velocity: tuple[float, float],
-    yaw: float,
-    tilt: float = 0.0,
-    rate: float = 0.0,
-) -> Plant:
-    """Return a plant in the air without motors or gravity; the mission frame is north and west."""
-    plant = Plant(vehicle, (*walls, *posts), MissionFrame())
-    plant.position = plant.frame.point_to_ned((*place, 5.0))
-    plant.velocity = plant.frame.vector_to_ned((*velocity, 0.0))
-    plant.q = quaternion_from_euler(tilt, 0.5 * tilt, -yaw)
-    plant.rate = (0.0, 0.0, -rate)
-    plant.set_mode(mode)
-    plant._motors = lambda commands: (0.0, (0.0, 0.0, 0.0))  # type: ignore[method-assign]
-    plant._drag = lambda: (0.0, 0.0, -GRAVITY_M_S2)  # type: ignore[method-assign]
-    return plant
-
-
 def oracle(plant: Plant, mode: Mode) -> Scene:
     """Return the oracle's body before the same obstacles."""
-    vehicle = plant.vehicle
-    contact, c = vehicle.simulation.contact, vehicle.materials["acrylic"].coefficients(mode)
-    body = Body(
-        vehicle.airframe.mass_kg,
-        np.array(vehicle.airframe.inertia_kg_m2),
-        contact.guard_out_m,
-        contact.guard_along_m,
-        contact.guard_height_m,
-        contact.friction_lever_share,
-        contact.vertical_lever_m,
-    )
-    law = Law(c.k, c.f, c.mu, c.nu, vehicle.vertical_force_sign)
+    body, law = oracle_of(plant.vehicle, mode)
     wall = None
     for plane in plant.planes:
         nx, ny = plane.wall.normal
         normal = np.array([nx, ny, 0.0])
-        middle = np.array([*plane.wall.point, 0.0]) - contact.guard_out_m * normal
+        middle = np.array([*plane.wall.point, 0.0]) - plant.vehicle.simulation.contact.guard_out_m * normal
         wall = Board(middle, normal, 0.5 * plane.wall.length_m)
     posts = [Pillar(np.array(one.post.centre), one.post.radius_m) for one in plant.posts]
     return Scene(body, law, wall, posts)
@@ -125,7 +89,7 @@ def test_a_collision_at_a_wall_end_agrees_with_an_independent_rigid_body(
     end: float, yaw: float, velocity: tuple[float, float], rate: float, mode: Mode
 ) -> None:
     plant = drifting_plant(
-        body_vehicle(), mode, (board(end),), (), (0.95, 0.0), velocity, math.radians(yaw), 0.05, rate
+        body_vehicle(), mode, (board(end),), (0.95, 0.0), velocity, math.radians(yaw), 0.05, rate
     )
     off_m_s, off_share = compare_with_oracle(plant, mode)
     assert off_m_s < 1e-3
@@ -153,18 +117,11 @@ def test_a_collision_with_a_post_agrees_with_an_independent_rigid_body(
 ) -> None:
     post = Post("post", (1.25 + radius, off), radius, "acrylic")
     plant = drifting_plant(
-        body_vehicle(), mode, (), (post,), (0.95, 0.0), velocity, math.radians(yaw), 0.05, rate
+        body_vehicle(), mode, (post,), (0.95, 0.0), velocity, math.radians(yaw), 0.05, rate
     )
     off_m_s, off_share = compare_with_oracle(plant, mode)
     assert off_m_s < 1e-3
     assert off_share < 0.01
-
-
-def energy(plant: Plant) -> float:
-    """Return the kinetic energy, joule; there is no gravity."""
-    inertia = plant.vehicle.airframe.inertia_kg_m2
-    turning = sum(j * w * w for j, w in zip(inertia, plant.rate, strict=True))
-    return 0.5 * (plant.mass * sum(v * v for v in plant.velocity) + turning)
 
 
 signed = st.floats(-1.0, 1.0)
@@ -214,11 +171,11 @@ def test_no_contact_adds_energy(
         walls = (board(0.3 * along, LENGTH_M if obstacle == "end" else radius),)
         if behind:  # starts behind the surface, beside the end, and flies to the end
             start, v = (1.1 + radius, 0.3 * along + 0.32), (0.2 * velocity[1], -abs(velocity[0]))
-    plant = drifting_plant(vehicle, mode, walls, posts, start, v, yaw, tilt, rate)
-    before = energy(plant)
+    plant = drifting_plant(vehicle, mode, (*walls, *posts), start, v, yaw, tilt, rate)
+    before = energy_j(plant)
     for _ in range(250):
         plant.advance((0.0,) * 4)
-        assert energy(plant) <= before * 1.002 + 1e-3
+        assert energy_j(plant) <= before * 1.002 + 1e-3
 
 
 @pytest.mark.rest
@@ -229,7 +186,7 @@ def test_skipping_the_contact_model_far_from_an_end_changes_no_flight(
 
     def flown(place: tuple[float, float], velocity: tuple[float, float], yaw: float) -> tuple[Plant, int]:
         plant = drifting_plant(
-            body_vehicle(), Mode.FLEXIBLE, (board(0.0),), (), place, velocity, yaw, 0.05, 0.3 * velocity[1]
+            body_vehicle(), Mode.FLEXIBLE, (board(0.0),), place, velocity, yaw, 0.05, 0.3 * velocity[1]
         )
         for _ in range(300):
             plant.advance((0.0,) * 4)

@@ -37,11 +37,17 @@ class Sender:
 class Host:
     """The host's time, which passes only while the world waits."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now_s = 100.0
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, wake: int) -> None:
+        self.now_s, self._wake = 100.0, wake
         self.after: Callable[[], None] = lambda: None
         monkeypatch.setattr(f"{module.__name__}.time.monotonic", lambda: self.now_s)
         monkeypatch.setattr(f"{module.__name__}.select.select", self._select)
+
+    def wait(self, world: Lockstep, next_us: int) -> float:
+        """Let the world wait until it may advance; return the seconds that pass."""
+        began_s = self.now_s
+        world.wait(next_us, [self._wake], lambda: True)
+        return self.now_s - began_s
 
     def _select(self, *_: Any) -> tuple[list[int], list[int], list[int]]:
         self.now_s += 0.05
@@ -50,10 +56,10 @@ class Host:
 
 
 @pytest.fixture
-def wake() -> Iterator[int]:
+def host(monkeypatch: pytest.MonkeyPatch) -> Iterator[Host]:
     descriptor = os.eventfd(0)
     with closing(os.fdopen(descriptor)):
-        yield descriptor
+        yield Host(monkeypatch, descriptor)
 
 
 def make_lockstep(sender: Sender, **more: Any) -> Lockstep:
@@ -158,30 +164,14 @@ def test_time_does_not_wait_for_a_silenced_application() -> None:
     assert not world.engaged
 
 
-def test_a_setpoint_that_arrives_between_two_checks_ends_the_wait_at_once(
-    monkeypatch: pytest.MonkeyPatch, wake: int
-) -> None:
+def test_a_setpoint_that_arrives_between_two_checks_ends_the_wait_at_once(host: Host) -> None:
     class Arriving(Sender):
         def answer_requests(self) -> None:
             self.arrived["setpoint"] = tuple(math.nan if value is None else value for value in SETPOINT)
 
-    host = Host(monkeypatch)
     world = make_lockstep(Arriving())
     world.update(Stepped({}, {"setpoint": SETPOINT}))
-    began_s = host.now_s
-    world.wait(4_000, [wake], lambda: True)
-    assert host.now_s == began_s
-
-
-def test_a_lost_datagram_delays_the_world_by_one_second(monkeypatch: pytest.MonkeyPatch, wake: int) -> None:
-    host, sender = Host(monkeypatch), Sender()
-    world = make_lockstep(sender)
-    world.update(Stepped({"imu": 4_000}))
-    sender.sent_us = {"imu": 8_000}
-    began_s = host.now_s
-    world.wait(12_000, [wake], lambda: True)
-    assert host.now_s - began_s == pytest.approx(1.0, abs=0.2)
-    assert sender.rests > 10
+    assert host.wait(world, 4_000) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -198,35 +188,33 @@ def test_a_lost_datagram_delays_the_world_by_one_second(monkeypatch: pytest.Monk
         ),
     ],
 )
-def test_a_message_that_is_lost_on_either_way_is_named_and_time_goes_on(
-    monkeypatch: pytest.MonkeyPatch, wake: int, report: Stepped, named: str
+def test_a_message_that_is_lost_on_either_way_is_named_after_a_second_and_time_goes_on(
+    host: Host, report: Stepped, named: str
 ) -> None:
-    host, sender, log = Host(monkeypatch), Sender(), list[str]()
+    sender, log = Sender(), list[str]()
     world = make_lockstep(sender, log=log.append)
     world.update(report)
     sender.sent_us = {"imu": 8_000}
-    began_s = host.now_s
-    world.wait(12_000, [wake], lambda: True)
-    assert host.now_s - began_s == pytest.approx(1.0, abs=0.2)
+    assert host.wait(world, 12_000) == pytest.approx(1.0, abs=0.2)
+    assert sender.rests > 10
     assert len(log) == 1
     assert log[0].startswith("the simulation has waited 1.")
     assert log[0].endswith(named)
     world.update(Stepped({"imu": 8_000}))
-    world.wait(12_000, [wake], lambda: True)
+    host.wait(world, 12_000)
     assert log[1:] == ["the simulation continues"]
 
 
-def test_a_lost_setpoint_delays_the_world_only_once(monkeypatch: pytest.MonkeyPatch, wake: int) -> None:
+def test_a_lost_setpoint_delays_the_world_only_once(host: Host) -> None:
     """The application sends an unchanged setpoint again only after 0.1 s of simulated time."""
-    host = Host(monkeypatch)
-    world = make_lockstep(Sender())
-    began_s = host.now_s
+    world, waited_s = make_lockstep(Sender()), 0.0
     for tick in range(25):
         world.update(Stepped({}, {"setpoint": SETPOINT}))
-        world.wait(4_000 * tick, [wake], lambda: True)
-    assert host.now_s - began_s == pytest.approx(1.0, abs=0.2)
+        waited_s += host.wait(world, 4_000 * tick)
+    assert waited_s == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.parametrize("keeps_reporting", [False, True])
 @pytest.mark.parametrize(
     ("report", "missing"),
     [
@@ -235,41 +223,29 @@ def test_a_lost_setpoint_delays_the_world_only_once(monkeypatch: pytest.MonkeyPa
     ],
 )
 def test_a_participant_that_is_silent_for_ten_seconds_is_named_and_ends_the_flight(
-    monkeypatch: pytest.MonkeyPatch, wake: int, report: Stepped, missing: str
+    host: Host, report: Stepped, missing: str, keeps_reporting: bool
 ) -> None:
-    host = Host(monkeypatch)
+    """The application may keep reporting meanwhile."""
     world = make_lockstep(Sender())
     world.update(report)
+    if keeps_reporting:
+        host.after = lambda: world.update(report)
     began_s = host.now_s
     with pytest.raises(SilentParticipantError, match=f"waited 10 s for {missing}"):
-        world.wait(8_000, [wake], lambda: True)
+        host.wait(world, 8_000)
     assert host.now_s - began_s == pytest.approx(10.0, abs=0.2)
 
 
-def test_a_silent_participant_is_named_while_others_keep_reporting(
-    monkeypatch: pytest.MonkeyPatch, wake: int
-) -> None:
-    host = Host(monkeypatch)
-    world = make_lockstep(Sender())
-    world.update(Stepped({}, plan_due_us=3_000))
-    host.after = lambda: world.update(Stepped({}, plan_due_us=3_000))
-    with pytest.raises(SilentParticipantError, match="the planner"):
-        world.wait(8_000, [wake], lambda: True)
-
-
-def test_a_stopped_application_ends_the_flight_despite_the_tolerance_of_losses(
-    monkeypatch: pytest.MonkeyPatch, wake: int
-) -> None:
-    host, sender = Host(monkeypatch), Sender()
+def test_a_stopped_application_ends_the_flight_despite_the_tolerance_of_losses(host: Host) -> None:
+    sender, ticks = Sender(), list[int]()
     world = make_lockstep(sender)
     world.update(Stepped({"imu": 4_000}))
     began_s = host.now_s
-    ticks: list[int] = []
 
     def fly_on() -> None:
         for tick in range(1000):
             sender.sent_us = {"imu": 8_000 + tick * TICK_US}
-            world.wait(12_000 + tick * TICK_US, [wake], lambda: True)
+            host.wait(world, 12_000 + tick * TICK_US)
             ticks.append(tick)
 
     with pytest.raises(SilentParticipantError, match="process its telemetry"):
@@ -278,35 +254,27 @@ def test_a_stopped_application_ends_the_flight_despite_the_tolerance_of_losses(
     assert len(ticks) <= 10
 
 
-def test_a_suspension_of_the_host_does_not_count_as_silence(
-    monkeypatch: pytest.MonkeyPatch, wake: int
-) -> None:
-    host = Host(monkeypatch)
+def test_a_suspension_of_the_host_does_not_count_as_silence(host: Host) -> None:
     world = make_lockstep(Sender())
     world.update(Stepped({}, plan_due_us=0))
 
     def sleep() -> None:
         host.now_s += 3600.0  # the computer was suspended
-        host.after = answer
-
-    def answer() -> None:
-        world.update(Stepped({}))
+        host.after = lambda: world.update(Stepped({}))
 
     host.after = sleep
-    world.wait(4_000, [wake], lambda: True)
+    assert host.wait(world, 8_000) > 3600.0
 
 
-def test_the_world_continues_without_its_application(wake: int) -> None:
-    make_lockstep(Sender()).wait(4_000, [wake], lambda: False)
+def test_the_world_continues_without_its_application() -> None:
+    make_lockstep(Sender()).wait(4_000, [], lambda: False)
 
 
-def test_px4_gets_time_to_send_telemetry_that_is_due(monkeypatch: pytest.MonkeyPatch, wake: int) -> None:
-    host, sender = Host(monkeypatch), Sender()
+def test_px4_gets_time_to_send_telemetry_that_is_due(host: Host) -> None:
+    sender = Sender()
     world = make_lockstep(sender, answers_at_rest=False, sender_lag_us=16_000)
     world.update(Stepped({"imu": 100_000}))
     sender.sent_us = {"imu": 100_000}
     assert world.outstanding(116_000) is None
     assert world.outstanding(120_000) == "the autopilot to send its telemetry"
-    began_s = host.now_s
-    world.wait(120_000, [wake], lambda: True)
-    assert host.now_s - began_s == pytest.approx(0.2, abs=0.1)
+    assert host.wait(world, 120_000) == pytest.approx(0.2, abs=0.1)

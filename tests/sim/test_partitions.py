@@ -17,9 +17,8 @@ from dart_flight.core.mission.position_loop import stop_share
 from dart_flight.lab.api import plan
 from dart_flight.run.fast import fly_fast
 from dart_flight.sim.draws import draw_world
-from dart_flight.sim.plant import Plant
 from tests.mission_findings import check_mission
-from tests.sim.test_ends_and_posts import drifting_plant
+from tests.sim.plants import drift, drifting_plant, energy_j, in_still_air
 
 ROOT = Path(__file__).parents[2]
 BODIES = [
@@ -32,8 +31,7 @@ BODIES = [
 
 
 def vehicle(name: str, body: str = "guards") -> VehicleConfig:
-    still_air = {"simulation.contact.body": body, "airframe.drag_per_s": [0.0, 0.0, 0.0]}
-    return load_vehicle(ROOT / f"configs/{name}.yaml").replace(still_air)
+    return in_still_air(load_vehicle(ROOT / f"configs/{name}.yaml", [f"simulation.contact.body={body}"]))
 
 
 def separate_faces(one: VehicleConfig, thickness_m: float, end_m: float = 1.0) -> tuple[Wall, Wall]:
@@ -52,17 +50,6 @@ def partition(one: VehicleConfig, thickness_m: float, end_m: float = 1.0) -> tup
     return front, front.back()
 
 
-def energy_j(plant: Plant) -> float:
-    moving = plant.mass * sum(v * v for v in plant.velocity)
-    turning = sum(i * w * w for i, w in zip(plant.vehicle.airframe.inertia_kg_m2, plant.rate, strict=True))
-    return 0.5 * (moving + turning)
-
-
-def fly(plant: Plant, seconds: float) -> None:
-    for _ in range(round(1000 * seconds)):
-        plant.advance((0.0,) * len(plant.motors))
-
-
 @pytest.mark.parametrize(("name", "body"), BODIES)
 @pytest.mark.parametrize(
     ("thickness_m", "faces_of"),
@@ -75,8 +62,8 @@ def test_a_partition_throws_the_vehicle_back_like_one_wall(
     near, far = faces_of(one, thickness_m)
     after = []
     for walls in ((near,), (near, far), (far, near)):
-        plant = drifting_plant(one, one.modes[-1], walls, (), (0.9, 0.0), (1.5, 0.2), math.radians(6.0))
-        fly(plant, 0.25)
+        plant = drifting_plant(one, one.modes[-1], walls, (0.9, 0.0), (1.5, 0.2), math.radians(6.0))
+        drift(plant, 0.25)
         assert [contact.wall for contact in plant.finished] == [near.name]
         after.append((*plant.position, *plant.velocity, *plant.rate))
     assert after[1:] == [pytest.approx(after[0], abs=1e-3)] * 2
@@ -88,8 +75,8 @@ def test_a_wedge_throws_the_vehicle_back_too() -> None:
     near, far = separate_faces(one, 0.05)
     after = []
     for walls in ((near,), (near, far.rotated(math.radians(8.0)))):
-        plant = drifting_plant(one, Mode.FLEXIBLE, walls, (), (0.9, 0.0), (2.0, 0.0), 0.0)
-        fly(plant, 0.2)
+        plant = drifting_plant(one, Mode.FLEXIBLE, walls, (0.9, 0.0), (2.0, 0.0), 0.0)
+        drift(plant, 0.2)
         after.append(plant.velocity)
     assert after[0] == pytest.approx(after[1], abs=1e-3)
 
@@ -106,7 +93,7 @@ def test_the_end_of_a_partition_neither_traps_nor_drives_the_vehicle(
 ) -> None:
     one = vehicle("dart")
     walls = partition(one, thickness_m, end_m)
-    plant = drifting_plant(one, Mode.FLEXIBLE, walls, (), (0.9, 0.0), (1.2, 0.2), 0.05)
+    plant = drifting_plant(one, Mode.FLEXIBLE, walls, (0.9, 0.0), (1.2, 0.2), 0.05)
     before = energy_j(plant)
     for _ in range(200):
         plant.advance((0.0,) * 4)
@@ -122,8 +109,8 @@ def test_a_partition_hit_on_its_end_pushes_like_one_edge() -> None:
     for walls in (partition(one, 0.02, 0.0), partition(one, 0.02, 0.0)[:1]):
         # The end points west; the vehicle comes from there with the partition ahead of its middle.
         middle = 1.0 + one.airframe.contact_distance_m + 0.01
-        plant = drifting_plant(one, Mode.RIGID, walls, (), (middle, 0.25), (0.0, -1.0), 0.0)
-        fly(plant, 0.15)
+        plant = drifting_plant(one, Mode.RIGID, walls, (middle, 0.25), (0.0, -1.0), 0.0)
+        drift(plant, 0.15)
         peaks.append([contact.peak_normal_force_n for contact in plant.finished])
     assert len(peaks[0]) == len(peaks[1]) == 1
     assert peaks[0][0] == pytest.approx(peaks[1][0], rel=0.01)
@@ -134,8 +121,8 @@ def test_a_post_in_front_of_a_partition_still_pushes() -> None:
     after = []
     for walls in ((), partition(one, 0.012)):
         post = Post("post", (1.1, 0.0), 0.05, "acrylic")
-        plant = drifting_plant(one, Mode.FLEXIBLE, walls, (post,), (0.8, 0.0), (1.0, 0.0), 0.0)
-        fly(plant, 0.3)
+        plant = drifting_plant(one, Mode.FLEXIBLE, (*walls, post), (0.8, 0.0), (1.0, 0.0), 0.0)
+        drift(plant, 0.3)
         assert [contact.wall for contact in plant.finished] == ["post"]
         after.append(plant.velocity[0])
     assert after[0] == pytest.approx(after[1], abs=1e-3)

@@ -10,43 +10,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, quaternion_from_euler, tilt_of
-from dart_flight.base.records import Mode, TruthContact
-from dart_flight.base.walls import Wall
-from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.base.records import Mode
 from dart_flight.sim.plant import Plant
+from tests.sim.plants import HOVER, VEHICLE, before_the_wall, first_contact, in_still_air
 
 ROOT = Path(__file__).parents[2]
-# The reference solutions model the vehicle as a point.
-VEHICLE = load_vehicle(ROOT / "configs/dart.yaml", ["simulation.contact.body=point"])
 ROWS = list(csv.DictReader((ROOT / "tests/data/wall_collisions.csv").open()))
-HOVER = VEHICLE.thrust.command_for(VEHICLE.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
 
 
-def flying_plant(onset: str, mode: Mode, normal_m_s: float, tangential_m_s: float, heading: float) -> Plant:
-    """Return a hovering plant without drag, 5 cm before an acrylic wall, heading parallel to it."""
-    still_air = msgspec.structs.replace(VEHICLE.airframe, drag_per_s=(0.0, 0.0, 0.0))
-    vehicle = msgspec.structs.replace(VEHICLE, onset=onset, airframe=still_air)
-    wall = Wall("wall", (1.0, 0.0), (-1.0, 0.0), 80.0, "acrylic")
-    plant = Plant(vehicle, (wall,), MissionFrame(heading_rad=heading))
-    plant.position = plant.frame.point_to_ned((0.95, 0.0, 5.0))
-    plant.velocity = plant.frame.vector_to_ned(wall.from_collision((normal_m_s, tangential_m_s, 0.0)))
-    plant.q = quaternion_from_euler(0.0, 0.0, heading)
-    plant.motor = [HOVER] * 4
-    plant.set_mode(mode)
-    return plant
-
-
-def first_contact(plant: Plant, limit_s: float = 3.0) -> TruthContact:
-    while not plant.finished and plant.time_s < limit_s:
-        plant.advance((HOVER,) * 4)
-    return plant.finished[0]
+def flying_plant(
+    mode: Mode, normal_m_s: float, tangential_m_s: float = 0.0, heading: float = 0.0, onset: str = "lcp"
+) -> Plant:
+    """Return a hovering plant without drag before an acrylic wall, heading along the axes of the mission."""
+    vehicle = in_still_air(msgspec.structs.replace(VEHICLE, onset=onset))
+    return before_the_wall(vehicle, mode, normal_m_s, tangential_m_s, heading, heading)
 
 
 @pytest.mark.parametrize("onset", ["lcp", "touch"])
 @pytest.mark.parametrize("row", ROWS[::7], ids=lambda r: f"{r['mode']} {float(r['vx_in_m_s']):.2f}")
 def test_truth_is_within_one_per_cent_of_the_reference(row: dict[str, str], onset: str) -> None:
     vx, vy = float(row["vx_in_m_s"]), float(row["vy_in_m_s"])
-    contact = first_contact(flying_plant(onset, Mode(row["mode"]), vx, vy, heading=0.7))
+    contact = first_contact(flying_plant(Mode(row["mode"]), vx, vy, 0.7, onset))
 
     def reference(name: str) -> float:
         return float(row[f"{onset}_{name}"])
@@ -66,7 +50,7 @@ def test_truth_is_within_one_per_cent_of_the_reference(row: dict[str, str], onse
     st.floats(-math.pi, math.pi),
 )
 def test_a_contact_never_creates_energy(mode: Mode, normal: float, tangential: float, heading: float) -> None:
-    contact = first_contact(flying_plant("lcp", mode, normal, tangential, heading))
+    contact = first_contact(flying_plant(mode, normal, tangential, heading))
     before = contact.normal_in_m_s**2 + contact.tangential_in_m_s**2
     after = contact.normal_out_m_s**2 + contact.tangential_out_m_s**2
     assert after < before
@@ -74,7 +58,7 @@ def test_a_contact_never_creates_energy(mode: Mode, normal: float, tangential: f
 
 
 def test_a_vehicle_beside_the_wall_flies_past() -> None:
-    plant = flying_plant("lcp", Mode.RIGID, -1.0, 0.0, 0.0)
+    plant = flying_plant(Mode.RIGID, -1.0)
     plant.position = plant.frame.point_to_ned((0.95, 41.0, 5.0))
     for _ in range(200):
         plant.advance((HOVER,) * 4)
@@ -85,7 +69,7 @@ def test_a_vehicle_beside_the_wall_flies_past() -> None:
 def test_flexible_arms_behave_rigidly_at_a_large_incidence() -> None:
     times = {}
     for incidence_deg in (0.0, 40.0):
-        plant = flying_plant("lcp", Mode.FLEXIBLE, -1.0, 0.0, 0.0)
+        plant = flying_plant(Mode.FLEXIBLE, -1.0)
         plant.q = quaternion_from_euler(0.0, 0.0, math.radians(incidence_deg))
         contact = first_contact(plant)
         times[incidence_deg] = (contact.end_us - contact.t_us) * 1e-3
@@ -94,7 +78,7 @@ def test_flexible_arms_behave_rigidly_at_a_large_incidence() -> None:
 
 
 def test_the_arms_cannot_lock_during_a_contact() -> None:
-    plant = flying_plant("lcp", Mode.FLEXIBLE, -1.0, 0.0, 0.0)
+    plant = flying_plant(Mode.FLEXIBLE, -1.0)
     while not plant.in_contact:
         plant.advance((HOVER,) * 4)
     plant.set_mode(Mode.RIGID)
@@ -118,7 +102,7 @@ def test_a_vehicle_on_the_ground_stays_level_and_still() -> None:
 
 
 def test_the_imu_saturates_at_full_scale() -> None:
-    plant = flying_plant("lcp", Mode.RIGID, -4.0, 0.0, 0.0)
+    plant = flying_plant(Mode.RIGID, -4.0)
     largest = 0.0
     while not plant.finished:
         largest = max(largest, *(abs(f) for f in plant.advance((HOVER,) * 4)))
@@ -128,7 +112,7 @@ def test_the_imu_saturates_at_full_scale() -> None:
 
 def test_arm_vibration_shakes_the_imu_but_not_the_centre_of_mass() -> None:
     """After a flexible contact the IMU keeps shaking, while the true velocity hardly changes."""
-    plant = flying_plant("lcp", Mode.FLEXIBLE, -1.0, 0.0, 0.0)
+    plant = flying_plant(Mode.FLEXIBLE, -1.0)
     first_contact(plant)
     speed = plant.velocity[0]
     shaken = max(abs(plant.advance((HOVER,) * 4)[0]) for _ in range(60))

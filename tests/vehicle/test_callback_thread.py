@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import pytest
 
 from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
 from dart_flight.vehicle.vehicle_session import connect
-from tests.doubles.ports import free_udp_port
+from tests.flights.test_embedded_flights import simulated_vehicle
 from tests.real_time import limited, run_within
 
-ROOT = Path(__file__).parents[2]
-MISSION = ROOT / "missions" / "paper_single_wall.yaml"
+MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 _WAIT_S, _ENOUGH = 20.0, 100
 
 
@@ -24,11 +22,10 @@ _WAIT_S, _ENOUGH = 20.0, 100
 @pytest.mark.mavlink
 def test_thread_local_data_persists_between_callbacks() -> None:
     """If the interpreter forgot the thread between two callbacks, the count would restart at one."""
-    port = free_udp_port()
     thread_data = threading.local()
     counts: dict[int, int] = {}
 
-    async def listen() -> None:
+    async def listen(url: str) -> None:
         vehicle = load_mission(MISSION).vehicle
         loop, enough = asyncio.get_running_loop(), asyncio.Event()
 
@@ -38,20 +35,16 @@ def test_thread_local_data_persists_between_callbacks() -> None:
             if thread_data.count == _ENOUGH:
                 loop.call_soon_threadsafe(enough.set)
 
-        async with connect(f"udpin://127.0.0.1:{port}", _WAIT_S, deliver) as session:
+        async with connect(url, _WAIT_S, deliver) as session:
             session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
             with limited("a hundred callbacks"):
                 await asyncio.wait_for(enough.wait(), _WAIT_S)
 
-    command = [sys.executable, "-m", "dart_flight", "simulate", str(MISSION), "--port", str(port)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as simulator:
-        try:
-            for _ in range(2):  # a second connection has a thread of its own
-                counts.clear()
-                asyncio.run(listen())
-                assert max(counts.values()) >= _ENOUGH
-        finally:
-            simulator.terminate()
+    with simulated_vehicle(MISSION) as url:
+        for _ in range(2):  # a second connection has a thread of its own
+            counts.clear()
+            asyncio.run(listen(url))
+            assert max(counts.values()) >= _ENOUGH
 
 
 BLOCKED = """
@@ -81,13 +74,7 @@ exit_within(3, 0.5)
 @pytest.mark.mavlink
 def test_a_callback_that_never_returns_keeps_neither_the_verdict_nor_the_program() -> None:
     """MAVSDK waits for a running callback when it closes; without a limit the program stays for ever."""
-    port = free_udp_port()
-    command = [sys.executable, "-m", "dart_flight", "simulate", str(MISSION), "--port", str(port)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as simulator:
-        try:
-            program = [sys.executable, "-c", BLOCKED, str(MISSION), f"udpin://127.0.0.1:{port}"]
-            done = run_within(60.0, program)
-        finally:
-            simulator.terminate()
+    with simulated_vehicle(MISSION) as url:
+        done = run_within(60.0, [sys.executable, "-c", BLOCKED, MISSION, url])
     assert done.stdout == "verdict\n", done.stderr
     assert done.returncode in (3, -14)

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,21 +18,21 @@ from dart_flight.base.records import (
     StatusText,
 )
 from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
 from dart_flight.vehicle.vehicle_session import connect
 from tests.doubles.foreign_sender import COMPONENT, foreign_sender, messages
-from tests.doubles.ports import free_udp_port
+from tests.flights.test_embedded_flights import simulated_vehicle
 
-ROOT = Path(__file__).parents[2]
-MISSION = ROOT / "missions" / "paper_single_wall.yaml"
+MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 _WAIT_S, _ENOUGH = 30.0, 200
 
 
 @pytest.mark.mavlink
 def test_no_sample_of_another_component_reaches_the_core() -> None:
-    port, delivered = free_udp_port(), list[Any]()
+    delivered = list[Any]()
     vehicle = load_mission(MISSION).vehicle
 
-    async def listen() -> dict[tuple[str, int, int, int], Any]:
+    async def listen(url: str) -> dict[tuple[str, int, int, int], Any]:
         loop, enough = asyncio.get_running_loop(), asyncio.Event()
         counts: dict[type[Any], int] = dict.fromkeys(
             (ImuSample, OdometrySample, AttitudeSample, ActuatorSample), 0
@@ -52,21 +48,16 @@ def test_no_sample_of_another_component_reaches_the_core() -> None:
                         loop.call_soon_threadsafe(enough.set)
 
         session_senders: dict[tuple[str, int, int, int], Any] = {}
-        async with connect(f"udpin://127.0.0.1:{port}", _WAIT_S, deliver) as session:
+        async with connect(url, _WAIT_S, deliver) as session:
             session_senders = session.senders
             session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
             await session.set_rates()
-            with foreign_sender(port):
+            with foreign_sender(int(url.rpartition(":")[2])):
                 await asyncio.wait_for(enough.wait(), _WAIT_S)
             return dict(session.senders)
 
-    command = [sys.executable, "-m", "dart_flight", "simulate", str(MISSION), "--port", str(port)]
-    quiet = subprocess.DEVNULL
-    with subprocess.Popen(command, env=dict(os.environ), stdout=quiet, stderr=quiet) as simulator:
-        try:
-            senders = asyncio.run(listen())
-        finally:
-            simulator.terminate()
+    with simulated_vehicle(MISSION) as url:
+        senders = asyncio.run(listen(url))
 
     def records_of(kind: type[Any]) -> list[Any]:
         return [record for record in delivered if isinstance(record, kind)]

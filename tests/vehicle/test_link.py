@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pty
 import signal
-import socket
 import subprocess
 import sys
 import termios
@@ -27,17 +26,26 @@ from dart_flight.vehicle.link import (
     held_links,
     udp_port_is_free,
 )
+from tests.doubles.other_process import running
+from tests.doubles.ports import free_udp_port
 
 MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 HOLD = """
-import sys, time
+import sys
 from pathlib import Path
 from dart_flight.vehicle.link import LinkLease
 lease = LinkLease(sys.argv[1], "fly", Path(sys.argv[2]))
 lease.acquire()
-print("held", flush=True)
-time.sleep(60)
 """
+# MAVSDK and ground stations open a port like this, so that others may share it.
+LISTEN = """
+import socket, sys
+s = socket.socket(type=socket.SOCK_DGRAM)
+s.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+s.bind(("127.0.0.1", int(sys.argv[1])))
+"""
+# pyserial does the same with exclusive=True.
+LOCK = "import fcntl, os, sys; fcntl.flock(os.open(sys.argv[1], os.O_RDWR), fcntl.LOCK_EX | fcntl.LOCK_NB)"
 
 
 @pytest.fixture(autouse=True)
@@ -47,9 +55,7 @@ def _own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return free_udp_port()
 
 
 @pytest.fixture
@@ -60,13 +66,8 @@ def url(port: int) -> str:
 @pytest.fixture
 def holding_process(url: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """Another process that holds the link, as a flight does."""
-    command = [sys.executable, "-c", HOLD, url, str(tmp_path / "flight.mcap")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "held\n"
-    yield process
-    process.kill()
-    process.communicate()
+    with running(HOLD, url, str(tmp_path / "flight.mcap")) as process:
+        yield process
 
 
 def test_different_urls_of_one_endpoint_have_the_same_key(tmp_path: Path) -> None:
@@ -134,22 +135,12 @@ def test_a_port_that_cannot_be_bound_is_not_reported_as_free(host: str, port: in
 
 
 def test_a_foreign_program_on_the_port_is_named(port: int, url: str) -> None:
-    listen = "import socket,sys,time; s=socket.socket(type=socket.SOCK_DGRAM);"
-    # MAVSDK and ground stations open the port like this, so that others may share it.
-    listen += "s.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1);"
-    listen += f"s.bind(('127.0.0.1', {port})); print('bound', flush=True); time.sleep(60)"
-    other = subprocess.Popen([sys.executable, "-c", listen], stdout=subprocess.PIPE, text=True)
-    try:
-        assert other.stdout is not None
-        other.stdout.readline()
+    with running(LISTEN, str(port)) as other:
         assert not udp_port_is_free(port)
         with pytest.raises(
             LinkInUseError, match=rf"UDP port {port} is in use by python.*, process {other.pid}"
         ):
             LinkLease(url, "fly").acquire()
-    finally:
-        other.kill()
-        other.communicate()
     with LinkLease(url, "fly"):
         pass
 
@@ -175,31 +166,18 @@ def device() -> Iterator[str]:
 
 
 def test_a_serial_device_that_another_program_has_open_is_refused(device: str) -> None:
-    reader = subprocess.Popen(
-        [sys.executable, "-c", f"f=open({device!r},'rb',0); print('open', flush=True); f.read()"],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert reader.stdout is not None
-        reader.stdout.readline()
-        with pytest.raises(LinkInUseError, match=f"{device} is in use by python.*, process {reader.pid}"):
-            LinkLease(f"serial://{device}:921600", "fly").acquire()
-    finally:
-        reader.kill()
-        reader.communicate()
+    with (
+        running("import sys; f = open(sys.argv[1], 'rb', 0)", device) as reader,
+        pytest.raises(LinkInUseError, match=f"{device} is in use by python.*, process {reader.pid}"),
+    ):
+        LinkLease(f"serial://{device}:921600", "fly").acquire()
 
 
 def test_a_serial_device_is_locked_against_programs_with_other_state_folders(device: str) -> None:
     url = f"serial://{device}:57600"
     with LinkLease(url, "fly") as lease:
         lease.lock_device()
-        lock_code = "import fcntl,os,sys; d=os.open(sys.argv[1], os.O_RDWR);"
-        lock_code += "fcntl.flock(d, fcntl.LOCK_EX|fcntl.LOCK_NB)"
-        # pyserial does the same with exclusive=True.
-        done = subprocess.run(
-            [sys.executable, "-c", lock_code, device], capture_output=True, text=True, check=False
-        )
+        done = subprocess.run([sys.executable, "-c", LOCK, device], capture_output=True, check=False)
         assert done.returncode != 0
         other_environment = {**os.environ, "DART_FLIGHT_STATE_DIR": os.environ["DART_FLIGHT_STATE_DIR"] + "2"}
         command = [sys.executable, "-m", "dart_flight", "check", MISSION, "--connection", url]

@@ -325,33 +325,31 @@ def test_a_battery_voltage_is_the_sum_of_the_known_fields(
 # --- messages in parts -------------------------------------------------------------------------------------
 
 
-def deliver_text_parts(rig: SessionRig, *parts: tuple[int, int, str]) -> list[str]:
-    for number, chunk, text in parts:
-        rig.receive("STATUSTEXT", severity=4, id=number, chunk_seq=chunk, text=text)
-    return [text.text for text in rig.records_of(StatusText)]
-
-
 LONG = "Critical battery level: switching to Land because "  # 50 bytes
+LATER = [("HEARTBEAT", ROWS["HEARTBEAT"].good)] * 2  # seconds later
 
 
-def test_the_parts_of_a_long_text_are_joined(make_session: MakeSession) -> None:
+def part(number: int, chunk: int, text: str) -> tuple[str, Fields]:
+    return "STATUSTEXT", {"severity": 4, "id": number, "chunk_seq": chunk, "text": text}
+
+
+@pytest.mark.parametrize(
+    ("parts", "texts"),
+    [
+        ([part(7, 0, LONG), part(7, 1, LONG), part(7, 2, "of it")], [LONG + LONG + "of it"]),
+        ([part(7, 0, LONG), part(7, 1, "")], [LONG.strip()]),  # ends exactly with a part
+        ([part(7, 0, LONG), part(7, 2, "end")], [LONG + "...end"]),
+        ([part(7, 0, LONG), part(8, 0, "another")], [LONG + "...", "another"]),
+        ([part(7, 0, LONG), *LATER], [LONG + "..."]),
+    ],
+)
+def test_the_parts_of_a_long_text_are_joined_with_an_ellipsis_for_a_lost_part(
+    rig: SessionRig, parts: list[tuple[str, Fields]], texts: list[str]
+) -> None:
     assert len(LONG) == 50
-    parts = ((7, 0, LONG), (7, 1, LONG), (7, 2, "of it"))
-    assert deliver_text_parts(make_session({}).subscribe(), *parts) == [LONG + LONG + "of it"]
-    assert deliver_text_parts(make_session({}).subscribe(), (7, 0, LONG), (7, 1, "")) == [
-        LONG.strip()
-    ]  # ends exactly with a part
-
-
-def test_a_text_with_a_lost_part_is_delivered_with_an_ellipsis(make_session: MakeSession) -> None:
-    assert deliver_text_parts(make_session({}).subscribe(), (7, 0, LONG), (7, 2, "end")) == [LONG + "...end"]
-    rig = make_session({}).subscribe()
-    assert deliver_text_parts(rig, (7, 0, LONG), (8, 0, "another")) == [LONG + "...", "another"]
-    rig = make_session({}).subscribe()
-    deliver_text_parts(rig, (7, 0, LONG))
-    for _ in range(2):  # seconds later
-        rig.receive("HEARTBEAT", **ROWS["HEARTBEAT"].good)
-    assert [text.text for text in rig.records_of(StatusText)] == [LONG + "..."]
+    for stream, fields in parts:
+        rig.receive(stream, **fields)
+    assert [text.text for text in rig.records_of(StatusText)] == texts
 
 
 def test_speeds_of_six_motors_are_joined_from_two_messages(make_session: MakeSession) -> None:

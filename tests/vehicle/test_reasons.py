@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from mavsdk.plugins.events import (
     HealthAndArmingCheckMode,
     HealthAndArmingCheckProblem,
@@ -30,32 +31,25 @@ def test_blocking_problems_are_separated_from_those_of_other_modes() -> None:
     assert report_from_checks(report)[:2] == (True, ())
 
 
-def sys_status(enabled: int, healthy: int) -> Sensors:
-    return Sensors(enabled, healthy)
+EVERY, PREARM, MAGNETOMETER = 1 << 28 | 0b1111, 1 << 28, 1 << 2
 
 
-def test_unhealthy_enabled_sensors_are_named() -> None:
-    every = 1 << 28 | 1 | 2 | 4 | 8
-    assert report_from_sys_status(sys_status(every, every)) == (True, (), ())
-    assert report_from_sys_status(sys_status(every, every & ~4 & ~(1 << 28))) == (
-        False,
-        ("preflight checks failed",),
-        ("magnetometer not healthy",),
-    )
-    assert report_from_sys_status(sys_status(every, every & ~(1 << 28))) == (
-        False,
-        ("preflight checks failed",),
-        (),
-    )
-
-
-def test_failed_preflight_checks_of_px4_1_14_are_reported() -> None:
-    """SYS_STATUS of PX4 v1.14.2 in simulation: in Hold it would not arm without a global position."""
-    assert report_from_sys_status(sys_status(35749897, 572555327)) == (
-        False,
-        ("preflight checks failed",),
-        ("remote control not healthy",),
-    )
+@pytest.mark.parametrize(
+    ("enabled", "healthy", "sensors"),
+    [
+        (EVERY, EVERY, None),
+        (EVERY, EVERY & ~PREARM & ~MAGNETOMETER, ("magnetometer not healthy",)),
+        (EVERY, EVERY & ~PREARM, ()),
+        # PX4 v1.14.2 in simulation: in Hold it would not arm without a global position.
+        (35749897, 572555327, ("remote control not healthy",)),
+    ],
+)
+def test_failed_preflight_checks_and_unhealthy_enabled_sensors_are_named(
+    enabled: int, healthy: int, sensors: tuple[str, ...] | None
+) -> None:
+    failed = (False, ("preflight checks failed",), sensors)
+    expected = (True, (), ()) if sensors is None else failed
+    assert report_from_sys_status(Sensors(enabled, healthy)) == expected
 
 
 def test_event_levels_are_converted_to_severities_of_texts() -> None:

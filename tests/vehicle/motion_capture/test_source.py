@@ -52,10 +52,8 @@ def test_a_wrong_url_is_refused_in_one_line(url: str, fragment: str) -> None:
 
 
 def test_a_missing_client_is_reported_with_the_package_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> None:
-        raise ModuleNotFoundError("No module named 'qtm_rt'", name="qtm_rt")
-
-    monkeypatch.setattr("importlib.import_module", missing)
+    monkeypatch.delitem(sys.modules, "dart_flight.vehicle.motion_capture.qualisys", raising=False)
+    monkeypatch.setitem(sys.modules, "qtm_rt", None)
     with pytest.raises(InputError, match=r"needs qtm_rt: .*install"):
         open_source("qualisys://127.0.0.1/dart")
 
