@@ -236,7 +236,7 @@ class LockStateMachine:
         self._transition(t_us, LockEvent.DRIVER_FAILED, reason=reason)
 
     def reading(self, t_us: int, reading: DriverReading) -> None:
-        """Process a driver's reading; `t_us` is the time before the reading."""
+        """Process a driver's reading; `t_us` is the time before the driver was read."""
         self._last, self._last_reading_us = reading, t_us
         if self._state.phase is LockPhase.TRAVELLING:
             self._read_travelling(t_us, reading)
@@ -368,10 +368,7 @@ class LockStateMachine:
         feedback: bool = False,
         commanded_us: int | None = None,
     ) -> None:
-        """Change the phase by the table; an event without an entry has no effect.
-
-        No other method changes the phase.
-        """
+        """Change the phase by the table, as no other method does; an event without an entry has no effect."""
         after = TRANSITIONS[self._state.phase].get(event)
         if after is None:
             return
