@@ -122,7 +122,8 @@ def _still_held(flight: Holder) -> Callable[[], bool]:
     return lambda: find_holder(flight.url) == flight
 
 
-def _ignore(record: Record) -> None: ...
+def _ignore(record: Record) -> None:
+    """Ignore a record, because there is no live view."""
 
 
 def _follow(
