@@ -60,7 +60,7 @@ class LinkEndpoint(msgspec.Struct, frozen=True):
 def endpoint_of(url: str) -> LinkEndpoint:
     """Return the resource that a MAVSDK connection URL uses.
 
-    An invalid URL also gets a key: the URL is not refused here but later, by MAVSDK.
+    An invalid URL also gets a key, because MAVSDK refuses the URL later.
     """
     link = parse_link(url)
     if link is not None and link.kind == "serial":
@@ -97,7 +97,7 @@ def _network() -> str:
 
 
 def link_problem(url: str) -> str | None:
-    """Return a text with the error in a URL's form and the allowed forms, or None if the form is valid."""
+    """Return the error in a URL's form and the allowed forms, or None if the form is valid."""
     link = parse_link(url)
     if link is None:
         return f"{url!r} is not a connection URL, expected: {FORMS}"
@@ -107,11 +107,7 @@ def link_problem(url: str) -> str | None:
 
 
 def usable_link(url: str, key: str = "--connection") -> str:
-    """Check a URL without opening it, and return it unchanged.
-
-    Raises:
-        InputError: the URL has the wrong form, or the serial port does not exist.
-    """
+    """Check the form of a URL and that its serial port exists, without opening it; return it unchanged."""
     problem = link_problem(url)
     if problem is not None:
         raise InputError(problem, key=(key,))

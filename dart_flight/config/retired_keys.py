@@ -25,7 +25,6 @@ class RetiredKey(NamedTuple):
     """The constant that replaced a key.
 
     Attributes:
-        value: value of the constant.
         constant: module below `dart_flight`, and name of the constant in that module.
     """
 
@@ -92,10 +91,7 @@ RETIRED: Final[Mapping[str, RetiredKey]] = {
 
 
 def remove_retired(tree: dict[str, Any]) -> dict[str, Any]:
-    """Remove the retired keys from a configuration.
-
-    Args:
-        tree: content of a file; changed in place. Sections that become empty are removed as well.
+    """Remove the retired keys, and sections that become empty, from `tree` in place.
 
     Returns:
         The removed values, by dotted key.

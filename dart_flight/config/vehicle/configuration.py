@@ -152,7 +152,7 @@ def default_config_path() -> Path:
 
 
 def _is_unchanged(path: Path) -> bool:
-    """Return True if a file equals the packaged file of the same name or is no vehicle configuration."""
+    """Return whether a file equals the packaged file of the same name or is no vehicle configuration."""
     try:
         text = read_text(path)
         if re.search(rf"^({EXTENDS}|airframe):", text, re.MULTILINE) is None:
@@ -176,16 +176,18 @@ def load_vehicle(
 ) -> VehicleConfig:
     """Load and validate a vehicle configuration.
 
+    A file with `extends: FILE` contains only its differences from FILE. The path FILE is relative to the
+    folder
+    of the extending file.
+
     Args:
         path: the file, a mapping with the same content, or a parsed document; default: the default
             configuration.
         settings: `KEY=VALUE` with a dotted key, set before the validation (`config.settings`).
 
-    A file with `extends: FILE` contains only its differences from FILE. The path FILE is relative to the
-    folder of the extending file.
-
     Raises:
-        InputError: as in `Document` and `parse_vehicle`.
+        InputError: the file is not a valid YAML file (`Document`), or the configuration is invalid
+            (`parse_vehicle`).
     """
     if isinstance(path, Mapping):
         document = Document.from_tree(path)
@@ -203,7 +205,7 @@ def parse_vehicle(document: Document) -> VehicleConfig:
 
     Raises:
         InputError: a key is unknown or missing; a value has the wrong type or is out of range; a material
-        lacks a mode of the vehicle; or the motors cannot carry the mass or control every axis.
+            lacks a mode of the vehicle; or the motors cannot carry the mass or control every axis.
     """
     ignore_retired(document)
     lock = document.tree.get("lock")
@@ -254,7 +256,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
 
 
 def _set_last(document: Document, first: Key, second: Key) -> Key:
-    """Return the second key if another file than that of the first key has set it later, else the first."""
+    """Return the second key if a later file than that of the first key has set it, else the first."""
     names = list(document.set_by)
     if second not in names or (first in names and names.index(first) > names.index(second)):
         return first
@@ -282,6 +284,6 @@ def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
                 node[part] = {}
             node = node[part]
         node[key[-1]] = value
-        merged.set_by.pop(key, None)  # the order is that of the files, the extending one last
+        merged.set_by.pop(key, None)  # so that the dict keeps the order of the files, the extending file last
         merged.set_by[key] = document.error(key, "").one_line()
     return merged

@@ -90,7 +90,6 @@ class Servo(Section, frozen=True):
             )
 
     def pulse_us(self, mode: Mode) -> float:
-        """Return the calibrated pulse width of a mode's end."""
         return self.rigid_pulse_us if mode is Mode.RIGID else self.flexible_pulse_us
 
     @property
