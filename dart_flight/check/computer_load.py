@@ -115,7 +115,7 @@ def _inputs_at(k: int, period_us: int, motors: int) -> list[Input]:
 
 
 def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
-    """Judge each of temperature, power supply and clock that the kernel reports."""
+    """Judge temperature, power supply and clock, as far as the kernel reports them."""
     now = read_computer() if sample is None else sample
     findings = []
     if now.temperature_c is not None:

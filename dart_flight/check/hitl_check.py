@@ -80,7 +80,6 @@ def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
 
 
 def evaluate_hitl_lock(mission: Mission) -> CheckFinding:
-    """Judge whether the lock's servo can move during hardware in the loop."""
     lock = mission.vehicle.lock
     if lock is not None and lock.driver is LockDriver.PX4:
         return CheckFinding(

@@ -88,7 +88,6 @@ def _surroundings(
 
 
 def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator[str]:
-    """Yield one phrase for each reason not to take off from a place."""
     excess_m = mission.bounds.excess2(place)
     if excess_m > 0.0:
         yield f"the vehicle is {excess_m:.2f} m outside bounds_m"

@@ -96,7 +96,6 @@ def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[Che
 
 
 def evaluate_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Judge whether the lock's servo can move; return nothing if the vehicle has no lock."""
     lock = mission.vehicle.lock
     if lock is None:
         return []

@@ -86,7 +86,7 @@ def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
 
 
 def _places_before(one: Wall, other: Wall) -> list[Vec2]:
-    """Return the ends of the part of another wall that lies in front of or behind a wall."""
+    """Return both ends of the part of `other` that lies in front of or behind `one`."""
     left, right = (one.along(end) for end in other.ends)
     reach = 0.5 * one.length_m
     low, high = max(-reach, min(left, right)), min(reach, max(left, right))

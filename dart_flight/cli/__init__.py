@@ -143,7 +143,6 @@ def _module(command: str) -> Any:
 
 
 def _renamed(arguments: list[str]) -> list[str]:
-    """Replace the old name of a renamed command by the new name."""
     if arguments and arguments[0] in RENAMED:
         new = RENAMED[arguments[0]]
         print_status(f"dart-flight: `{arguments[0]}` is now `{new}`")

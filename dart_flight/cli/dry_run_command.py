@@ -232,7 +232,6 @@ def _fly_many(arguments: argparse.Namespace, mission: Mission, fly: Callable[...
 def _show_runs(
     arguments: argparse.Namespace, mission: Mission, verdicts: list[Verdict], interrupted: bool
 ) -> int:
-    """Print the results of the flights and return the exit status."""
     console = messages()
     summary = summarise(verdicts)
     if interrupted:

@@ -129,7 +129,6 @@ def _ignore(record: Record) -> None:
 def _follow(
     log: Path, flying: Callable[[], bool], show: Callable[[MonitorView], None], arguments: argparse.Namespace
 ) -> Mission:
-    """Watch a flight through its log and return the mission of the flight."""
     follower = LogFollower(log)
     first = follower.read()
     mission = flown_mission(follower.about, str(log))

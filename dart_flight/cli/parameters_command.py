@@ -157,7 +157,7 @@ def _report_written(rows: list[ParameterRow], report: WriteReport) -> None:
 
 @contextlib.contextmanager
 def _shown(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that shows progress on a terminal, from the number of finished items and the total."""
+    """Yield `show(finished, total)`, which shows progress on a terminal."""
     from rich.progress import Progress  # slow to import
 
     console = messages()

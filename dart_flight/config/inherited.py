@@ -131,7 +131,7 @@ def _base(path: Path) -> _Base:
 
 
 def _copied_from(name: str, own: Mapping[str, Any]) -> Path | None:
-    """Return the packaged file that this file is a copy of, even if renamed and edited, or None."""
+    """Return the packaged file from which this file was copied, even if it was renamed and edited since."""
     shipped = sorted(packaged("configs", "dart.yaml").parent.glob("*.yaml"))
     for path in shipped:
         if path.name == name:
@@ -169,7 +169,7 @@ def _is_given(key: str, given: set[str]) -> bool:
 
 
 def _differ(a: Any, b: Any) -> bool:
-    """Return whether a value differs too much from the inherited `b` to be a measurement of the same."""
+    """Return whether a value differs from the inherited value `b` by more than two measurements of it."""
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) > _SAME * abs(b)
     if isinstance(a, Sequence) and isinstance(b, Sequence) and len(a) == len(b) and not isinstance(a, str):

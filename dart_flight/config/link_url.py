@@ -77,7 +77,7 @@ def endpoint_of(url: str) -> LinkEndpoint:
 
 
 def mavsdk_url(url: str) -> str:
-    """Return a URL that MAVSDK understands: it ends the name of a serial device at the first colon."""
+    """Return a URL without a colon in the device's name, because MAVSDK ends the name at the first colon."""
     link = parse_link(url)
     if link is None or link.kind != "serial" or ":" not in link.place:
         return url
@@ -85,12 +85,12 @@ def mavsdk_url(url: str) -> str:
 
 
 def device_key(path: str | Path) -> str:
-    """Return the key of a device; all links to the device, such as /dev/serial0, give the same key."""
+    """Return the key of a device; all symbolic links to it, such as /dev/serial0, give the same key."""
     return os.path.realpath(path).strip("/").replace("/", "-")
 
 
 def _network() -> str:
-    """Return the number of the network namespace: containers may share a folder but have separate ports."""
+    """Return the number of the network namespace: containers may share a folder but not their ports."""
     with contextlib.suppress(OSError):
         return str(os.stat("/proc/self/ns/net").st_ino)
     return ""

@@ -743,7 +743,6 @@ def _impact_point(
 
 
 def _default_impact(collision: Collision, start: Vec2) -> Vec2:
-    """Return the impact point of a collision whose file entry gives none."""
     assert collision.approach_m_s is not None
     if collision.trajectory is not None:
         return collision.wall.foot(collision.trajectory.states()[-1].position)

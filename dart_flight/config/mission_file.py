@@ -313,7 +313,6 @@ class TrajectoryPieces(Section, frozen=True):
 
     @property
     def duration_s(self) -> float:
-        """Duration of all pieces."""
         return sum(piece[0] for piece in self.pieces)
 
     def states(self) -> list[MotionState]:

@@ -47,7 +47,7 @@ class Calibration:
 
     @property
     def current_end(self) -> Mode | None:
-        """End that is being calibrated, or None if both ends are."""
+        """End that is being calibrated, or None if both are calibrated."""
         return next((mode for mode in self.ORDER if mode not in self.found), None)
 
     def execute(self, line: str) -> None:

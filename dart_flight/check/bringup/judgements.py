@@ -334,7 +334,6 @@ def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
 
 
 def is_moved_enough(motion: MotionEstimate) -> bool:
-    """Return whether a motion by hand was large enough: rotation about every axis, and translation."""
     x, y, z = motion.turned_rad_s
     return z > _TURNED_RAD_S and min(x, y) > _TILTING_RAD_S and motion.carried_m_s2 > _CARRIED_M_S2
 

@@ -203,7 +203,6 @@ class Thrust(Section, frozen=True):
         return self.forces_n((command,))[0]
 
     def forces_n(self, commands: Iterable[float]) -> list[float]:
-        """Return the steady thrust of each motor, newton."""
         curve = self.curve
         if curve is not None:
             return [curve.force_n(command) for command in commands]
@@ -215,7 +214,6 @@ class Thrust(Section, frozen=True):
         return self.commands_for((force_n,))[0]
 
     def commands_for(self, forces_n: Iterable[float]) -> list[float]:
-        """Return the command of each motor for a steady thrust in newton."""
         curve = self.curve
         if curve is not None:
             return [curve.command_for(force) for force in forces_n]

@@ -256,7 +256,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
 
 
 def _set_last(document: Document, first: Key, second: Key) -> Key:
-    """Return the second key if a later file than that of the first key has set it, else the first."""
+    """Return `second` if a later file has set it than the file that has set `first`, otherwise `first`."""
     names = list(document.set_by)
     if second not in names or (first in names and names.index(first) > names.index(second)):
         return first
