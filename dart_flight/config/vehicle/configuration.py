@@ -36,8 +36,8 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
         materials: contact coefficients by name, for every mode of the vehicle: k N/m, f N s/m, mu s/m, nu N.
         onset: lcp: the complementarity condition of the paper defines the beginning of the contact; touch:
             the contact begins at the wall's plane.
-        vertical_force_sign: sign of the vertical contact force along Z of the collision frame; -1: up at a
-            wall.
+        vertical_force_sign: sign of the vertical contact force along Z of the collision frame; -1: the force
+            at a wall points up.
     """
 
     version: Literal[1]
