@@ -1,5 +1,5 @@
-# For a newcomer: `make dry-run` flies, `make install` adds what reports, plans and fits need, `make test` checks
-# every public behaviour, `make test-all` everything. Each sets up .venv itself.
+# `make dry-run` flies a simulated mission. `make install` installs the packages for reports, plans and fits.
+# `make test` tests every public behaviour, and `make test-all` everything. Each target creates .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -35,15 +35,15 @@ dry-run: $(FLYING)  # installs only what a dry-run needs
 
 install: $(FULL)
 
-# Hundreds of processes: without bytecode on the disk each of them would compile the package once more.
+# Keep bytecode on disk. Otherwise each of the hundreds of test processes would compile the package again.
 test test-rest: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(BIN)/python -m tools.run_tests
 
-test-rest: $(STAMP)  # real time, PX4, campaigns, recipes and pages that fly
+test-rest: $(STAMP)  # tests of real time, PX4, campaigns, recipes and pages with flights
 	$(BIN)/python -m tools.run_tests --rest
 
-test-all:  # the rest too if `make test` fails
+test-all:  # runs the rest even if `make test` fails
 	@status=0; $(MAKE) test || status=1; $(MAKE) test-rest || status=1; exit $$status
 
 bench: $(STAMP)
@@ -60,7 +60,7 @@ compiled: $(STAMP)  # needs the network and a C compiler; docs/speed.md
 wheels: $(STAMP)  # needs the network
 	$(BIN)/python -m tools.check_wheels
 
-docs: $(STAMP)  # the parts of docs/ that the software writes and draws itself
+docs: $(STAMP)  # regenerates the tables, schemas and figures in docs/
 	$(BIN)/python -m tools.docs.generated
 	$(BIN)/python -m tools.docs.concept_figures
 	$(BIN)/python -m tools.docs.animation

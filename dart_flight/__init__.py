@@ -7,13 +7,13 @@ when a script first uses this name. `docs/architecture.md` shows the folders and
 import os
 from typing import TYPE_CHECKING, Any
 
-# Before NumPy is first imported: the threads of its linear algebra only wait for each other on matrices of
-# the sizes here, and what they burn meanwhile is missing to a flight on the same machine.
+# Set this before NumPy is first imported. On small matrices, the threads of its linear algebra only wait for
+# each other, and the processor time that they use is missing to a flight on the same machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __version__ = "0.1.0"
 
-# ruff: noqa: F405  (the names stand in `api.__all__` as well)
+# ruff: noqa: F405  (the names are in `api.__all__`, too)
 if TYPE_CHECKING:
     from dart_flight.lab.api import *  # noqa: F403
 
@@ -46,7 +46,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from dart_flight.lab_entries import SCRIPT_NAMES, load_entry  # noqa: PLC0415  only when asked for
+    from dart_flight.lab_entries import SCRIPT_NAMES, load_entry  # noqa: PLC0415  loaded on demand
 
     value = getattr(load_entry(SCRIPT_NAMES), name)
     globals()[name] = value

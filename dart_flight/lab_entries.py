@@ -26,7 +26,7 @@ LIVE_VIEW: Final = "dart_flight.lab.scene.live:open_live_view"  # --live
 MISSION_PICTURE: Final = "dart_flight.lab.report.figures.mission_figure:write_mission_picture"  # --plot
 ROOM_PICTURE: Final = "dart_flight.lab.report.figures.room_figure:write_room_picture"  # `survey --plot`
 PX4_FIGURES: Final = "dart_flight.lab.inspect.px4_log:read_px4_log"  # `dry-run --px4`
-SCRIPT_NAMES: Final = "dart_flight.lab.api"  # `dart_flight.simulate` and the others of `dart_flight.__all__`
+SCRIPT_NAMES: Final = "dart_flight.lab.api"  # the names in `dart_flight.__all__`
 
 
 def load_entry(entry: str) -> Any:

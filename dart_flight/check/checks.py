@@ -68,7 +68,7 @@ class FlightContext(CheckContext[CheckFinding]):
         mission: the mission to be flown.
         log_dir: the folder of the flight log.
         url: MAVSDK connection URL of the vehicle, or None without a vehicle.
-        position_from: the position source that the operator claims, or None to use the vehicle's parameters.
+        position_from: the position source that the operator claims; None uses the vehicle's parameters.
         answer: answers the ground station's buttons while the vehicle is read, or None.
         reading: the vehicle's parameters and telemetry; None until the first check with a vehicle.
         found: the findings of the earlier checks.
@@ -89,12 +89,11 @@ class FlightContext(CheckContext[CheckFinding]):
 
     @property
     def vehicle(self) -> VehicleReading:
-        """The vehicle's own reports."""
         assert self.reading is not None, "the first check of a stage must read the vehicle"
         return self.reading
 
     def read(self, reader: Callable[[Mission, str], VehicleReading]) -> list[CheckFinding]:
-        """Read parameters and telemetry once for the checks of a stage; return no finding."""
+        """Read parameters and telemetry once for all checks of a stage; return no finding."""
         if self.reading is None and self.url is not None:
             self.reading = reader(self.mission, self.url)
         return []
@@ -108,7 +107,6 @@ class FlightContext(CheckContext[CheckFinding]):
         return evaluate_claim(self.mission, self.position_from)
 
     def check_parameters(self) -> list[CheckFinding]:
-        """Judge PX4's parameters."""
         v = self.vehicle
         return evaluate_parameters(self.mission, v.values, self.position_from or v.position_from, v.version)
 
@@ -180,5 +178,4 @@ CHECKS: tuple[FlightCheck, ...] = (
 
 
 def select_checks(*stages: Stage) -> list[FlightCheck]:
-    """Return the checks of the given stages, in the order of `CHECKS`."""
     return [check for check in CHECKS if check.stage in stages]

@@ -1,4 +1,4 @@
-"""Checks of the onboard computer: lateness, speed of the core, temperature, power supply and clock."""
+"""Checks of the onboard computer: wake-up delay, speed of the core, temperature, power supply and clock."""
 
 from __future__ import annotations
 
@@ -31,10 +31,7 @@ _LEAST_MARGIN = 4.0  # below this, core, log and link together need more than on
 
 
 def check_lateness(mission: Mission) -> CheckFinding:
-    """For half a second, measure how late this program wakes up.
-
-    The finding is a no-go if the lateness exceeds the guard's `stream_timeout_s`.
-    """
+    """Measure for half a second how late this program wakes up; no-go above `guard.stream_timeout_s`."""
     late_s = measure_lateness_s()
     says = f"this program lags by up to {late_s * 1e3:.0f} ms"
     if late_s <= LATE_S:
@@ -48,7 +45,8 @@ def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> Ch
     """Measure the core's processor time per IMU sample and compare it with the sample interval.
 
     If the core refuses the mission, the finding is a no-go with the core's reason. If another finding in
-    `found` already gives this reason, the no-go only names that finding.
+    `found`
+    already gives this reason, the no-go only names that finding.
     """
     interval_s = 1.0 / mission.vehicle.imu.rate_hz
     try:
@@ -61,7 +59,7 @@ def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> Ch
 
 
 def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
-    """Return whether the core keeps up with the samples and finds a contact's peak before the next sample.
+    """Judge whether the core keeps up with the samples and finds a contact's peak before the next sample.
 
     Args:
         step_s: mean processor time of one sample in free flight, seconds.
@@ -88,12 +86,11 @@ def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
 def measure_step_s(mission: Mission) -> float:
     """Return the processor time that the core needs per IMU period in flight, seconds.
 
-    In one period the core processes an IMU sample and the other inputs that arrive with this sample. The time
-    is measured with two seconds of inputs from a vehicle at rest, and multiplied by a fixed factor: a period
-    in flight costs more.
-
-    Raises:
-        InputError: the mission cannot be flown.
+    In one period the core processes an IMU sample and the other inputs that arrive with this sample. Two
+    seconds
+    of inputs from a vehicle at rest are timed. The result is multiplied by a fixed factor, because a period
+    in
+    flight costs more.
     """
     core = flight_core_of(mission)
     period_us, motors = round(1e6 / mission.vehicle.imu.rate_hz), len(mission.vehicle.airframe.motors)
@@ -107,7 +104,6 @@ def measure_step_s(mission: Mission) -> float:
 
 
 def _inputs_at(k: int, period_us: int, motors: int) -> list[Input]:
-    """Return the telemetry of a vehicle at rest for one IMU period."""
     t_us = 1_000_000 + k * period_us
     inputs: list[Input] = [StatusSample(t_us, t_us, local_position_ok=True)] if k % 60 == 0 else []
     inputs.append(ImuSample(t_us, t_us, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0)))
@@ -119,7 +115,7 @@ def _inputs_at(k: int, period_us: int, motors: int) -> list[Input]:
 
 
 def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
-    """Return findings about temperature, power supply and clock, for each value that the kernel reports."""
+    """Judge temperature, power supply and clock, as far as the kernel reports them."""
     now = read_computer() if sample is None else sample
     findings = []
     if now.temperature_c is not None:

@@ -44,7 +44,7 @@ class CheckReport(msgspec.Struct, frozen=True):
 
 
 def decide(mission: Mission, findings: Iterable[CheckFinding], overrule: Iterable[str] = ()) -> CheckReport:
-    """Return the findings with the decision, go or no-go.
+    """Decide between go and no-go.
 
     Raises:
         InputError: an item to overrule is not a no-go.

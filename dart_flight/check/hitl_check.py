@@ -30,7 +30,6 @@ _MOTORS = range(101, 113)  # output functions "Motor 1" to "Motor 12"
 
 
 def hitl_parameters() -> dict[str, Parameter]:
-    """Return the additional parameters for hardware in the loop, by name."""
     return load_parameters(packaged("configs", "px4", "hitl.params"))
 
 
@@ -53,7 +52,7 @@ def evaluate_own_parameters(
 
 
 def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """Return whether the flight controller is disarmed, and has restarted since SYS_HITL was set to 1."""
+    """Judge whether the flight controller is disarmed, and has restarted since SYS_HITL was set to 1."""
     if mode is None:
         return [CheckFinding("heartbeat", False, "no heartbeat that contains a mode arrived within 3 s")]
     if mode.armed:
@@ -81,7 +80,6 @@ def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
 
 
 def evaluate_hitl_lock(mission: Mission) -> CheckFinding:
-    """Return whether the lock's servo can move during hardware in the loop."""
     lock = mission.vehicle.lock
     if lock is not None and lock.driver is LockDriver.PX4:
         return CheckFinding(

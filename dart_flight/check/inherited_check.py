@@ -10,7 +10,7 @@ from dart_flight.config.mission import Mission
 
 
 def check_inherited(mission: Mission) -> list[CheckFinding]:
-    """Return a remark that lists inherited values and contradictions; no finding if both are empty."""
+    """Return a remark that lists inherited values and contradictions, if there are any."""
     source = mission.vehicle_source
     if source is None:
         return []

@@ -56,7 +56,8 @@ def predict_flight_path(mission: Mission) -> PredictedFlight | None:
     """Return the flight that the planner's model predicts.
 
     The result is None if an approach cannot be flown (other checks report the reason), or if the position of
-    a wall is still unknown.
+    a
+    wall is still unknown.
     """
     if any(c.wall.sought for c in mission.collisions):
         return None
@@ -247,8 +248,8 @@ def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
 def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
     """Compare the predicted force with the detection limit.
 
-    The limit follows from the configured vibration. The detector assumes this vibration until it has measured
-    the vibration in flight.
+    The limit follows from the configured vibration, which the detector assumes until it has measured the
+    vibration in flight.
     """
     hit, vehicle = expected_hit(mission, collision), mission.vehicle
     if hit is None:
@@ -283,7 +284,7 @@ def _check_envelope(
 
 
 def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
-    """Check the guard's conditions on speed and place: the vehicle could also stop within the bounds."""
+    """Check the guard's conditions along the planned flight, and that the vehicle could stop in bounds."""
     if planned is None:
         return []
     fastest = max(_states(mission, planned), key=lambda state: math.hypot(*state[2:]), default=(0.0,) * 4)
@@ -354,7 +355,8 @@ def _check_recovery(
     """Check the place to which a recovery leads.
 
     If the next collision has no approach, the recovery itself must lead to that collision's wall. Otherwise
-    the recovery must hit no wall and no post.
+    the
+    recovery must hit no wall and no post.
     """
     hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
     place = collision.impact_point or (collision.predicted.position_m if collision.predicted else None)
@@ -413,7 +415,6 @@ def _check_recovery(
 
 
 def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Collision) -> bool:
-    """Return whether a leg begins at the end of the recovery from a collision."""
     if leg.begin is not None:
         return False
     ends = [w.after for w in mission.waypoints if w.name == leg.name]
@@ -421,11 +422,12 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
 
 
 def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
-    """Return a finding about the recovery setpoint's distance outside the bounds.
+    """Judge how far a recovery setpoint lies outside the bounds.
 
     A setpoint slightly outside is only a remark, because the vehicle reaches another place before the
-    setpoint; `first` describes this place. A setpoint far outside is a no-go, because the collision's gain
-    alpha is probably wrong.
+    setpoint;
+    `first` describes this place. A setpoint far outside is a no-go, because the collision's gain alpha is
+    probably wrong.
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
@@ -470,10 +472,9 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def check_flown(mission: Mission) -> CheckFinding:
-    """Return the recorded result of the mission's simulated flights.
+    """Return the recorded result of the mission's simulated flights, which only `plan` records.
 
-    Only `plan` records a result. If none is recorded, or if the mission has changed since these flights,
-    return a remark.
+    Without a record, or if the mission has changed since these flights, return a remark.
     """
     flown = mission.flown
     try_it = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
@@ -500,7 +501,7 @@ def check_flown(mission: Mission) -> CheckFinding:
 
 
 def check_materials(mission: Mission) -> list[CheckFinding]:
-    """Return the source of the coefficients of each material."""
+    """Return the source of each material's coefficients."""
     findings = []
     for name in sorted({c.wall.material for c in mission.collisions if c.wall.material_known}):
         source = mission.vehicle.materials[name].source

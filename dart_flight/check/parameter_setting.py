@@ -43,7 +43,7 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
 _MOCAP_SOURCE, _GPS_SOURCE = "EKF2_EV_CTRL", "EKF2_GPS_CTRL"  # they determine the position source
 _FIX_S = 1.5
-_SETTLE_S = 3.0  # of the vehicle's time: PX4's modules limit a new value up to two seconds after the write
+_SETTLE_S = 3.0  # vehicle time; PX4's modules may limit a new value until two seconds after the write
 # Values of one flight controller and its sensors. PX4's start-up script keeps most of them when it resets all
 # parameters: SYS_PARAM_VER SYS_AUTOCFG_CAL CAL_* LND_FLIGHT* TC_* COM_FLIGHT*.
 _OF_ONE_BOARD = re.compile(
@@ -80,7 +80,7 @@ class ParameterReading(msgspec.Struct, frozen=True):
         return [row for row in self.rows if row.state is ParameterState.PRESENT]
 
     def names(self, state: ParameterState) -> list[str]:
-        """Return the parameters without the wanted value that are in a state."""
+        """Return the listed parameters that are in a state."""
         return [row.name for row in self.rows if row.state is state]
 
 
@@ -103,7 +103,6 @@ class RestoredFile(msgspec.Struct, frozen=True):
     """The parameters of a file that are restored; see `read_parameter_file`.
 
     Attributes:
-        parameters: the parameters by name.
         vehicles: ids of the vehicles in the file.
         remarks: lines about the rows that are not restored.
     """
@@ -146,11 +145,10 @@ def read_differences(
     """Read a vehicle's parameters and compare them with the wanted values.
 
     Args:
-        link: connection to the vehicle.
         mission: provides the vehicle and the frame.
-        claimed: position source that the operator claims, or None. If None, the source is motion capture if
-            it is configured; otherwise the vehicle's parameters select the source.
-        restored: file to restore, or None. If a file is given, its values are the wanted values.
+        claimed: position source that the operator claims. If None, the source is motion capture if it is
+            configured; otherwise the vehicle's parameters select the source.
+        restored: file whose values are the wanted values, or None.
         progress: receives the number of parameters read and the total number.
 
     Raises:
@@ -235,14 +233,9 @@ def save_previous(
     """Save the vehicle's present values to a dated file that QGroundControl can load; return its path.
 
     Args:
-        rows: the parameters.
-        folder: folder of the file.
         head: description of the vehicle, one line.
         system_id: the vehicle's MAVLink system id.
         now: time for the file's name, or None for the present.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     now = now or datetime.now(UTC)
     path = folder / f"px4_before_{now:%Y-%m-%d_%H%M%S}.params"

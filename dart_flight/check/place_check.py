@@ -36,12 +36,7 @@ def check_heading(mission: Mission) -> list[CheckFinding]:
 def evaluate_place(
     mission: Mission, position_ned: Vec3 | None, q_frd_to_ned: Quaternion | None
 ) -> list[CheckFinding]:
-    """Judge the vehicle's place before take-off: start, walls, heading.
-
-    Args:
-        mission: the mission to be flown.
-        position_ned, q_frd_to_ned: position and attitude reported by PX4, or None if not reported.
-    """
+    """Judge the vehicle's place before take-off, from PX4's position and attitude: start, walls, heading."""
     if position_ned is None or q_frd_to_ned is None:
         return []
     frame = mission.frame_at(position_ned)
@@ -73,9 +68,10 @@ def _surroundings(
 ) -> Iterator[tuple[str, float, float, str]]:
     """Yield name, distance (m), bearing (deg) and side (ahead, right, behind or left) of each wall and post.
 
-    The hidden face of a partition is left out.
-    Distances are measured to the surface, so that the operator can compare them with a tape measure. A wrong
-    distance reveals that `given_at: surface` is missing in the mission.
+    The hidden face of a partition is left out. Distances are measured to the surface, so that the operator
+    can
+    compare them with a tape measure. A wrong distance reveals that `given_at: surface` is missing in the
+    mission.
     """
     to_surface_m = mission.vehicle.airframe.contact_distance_m
     points = [
@@ -92,7 +88,6 @@ def _surroundings(
 
 
 def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator[str]:
-    """Yield one phrase for each reason not to take off from a place."""
     excess_m = mission.bounds.excess2(place)
     if excess_m > 0.0:
         yield f"the vehicle is {excess_m:.2f} m outside bounds_m"
@@ -111,10 +106,7 @@ def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator
 
 
 def _walls_facing_away(mission: Mission, place: Vec2) -> Iterator[str]:
-    """Yield the names of the walls whose back faces the vehicle.
-
-    Walls that are hit after the first collision are not checked.
-    """
+    """Yield the names of the walls whose back faces the vehicle, unless they are hit only later."""
     later = {collision.wall.name for collision in mission.collisions[1:]}
     for wall in mission.walls:
         if wall.name not in later and wall.spans(place) and -wall.behind_m <= wall.signed_distance(place) < 0:

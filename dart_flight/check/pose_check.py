@@ -18,11 +18,7 @@ _ARRIVES_HZ = 0.2
 def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFinding]:
     """Return a finding for each defect of the poses, or one finding that the poses are correct.
 
-    Return nothing if this program need not forward poses.
-
-    Args:
-        config: the configured motion capture.
-        observed: telemetry and poses of a vehicle at rest.
+    Return nothing if this program need not forward poses. The vehicle must be at rest.
     """
     poses = observed.poses
     if poses is None:

@@ -72,7 +72,7 @@ def _largest_force_n(mission: Mission, collision: Collision, probe: Probe) -> fl
 
 
 def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
-    """Return a finding about a collision with a wall that a probe locates in flight."""
+    """Describe a collision with a wall that a probe locates in flight."""
     assert collision.approach_m_s is not None
     says = (
         f"a probe locates wall {collision.wall.name}; the vehicle then checks the space for the run-up, and "
@@ -110,10 +110,7 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
 
 
 def _hit_times_s(mission: Mission) -> dict[int, float]:
-    """Return the approximate time of each collision, seconds from the start of the first run-up.
-
-    The keys are the indices of the collisions.
-    """
+    """Return the approximate time of each collision by index, seconds from the start of the first run-up."""
     times, now_s = {}, 0.0
     flying = mission.vehicle.flying
     here: Vec2 | None = None

@@ -235,10 +235,7 @@ def evaluate_parameters(
 def _is_absent(
     missing: Parameter, wanted: Mapping[str, Parameter], values: Mapping[str, float], version: Version | None
 ) -> bool:
-    """Return whether this PX4 lacks a parameter.
-
-    If the version is unknown, the presence of other parameters decides.
-    """
+    """Return whether this PX4 lacks a parameter; if the version is unknown, other parameters decide."""
     if version is not None:
         return missing.is_absent_in(version)
     # If a parameter that only older versions have is present, a newer parameter is absent, and vice versa.
@@ -300,14 +297,11 @@ def _evaluate_pose_delay(
 
 
 def position_source(values: Mapping[str, float], gps_fix: str | None) -> PositionSource | None:
-    """Return the position source that PX4 fuses; for GPS, the fix decides between RTK and plain GPS.
+    """Return the position source that PX4 fuses: motion capture before GPS, or None if PX4 fuses neither.
 
     Args:
         values: parameters read from the vehicle.
-        gps_fix: MAVLink's fix type in lower case, such as `rtk_fixed`, or None if no receiver reports.
-
-    Returns:
-        Motion capture if PX4 fuses it; None if PX4 fuses neither motion capture nor GPS.
+        gps_fix: MAVLink's fix type in lower case, or None if no receiver reports; `rtk_fixed` selects RTK.
     """
     if round(values.get("EKF2_EV_CTRL", 0)) & _HORIZONTAL:
         return PositionSource.MOCAP

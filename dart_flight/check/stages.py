@@ -37,15 +37,13 @@ class CheckContext(Generic[Found]):
 
     Attributes:
         found: the findings of the earlier checks.
-        own_errors: exception types; if a check raises one of them, `explain` converts the exception to a
-            finding.
+        own_errors: exceptions of a check that `explain` converts to a finding.
     """
 
     found: list[Found]
     own_errors: ClassVar[tuple[type[Exception], ...]] = ()
 
     def explain(self, error: Exception) -> Found:
-        """Return the finding for one of `own_errors`."""
         raise NotImplementedError(
             f"{type(self).__name__} lists `own_errors` but does not implement `explain`"
         ) from error
@@ -55,12 +53,10 @@ Context = TypeVar("Context", bound=CheckContext[Any])
 
 
 class Check(NamedTuple, Generic[Context, Found]):
-    """A named check of a list, with its stage and function.
+    """A named check of a list.
 
     Attributes:
         name: name, unique within the stage.
-        stage: stage of the check.
-        run: function that returns the findings.
         subject: the subject of the check, as text for the operator.
         by_hand: whether the check needs an operator at the vehicle.
     """
@@ -73,10 +69,9 @@ class Check(NamedTuple, Generic[Context, Found]):
 
 
 def run_checks(checks: Iterable[Check[Context, Found]], context: Context) -> list[Found]:
-    """Run checks in order and return their findings.
+    """Run checks in order and return their findings, including those of `own_errors`.
 
-    Convert each exception in `own_errors` to a finding. After `EndOfStageError`, skip the remaining checks of
-    that stage.
+    After `EndOfStageError`, skip the remaining checks of that stage.
     """
     first, ended = len(context.found), set[Stage]()
     for check in checks:

@@ -25,7 +25,6 @@ class StreamRate(NamedTuple):
 
     Attributes:
         name: name in the stream table.
-        rate_hz: rate of usable samples.
         enough: whether the rate is sufficient for a mission.
         unusable: the reason why messages are unusable; None if all are usable or the rate is sufficient.
     """
@@ -45,8 +44,8 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
     """Compare the rates of usable samples with the rates that a mission needs.
 
     Args:
-        rates_hz: rate of each stream; the keys are the names in the stream table.
-        unusable: for each stream with unusable messages, the reason why they are unusable.
+        rates_hz: rate of each stream by its name in the stream table.
+        unusable: the reason why a stream's messages are unusable, by the stream's name.
     """
     slow = {name: rate < BY_NAME[name].expected_hz for name, rate in rates_hz.items()}
     return [
@@ -56,12 +55,7 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
 
 
 def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Return a finding for each stream: the rate is sufficient, or the reason why the rate is too low.
-
-    Args:
-        observed: rates and senders.
-        values: parameters read from the vehicle. MAV_ODOM_LP (`LOOPBACK`) is optional.
-    """
+    """Judge the rate of each stream; the only parameter used is MAV_ODOM_LP (`LOOPBACK`), if present."""
     findings = []
     for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):
         go, says = stream.enough, stream.describe
@@ -72,7 +66,7 @@ def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[C
 
 
 def evaluate_sources(observed: Observation) -> list[CheckFinding]:
-    """Return a finding that lists the used messages with their sender, and the senders that are not used."""
+    """List the used messages with their sender, and the senders that are not used."""
     taken = [s for s in observed.sources if s.is_vehicle and s.usable_hz > 0.0]
     if not taken:
         return []
@@ -121,7 +115,7 @@ def _describe(source: Source) -> str:
 
 
 def evaluate_battery(mission: Mission, observed: Observation) -> CheckFinding:
-    """Return whether the flight battery with the worst reading is sufficiently charged."""
+    """Judge the charge of the flight battery with the worst reading."""
     guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
     low = (left is not None and left < 2.0 * guard.battery_remaining) or (
         volts is not None and volts < guard.battery_v
@@ -157,7 +151,8 @@ def motor_output_names(values: Mapping[str, float], motors: int) -> list[str]:
     """Return the next parameters to read in the search for the motors' outputs; empty when all are read.
 
     A bank is a group of outputs, such as PWM_MAIN. Reading an absent parameter takes seconds, so the first
-    output of a bank decides whether the bank exists.
+    output
+    of a bank decides whether the bank exists.
     """
     for bank in _BANKS:
         pins = [f"{bank}_FUNC{k}" for k in range(1, motors + 1)]
@@ -185,7 +180,6 @@ def evaluate_motor_outputs(
     """Return the motors' output type and scale, or the reason why the outputs cannot be decoded.
 
     Args:
-        mission: provides the vehicle.
         observed: telemetry, with the output scale that its values imply.
         values: parameters requested by `motor_output_names`.
     """

@@ -32,7 +32,7 @@ def evaluate_round_trip(mission: Mission, seconds: float | None) -> CheckFinding
 
 
 def evaluate_observation(observed: Observation) -> list[CheckFinding]:
-    """Return findings about version, other vehicles and estimator."""
+    """Judge version, other vehicles and estimator."""
     findings = [
         CheckFinding(
             "version",
@@ -56,7 +56,7 @@ def evaluate_observation(observed: Observation) -> list[CheckFinding]:
 
 
 def evaluate_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """If the autopilot is not PX4, return a no-go with the autopilot's name."""
+    """Return a no-go that names the autopilot if it is not PX4."""
     if mode is None or not mode.not_px4:
         return []
     says = f"heartbeats arrive, but {mode.not_px4}: this program supports only PX4"
@@ -78,12 +78,8 @@ def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[Che
     """Compare PX4's motors with the motors of the configuration.
 
     A different number, order or direction of the motors invalidates the estimated thrust and torque. A
-    difference of the motors' distances is only a remark: distances only scale the torque, and PX4 accepts
-    them in any unit.
-
-    Args:
-        mission: provides the vehicle.
-        values: PX4's parameters.
+    different
+    distance is only a remark, because distances only scale the torque, and PX4 accepts them in any unit.
     """
     item, motors = "airframe", mission.vehicle.airframe.motors
     try:
@@ -100,7 +96,6 @@ def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[Che
 
 
 def evaluate_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Return whether the lock's servo can move, or nothing if the vehicle has no lock."""
     lock = mission.vehicle.lock
     if lock is None:
         return []

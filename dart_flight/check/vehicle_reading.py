@@ -47,7 +47,6 @@ class VehicleReading(msgspec.Struct, frozen=True):
 
     @property
     def position_from(self) -> PositionSource | None:
-        """The position source that PX4 fuses, or None if PX4 fuses no source."""
         return position_source(self.values, self.observed.gps_fix)
 
     @property
@@ -111,13 +110,9 @@ def _read_outputs(link: GroundLink, motors: int, unanswered: set[str]) -> dict[s
 
 
 def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
-    """Read a flight controller before it receives simulated sensors.
+    """Read a flight controller before it receives simulated sensors; raises as `read_vehicle` does.
 
     The URL is that of the application's link, not that of the link for simulated sensors.
-
-    Raises:
-        VehicleError: no autopilot is found at the URL.
-        NoAnswerError: the autopilot does not answer requests.
     """
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
         mode = link.heartbeat_mode()

@@ -29,9 +29,7 @@ _SAME_PLACE_M = 0.005  # a gap that nobody measures: the walls are back to back
 def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
     """Check that each collision tolerates the uncertainty of the walls and is far enough from wall ends.
 
-    Args:
-        mission: provides the walls.
-        planned: predicted flight. If a recovery leads to a wall, the predicted flight gives the impact point.
+    If a recovery leads to a wall, `planned` gives the impact point.
     """
     hits = {} if planned is None else planned.hits
     known = [c for c in mission.collisions if c.probe is None and not c.wall.sought]
@@ -58,7 +56,7 @@ def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedImpact]) ->
 
 
 def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
-    """Return a finding for each two opposite walls that no vehicle fits between, or that are one partition.
+    """Judge each pair of opposite walls: whether a vehicle fits between, and whether they are one partition.
 
     Walls of a corner are not opposite, and the two faces of one partition are meant to be close.
     """
@@ -88,7 +86,7 @@ def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
 
 
 def _places_before(one: Wall, other: Wall) -> list[Vec2]:
-    """Return the ends of the part of another wall that lies in front of or behind a wall."""
+    """Return both ends of the part of `other` that lies in front of or behind `one`."""
     left, right = (one.along(end) for end in other.ends)
     reach = 0.5 * one.length_m
     low, high = max(-reach, min(left, right)), min(reach, max(left, right))
@@ -100,7 +98,7 @@ def _places_before(one: Wall, other: Wall) -> list[Vec2]:
 
 
 def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:
-    """Return a finding about the collision nearest to a wall's end: the whole vehicle must meet the wall.
+    """Judge the collision nearest to a wall's end, because the whole vehicle must meet the wall.
 
     Posts have no ends and are skipped.
     """
@@ -160,7 +158,7 @@ def _check_collision(
 
 
 def _target_wall_problems(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]:
-    """Yield a phrase for each problem that may occur because the target wall's position is uncertain."""
+    """Yield a phrase for each problem that the uncertainty of the target wall's position may cause."""
     wall = collision.wall
     if not wall.is_uncertain:
         return
@@ -201,7 +199,6 @@ def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
 
 
 def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:
-    """Return whether a short straight path crosses a wall."""
     here, there = wall.signed_distance(a), wall.signed_distance(b)
     if here * there >= 0.0:
         return False

@@ -65,8 +65,6 @@ class ParameterRow(msgspec.Struct, frozen=True):
     """A parameter that does not have its wanted value.
 
     Attributes:
-        name: PX4's name of the parameter.
-        state: whether the vehicle has the parameter.
         vehicle: the vehicle's value (an int is an INT32), or None if the parameter is not present.
         wanted: the wanted value, in the vehicle's type.
         why: the reason for the wanted value.
@@ -84,9 +82,7 @@ class ParameterRow(msgspec.Struct, frozen=True):
 def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[str, Parameter]:
     """Return the wanted parameters by name; measured values replace the placeholders of the files.
 
-    Args:
-        mission: provides the vehicle and the frame.
-        source: position source; None returns only the parameters that every vehicle needs.
+    Without a position source, return only the parameters that every vehicle needs.
     """
     vehicle = mission.vehicle
     wanted = dict(vehicle_parameters(None if source is None else effective_source(mission, source)))
@@ -114,11 +110,7 @@ def with_lock_output(
 ) -> dict[str, Parameter]:
     """If PX4 drives the lock's servo, add the parameters of the servo's output.
 
-    Args:
-        mission: provides the lock.
-        wanted: the other wanted parameters.
-        values: the vehicle's values. If a wanted parameter has a bit mask, the vehicle's bits outside the
-            mask are kept.
+    If a wanted parameter has a bit mask, keep the bits outside the mask from the vehicle's `values`.
     """
     lock, found = mission.vehicle.lock, dict(wanted)
     if lock is None or lock.driver is not LockDriver.PX4:
@@ -140,7 +132,6 @@ def list_differences(
     """Return the parameters that do not have their wanted values, in the order of the files.
 
     Args:
-        wanted: wanted parameters by name.
         values: the vehicle's values, in its types.
         restart: names of the parameters that need a restart.
         unanswered: names of the parameters for which the vehicle gave no answer. A missing answer counts as a
@@ -170,7 +161,6 @@ def state_of(name: str, values: Collection[str], unanswered: Collection[str]) ->
 
 
 def _in_type_of(actual: Value | None, wanted: Value) -> Value:
-    """Return a wanted value in the type of the vehicle's value."""
     if isinstance(actual, float):
         return float(wanted)
     return round(wanted) if isinstance(actual, int) and float(wanted).is_integer() else wanted

@@ -1,9 +1,9 @@
 """Command line: one module per command, imported only when that command runs.
 
 The commands for analysis and planning are in `lab/commands/` and are loaded through `lab_entries`. A command
-module has `configure(parser)` and `run(arguments) -> int`. It parses arguments, calls other packages and
-prints, without logic of its own. If a command raises `InputError`, `main` prints the error as one line and
-returns exit status 2.
+module has two functions: `configure(parser)` adds the arguments, and `run(arguments)` returns the exit
+status. The module calls other packages and prints, without logic of its own. If a command raises
+`InputError`, `main` prints the error as one line and returns exit status 2.
 """
 
 from __future__ import annotations
@@ -67,20 +67,18 @@ _WRONG_VALUE = re.compile(r"argument (?P<name>.+?): invalid (choice|\w+ value): 
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that reports a usage error in one line, with the valid word most similar to the wrong word."""
+    """Parser that reports a usage error in one line and suggests the most similar valid word."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.exit(EXIT_INPUT, f"{self.prog}: {self._suggest_choice(message)} (see `{self.prog} --help`)\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """Print a message of argparse through `terminal`."""
         if message and file is sys.stdout:
             write_output(message)
         elif message:
             print_status(message.rstrip("\n"))
 
     def parse_args(self, args=None, namespace=None):  # type: ignore[no-untyped-def]
-        """Parse arguments like argparse, but report an unknown option with the nearest valid one."""
         parsed, unknown = self.parse_known_args(args, namespace)
         if unknown:
             command = self._command(parsed)
@@ -93,7 +91,6 @@ class _Parser(argparse.ArgumentParser):
         return parsed
 
     def _command(self, parsed: argparse.Namespace) -> _Parser:
-        """Return the parser of the given command."""
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):
                 found = action.choices.get(getattr(parsed, action.dest))
@@ -101,7 +98,7 @@ class _Parser(argparse.ArgumentParser):
         return self
 
     def _suggest_choice(self, message: str) -> str:
-        """Return the message; if it is about a wrong value, add the nearest allowed value."""
+        """If the message is about a wrong value, add the nearest allowed value."""
         wrong = _WRONG_VALUE.match(message)
         if wrong is None:
             return message
@@ -120,7 +117,7 @@ def _names(action: argparse.Action) -> list[str]:
 
 
 def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
-    """Return the parser; import only the wanted commands and add their arguments."""
+    """Return the parser with the arguments of the wanted commands; import no other command."""
     parser = _Parser(prog="dart-flight", description="Fly a dual-stiffness quadrotor into walls on purpose.")
     parser.add_argument("--version", action="version", version=f"dart-flight {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -144,7 +141,6 @@ def _module(command: str) -> Any:
 
 
 def _renamed(arguments: list[str]) -> list[str]:
-    """Return the arguments; if the command has been renamed, replace its old name by the new name."""
     if arguments and arguments[0] in RENAMED:
         new = RENAMED[arguments[0]]
         print_status(f"dart-flight: `{arguments[0]}` is now `{new}`")

@@ -24,7 +24,6 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "mission", nargs="?", metavar="MISSION", help="mission that gives the vehicle and the frame"
     )
@@ -58,7 +57,7 @@ class _Terminal:
 
 
 def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: float) -> None:
-    """Write the poses' measured age into the configuration; on failure, ask the operator to write the age."""
+    """Write the poses' measured age into the configuration; on failure, ask the operator to write it."""
     path = Path(source or default_config_path())
     try:
         refuse_unwritable(arguments, path)
@@ -72,7 +71,7 @@ def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: fl
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return 0 if no step has failed."""
+    """Return 0 if no step has failed."""
     load = partial(load_mission, arguments.mission) if arguments.mission else load_empty_room
     mission = load(arguments.config)
     mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)

@@ -34,7 +34,6 @@ _LOOK_S = 0.5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
     parser.add_argument("--connection", metavar="URL", help="also check the vehicle at this URL")
     add_overrule_option(parser)
@@ -52,7 +51,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status."""
     if not arguments.watch:
         return _check(arguments)
     if arguments.json or arguments.connection is not None:
@@ -64,8 +62,8 @@ def keep_checking(check: Callable[[], int], sleep: Callable[[float], None] = tim
     """Check again whenever an input file is saved, until Ctrl-C; return the last exit status.
 
     Args:
-        check: function that returns an exit status, or raises InputError.
-        sleep: function that waits between two polls of the files.
+        check: returns an exit status, or raises InputError.
+        sleep: waits between two polls of the files.
     """
     status, watched = 2, dict[Path, Stamp]()
     try:
@@ -119,7 +117,7 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def show(report: CheckReport, console: Console) -> None:
-    """Print the findings with no-goes in red and remarks in yellow, then the result."""
+    """Print the findings, no-goes in red and remarks in yellow, then the result."""
     for finding in report.findings:
         word, style = ("go", "green") if finding.go else ("NO-GO", "red")
         if finding.remark:

@@ -13,12 +13,10 @@ _FOLDERS = {"DIR"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("shell", choices=SHELLS, help="shell")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status."""
     script = completion_script(arguments.shell)
     if arguments.json:
         emit_json({"shell": arguments.shell, "script": script})
@@ -28,11 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def completion_script(shell: str) -> str:
-    """Return the completion script, generated from the parsers of all commands.
-
-    Args:
-        shell: one of `SHELLS`.
-    """
+    """Return the completion script of one of `SHELLS`, generated from the parsers of all commands."""
     import shtab
 
     from dart_flight.cli import COMMANDS, build_parser

@@ -50,7 +50,6 @@ from dart_flight.sim.pipe import FULL_SPEED, require_mavlink
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_flight_options(parser)
     add_px4_options(parser)
     parser.add_argument(
@@ -89,7 +88,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def simulation_speed(text: str) -> float:
-    """Return the value of `--speed`: a number, or `FULL_SPEED` for `max`."""
+    """Parse the value of `--speed`: a number, or `FULL_SPEED` for `max`."""
     return FULL_SPEED if text == "max" else number(0.1, 10.0)(text)
 
 
@@ -97,9 +96,6 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     """Return the function that flies a mission in the selected world.
 
     Its keywords are `seed`, `log_dir`, `progress` and, without --fast, `viewer`.
-
-    Raises:
-        InputError: the options contradict each other.
     """
     position_from = effective_source(mission, position_source_of(arguments))
     fault = None if arguments.fault is None else parse_mission_fault(mission, arguments.fault)
@@ -143,9 +139,7 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
 
 
 def with_emulated_mocap(arguments: argparse.Namespace, mission: Mission) -> Mission:
-    """Return the mission for a simulation, with the emulated motion capture that `--mocap` names.
-
-    Without `--mocap`, the mission has no motion capture.
+    """Return the mission with the emulated motion capture that `--mocap` names, or with none.
 
     Raises:
         InputError: there is no such motion capture, or it does not fit the other options.
@@ -165,7 +159,6 @@ def is_realtime(arguments: argparse.Namespace, mission: Mission) -> bool:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status."""
     mission = load_flyable(arguments.mission, arguments.config, arguments.set)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
     mission = with_emulated_mocap(arguments, mission)
@@ -239,7 +232,6 @@ def _fly_many(arguments: argparse.Namespace, mission: Mission, fly: Callable[...
 def _show_runs(
     arguments: argparse.Namespace, mission: Mission, verdicts: list[Verdict], interrupted: bool
 ) -> int:
-    """Print the results of the flights and return the exit status."""
     console = messages()
     summary = summarise(verdicts)
     if interrupted:

@@ -28,7 +28,6 @@ class FlightLines:
     """Observer that prints the decisions of a flight, with the flight time (`flight_time`).
 
     Args:
-        console: console for messages.
         verbose: whether to print minor events as well.
         live_line: line that is updated below the decisions, or None.
     """
@@ -40,7 +39,6 @@ class FlightLines:
         self._events = EventFormatter(every_problem=verbose)
 
     def __call__(self, record: Record) -> None:
-        """Print a record if it is a decision."""
         self._time.add(record)
         if self._live_line is not None:
             self._live_line(record)
@@ -90,14 +88,13 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
 
 
 def _in_a_line(verdict: Verdict) -> str:
-    """Return a flight's outcome and the path of its log in one line."""
     reason = "" if verdict.reason is None else f": {verdict.reason}"
     log = "" if verdict.log is None else f", log: {verdict.log}"
     return f"{verdict.mission}, {verdict.world or 'unknown'}: {verdict.outcome}{reason}{log}"
 
 
 def wall_lines(verdict: Verdict) -> list[str]:
-    """Return a line for each wall with the place and direction estimated from contacts."""
+    """Return a line for each wall that contacts have located, with its estimated place and direction."""
     lines = []
     for wall in verdict.walls:
         if wall.yaw_sd_deg is None or wall.position_sd_m is None:
@@ -110,7 +107,6 @@ def wall_lines(verdict: Verdict) -> list[str]:
 
 
 def exit_status(verdict: Verdict) -> int:
-    """Return 0 if the flight and its log are complete, otherwise 1."""
     return 0 if verdict.outcome is Outcome.COMPLETED and verdict.log_failure is None else 1
 
 
@@ -129,7 +125,6 @@ def next_steps(verdict: Verdict) -> list[str]:
 
 
 def _styled(record: Record, event: Event) -> list[tuple[str, str]]:
-    """Return the parts of an event's line, each with its style."""
     head, detail = event.head, event.detail
     if isinstance(record, PhaseChange):
         return [(head, "bold"), (f" ({detail})", "dim")]
@@ -142,7 +137,7 @@ def _styled(record: Record, event: Event) -> list[tuple[str, str]]:
 
 
 def verdict_table(verdict: Verdict) -> RenderableType:
-    """Return a table of a flight: the outcome, the collisions (planned, measured, true) and the figures."""
+    """Return a table of a flight: outcome, collisions (planned, measured, true) and figures."""
     title = Text(f"{verdict.mission}, {verdict.world or 'unknown'}: {verdict.outcome}", style="italic")
     parts: list[RenderableType] = [title]
     if verdict.reason is not None:
@@ -182,7 +177,7 @@ def verdict_table(verdict: Verdict) -> RenderableType:
 
 
 def _other_contacts_line(verdict: Verdict) -> Text:
-    """Return a line with the number of unplanned contacts, and their largest speed and force."""
+    """Describe the number of unplanned contacts, and their largest speed and force."""
     contacts = verdict.other_contacts
     speeds = [c.speed_m_s if c.truth is None else abs(c.truth.normal_m_s or 0.0) for c in contacts]
     forces = [c.peak_force_n if c.truth is None else c.truth.peak_force_n for c in contacts]
@@ -196,7 +191,7 @@ def _other_contacts_line(verdict: Verdict) -> Text:
 
 
 def _resets_line(verdict: Verdict) -> Text:
-    """Return a line with the number of resets of PX4's estimator in the air, and the largest steps."""
+    """Describe the number of resets of PX4's estimator in the air, and the largest steps."""
     resets = verdict.estimator_resets
     position_m, velocity_m_s = max(r.position_m for r in resets), max(r.velocity_m_s for r in resets)
     heading_deg = max((r.heading_deg for r in resets), key=abs)
@@ -206,7 +201,7 @@ def _resets_line(verdict: Verdict) -> Text:
 
 
 def _goal_line(verdict: Verdict) -> Text:
-    """Return a line that says "reached", or gives the actual and predicted distance from the goal."""
+    """Return "reached", or the actual and predicted distance from the goal."""
     if verdict.goal_reached:
         return Text("goal reached")
     text = "goal not reached"
@@ -220,7 +215,7 @@ def _goal_line(verdict: Verdict) -> Text:
 
 
 def _plan_line(verdict: Verdict) -> Text:
-    """Return a line that says "plan followed", or gives the flight's largest deviations from the plan."""
+    """Return "plan followed", or the flight's largest deviations from the plan."""
     if verdict.plan_followed:
         return Text("plan followed")
     return Text(f"plan not followed: {format_departures(verdict.deviations)}", style="yellow")
@@ -252,12 +247,10 @@ def _add_collision(table: Table, c: CollisionVerdict) -> None:
 
 
 def figure_or_dash(value: float | None, digits: int) -> str:
-    """Return a number for a table, or a dash for None."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 
 def summary_table(summary: RunsSummary) -> Table:
-    """Return a table with the summary of many flights."""
     table = Table(title=f"{summary.completed} of {summary.runs} completed", title_justify="left")
     for column in ("", "median", "least", "most"):
         table.add_column(column, justify="left" if not column else "right")

@@ -19,8 +19,6 @@ class FlightProgress:
     """Number of flights flown and failed, their rate and the remaining time.
 
     Args:
-        console: console for progress and messages.
-        flights: number of flights to fly.
         name: text before the counts.
         line_every_s: interval of the lines without a terminal, seconds.
     """
@@ -53,7 +51,7 @@ class FlightProgress:
         self._bar.stop()
 
     def __call__(self, flown: int, failed: int) -> None:
-        """Show how many flights were flown, and how many flights since the beginning did not complete."""
+        """Show how many flights were flown since the beginning, and how many of them did not complete."""
         now_s = time.monotonic()
         if self._begun_with is None:
             self._begun_with = flown
@@ -73,7 +71,7 @@ class FlightProgress:
         self._console.print(", ".join([*parts, *([bad] if bad else [])]), soft_wrap=True)
 
     def interrupted(self, under_way: int) -> None:
-        """Report that the operator has interrupted the flights, and how many flights are being ended."""
+        """Report the operator's interrupt; `under_way` flights are being ended."""
         flights = "1 flight" if under_way == 1 else f"{under_way} flights"
         self._console.print(
             f"interrupted: waiting for {flights} in progress to land; interrupt again to abandon them",

@@ -41,7 +41,6 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_flight_options(parser)
     parser.add_argument(
         "--connection",
@@ -58,7 +57,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status."""
     mission = load_flyable(arguments.mission, arguments.config)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
     mission = with_mocap(mission, arguments.mocap)
@@ -101,7 +99,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
 
 
 def _listed(mission: Mission, url: str) -> list[Px4LogEntry] | None:
-    """List the logs that PX4 has before the flight; return None if the logs cannot be listed."""
+    """Return the logs that PX4 has before the flight, or None if they cannot be listed."""
     try:
         return list_px4_logs(url, mission.vehicle.connection.timeout_s)
     except FlightError as error:
@@ -110,9 +108,9 @@ def _listed(mission: Mission, url: str) -> list[Px4LogEntry] | None:
 
 
 def _downloaded(mission: Mission, url: str, log: Path, before: list[Px4LogEntry] | None) -> str | None:
-    """Download PX4's log and return the path of the log, or print the reason for a failure.
+    """Download PX4's log and return its path.
 
-    A failure does not change the result of the flight.
+    A failure is printed and does not change the result of the flight.
     """
     try:
         span = armed_span(read_log(log))
@@ -129,7 +127,7 @@ def _downloaded(mission: Mission, url: str, log: Path, before: list[Px4LogEntry]
 def fly_if_go(
     arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkLease, findings: list[CheckFinding]
 ) -> Verdict | None:
-    """If the findings permit and the operator agrees, fly with the vehicle; otherwise return None."""
+    """If the findings permit and the operator agrees, fly the vehicle; otherwise return None."""
     console = messages()
     report = decide(mission, findings, arguments.overrule)
     show(report, console)
@@ -146,7 +144,6 @@ def fly_if_go(
 
 
 def _flight_summary(mission: Mission, url: str) -> str:
-    """Return a description of the flight that is about to begin."""
     lock = mission.vehicle.lock
     by = "" if lock is None else f", lock by {lock.driver.value}"
     lines = [f"{mission.name} on {url}{by}"]

@@ -1,4 +1,4 @@
-"""Steps of `dry-run --hitl`: checks and confirmation before the flight, and instructions after the flight.
+"""Checks and confirmation before a flight with `dry-run --hitl`, and instructions after the flight.
 
 The operator must confirm that the propellers are off, because arming is real.
 """
@@ -70,7 +70,6 @@ def prepare_hitl(
 
 
 def _confirm() -> None:
-    """Ask the operator to confirm that the propellers are off, because motors may turn."""
     sys.stderr.write(f"Motors may turn. Take the propellers off, then type '{_WORD}': ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() != _WORD:
@@ -78,7 +77,7 @@ def _confirm() -> None:
 
 
 def print_hitl_exit() -> None:
-    """Print how to switch hardware-in-the-loop off."""
+    """Print how to switch hardware in the loop off."""
     others = ", ".join(p.name for p in hitl_parameters().values() if p.name != "SYS_HITL")
     print_status(
         f"to end hardware in the loop: set SYS_HITL to 0, restore GPS_1_CONFIG, {others}, and restart the "

@@ -10,7 +10,6 @@ from dart_flight.config.starter import DART, VEHICLES, first_mission, write_star
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "directory", type=Path, metavar="DIR", help="folder for the files; created if missing"
     )
@@ -23,7 +22,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status."""
     written = write_starter(arguments.directory, arguments.vehicle)
     if arguments.json:
         files = [str(path) for path in written]

@@ -28,13 +28,9 @@ _CLEAR = "\r\x1b[K"
 class LiveLine:
     """Line with phase, position, speed, force, lock and battery, updated five times per second.
 
-    The class does not use `Live` of rich, because a refresh of `Live` blocks the core's interpreter for half
-    a millisecond.
-
-    Args:
-        mission: mission that is flown.
-        terminal: stream to write to.
-        now_s: function that returns the host's time, seconds.
+    The class does not use `Live` from rich, because a refresh of `Live` blocks the core's interpreter for
+    half a
+    millisecond.
     """
 
     def __init__(
@@ -54,14 +50,12 @@ class LiveLine:
         }
 
     def __call__(self, record: Record) -> None:
-        """Update the line with a record of the flight."""
         self._anchor.add(record)
         handler = self._handlers.get(type(record))
         if handler is not None:
             handler(record)
 
     def clear(self) -> None:
-        """Clear the line, so that another line can be printed."""
         if self._shown:
             self._shown = False
             self._terminal.write(_CLEAR)

@@ -21,11 +21,7 @@ _LOCAL = ("127.0.0.1", "::1", "localhost")
 
 
 class LiveView:
-    """The live view of the package `lab`; if it fails, the flight continues, and the operator is informed.
-
-    Args:
-        view: the lab's view, which receives the records.
-    """
+    """The lab's live view; if it fails, the flight continues and the operator is informed."""
 
     def __init__(self, view: Any) -> None:
         self._view = view
@@ -41,7 +37,6 @@ class LiveView:
         self._try(self._view.feed, record)
 
     def close(self) -> None:
-        """Close the view at the end of the flight."""
         self._failed = False
         self._try(self._view.close)
 
@@ -56,7 +51,6 @@ class LiveView:
 
 
 def add_live_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--live` and the options for its address."""
     group = parser.add_argument_group("live view (docs/live.md)")
     group.add_argument(
         "--live", action="store_true", help="show the flight live in 3D in Foxglove or Lichtblick"
@@ -85,11 +79,9 @@ def live_view(
 ) -> Iterator[LiveView | None]:
     """Open the live view and print the address; close the view at the end of the context.
 
-    The context yields the view. It yields None without `--live`, or if the view cannot be opened.
+    The context yields None without `--live`, or if the view cannot be opened.
 
     Args:
-        arguments: parsed arguments of the command.
-        mission: mission that is shown.
         show_room: whether to show the mission's room.
         frame_known: whether the place of the mission frame is known when the view opens. Otherwise the
             flight's records give the place.
@@ -124,7 +116,7 @@ def live_view(
 
 
 def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | None:
-    """Return the view. An `InputError` is passed on; after any other error, report it and return None."""
+    """Return the view. An `InputError` is raised; any other error is reported, and the result is None."""
     try:
         return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, print_status))
     except InputError:

@@ -29,7 +29,6 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("action", choices=("rigid", "flexible", "toggle", "status", "calibrate"))
     add_driver_option(parser)
     parser.add_argument("--connection", metavar="URL", help="autopilot, for the px4 driver")
@@ -42,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return 0 if the lock has reached the requested mode."""
+    """Return 0 if the lock has reached the requested mode."""
     path = Path(arguments.config) if arguments.config else default_config_path()
     vehicle, source = find_vehicle(path)
     arguments.vehicle = source
@@ -68,10 +67,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _owned(arguments: argparse.Namespace, config: LockConfig, path: Path, link: ActuatorLink | None) -> int:
-    """Own the servo and carry out the action.
+    """Own the servo and carry out the action; for `status`, report another owner and the last command.
 
     Raises:
-        ServoInUseError: another process owns the servo; `status` reports this and the last command.
+        ServoInUseError: another process owns the servo, and the action is not `status`.
     """
     last = load_last()
     try:

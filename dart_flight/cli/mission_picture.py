@@ -13,7 +13,6 @@ from dart_flight.lab_entries import MISSION_PICTURE, load_entry
 
 
 def add_plot_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--plot FILE`."""
     parser.add_argument(
         "--plot",
         type=Path,
@@ -25,7 +24,8 @@ def add_plot_option(parser: argparse.ArgumentParser) -> None:
 def write_picture(mission: Mission, path: Path) -> None:
     """Draw a mission with the planner's flight model, and print the path of the picture.
 
-    If the picture fails for a reason not listed below, only print a message: the flight can begin.
+    A failure for a reason not listed below is only reported, because the flight can begin without the
+    picture.
 
     Raises:
         InputError: matplotlib is missing, or the file has an unknown extension or cannot be written.

@@ -25,14 +25,13 @@ _PERIOD_S = 0.2
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     add_mocap_option(parser)
     parser.add_argument("--seconds", type=number(0.0, 1e6), metavar="S", help="stop after this many seconds")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command until interrupted and return 0; with --json, print the last figures at the end."""
+    """Forward poses until interrupted and return 0; with --json, print the last figures at the end."""
     mission = with_mocap(load_empty_room(arguments.config), arguments.mocap)
     if mission.vehicle.mocap.url is None:
         raise InputError("no motion capture: give --mocap URL, or set mocap.url (docs/motion_capture.md)")
@@ -65,7 +64,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def line(figures: PoseFigures, problem: str | None) -> Text:
-    """Return the figures as one line."""
     f = figures
     parts = [f"lost {100.0 * f.lost:.0f} %"] if f.lost > 0.0 else []
     parts += [

@@ -33,7 +33,6 @@ _BAR_N, _BAR_WIDTH = 40.0, 24
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "--connection",
         metavar="URL",
@@ -47,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status; with --json, print the last view at the end."""
+    """With --json, print only the last view, at the end."""
     views: list[MonitorView] = []
 
     def keep(view: MonitorView) -> None:
@@ -130,11 +129,6 @@ def _ignore(record: Record) -> None:
 def _follow(
     log: Path, flying: Callable[[], bool], show: Callable[[MonitorView], None], arguments: argparse.Namespace
 ) -> Mission:
-    """Watch a flight through its log and return the mission of the flight.
-
-    Raises:
-        InputError: the log cannot be read.
-    """
     follower = LogFollower(log)
     first = follower.read()
     mission = flown_mission(follower.about, str(log))
@@ -149,7 +143,6 @@ def _follow(
 
 
 def line(view: MonitorView) -> Text:
-    """Return the most important data of a view as one line."""
     force = "-" if view.filtered_n is None else " ".join(f"{n:+.1f}" for n in view.filtered_n)
     slow = [s.name for s in view.streams if s.rate_hz < s.expected_hz]
     parts = [
@@ -167,7 +160,6 @@ def line(view: MonitorView) -> Text:
 
 
 def screen(view: MonitorView) -> Group:
-    """Return a view as tables."""
     return Group(_force(view), _streams(view))
 
 

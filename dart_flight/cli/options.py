@@ -18,7 +18,6 @@ from dart_flight.sim.motion_capture import KINDS
 
 
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments that `fly` and `dry-run` share."""
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
     add_log_dir_option(parser)
     add_driver_option(parser)
@@ -31,14 +30,12 @@ def add_flight_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_log_dir_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the folder of the flight logs."""
     parser.add_argument(
         "--log-dir", type=Path, default=Path("flights"), metavar="DIR", help="default: flights"
     )
 
 
 def add_overrule_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for failed checks that the operator overrules."""
     parser.add_argument(
         "--overrule",
         action="append",
@@ -49,7 +46,6 @@ def add_overrule_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_driver_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the lock driver."""
     known = ", ".join(f"{kind.value} ({entry.words})" for kind, entry in DRIVERS.items())
     parser.add_argument(
         "--driver",
@@ -61,7 +57,6 @@ def add_driver_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_set_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option that changes keys of the configuration for one run."""
     parser.add_argument(
         "--set",
         action="append",
@@ -72,7 +67,6 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_vary_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the quantities of the simulated world that are drawn at random for each seed."""
     parser.add_argument(
         "--vary",
         action="append",
@@ -84,7 +78,6 @@ def add_vary_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_position_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the source of PX4's position."""
     parser.add_argument(
         "--position-from",
         type=PositionSource,
@@ -97,7 +90,6 @@ def add_position_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_mocap_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the motion capture whose poses are forwarded to PX4."""
     parser.add_argument(
         "--mocap",
         metavar="URL",
@@ -107,7 +99,6 @@ def add_mocap_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_emulated_mocap_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the emulated motion capture of a simulated vehicle."""
     parser.add_argument(
         "--mocap",
         metavar="KIND",
@@ -117,7 +108,7 @@ def add_emulated_mocap_option(parser: argparse.ArgumentParser) -> None:
 
 
 def link_of(arguments: argparse.Namespace, connection: ConnectionConfig) -> str:
-    """Return the URL of `--connection`; without this option, return the configuration's `connection.url`.
+    """Return the URL of `--connection` or, without this option, the configuration's `connection.url`.
 
     Raises:
         InputError: the URL is malformed, or names a serial port that does not exist.
@@ -128,11 +119,7 @@ def link_of(arguments: argparse.Namespace, connection: ConnectionConfig) -> str:
 
 
 def refuse_unwritable(arguments: argparse.Namespace, path: Path) -> None:
-    """Check that a calibration can be written into the configuration at `path`.
-
-    Raises:
-        InputError: the configuration is the packaged one, or cannot be written.
-    """
+    """Raise InputError if a calibration cannot be written, or if the configuration is the packaged one."""
     if not arguments.config and path == packaged("configs", "dart.yaml"):
         raise InputError(
             "is the packaged default; copy it with `dart-flight init` and name the copy with --config",

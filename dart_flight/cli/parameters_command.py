@@ -30,7 +30,6 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("mission", metavar="MISSION", help="mission that gives the vehicle and the frame")
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     parser.add_argument(
@@ -58,7 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return 0 if no parameter differs or all differing parameters were written.
+    """Return 0 if no parameter differs or all differing parameters were written.
 
     A parameter without an answer gives 1, because its value is unknown.
     """
@@ -116,7 +115,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _show(found: ParameterReading) -> None:
-    """Print the parameters that differ, or a message if none does."""
     for remark in found.remarks:
         print_status(remark)
     if found.position_from is not None:
@@ -159,10 +157,7 @@ def _report_written(rows: list[ParameterRow], report: WriteReport) -> None:
 
 @contextlib.contextmanager
 def _shown(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show progress on a terminal until the context ends.
-
-    The context yields a function. Its arguments are the number of finished items and the total number.
-    """
+    """Yield `show(finished, total)`, which shows progress on a terminal."""
     from rich.progress import Progress  # slow to import
 
     console = messages()

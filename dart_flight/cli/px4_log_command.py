@@ -21,7 +21,6 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("flight", metavar="FLIGHT", help="flight log or its folder")
     parser.add_argument(
         "--connection", metavar="URL", help="the vehicle's link (default: the link of the flight)"
@@ -36,7 +35,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status."""
     found = find_logs([arguments.flight])
     if len(found) != 1:
         raise InputError(f"{len(found)} flights below this folder; name one flight", source=arguments.flight)
@@ -64,14 +62,14 @@ def download_px4_log(
 ) -> Path:
     """Download PX4's log of a flight, show the progress, and return the path of the log.
 
+    Arguments and `FlightError` are those of `fetch_px4_log`.
+
     Args:
-        url, timeout_s, folder, armed, before: the arguments of `fetch_px4_log`.
-        log_id: number of the log that the operator has chosen. If the number is None and several logs may
-            belong to the flight, the operator must choose a log.
+        log_id: number of the log that the operator has chosen. If it is None and several logs may belong to
+            the flight, the operator must choose one.
 
     Raises:
         InputError: several logs may belong to the flight, and there is no terminal or no valid choice.
-        FlightError: for the same reasons as in `fetch_px4_log`.
     """
     from rich.progress import Progress, TimeRemainingColumn  # slow to import
 
@@ -109,7 +107,7 @@ def download_px4_log(
 
 
 def _choose_log(found: list[Px4LogEntry]) -> int:
-    """Ask the operator for the flight's log and return its number, or -1 for an invalid answer."""
+    """Ask the operator for the flight's log; return its number, or -1 for an invalid answer."""
     print_status("several logs may belong to this flight:", *(f"  {entry.line()}" for entry in found))
     if not sys.stdin.isatty():
         raise InputError(

@@ -11,7 +11,6 @@ from dart_flight.planning.positioning import PLAIN_GPS
 
 
 def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> None:
-    """Add `--px4` and its related options, and `--hitl` if `with_hitl`."""
     group = parser.add_argument_group("real PX4 (docs/px4.md)")
     group.add_argument(
         "--px4",
@@ -79,5 +78,4 @@ def position_source_of(arguments: argparse.Namespace) -> PositionSource:
 
 
 def position_warnings(position_from: PositionSource) -> list[str]:
-    """Return the warnings about a position source, one line each, to be shown before the flight."""
     return [PLAIN_GPS] if position_from is PositionSource.PLAIN else []

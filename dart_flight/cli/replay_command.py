@@ -21,7 +21,6 @@ _PARTS = re.compile(r", (?![^(]*\))")  # not the commas of a vector
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("logs", nargs="+", metavar="LOG", help="flight.mcap, or a folder of flights")
     parser.add_argument(
         "--set",
@@ -35,10 +34,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return 0 if all decisions are equal, 1 if one differs.
+    """Return 0 if all decisions are equal, 1 if one differs.
 
-    With --json, print one object. For several logs, `equal` states whether no decision differs, and
-    `replays` lists one object per log.
+    With --json, print one object. For several logs, `equal` states whether no decision differs, and `replays`
+    lists one object per log.
     """
     paths = find_logs(arguments.logs)
     summaries: list[dict[str, Any]] = []

@@ -23,7 +23,6 @@ _DEFAULT_ROOM = Path("missions/dual_collision.yaml")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "mission",
         metavar="MISSION",
@@ -44,7 +43,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status."""
     require_mavlink()
     from dart_flight.sim.pose_feed import EmulatedMotionCapture
     from dart_flight.sim.simulated_vehicle import SimulatedVehicle

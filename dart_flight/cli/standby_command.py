@@ -17,7 +17,6 @@ from dart_flight.run.standby import Standby
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "missions", metavar="MISSION", nargs="*", help="missions of the buttons Fly 1, Fly 2, ..., in order"
     )
@@ -27,7 +26,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command until it is stopped and return the exit status."""
     flown = [
         with_driver(load_flyable(path, arguments.config), arguments.driver) for path in arguments.missions
     ]

@@ -51,7 +51,6 @@ _DIRECTIONS, _MOST_FLIGHTS = 16, 4  # probes per flight and flights for an unkno
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
     add_log_dir_option(parser)
     add_driver_option(parser)
@@ -88,7 +87,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit status."""
     document = load_document(arguments.mission, FileKind.MISSION)
     mission = with_driver(load_flyable(arguments.mission, arguments.config, arguments.set), arguments.driver)
     if arguments.connection is not None:
@@ -209,8 +207,7 @@ def _write(
 ) -> str | None:
     """Write the mission with the measured walls.
 
-    Returns:
-        None if the new mission can be flown, otherwise the reason why not, such as a blocked trajectory.
+    Return None if the new mission can be flown, otherwise the reason, such as a blocked trajectory.
     """
     path, tree = arguments.output, dict(written)
     tree["walls"] = {**tree.get("walls", {}), **surveyed_walls(mission, walls)}

@@ -1,7 +1,8 @@
 """Output of every command: results on standard output, messages and progress on standard error.
 
 Text is printed literally: square brackets and colons in a path or a PX4 message are not markup. Style is
-passed as `style=` or as `rich.text.Text`. Characters that the output's encoding lacks are escaped.
+passed as `style=` or as `rich.text.Text`. Characters that the output's encoding lacks are escaped. A failed
+write to standard output raises `OutputError`.
 """
 
 from __future__ import annotations
@@ -44,21 +45,15 @@ class _OutputStream:
     """Standard output or standard error, looked up in `sys` at every write.
 
     A message that cannot be written to standard error (full disk, closed terminal) is discarded, so that it
-    does not end a flight.
-
-    Args:
-        name: `stdout` or `stderr`.
+    does
+    not end a flight.
     """
 
     def __init__(self, name: str) -> None:
         self._name = name
 
     def write(self, text: str) -> int:
-        """Write text, and escape the characters that the encoding lacks.
-
-        Raises:
-            OutputError: writing to standard output failed.
-        """
+        """Write text, and escape the characters that the encoding lacks."""
         with self._errors():
             stream = self._stream
             try:
@@ -69,11 +64,6 @@ class _OutputStream:
         return len(text)
 
     def flush(self) -> None:
-        """Flush the stream.
-
-        Raises:
-            OutputError: writing to standard output failed.
-        """
         with self._errors():
             self._stream.flush()
 
@@ -109,8 +99,8 @@ _OUTPUT, _MESSAGES = cast("IO[str]", _OutputStream("stdout")), cast("IO[str]", _
 def open_closed_streams() -> None:
     """Open a descriptor for each closed standard stream (`>&-`), before any file or link is opened.
 
-    Otherwise a log or serial link would get the descriptor number of the closed stream. Libraries print to
-    this number, so their text would end up in the log or on the link. Writing to a closed standard output
+    Otherwise a log or serial link would get the descriptor number of the closed stream, and the text that
+    libraries print to this number would end up in the log or on the link. Writing to a closed standard output
     still fails.
     """
     for number in _STANDARD:
@@ -147,21 +137,14 @@ def confirm(question: str) -> bool:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file and print its path.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write a file and print its path."""
     with report_write_errors(path):
         path.write_text(text, encoding="utf-8", errors=ESCAPED)
     print_status(f"wrote {path}")
 
 
 def tables() -> Console:
-    """Return the console for results that are not JSON: standard output.
-
-    Printing raises `OutputError` if the write fails.
-    """
+    """Return the console for results that are not JSON: standard output."""
     from rich.console import Console
 
     return Console(file=_OUTPUT, highlight=False, markup=False, emoji=False)
@@ -204,21 +187,12 @@ def styled(*parts: str | tuple[str, str]) -> Text:
 
 
 def write_output(text: str) -> None:
-    """Write text to standard output literally.
-
-    Raises:
-        OutputError: the write failed.
-    """
     _OUTPUT.write(text)
     _OUTPUT.flush()
 
 
 def emit_json(value: Any) -> None:
-    """Print one object as JSON on standard output; a number that is not finite becomes null.
-
-    Raises:
-        OutputError: the write failed.
-    """
+    """Print one object as JSON on standard output; a number that is not finite becomes null."""
     try:
         data = msgspec.json.encode(value)
     except UnicodeEncodeError:  # a file name in `value` is not UTF-8
@@ -240,8 +214,7 @@ def _printable(value: Any) -> Any:
 def keep_status(outcome: str) -> Iterator[None]:
     """If the result of completed work cannot be printed, keep the exit status of the work.
 
-    Args:
-        outcome: the result in one line, printed on standard error if standard output fails.
+    `outcome` is the result in one line, printed on standard error if standard output fails.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Line about the vehicle's configuration; commands print this line on standard error before the results."""
+"""The line about the vehicle's configuration that commands print on standard error before the results."""
 
 from __future__ import annotations
 
@@ -11,14 +11,10 @@ from dart_flight.config.provenance import VehicleSource, unused_configurations
 def print_vehicle(
     source: VehicleSource | None, arguments: argparse.Namespace, *, flown: bool = False
 ) -> None:
-    """Print the configuration and the vehicle's mass.
+    """Print the configuration's path and the vehicle's mass.
 
-    If another configuration was found but not used, print a note.
-
-    Args:
-        source: source of the configuration; if None, nothing is printed.
-        arguments: parsed arguments of the command; if they contain --config, no note is printed.
-        flown: whether the configuration is from a log; if so, no note is printed.
+    A note follows if another configuration was found but not used. There is no note if the arguments contain
+    --config, or if the configuration is that of a log (`flown`).
     """
     if source is None:
         return

@@ -1,1 +1,4 @@
-"""Conversion of YAML files to typed, validated, immutable objects; every error names file, line and key."""
+"""Conversion of YAML files to typed, validated, immutable objects.
+
+Functions that read or write a file named by the operator raise `InputError`, which names file, line and key.
+"""

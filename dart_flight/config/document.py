@@ -71,11 +71,7 @@ class InputError(ValueError):
 
 
 def utf8_path(path: str | Path) -> str:
-    """Return the text of a path, after a check that JSON can store the text.
-
-    Raises:
-        InputError: the path is not UTF-8.
-    """
+    """Return the text of a path; raise InputError if the path is not UTF-8, because JSON cannot store it."""
     text = str(path)
     if printable(text) != text:
         raise InputError("the file name is not UTF-8; rename the file or choose another folder", source=text)
@@ -84,11 +80,7 @@ def utf8_path(path: str | Path) -> str:
 
 @contextlib.contextmanager
 def report_write_errors(path: str | Path) -> Iterator[None]:
-    """Convert write errors inside the context to `InputError`.
-
-    Raises:
-        InputError: the file or folder cannot be written.
-    """
+    """Convert write errors inside the context to `InputError`."""
     try:
         yield
     except OSError as error:
@@ -98,8 +90,9 @@ def report_write_errors(path: str | Path) -> Iterator[None]:
 def write_problem(path: str | Path, error: OSError) -> str:
     """Return why a path cannot be written, in one line.
 
-    If a file or folder of another account is the reason, the text names it, its owner and the remedy. An
-    example is a folder that one `sudo` has left behind.
+    If a file or folder of another account is the reason (for example a folder left behind by `sudo`), the
+    text
+    names it, its owner and the remedy.
     """
     reason = error.strerror or str(error)
     place = Path(error.filename if isinstance(error.filename, str) else path).absolute()
@@ -119,7 +112,6 @@ def write_problem(path: str | Path, error: OSError) -> str:
 
 
 def account_name(number: int) -> str:
-    """Return the name of an account, or its number if the account has no entry."""
     try:
         return pwd.getpwuid(number).pw_name
     except KeyError:
@@ -151,7 +143,7 @@ def replace_file(path: Path, data: bytes) -> None:
         part.unlink(missing_ok=True)
 
 
-Stamp = tuple[int, int, int] | None  # of a file: time of change, size, inode; None: there is no such file
+Stamp = tuple[int, int, int] | None  # a file's time of change, size and inode; None: there is no such file
 _noting: list[dict[Path, Stamp]] = []
 
 
@@ -178,10 +170,9 @@ def noting_files() -> Iterator[dict[Path, Stamp]]:
 def open_file(path: str | Path, most_bytes: int = MAX_LOG_BYTES) -> BinaryIO:
     """Open a file named by the operator for reading; every command opens its input here.
 
-    Only regular files are accepted. A pipe might not deliver any data, and reading a device might not end.
-
-    Raises:
-        InputError: the file cannot be read, is not a regular file, or is larger than `most_bytes`.
+    Only regular files up to `most_bytes` are accepted, because a pipe might not deliver any data, and reading
+    a
+    device might not end.
     """
     source = str(path)
     for noted in _noting:
@@ -206,11 +197,7 @@ def open_file(path: str | Path, most_bytes: int = MAX_LOG_BYTES) -> BinaryIO:
 
 
 def read_text(path: str | Path, most_bytes: int = MAX_TABLE_BYTES) -> str:
-    """Return the text of a file named by the operator, without a byte order mark.
-
-    Raises:
-        InputError: as in `open_file`, or the file is not UTF-8.
-    """
+    """Return the UTF-8 text of a file named by the operator, without a byte order mark; see `open_file`."""
     with open_file(path, most_bytes) as file:
         try:
             return file.read(most_bytes).decode("utf-8-sig")
@@ -246,12 +233,12 @@ class Document:
     """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
 
     `set_by` names the source of each value that is not from this file: an option (`config.settings`), or
-    another configuration file. If this document is part of another document, `above` is the key of this part
-    in the other document.
+    another
+    configuration file. If this document is part of another document, `above` is the key of this part there.
 
     Raises:
-        InputError: the text is not YAML, is not a mapping, is too large or is nested too deep; the text
-            contains duplicate keys, aliases or tags; or a number is not finite.
+        InputError: the text is not YAML, is not a mapping, is too large or is nested too deep; it contains
+            duplicate keys, aliases or tags; or a number is not finite.
     """
 
     def __init__(self, text: str, source: str) -> None:
@@ -280,20 +267,14 @@ class Document:
 
     @classmethod
     def load(cls, path: str | Path) -> Document:
-        """Read and parse a file.
-
-        Raises:
-            InputError: the file cannot be read, or its content is invalid as for `Document`.
-        """
         return cls(read_text(path, _MAX_BYTES), printable(str(path)))
 
     @classmethod
     def from_tree(cls, tree: Mapping[str, Any], source: str = IN_PYTHON) -> Document:
         """Return a document built in Python, as if its keys and values had been read from a file.
 
-        Raises:
-            InputError: a value cannot be stored in a file, or the tree is nested too deep. Allowed values are
-                finite numbers (also NumPy's), text, booleans, None, and lists and mappings of these.
+        Allowed values are finite numbers (also NumPy's), text, booleans, None, and lists and mappings of
+        these.
         """
         document = cls.__new__(cls)
         document.source, document.lines, document.set_by, document.above = source, {}, {}, ()
@@ -311,8 +292,8 @@ class Document:
         """Return an error at a key of this document, with the line of the key.
 
         If the key is not in the file, the error has the line of the innermost existing section around the
-        key. If an option such as `--set` has set the key, the error names this option instead of file and
-        line.
+        key. If an
+        option such as `--set` has set the key, the error names this option instead of file and line.
         """
         for given, setting in self.set_by.items():
             # The error is at the setting, below it, or in a section that only the setting created.
@@ -325,11 +306,6 @@ class Document:
         return InputError(message, source=self.source, key=(*self.above, *key))
 
     def convert(self, type_: type[T]) -> T:
-        """Return the document converted to `type_`.
-
-        Raises:
-            InputError: a key is unknown or missing, or a value has the wrong type or is out of range.
-        """
         try:
             return msgspec.convert(self.tree, type_)
         except msgspec.ValidationError as error:
@@ -417,11 +393,7 @@ class Document:
 
 
 def to_plain(value: Any, key: Key = (), source: str = IN_PYTHON) -> Any:
-    """Return a Python value as plain data: dicts, lists, text, numbers, booleans, None.
-
-    Raises:
-        InputError: the value is none of these, or a number is not finite.
-    """
+    """Return a Python value as plain data: dicts, lists, text, finite numbers, booleans, None."""
     if isinstance(value, msgspec.Struct):
         value = msgspec.to_builtins(value)
     elif hasattr(value, "tolist"):  # a NumPy array or number
@@ -458,8 +430,8 @@ def _name(name: Any, key: Key, source: str) -> str:
 def _locate_error(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str]:
     """Find the smallest part of a value that cannot be converted; return the part's key and message.
 
-    msgspec's own path hides the names of dictionary keys (`$.walls[...].normal`), so each part is converted
-    again.
+    Each part is converted again, because msgspec's own path hides the names of dictionary keys
+    (`$.walls[...].normal`).
     """
     text = text.split(" - at `", maxsplit=1)[0]
     for part_key, part, part_type in _parts(value, type_):
@@ -554,7 +526,7 @@ def _limits(type_: Any) -> Iterator[msgspec.Meta]:
 
 
 def _explain(text: str, type_: Any) -> str:
-    """Return an error of msgspec in the terms of a YAML file."""
+    """Return an error message from msgspec in the terms of a YAML file."""
     if text.startswith("Invalid enum value"):
         allowed = ", ".join(str(value) for value in _allowed_values(type_))
         return f"{text[len('Invalid enum value ') :]} is not allowed, only: {allowed}"

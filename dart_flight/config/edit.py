@@ -20,10 +20,7 @@ from dart_flight.config.document import (
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
     """Return a YAML text in which numbers replace the values at the given keys; comments keep their column.
 
-    An integer in a key is an index into a list, from 0.
-
-    Raises:
-        InputError: the text is not YAML, or a key is missing or has no scalar value.
+    An integer in a key is an index into a list, from 0. Every key must exist and have a scalar value.
     """
     Document(text, source)  # apply the rules for reading: no aliases, no duplicate keys
     root = yaml.compose(text, Loader=yaml.SafeLoader)
@@ -40,11 +37,7 @@ def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str
 
 
 def write_values(path: Path, values: Mapping[Key, float]) -> None:
-    """Replace numbers in a YAML file atomically.
-
-    Raises:
-        InputError: as in `edit_values`; or the file cannot be written.
-    """
+    """Replace numbers in a YAML file atomically; see `edit_values`."""
     with report_write_errors(path):
         replace_file(path, edit_values(read_text(path), values, str(path)).encode("utf-8"))
 

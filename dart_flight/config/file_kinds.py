@@ -47,9 +47,9 @@ def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:
 
 
 def kind_of_file(path: str | Path) -> FileKind | None:
-    """Return the kind of a file, or None if the kind is unknown or the file is unreadable.
+    """Return the kind of a file by its content, or by its name for a CSV file.
 
-    The name identifies a CSV file. The content identifies any other file.
+    The result is None if the kind is unknown or the file is unreadable.
     """
     try:
         with open_file(path) as file:
@@ -65,11 +65,7 @@ def kind_of_file(path: str | Path) -> FileKind | None:
 
 
 def load_document(path: str | Path | Mapping[str, Any], wanted: FileKind) -> Document:
-    """Read a YAML file of an expected kind, or convert a mapping with the same content.
-
-    Raises:
-        InputError: as in `Document.load`, or the file is of another kind, which the message names.
-    """
+    """Read a YAML file of an expected kind, or convert a mapping with the same content."""
     if isinstance(path, Mapping):
         document = Document.from_tree(path)
         refuse_other_keys(document, wanted)
@@ -84,18 +80,14 @@ def load_document(path: str | Path | Mapping[str, Any], wanted: FileKind) -> Doc
 
 
 def refuse_other_kind(path: str | Path, *wanted: FileKind) -> None:
-    """Raise an error if a file is of another known kind.
-
-    Raises:
-        InputError: the file is of another kind; the message explains the use of that kind.
-    """
+    """Raise InputError if a file is of another known kind; the message explains the use of that kind."""
     kind = kind_of_file(path)
     if kind is not None and kind not in wanted:
         raise InputError(f"this is {kind.value}", source=str(path))
 
 
 def refuse_other_keys(document: Document, wanted: FileKind) -> None:
-    """Raise an error if a parsed YAML file is of another known kind."""
+    """Raise InputError if a parsed YAML file is of another known kind."""
     kind = kind_of_tree(document.tree)
     if kind is not None and kind is not wanted:
         raise InputError(f"this is {kind.value}", source=document.source)

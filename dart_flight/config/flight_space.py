@@ -1,4 +1,7 @@
-"""Checks of walls, places and modes against each other and the vehicle, for missions and scenarios."""
+"""Checks of walls, places and modes against each other and the vehicle, for missions and scenarios.
+
+If a check fails, the function raises `InputError` at the key in the document.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +32,7 @@ def resolve_space(
     vehicle: VehicleConfig,
     document: Document,
 ) -> dict[str, Wall]:
-    """Check start, goal, bounds and walls against each other, and return the walls by name.
-
-    Raises:
-        InputError: the bounds are empty; start or goal lies outside the bounds or in a wall; or a wall is
-            invalid, as in `resolve_walls`.
-    """
+    """Check start, goal, bounds and walls against each other, and return the walls by name."""
     for axis in ("x", "y", "z"):
         low, high = getattr(bounds, axis)
         if not low < high:
@@ -46,7 +44,7 @@ def resolve_space(
 
 
 def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
-    """Return the vehicle with the limits of acceleration and jerk that the mission sets, if any."""
+    """Return the vehicle with the mission's limits of acceleration and jerk, if it sets any."""
     if limits.acceleration_m_s2 is None and limits.jerk_m_s3 is None:
         return vehicle
     flying = vehicle.flying
@@ -62,15 +60,9 @@ def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
 def resolve_walls(
     specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document, section: str = "walls"
 ) -> dict[str, Wall]:
-    """Return the walls by name.
+    """Return the walls by name; `section` is their key in the file.
 
     A wall is the plane in which the vehicle's centre lies when the vehicle first touches the wall.
-
-    `section` is the key of the walls in the file.
-
-    Raises:
-        InputError: a normal has length zero, a material is not in the vehicle's table, or a face of a
-            partition has the name of another wall, or a partition does not say which point it gives.
     """
     walls: dict[str, Wall] = {}
     for name, spec in specs.items():
@@ -112,7 +104,6 @@ def hint_at_surface(off_m: float, contact_distance_m: float) -> str:
 
 
 def _faces(wall: Wall, thickness_m: float) -> tuple[Wall, Wall]:
-    """Return front and back of a partition."""
     front = msgspec.structs.replace(wall, name=wall.name + FRONT, thickness_m=thickness_m)
     return front, front.back()
 
@@ -120,11 +111,6 @@ def _faces(wall: Wall, thickness_m: float) -> tuple[Wall, Wall]:
 def resolve_posts(
     specs: dict[str, PostSpec], walls: dict[str, Wall], vehicle: VehicleConfig, document: Document
 ) -> dict[str, Post]:
-    """Return the posts by name.
-
-    Raises:
-        InputError: a wall has the same name, or a material is not in the vehicle's table.
-    """
     for name, spec in specs.items():
         if name in walls:
             raise document.error(("posts", name), f"a wall already has the name {name}")
@@ -137,13 +123,10 @@ def resolve_posts(
 def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, document: Document) -> Wall:
     """Return a post's tangent plane as a wall with the post's name.
 
-    The plane contains the vehicle's centre at the first touch of the post. The wall's length is the range in
-    which the vehicle's leading side touches the post. Beyond this range the vehicle passes the post, or
-    another part of the vehicle touches the post.
-
-    Raises:
-        InputError: the distance of `impact` from the post's axis is not the distance at which the vehicle
-            touches the post.
+    The plane contains the vehicle's centre at the first touch of the post, so `impact` must be at that
+    distance
+    from the post's axis. The wall's length is the range in which the vehicle's leading side touches the post.
+    Beyond this range the vehicle passes the post, or another part of the vehicle touches it.
     """
     reach = post.radius_m + vehicle.airframe.contact_distance_m
     dx, dy = impact[0] - post.centre[0], impact[1] - post.centre[1]
@@ -162,11 +145,7 @@ def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, doc
 def check_clear_of_posts(
     posts: dict[str, Post], point: Vec2, vehicle: VehicleConfig, key: Key, document: Document
 ) -> None:
-    """Check that a vehicle at a place is clear of all posts.
-
-    Raises:
-        InputError: the vehicle would overlap or touch a post.
-    """
+    """Check that a vehicle at a place neither overlaps nor touches a post."""
     for post in posts.values():
         if post.distance_to_segment(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:
             raise document.error((*key, "position_m"), f"is in or at post {post.name}")
@@ -204,11 +183,7 @@ def check_place(
     key: Key,
     document: Document,
 ) -> None:
-    """Check that a place, with its altitude if given, is inside the bounds and in front of the walls.
-
-    Raises:
-        InputError: the place is outside the bounds, or in or behind a wall.
-    """
+    """Check that a place, with its altitude if given, is inside the bounds and in front of the walls."""
     if bounds.excess2(point) > 0.0:
         raise document.error(
             (*key, "position_m"),
@@ -225,11 +200,6 @@ def check_place(
 
 
 def refuse_mode(mode: Mode, vehicle: VehicleConfig, key: Key, document: Document) -> None:
-    """Check that the vehicle has a mode.
-
-    Raises:
-        InputError: the vehicle lacks the mode.
-    """
     problem = vehicle.mode_problem(mode)
     if problem is not None:
         raise document.error(key, problem)
@@ -244,9 +214,8 @@ def resolve_alphas(
 ) -> tuple[float, float]:
     """Return the gains (A_n, A_t) in the wall's axes, m/N, from `alpha_m_per_n` or `alpha_wall_m_per_n`.
 
-    Raises:
-        InputError: none or both of the two keys are given; the wall is oblique to the mission's axes, but the
-            two gains of `alpha_m_per_n` differ; or the gain along the normal is not above 0.
+    Exactly one of the two keys must be given, and the gain along the normal must be above 0. The two gains of
+    `alpha_m_per_n` may differ only for a wall that is parallel to one of the mission's axes.
     """
     if (per_axis is None) == (per_wall is None):
         raise document.error(key, "give exactly one of alpha_m_per_n and alpha_wall_m_per_n")

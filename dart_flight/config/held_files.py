@@ -1,6 +1,7 @@
 """Files that mark which process holds a resource, such as a link or a servo.
 
 A servo's file is in a folder that all accounts of the computer share. A link's file is in the state folder.
+If a file cannot be created, read, written or locked, the functions raise `InputError`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _LONGEST = 65536
 _LONGEST_NAME = 180
 _SHARED: Final = (Path("/run/lock"), Path("/dev/shm"))
 _FOR_ALL: Final = stat.S_ISVTX | stat.S_IWOTH
-_KEPT: Final = "DART_FLIGHT_KEPT_FILES"  # descriptor=path of every kept file, one a line
+_KEPT: Final = "DART_FLIGHT_KEPT_FILES"  # one line `descriptor=path` per kept file
 
 
 def shared_file(name: str) -> Path:
@@ -35,9 +36,6 @@ def shared_file(name: str) -> Path:
 
     The choice depends only on the folder's mode, not on the account, so that all programs choose the same
     folder.
-
-    Raises:
-        InputError: no folder is writable for every account.
     """
     name = re.sub(r"[^A-Za-z0-9.@_-]+", "-", name)
     if len(name) > _LONGEST_NAME:
@@ -59,11 +57,8 @@ def lock_file(descriptor: int, path: Path, remedy: str, *, shared: bool = False)
     Args:
         descriptor: descriptor of the open file; closing it ends the lock.
         path: path of the file, for the error.
-        remedy: advice to the operator if the file system cannot lock files.
+        remedy: advice to the operator if the file system cannot lock files (NFS without a lock daemon).
         shared: whether the lock tolerates other shared locks.
-
-    Raises:
-        InputError: the file system cannot lock files; an example is NFS without a lock daemon.
     """
     kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     try:
@@ -79,7 +74,7 @@ class HeldError(Exception):
     """Another process, or another part of this process, holds the file.
 
     Attributes:
-        content: content that the holder has written; empty if the holder has not written anything yet.
+        content: description of the holder; empty if the holder has not written anything yet.
     """
 
     def __init__(self, content: bytes) -> None:
@@ -90,14 +85,14 @@ class HeldError(Exception):
 class HeldFile:
     """An advisory lock on a file that contains a description of its holder.
 
-    The kernel releases the lock when the process ends for any reason. Two parts of one process exclude each
-    other as well. A forked child does not inherit the locks of its parent. A process that has called `keep`
-    holds the file until it ends, and passes it to a child process with `pass_kept`; both then hold the file.
-
-    Every account can hold the file, whichever account has created it.
-
-    Args:
-        path: the file; created by `acquire`, removed by `release`.
+    `acquire` creates the file, and `release` removes it. The kernel releases the lock when the process ends
+    for
+    any reason. Two parts of one process exclude each other as well. A forked child does not inherit the locks
+    of
+    its parent. A process that has called `keep` holds the file until it ends, and passes it to a child
+    process
+    with `pass_kept`; both then hold the file. Every account can hold the file, whichever account has created
+    it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -107,12 +102,8 @@ class HeldFile:
     def acquire(self, content: bytes) -> None:
         """Acquire the lock and write the description of the holder.
 
-        Args:
-            content: description to write.
-
         Raises:
             HeldError: another holder has the lock.
-            InputError: the file cannot be used.
         """
         if any(held._path == self._path for held in _held):
             raise HeldError(read_held(self._path) or b"")
@@ -131,11 +122,7 @@ class HeldFile:
             raise
 
     def write(self, content: bytes) -> None:
-        """Replace the file's content, unless another account permits only reading.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Replace the file's content, unless another account permits only reading."""
         assert self._descriptor is not None
         if fcntl.fcntl(self._descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
             return
@@ -146,7 +133,7 @@ class HeldFile:
             raise _cannot("write", self._path, error) from None
 
     def keep(self) -> None:
-        """Hold the file until this process ends, although the file is released and acquired again."""
+        """Hold the file until this process ends, even if it is released and acquired again."""
         assert self._descriptor is not None
         if self._path not in _kept_files():
             _kept_files()[self._path] = os.dup(self._descriptor)
@@ -160,19 +147,13 @@ class HeldFile:
             self.drop()
 
     def drop(self) -> None:
-        """Close the file without releasing the lock, as in a forked child."""
+        """Close the file without releasing the lock, as a forked child must."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
             _held.discard(self)
 
     def _lock(self) -> int:
-        """Return the descriptor of the locked file.
-
-        Raises:
-            HeldError: another holder has the lock.
-            InputError: the file cannot be used.
-        """
         other = b""
         for attempt in range(_ATTEMPTS):
             if attempt:  # the holder may only be checking the lock
@@ -195,8 +176,9 @@ class HeldFile:
     def _open(self, *, last: bool) -> int | None:
         """Return the descriptor of the open file, or None if another attempt may succeed.
 
-        The file is created and opened in two steps: with fs.protected_regular, the kernel refuses O_CREAT on
-        a file of another account in a folder such as /run/lock.
+        The file is created and opened in two steps, because with fs.protected_regular the kernel refuses
+        O_CREAT on a
+        file of another account in a folder such as /run/lock.
         """
         flags = os.O_CLOEXEC | os.O_NOFOLLOW
         try:
@@ -246,7 +228,7 @@ class Lease(ABC):
 
     @abstractmethod
     def acquire(self) -> None:
-        """Acquire the right."""
+        """Acquire the right, or raise the subclass's error if another process holds it."""
 
     @abstractmethod
     def release(self) -> None:
@@ -263,11 +245,7 @@ class Lease(ABC):
 
 
 def read_held(path: Path) -> bytes | None:
-    """Return the content that the holder of a file wrote, or None if the file is not held.
-
-    Raises:
-        InputError: the file cannot be read or locked.
-    """
+    """Return the content that the holder of a file wrote, or None if the file is not held."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -300,11 +278,6 @@ def _cannot(do: str, path: Path, error: OSError) -> InputError:
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
-    """Return whether a path still names the file that is open as `descriptor`.
-
-    Raises:
-        InputError: the path cannot be read.
-    """
     try:
         return os.path.samestat(os.fstat(descriptor), os.stat(path))
     except FileNotFoundError:

@@ -66,10 +66,10 @@ class Inherited(NamedTuple):
 
 
 class _Base(NamedTuple):
-    """The file that a vehicle's file extends, or the packaged file of which it is a copy."""
+    """The file that a vehicle's file extends, or the packaged file that was copied to it."""
 
     path: Path
-    is_original: bool  # of a copy
+    is_original: bool  # whether the vehicle's file is a copy of it
     is_dart: bool
     given: set[str]  # keys that the vehicle's file sets itself, or has changed
 
@@ -79,7 +79,7 @@ def find_inherited(
 ) -> Inherited | None:
     """Return the values that a vehicle's file inherits from a packaged file or from the file in `extends`.
 
-    A copy of a packaged example inherits every value that it has not changed: nobody measured them.
+    A copy of a packaged example inherits every value that it has not changed, because nobody measured it.
 
     Args:
         vehicle: the whole configuration.
@@ -87,8 +87,8 @@ def find_inherited(
         settings: `KEY=VALUE` pairs from `--set`.
 
     Returns:
-        The inherited values. The result is None for DART itself: its own file, or a file that extends or
-        copies it and changes no value of `FOLLOWS_FROM`, no material and not the lock.
+        None for DART itself: its own file, or a file that extends or copies it and changes no value of
+            `FOLLOWS_FROM`, no material and not the lock.
     """
     if file is None:
         return None
@@ -131,7 +131,7 @@ def _base(path: Path) -> _Base:
 
 
 def _copied_from(name: str, own: Mapping[str, Any]) -> Path | None:
-    """Return the packaged file of which a file is a copy, perhaps renamed and edited; None if it is none."""
+    """Return the packaged file from which this file was copied, even if it was renamed and edited since."""
     shipped = sorted(packaged("configs", "dart.yaml").parent.glob("*.yaml"))
     for path in shipped:
         if path.name == name:
@@ -169,7 +169,7 @@ def _is_given(key: str, given: set[str]) -> bool:
 
 
 def _differ(a: Any, b: Any) -> bool:
-    """Return whether a value differs too much from the inherited `b` to be a measurement of the same."""
+    """Return whether a value differs from the inherited value `b` by more than two measurements of it."""
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) > _SAME * abs(b)
     if isinstance(a, Sequence) and isinstance(b, Sequence) and len(a) == len(b) and not isinstance(a, str):

@@ -60,7 +60,7 @@ class LinkEndpoint(msgspec.Struct, frozen=True):
 def endpoint_of(url: str) -> LinkEndpoint:
     """Return the resource that a MAVSDK connection URL uses.
 
-    An invalid URL also gets a key: the URL is not refused here but later, by MAVSDK.
+    An invalid URL also gets a key, because MAVSDK refuses the URL later.
     """
     link = parse_link(url)
     if link is not None and link.kind == "serial":
@@ -77,7 +77,7 @@ def endpoint_of(url: str) -> LinkEndpoint:
 
 
 def mavsdk_url(url: str) -> str:
-    """Return a URL that MAVSDK understands: it ends the name of a serial device at the first colon."""
+    """Return a URL without a colon in the device's name, because MAVSDK ends the name at the first colon."""
     link = parse_link(url)
     if link is None or link.kind != "serial" or ":" not in link.place:
         return url
@@ -85,19 +85,19 @@ def mavsdk_url(url: str) -> str:
 
 
 def device_key(path: str | Path) -> str:
-    """Return the key of a device; all links to the device, such as /dev/serial0, give the same key."""
+    """Return the key of a device; all symbolic links to it, such as /dev/serial0, give the same key."""
     return os.path.realpath(path).strip("/").replace("/", "-")
 
 
 def _network() -> str:
-    """Return the number of the network namespace: containers may share a folder but have separate ports."""
+    """Return the number of the network namespace: containers may share a folder but not their ports."""
     with contextlib.suppress(OSError):
         return str(os.stat("/proc/self/ns/net").st_ino)
     return ""
 
 
 def link_problem(url: str) -> str | None:
-    """Return a text with the error in a URL's form and the allowed forms, or None if the form is valid."""
+    """Return the error in a URL's form and the allowed forms, or None if the form is valid."""
     link = parse_link(url)
     if link is None:
         return f"{url!r} is not a connection URL, expected: {FORMS}"
@@ -107,11 +107,7 @@ def link_problem(url: str) -> str | None:
 
 
 def usable_link(url: str, key: str = "--connection") -> str:
-    """Check a URL without opening it, and return it unchanged.
-
-    Raises:
-        InputError: the URL has the wrong form, or the serial port does not exist.
-    """
+    """Check the form of a URL and that its serial port exists, without opening it; return it unchanged."""
     problem = link_problem(url)
     if problem is not None:
         raise InputError(problem, key=(key,))

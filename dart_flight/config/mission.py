@@ -55,8 +55,7 @@ from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import Flying, VehicleConfig, load_vehicle
 
 _PAUSE_S = 60.0
-# PX4's estimator still settles after power-on: movement of the estimate before arming is no motion, and the
-# mission frame follows the estimate.
+# The estimate of a resting vehicle still moves after power-on. Before arming, the mission frame follows it.
 ESTIMATE_MOVED_M = 0.05
 # A trajectory is rounded, and it ends at the onset of the force, slightly before the plane.
 _TRAJECTORY_OFF_M, _TRAJECTORY_OFF_M_S = 0.05, 0.05
@@ -278,7 +277,6 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return {**self._own_keys(), "vehicle": self.vehicle.to_dict()}
 
     def _own_keys(self) -> dict[str, Any]:
-        """Return the result of `to_dict` without the vehicle."""
         written = MissionFile(
             **shared_keys(self, MissionKeys),
             version=1,
@@ -365,7 +363,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
 
 def _waypoints_as_written(mission: Mission) -> Iterator[WaypointSpec]:
-    """Yield waypoints and pauses in the form of a file, which omits values that follow from other values."""
+    """Yield waypoints and pauses in the form of a file, without values that follow from other values."""
     altitude_m, usual_m_s = mission.altitude_m, mission.vehicle.flying.transit_speed_m_s
     for one in mission.waypoints:
         keys = shared_keys(one, WaypointKeys)
@@ -405,9 +403,6 @@ def load_empty_room(config: str | Path | None = None, settings: Sequence[str] = 
     """Return a mission without walls, for commands that need a vehicle but no mission.
 
     The vehicle hovers above PX4's local origin. `config` and `settings` are those of `load_mission`.
-
-    Raises:
-        InputError: the configuration is invalid.
     """
     bounds = {axis: [-10.0, 10.0] for axis in "xy"} | {"z": [0.3, 3.0]}
     place = {"position_m": [0.0, 0.0]}
@@ -426,7 +421,7 @@ def parse_mission(
     config: str | Path | VehicleConfig | LoadedVehicle | None = None,
     settings: Sequence[str] = (),
 ) -> Mission:
-    """Resolve a parsed mission in the same way as `load_mission`; `config` may be a loaded configuration."""
+    """Resolve a parsed mission as `load_mission` does; `config` may be a loaded configuration."""
     refuse_other_keys(document, FileKind.MISSION)
     spec = document.convert(MissionFile)
     if isinstance(config, VehicleConfig):
@@ -451,11 +446,6 @@ def _find_vehicle(
 
 
 def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mission:
-    """Return the mission that a mission file defines for a vehicle.
-
-    Raises:
-        InputError: the parts of the mission contradict each other.
-    """
     tree = {key: value for key, value in document.tree.items() if key != "vehicle"}
     written = WrittenForm(tree, vehicle.flying)
     vehicle = apply_limits(vehicle, spec.limits)
@@ -495,11 +485,11 @@ def _add_tangent_walls(
     walls: dict[str, Wall],
     document: Document,
 ) -> None:
-    """Add a wall for each post to be hit: the tangent plane of the post.
+    """Add the tangent plane of each post to be hit to the walls.
 
-    Raises:
-        InputError: an impact on a post has no place, two impacts on a post have different places, or a probe
-            searches for a post.
+    Raise InputError if an impact on a post has no place, if two impacts on a post have different places, or
+    if a
+    probe searches for a post.
     """
     for i, one in enumerate(spec.collisions):
         if one.wall not in posts:
@@ -577,7 +567,7 @@ def _check_order(one: WaypointSpec, flown: int, spec: MissionFile, key: Key, doc
 
 
 def _collision_mode(spec: CollisionSpec, vehicle: VehicleConfig, key: Key, document: Document) -> Mode:
-    """Return the mode of a collision: the given mode, or the only mode of the vehicle."""
+    """Return the mode in the file or, without one, the only mode of the vehicle."""
     if spec.mode is None:
         if vehicle.has_lock:
             raise document.error(key, "missing key mode: " + " or ".join(vehicle.modes))
@@ -753,7 +743,6 @@ def _impact_point(
 
 
 def _default_impact(collision: Collision, start: Vec2) -> Vec2:
-    """Return the impact point of a collision whose file entry gives none."""
     assert collision.approach_m_s is not None
     if collision.trajectory is not None:
         return collision.wall.foot(collision.trajectory.states()[-1].position)

@@ -24,12 +24,12 @@ Acceleration = Annotated[float, Meta(ge=-50.0, le=50.0)]
 Jerk = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 PieceSeconds = Annotated[float, Meta(gt=0.0, le=60.0)]
 Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
-# Metres of setpoint per newton: the paper's largest is 0.12; at 1 a weak impact leads across a room.
+# Metres of setpoint per newton. The paper's largest value is 0.12; with 1, a weak impact leads across a room.
 Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
-_MOST_BROKEN_OFF = 0.1  # largest share of drawn flights that may fail for a plan to be offered
-# Twenty drawn flights of one mission tilted by up to 74 degrees; one flight of the next set tumbled.
+_MOST_BROKEN_OFF = 0.1  # largest share of drawn flights that may fail if a plan is offered
+# In twenty drawn flights of one mission the tilt reached 74 degrees; in the next set, one vehicle tumbled.
 _MOST_TILT_DEG = 60.0
 Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
@@ -146,8 +146,8 @@ class PostSpec(Section, frozen=True):
     material: str
 
 
-# Acceleration (m/s2) and jerk (m/s3): PX4's defaults of MPC_ACC_HOR and MPC_JERK_AUTO, its defaults of
-# MPC_ACC_HOR_MAX and MPC_JERK_MAX, and the largest values of replanning.
+# Acceleration (m/s2) and jerk (m/s3) of each preset: PX4's default MPC_ACC_HOR and MPC_JERK_AUTO, its default
+# MPC_ACC_HOR_MAX and MPC_JERK_MAX, and the largest values in replanning.
 MOTIONS = {"automatic": (3.0, 4.0), "position": (5.0, 8.0), "replanning": (5.9, 25.0)}
 
 
@@ -313,7 +313,6 @@ class TrajectoryPieces(Section, frozen=True):
 
     @property
     def duration_s(self) -> float:
-        """Duration of all pieces."""
         return sum(piece[0] for piece in self.pieces)
 
     def states(self) -> list[MotionState]:

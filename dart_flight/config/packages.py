@@ -16,7 +16,8 @@ def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -
     """Return the error that names a missing package and the command that installs it.
 
     Call this function in the `except` block of the import error. If the package is installed but does not
-    load, the message contains the import error.
+    load,
+    the message contains the import error.
 
     Args:
         what: the missing package and its use, such as "a picture needs matplotlib".
@@ -30,11 +31,9 @@ def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -
 
 
 def install_command(extra: str, checkout: Path = _CHECKOUT) -> str:
-    """Return the command that installs an extra with the versions of constraints.txt.
+    """Return the command that installs an extra from pyproject.toml with the versions in constraints.txt.
 
-    Args:
-        extra: name of the extra in pyproject.toml.
-        checkout: folder of the source code; an installed wheel has none.
+    `checkout` is the folder of the source code, which an installed wheel lacks.
     """
     is_checkout = (checkout / "Makefile").is_file() and (checkout / "constraints.txt").is_file()
     if is_checkout and extra in IN_FULL and Path(sys.prefix).resolve() == (checkout / ".venv").resolve():

@@ -28,7 +28,7 @@ from dart_flight.config.document import InputError, read_text
 from dart_flight.config.vehicle import packaged
 
 Value = int | float
-Version = tuple[int, int]  # of PX4: major, minor
+Version = tuple[int, int]  # PX4's major and minor version
 
 _TYPES = {"6": int, "9": float}
 PX4_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
@@ -112,13 +112,12 @@ class ParameterDifference(msgspec.Struct, frozen=True):
     reason: str
 
     def line(self) -> str:
-        """Return the difference as one line."""
         shown = "not on this vehicle" if self.actual is None else show_value(self.actual)
         return f"{self.name} is {shown}, wanted {show_value(self.wanted)}: {self.reason}"
 
 
 def to_float32(value: float) -> float:
-    """Return a number rounded to a REAL32; infinity if the number is out of range."""
+    """Round a number to a REAL32; the result is infinite if the number is out of range."""
     try:
         return float(struct.unpack("<f", struct.pack("<f", value))[0])
     except OverflowError:
@@ -134,7 +133,8 @@ def is_same_value(a: float, b: float, tolerance: float = 0.0) -> bool:
     """Return whether a parameter with value `a` needs no change to `b`.
 
     An INT32 must be equal, and a REAL32 must be equal after rounding; otherwise the values may differ by at
-    most `tolerance`.
+    most
+    `tolerance`.
     """
     whole = isinstance(a, int) or isinstance(b, int)
     return abs(a - b) <= tolerance or (not whole and to_float32(a) == to_float32(b))
@@ -149,9 +149,9 @@ def show_value(value: float) -> str:
 
 
 def vehicle_files(position_from: PositionSource | None) -> list[Path]:
-    """Return the packaged files for a vehicle, in order of application.
+    """Return the packaged files in order of application.
 
-    With None, return only the files that apply to every vehicle.
+    Without a position source, return only the files that apply to every vehicle.
     """
     place = () if position_from is None else _PLACE_FILES[position_from]
     return [packaged("configs", "px4", f"{name}.params") for name in ("collision", *place)]
@@ -166,16 +166,16 @@ def vehicle_parameters(position_from: PositionSource | None) -> dict[str, Parame
 
 
 def load_parameters(path: str | Path) -> dict[str, Parameter]:
-    """Return the autopilot's parameters of a file by name, in the file's order; see `read_parameter_file`."""
+    """Return the autopilot's parameters of a file by name, in the file's order."""
     return read_parameter_file(path).parameters
 
 
 def read_parameter_file(path: str | Path) -> ParameterFile:
     """Read a parameter file.
 
-    Raises:
-        InputError: the file cannot be read or has no parameter of the autopilot, or a line is a duplicate, is
-            out of range or is not a parameter.
+    Raise InputError if the file has no parameter of the autopilot, or if a line is a duplicate, is out of
+    range
+    or is not a parameter.
     """
     text = read_text(path)
     parameters: dict[str, Parameter] = {}
@@ -277,12 +277,7 @@ def _parse(fields: Iterable[str], reason: str, versions: tuple[str, str | None])
 
 
 def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) -> list[ParameterDifference]:
-    """Return the vehicle's differences from a parameter file, in the file's order.
-
-    Args:
-        wanted: wanted parameters by name, from `load_parameters`.
-        actual: the vehicle's parameters by name.
-    """
+    """Return the vehicle's differences from the wanted parameters, in the file's order."""
     found = []
     for parameter in wanted.values():
         name = parameter.name

@@ -28,10 +28,9 @@ _ON_PLANE_M = 1e-6
 
 
 class Probe(msgspec.Struct, frozen=True):
-    """A leg that searches for a wall.
+    """A leg that searches for a wall, from `begin` to `end` (mission frame, metres) at `speed_m_s`.
 
-    The leg leads from `begin` to `end` (mission frame, metres) at `speed_m_s`. The vehicle then waits
-    `back_m` from the wall. With `from_here` the leg begins where the vehicle rests.
+    The vehicle then waits `back_m` from the wall. With `from_here` the leg begins where the vehicle rests.
     """
 
     begin: Vec2
@@ -51,9 +50,8 @@ def unknown_walls(
 ) -> dict[str, Wall]:
     """Return the walls at unknown positions, by name, each perpendicular to its probe's leg at the leg's end.
 
-    Raises:
-        InputError: the probe has no direction, an unknown material or a name in use; a collision at an
-            unknown wall comes before the wall's probe; or a condition names a wall without an earlier probe.
+    Raise InputError if a probe has no direction, an unknown material or a name in use; if a collision at an
+    unknown wall comes before the wall's probe; or if a condition names a wall without an earlier probe.
     """
     stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].coefficients(Mode.RIGID).k)
     looked_for = {one.wall for one in spec.collisions if one.probe is not None}
@@ -144,11 +142,9 @@ def resolve_probe(
 ) -> tuple[Probe, Vec2, Vec2]:
     """Return a probe, its nominal impact velocity (normal, tangential), and its nominal impact point.
 
-    The nominal values hold for the assumed position of the wall; the point is in the mission frame.
-
-    Raises:
-        InputError: the probe has keys that only collisions without a probe may have, leads out of the bounds
-            or away from its wall, or is too fast.
+    The nominal values hold for the assumed position of the wall; the point is in the mission frame. Raise
+    InputError if the probe has keys that only collisions without a probe may have, leads out of the bounds or
+    away from its wall, or is too fast.
     """
     key: Key = ("collisions", i)
     probe = spec.probe

@@ -44,14 +44,11 @@ class LoadedVehicle(NamedTuple):
 
 
 def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -> LoadedVehicle:
-    """Load a vehicle configuration (`load_vehicle`) and identify it.
+    """Load a vehicle configuration and identify it.
 
     Args:
         path: the file; default: `default_config_path`.
         settings: `KEY=VALUE` pairs that override the file.
-
-    Raises:
-        InputError: as in `load_vehicle`, or the file is of another kind.
     """
     taken = Path(path or default_config_path())
     try:
@@ -72,7 +69,7 @@ def display_path(path: str | Path) -> str:
         whole = Path(path).resolve()
         if whole.is_relative_to(Path.cwd()):
             shown = whole.relative_to(Path.cwd())
-        elif ".." in Path(path).parts:  # from a mission file, not typed by the operator
+        elif ".." in Path(path).parts:  # the path is from a mission file, not typed by the operator
             shown = whole
     return printable(str(shown))
 
@@ -87,8 +84,7 @@ def unused_configurations(source: VehicleSource) -> list[str]:
     """Return configurations that the operator may have wanted instead of the packaged configuration.
 
     Candidates are the file that $DART_FLIGHT_CONFIG names, and the files in the working folder and in its
-    subfolder `configs/`. The result is a list of paths. It is empty unless the packaged configuration is
-    used.
+    subfolder `configs/`. There are none unless the packaged configuration is used.
     """
     if not source.packaged:
         return []

@@ -16,7 +16,6 @@ _KM_TOLERANCE = 0.5  # relative tolerance: PX4 ships one value for all propeller
 
 
 def rotor_parameters(motors: Sequence[Motor]) -> dict[str, int | float]:
-    """Return PX4's parameters of these motors."""
     parameters: dict[str, int | float] = {COUNT: len(motors)}
     for i, motor in enumerate(motors):
         values = (motor.x_m, motor.y_m, motor.yaw_torque_per_thrust_m)
@@ -30,7 +29,7 @@ def rotor_names(count: float) -> list[str]:
 
 
 def motors_from_parameters(parameters: Mapping[str, float], source: str) -> tuple[Motor, ...]:
-    """Return PX4's motors from its parameters.
+    """Return the motors in PX4's parameters.
 
     Raises:
         InputError: the parameters lack the number of motors or a position.
@@ -48,15 +47,11 @@ def motors_from_parameters(parameters: Mapping[str, float], source: str) -> tupl
 
 
 def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple[list[str], list[str]]:
-    """Compare PX4's airframe with the configuration's.
-
-    Args:
-        motors: motors of the configuration.
-        actual: motors of PX4.
+    """Compare PX4's motors (`actual`) with the configuration's.
 
     Returns:
-        Two lists of messages. The first lists differences in number, side or direction of rotation, which
-            show that PX4 is configured for another vehicle. The second lists differences in size.
+        Two lists of messages: differences in number, side or direction of rotation, which show that PX4 is
+            configured for another vehicle; and differences in size.
     """
     if len(motors) != len(actual):
         return [f"PX4 has {len(actual)} motors, but the configuration has {len(motors)}"], []

@@ -54,6 +54,7 @@ def shared_keys(section: Section, kind: type[Section]) -> dict[str, Any]:
     """Return names and values of the section's keys that `kind` defines.
 
     The conversions from a file to its resolved form and back use this function, so that neither direction
-    loses a key.
+    loses a
+    key.
     """
     return {name: getattr(section, name) for name in kind.__struct_fields__}

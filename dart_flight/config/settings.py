@@ -11,21 +11,19 @@ from dart_flight.config.document import Document, InputError, Key, to_plain, unk
 
 
 def apply_settings(settings: Sequence[str], *documents: Document) -> list[Document]:
-    """Change documents in place.
+    """Change documents in place and return those that were changed.
 
-    A setting changes the first document that contains the first part of the setting's key.
+    A setting changes the first document that contains the first part of the setting's key. A value of the
+    wrong
+    type is found later, by `Document.convert`, whose error names the setting.
 
     Args:
         settings: `KEY=VALUE` with a dotted key, such as `detection.force_threshold_n=8`,
             `materials.wood.rigid.k=5000` or `collisions[0].alpha_m_per_n=[0.1, 0.02]`.
         documents: a vehicle configuration and optionally a mission.
 
-    Returns:
-        The documents that were changed.
-
     Raises:
-        InputError: a key is unknown, or a setting is not `KEY=VALUE`. `Document.convert` finds values of the
-            wrong type and names the setting.
+        InputError: a key is unknown, or a setting is not `KEY=VALUE`.
     """
     changed: list[Document] = []
     for setting in settings:
@@ -40,11 +38,10 @@ def apply_settings(settings: Sequence[str], *documents: Document) -> list[Docume
 
 
 def apply_changes(changes: Mapping[str, Any], document: Document) -> None:
-    """Change a document in place, from Python.
+    """Change a document in place, from Python; a missing section is created.
 
     Args:
         changes: value by dotted key, as in `--set`.
-        document: the document. A missing section is created.
 
     Raises:
         InputError: a key is unknown, or a file cannot store a value.
@@ -80,7 +77,7 @@ def _key(name: str) -> Key:
 
 def _set(document: Document, key: Key, value: Any, setting: str) -> None:
     """Set a value in a document; error messages contain the text `setting`."""
-    document.set_by.pop(key, None)  # the order is that of the changes
+    document.set_by.pop(key, None)  # so that the dict keeps the order of the changes
     document.set_by[key] = setting
     node: Any = document.tree
     for part in key[:-1]:

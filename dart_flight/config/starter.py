@@ -46,7 +46,6 @@ def starter_files(vehicle: str = DART) -> dict[Path, Path]:
 
 
 def _owner(relative: Path) -> str:
-    """Return the vehicle that a file belongs to."""
     named = {*relative.parent.parts, relative.stem}
     return next((name for name in VEHICLES if name in named), DART)
 
@@ -59,9 +58,7 @@ def first_mission(vehicle: str) -> Path:
 def write_starter(directory: Path, vehicle: str = DART) -> list[Path]:
     """Copy the starter files of a vehicle into a folder, and return the written paths.
 
-    Raises:
-        InputError: there is no such vehicle, a file exists already (then nothing is written), or the folder
-            cannot be written.
+    If a file exists already, nothing is written, and InputError is raised.
     """
     files = {directory / relative: source for relative, source in starter_files(vehicle).items()}
     there = [path for path in files if path.exists() or path.is_symlink()]

@@ -34,11 +34,6 @@ def state_dir() -> Path:
 
 
 def ensure_folder(folder: Path) -> Path:
-    """Return the folder; create it if it is missing.
-
-    Raises:
-        InputError: the folder cannot be created.
-    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -47,12 +42,10 @@ def ensure_folder(folder: Path) -> Path:
 
 
 def cannot(do: str, path: Path, error: OSError, remedy: str = REMEDY) -> InputError:
-    """Return the error of a file that cannot be used.
+    """Return the error for a file that cannot be used.
 
     Args:
         do: the failed action, such as `write`.
-        path: path of the file.
-        error: the system's error.
         remedy: advice to the operator, unless the permissions of the file are the reason.
     """
     advice = "" if error.errno in (errno.EACCES, errno.EPERM) else f"; {remedy}"

@@ -47,15 +47,14 @@ class Calibration:
 
     @property
     def current_end(self) -> Mode | None:
-        """End that is being calibrated; None if the pulse widths of both ends are stored."""
+        """End that is being calibrated, or None if both are calibrated."""
         return next((mode for mode in self.ORDER if mode not in self.found), None)
 
     def execute(self, line: str) -> None:
         """Execute one line of the operator: any command of `HELP` except quit.
 
         Raises:
-            CalibrationError: the line is not a command, the pulse is outside the servo's range, or the two
-                ends are not a valid calibration.
+            CalibrationError: the line is invalid, or the two ends are not a valid calibration.
         """
         word = line.strip().lower()
         if word == "ok":
@@ -64,11 +63,6 @@ class Calibration:
         self._walk(self._target(word))
 
     def result(self) -> LockConfig:
-        """Return the configuration with the two calibrated ends.
-
-        Raises:
-            CalibrationError: the two ends are equal, or an end is beyond its end stop.
-        """
         rigid, flexible = self.found[Mode.RIGID], self.found[Mode.FLEXIBLE]
         servo = self._config.servo
         rises = (rigid > flexible) == (servo.rigid_deg > servo.flexible_deg)
@@ -91,11 +85,7 @@ class Calibration:
         return config
 
     def values(self) -> dict[Key, float]:
-        """Return the keys and values for the configuration file.
-
-        Raises:
-            CalibrationError: as in `result`.
-        """
+        """Return the keys and values for the configuration file; both ends must be calibrated."""
         servo = self.result().servo
         return {
             ("lock", "servo", "rigid_pulse_us"): servo.rigid_pulse_us,

@@ -25,7 +25,6 @@ CALIBRATION_STEP_S = 0.04  # two frames of the servo per small step
 
 
 def clock_us() -> int:
-    """Return the host's monotonic time in microseconds."""
     return time.monotonic_ns() // 1000
 
 
@@ -33,12 +32,9 @@ def clock_us() -> int:
 def ground_driver(
     config: LockConfig, last: LastCommand | None, link: ActuatorLink | None = None, *, lasting: bool = False
 ) -> Iterator[Driver]:
-    """Within the context, own the servo and return the configured driver.
+    """Within the context, own the servo and return the configured driver, as `owned_driver` does.
 
     If the last command went to the mock, the mock's horn starts at the commanded end.
-
-    Raises:
-        ServoInUseError, DriverError, InputError: as in `owned_driver`.
     """
     if config.driver is LockDriver.MOCK:
         known = last is not None and last.driver is LockDriver.MOCK
@@ -69,7 +65,6 @@ class GroundLock:
         return self._settle()
 
     def move(self, mode: Mode, *, release: bool = False) -> LockState:
-        """Move to a mode; with `release`, switch the pulses off afterwards."""
         self.session.command(mode)
         state = self._settle()
         if release and state.phase is LockPhase.SETTLED:
@@ -84,11 +79,7 @@ class GroundLock:
 
 
 def calibration(config: LockConfig, driver: Driver) -> Calibration:
-    """Return a calibration that starts at the servo's present pulse, or in the middle of its range.
-
-    Raises:
-        DriverError: the driver cannot be read.
-    """
+    """Return a calibration that starts at the servo's present pulse, or in the middle of its range."""
     reading = driver.read()
 
     def move(pulse_us: float) -> None:

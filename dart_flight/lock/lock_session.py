@@ -18,8 +18,11 @@ from dart_flight.lock.state_machine import Action, CommandRefused, LockStateMach
 class LockSession:
     """Steps the state machine of a lock and executes the actions with the driver.
 
-    `clock_us` returns the core's time in microseconds. `on_change` is called with every new lock state, in
-    order. No method raises `DriverError`: if the driver fails, the phase of the lock becomes `fault`.
+    `clock_us` returns the core's time in microseconds. `on_change` receives every new lock state, in order.
+    The
+    commands return a `CommandRefused` if the state machine refuses them. No method raises `DriverError`: if
+    the
+    driver fails, the phase of the lock becomes `fault`.
     """
 
     def __init__(
@@ -37,14 +40,10 @@ class LockSession:
 
     @property
     def state(self) -> LockState:
-        """Present state of the lock."""
         return self.machine.state
 
     def start(self) -> CommandRefused | None:
-        """Start by homing or by adopting the present position, as configured.
-
-        Return a `CommandRefused` if the state machine refuses the homing.
-        """
+        """Home the lock or adopt the present position, as configured."""
         asked_us = self._clock_us()
         try:
             self.driver.open()
@@ -56,22 +55,16 @@ class LockSession:
         return self._execute(self.machine.start(asked_us, reading))
 
     def command(self, mode: Mode) -> CommandRefused | None:
-        """Move to a mode; return a `CommandRefused` if the state machine refuses the command."""
         return self._execute(self.machine.command(self._clock_us(), mode))
 
     def permit(self, permitted: bool) -> None:
-        """Set whether locking is permitted (the arms have no contact and have returned to their place)."""
         self._execute(self.machine.permit(self._clock_us(), permitted))
 
     def release(self) -> CommandRefused | None:
-        """Switch the pulses off; return a `CommandRefused` if the state machine refuses this."""
         return self._execute(self.machine.release(self._clock_us()))
 
     def poll(self) -> LockState:
-        """Read the driver and update the state.
-
-        A caller must call `poll` every 20 to 50 ms, even if the servo is at rest.
-        """
+        """Read the driver and update the state; call this every 20 to 50 ms, even if the servo is at rest."""
         asked_us = self._clock_us()
         try:
             reading = self.driver.read()

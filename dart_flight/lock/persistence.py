@@ -28,10 +28,7 @@ class LastCommand(msgspec.Struct, frozen=True):
     """The last command to the servo, its origin, and the last known progress.
 
     Attributes:
-        driver: driver that sent the command.
-        mode: commanded mode.
         at_utc: wall-clock time of the last change of the lock's state, ISO 8601.
-        pid: process that sent the command.
         phase: phase after this change; `travelling` means that the process ended during the travel.
         feedback: whether a limit switch confirmed the position.
     """
@@ -44,7 +41,7 @@ class LastCommand(msgspec.Struct, frozen=True):
     feedback: bool = False
 
     def describe(self) -> str:
-        """Return a line for the operator, such as "rigid by mock at ..., settled"."""
+        """Return a line such as "rigid by mock at ..., settled"."""
         how = {
             LockPhase.SETTLED: "settled" + ("" if self.feedback else " (no feedback)"),
             LockPhase.TRAVELLING: "arrival not confirmed",
@@ -53,7 +50,7 @@ class LastCommand(msgspec.Struct, frozen=True):
 
 
 class CommandStore:
-    """Stores the last command at every change of the lock's state.
+    """Stores the last command atomically at every change of the lock's state.
 
     Attributes:
         problem: reason why the last state was not stored, or None. The lock moves even if the state cannot be
@@ -61,18 +58,12 @@ class CommandStore:
     """
 
     def __init__(self, driver: LockDriver, folder: Path | None = None) -> None:
-        """Find or create the folder.
-
-        Raises:
-            InputError: the folder cannot be created.
-        """
         self._driver = driver
         self._folder = ensure_folder(folder or state_dir())
         self._mode: Mode | None = None
         self.problem: str | None = None
 
     def store(self, state: LockState) -> None:
-        """Store a state atomically; if no command led to the state, store nothing."""
         self._mode = state.mode or self._mode
         if state.commanded_us is None or self._mode is None:
             return
@@ -104,11 +95,7 @@ class CommandStore:
 
 
 def load_last(folder: Path | None = None) -> LastCommand | None:
-    """Return the last stored command, or None if no command is stored or the file is damaged.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Return the last stored command, or None if no command is stored or the file is damaged."""
     path = (folder or state_dir()) / "last_command.json"
     try:
         return msgspec.json.decode(path.read_bytes(), type=LastCommand)
@@ -134,11 +121,7 @@ class ServoOwner(msgspec.Struct, frozen=True):
 
 
 class ServoInUseError(InputError):
-    """Another process owns the servo.
-
-    Attributes:
-        pid: process number of the other process, or None if unknown.
-    """
+    """Another process owns the servo; `pid` is its process number, or None if unknown."""
 
     def __init__(self, device: str, owner: ServoOwner | None) -> None:
         by = "another process" if owner is None else f"{owner.program}, process {owner.pid}"
@@ -162,7 +145,6 @@ class ServoOwnership(Lease):
     """The right to move a servo.
 
     Args:
-        device: hardware of the servo.
         lasting: whether this process owns the servo until it ends, and passes it to its child processes
             (`held_files.pass_kept`).
     """
@@ -176,7 +158,6 @@ class ServoOwnership(Lease):
 
         Raises:
             ServoInUseError: another process, or another object in this process, owns the servo.
-            InputError: the folder of the file cannot be used.
         """
         try:
             self._file.acquire(msgspec.json.encode(ServoOwner(os.getpid(), program_name())))
@@ -186,7 +167,6 @@ class ServoOwnership(Lease):
             self._file.keep()
 
     def release(self) -> None:
-        """Release the servo, if this object owns the servo."""
         self._file.release()
 
 

@@ -26,7 +26,6 @@ class ServoFaults(msgspec.Struct, frozen=True):
     """Faults of a simulated servo.
 
     Attributes:
-        stuck: the horn does not move at all.
         slow: factor on the duration of every travel.
         stall_fraction: point of the travel that the horn cannot cross in either direction; 0 is the flexible
             end, 1 the rigid end.
@@ -62,22 +61,21 @@ class ServoModel:
 
     @property
     def commanded_us(self) -> float | None:
-        """Pulse width at the servo's input, or None without pulses."""
+        """Pulse width at the servo's input; None without pulses."""
         return self._target_us
 
     def set_faults(self, t_us: int, faults: ServoFaults) -> None:
-        """Replace the faults at `t_us`."""
         self._advance(t_us)
         self._faults = faults
         self._range_us = self._reachable()
 
     def command(self, t_us: int, pulse_us: float | None) -> None:
-        """At time `t_us`, set the pulse width (us) at the servo's input; None switches the pulses off."""
+        """Set the pulse width (us) at the servo's input; None switches the pulses off."""
         self._advance(t_us)
         self._target_us = None if pulse_us is None else self._within_stops(pulse_us)
 
     def pulse_at(self, t_us: int) -> float:
-        """Return the position of the horn at `t_us`, as the pulse width in us that would hold it there."""
+        """Return the position of the horn, as the pulse width in us that would hold it there."""
         self._advance(t_us)
         return self._horn_us
 
@@ -99,10 +97,7 @@ class ServoModel:
         self._horn_us += max(-step, min(step, goal - self._horn_us))
 
     def _reachable(self) -> tuple[float, float]:
-        """Return the lowest and highest pulse width that the horn can reach.
-
-        If the servo stalls at a point, the horn cannot leave its present side of this point.
-        """
+        """Return the lowest and highest pulse width that the horn reaches without crossing a stall point."""
         low, high = self.servo.min_pulse_us, self.servo.max_pulse_us
         if self._faults.stall_fraction is None:
             return low, high

@@ -29,14 +29,13 @@ from dart_flight.lock.servo import mode_of
 
 
 class DriverReading(msgspec.Struct, frozen=True):
-    """State that a driver reports.
+    """State that a driver reports; a switch is None if its end has none.
 
     Attributes:
         pulse_us: present output pulse width, read from the hardware if possible. The value is None if the
             pulses are off, or if the hardware cannot be read and nothing was commanded yet.
-        rigid_switch: whether the limit switch at the rigid end is closed; None if this end has no switch.
-        flexible_switch: whether the limit switch at the flexible end is closed; None if this end has no
-            switch.
+        rigid_switch: whether the limit switch at the rigid end is closed.
+        flexible_switch: whether the limit switch at the flexible end is closed.
         errors: error messages of the hardware.
     """
 
@@ -46,7 +45,6 @@ class DriverReading(msgspec.Struct, frozen=True):
     errors: tuple[str, ...] = ()
 
     def switch(self, mode: Mode) -> bool | None:
-        """Return the state of the limit switch at a mode's end, or None if this end has no switch."""
         return self.rigid_switch if mode is Mode.RIGID else self.flexible_switch
 
 
@@ -62,7 +60,7 @@ class PulsesOff(msgspec.Struct, frozen=True):
 
 
 class CommandRefused(msgspec.Struct, frozen=True):
-    """Notice to the caller that a command was refused, with the reason. The driver receives no command."""
+    """Notice to the caller that a command was refused. The driver receives no command."""
 
     what: str
     reason: str
@@ -113,7 +111,7 @@ SETTLED_TEXT = {True: "settled", False: "settled (no feedback)"}
 
 
 def describe(state: LockState) -> str:
-    """Return a short description of a lock state for people: `rigid: settled (no feedback)`."""
+    """Return a lock state for people, such as `rigid: settled (no feedback)`."""
     if state.phase is LockPhase.SETTLED:
         text = f"{state.mode}: {SETTLED_TEXT[state.feedback]}"
     elif state.phase is LockPhase.TRAVELLING:
@@ -129,7 +127,7 @@ def status_text(state: LockState) -> str:
 
 
 def _run_start(before_us: int | None, t_us: int) -> int:
-    """Return the time at which the present run of readings began: `t_us` if no run has begun before."""
+    """Return when the present run of readings began: at `t_us` if no run had begun."""
     return t_us if before_us is None else before_us
 
 
@@ -137,7 +135,7 @@ def _run_start(before_us: int | None, t_us: int) -> int:
 
 
 class LockStateMachine:
-    """State machine of the locking mechanism; the module's docstring describes how a shell uses the class."""
+    """State machine of the locking mechanism; the module's docstring describes how a shell uses it."""
 
     def __init__(self, config: LockConfig, t_us: int = 0) -> None:
         self.config = config
@@ -154,12 +152,11 @@ class LockStateMachine:
 
     @property
     def state(self) -> LockState:
-        """Known state; a new object after every change."""
         return self._state
 
     @property
     def due_us(self) -> int | None:
-        """Time from which a reading can settle the present travel, microseconds; None without a travel."""
+        """Earliest time at which a reading can settle the travel, microseconds; None without a travel."""
         if self._state.phase is not LockPhase.TRAVELLING or self._sent_us is None:
             return None
         return self._sent_us + round(self.config.switch_time_s * 1e6)
@@ -169,11 +166,13 @@ class LockStateMachine:
     def start(self, t_us: int, reading: DriverReading | None) -> list[Action]:
         """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
-        If a limit switch is closed, the lock adopts the end with this switch. If no switch is closed but the
-        hardware outputs the pulse of an end, the lock adopts the end of this pulse. The lock then waits for
-        the travel time from `t_us`, because the servo may still move. If there is no such switch or pulse, or
-        if the inputs contradict each other, the lock stays `unknown`. A command stored by the last run does
-        not prove the position of the horn.
+        The lock adopts the end whose limit switch is closed. If no switch is closed but the hardware outputs
+        the
+        pulse of an end, the lock adopts that end. The lock then waits for the travel time from `t_us`,
+        because the
+        servo may still move. Without such a switch or pulse, or if the inputs contradict each other, the lock
+        stays
+        `unknown`. A command stored by the last run does not prove the position of the horn.
         """
         if self.config.startup is LockStartup.HOME:
             return self.command(t_us, self.config.home_mode)
@@ -187,7 +186,7 @@ class LockStateMachine:
         return []
 
     def command(self, t_us: int, mode: Mode) -> list[Action]:
-        """Move to a mode; return a `CommandRefused` if the move is not permitted now."""
+        """Move to a mode, or return a `CommandRefused`."""
         phase = self._state.phase
         if phase is LockPhase.TRAVELLING and self._target is not mode:
             return self._refuse(t_us, mode, f"travelling to {self._target}")
@@ -213,10 +212,11 @@ class LockStateMachine:
         return [PulsesOff()]
 
     def permit(self, t_us: int, permitted: bool) -> list[Action]:
-        """Set whether locking is permitted (the arms have no contact and have returned to their place).
+        """Set whether locking is permitted: the arms have no contact and have returned to their place.
 
         Initially locking is not permitted. If the permission ends while the lock moves to rigid, the machine
-        unlocks again: the rods must not move into the slots during a contact.
+        unlocks
+        again, because the rods must not move into the slots during a contact.
         """
         self._permitted = permitted
         locking = self._state.phase is LockPhase.TRAVELLING and self._target is Mode.RIGID
@@ -233,11 +233,10 @@ class LockStateMachine:
             self._sent_us = t_us
 
     def driver_failed(self, t_us: int, reason: str) -> None:
-        """Record that the driver could not execute a command or could not be read."""
         self._transition(t_us, LockEvent.DRIVER_FAILED, reason=reason)
 
     def reading(self, t_us: int, reading: DriverReading) -> None:
-        """Process a driver's reading; `t_us` is the time before the reading."""
+        """Process a driver's reading; `t_us` is the time before the driver was read."""
         self._last, self._last_reading_us = reading, t_us
         if self._state.phase is LockPhase.TRAVELLING:
             self._read_travelling(t_us, reading)
@@ -246,7 +245,6 @@ class LockStateMachine:
         self.step(t_us)
 
     def step(self, t_us: int) -> None:
-        """Advance the time and check the timeouts."""
         phase = self._state.phase
         if phase is LockPhase.TRAVELLING and t_us - self._begun_us >= self.config.timeout_s * 1e6:
             self._transition(t_us, LockEvent.TIMED_OUT, reason=self._timeout_reason())
@@ -295,7 +293,6 @@ class LockStateMachine:
             self._transition(t_us, LockEvent.DISPLACED, reason=self._fault_reason(fault, reading))
 
     def _fault_has_lasted(self, t_us: int, wrong: bool) -> bool:
-        """Return whether the fault that `wrong` reports has lasted for the debounce time."""
         self._wrong_since_us = _run_start(self._wrong_since_us, t_us) if wrong else None
         return self._wrong_since_us is not None and self._has_lasted(self._wrong_since_us, t_us)
 
@@ -371,10 +368,7 @@ class LockStateMachine:
         feedback: bool = False,
         commanded_us: int | None = None,
     ) -> None:
-        """Change the phase by the table; an event without an entry has no effect.
-
-        No other method changes the phase.
-        """
+        """Change the phase by the table, as no other method does; an event without an entry has no effect."""
         after = TRANSITIONS[self._state.phase].get(event)
         if after is None:
             return

@@ -47,7 +47,7 @@ _OLDEST_POSE_MS = 100.0
 
 
 class StepOutcome(StrEnum):
-    """The outcome of a step."""
+    """The outcome of a bring-up step."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -59,7 +59,7 @@ Measured = dict[str, float | str | None]
 
 
 class StepFinding(msgspec.Struct, frozen=True):
-    """The outcome of a step, the explanation, and the measured values; names of values contain the units."""
+    """The outcome of a step, its explanation, and the measured values, whose names contain the units."""
 
     result: StepOutcome
     message: str
@@ -67,7 +67,6 @@ class StepFinding(msgspec.Struct, frozen=True):
 
 
 def passed(message: str, **measured: float | str | None) -> StepFinding:
-    """Return the finding of a passed step."""
     return StepFinding(StepOutcome.PASS, message, measured)
 
 
@@ -82,12 +81,10 @@ def failed(message: str, **measured: float | str | None) -> StepFinding:
 def evaluate_link(
     rates: Sequence[StreamRate], round_trip_s: float | None, limit_s: float, errors: Mapping[str, float]
 ) -> StepFinding:
-    """Judge the rates of a mission's streams, the round trip and the link's errors.
+    """Judge the rates of the streams that a mission needs, the round trip and the link's errors.
 
     Args:
-        rates: rates of the streams that a mission needs.
         round_trip_s: shortest round trip, or None if TIMESYNC was not answered.
-        limit_s: limit of the round trip.
         errors: `drop_rate_comm` (in units of 0.01 %) and `errors_comm` of SYS_STATUS.
     """
     measured: Measured = {f"{stream.name}_hz": round(stream.rate_hz, 1) for stream in rates}
@@ -138,18 +135,17 @@ def mean_while_still(samples: Sequence[ImuSample]) -> Vec3 | None:
 
 
 def tilt_between_deg(level: Vec3, now: Vec3) -> float:
-    """Return the angle between two readings at rest, degrees."""
+    """Return the angle between two specific forces measured at rest, degrees."""
     cosine = sum(a * b for a, b in zip(level, now, strict=True)) / max(1e-9, norm(level) * norm(now))
     return math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
 
 
 def is_tilted(level: Vec3, now: Vec3) -> bool:
-    """Return whether the vehicle's tilt is large enough to identify the axis, and not too large."""
     return _TILTED_DEG[0] <= tilt_between_deg(level, now) <= _TILTED_DEG[1]
 
 
 def evaluate_level(level: Vec3) -> StepFinding | None:
-    """Return what is wrong with the reading of a level vehicle, or None if it is correct."""
+    """Return a finding if the specific force of a level vehicle is wrong; None if it is correct."""
     tilt = math.degrees(math.atan2(math.hypot(level[0], level[1]), -level[2]))
     measured: Measured = {f"level_{axis}_m_s2": round(v, 2) for axis, v in zip("xyz", level, strict=True)}
     if tilt > 180.0 - 3 * _LEVEL_DEG:
@@ -170,11 +166,7 @@ def evaluate_level(level: Vec3) -> StepFinding | None:
 
 
 def evaluate_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
-    """Judge the IMU's forward and right axes.
-
-    Args:
-        level, nose_down, right_down: mean specific force of the vehicle in each attitude, m/s2, FRD.
-    """
+    """Judge the IMU's forward and right axes from the mean specific force in three attitudes, m/s2, FRD."""
     wrong = evaluate_level(level)
     if wrong is not None:
         return wrong
@@ -207,10 +199,7 @@ class Push(msgspec.Struct, frozen=True):
 
 
 def find_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
-    """Return the first push, or None.
-
-    A push is a horizontal acceleration that lasts longer than a bump.
-    """
+    """Return the first push, a horizontal acceleration that lasts longer than a bump, or None."""
     start = 0
     for end, last in enumerate(samples):
         while last.t_us - samples[start].t_us > _PUSH_US:
@@ -225,7 +214,7 @@ def find_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
 
 
 def evaluate_push(push: Vec2, force: Vec2) -> StepFinding:
-    """Judge whether the estimated force of a forward push points forward.
+    """Judge whether a forward push points forward in the IMU and in the force estimate.
 
     Args:
         push: acceleration measured by the IMU, FRD x and y, m/s2.
@@ -263,10 +252,9 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
     """Judge whether the lock reaches the commanded modes, and report its travel times.
 
     Args:
-        config: configuration of the lock.
-        moves: commanded mode, final state and confirmation of each move. The confirmation is the operator's
-            answer to the question whether the arms are in that mode. The confirmation is None if a limit
-            switch has reported the mode, or if the lock has not settled.
+        moves: commanded mode, final state and confirmation of each move. The operator confirms whether the
+            arms are in that mode. The confirmation is None if a limit switch has reported the mode, or if the
+            lock has not settled.
     """
     measured: Measured = {}
     wrong = []
@@ -302,14 +290,13 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
 
 
 def measure_displacement(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
-    """Return how far the vehicle was carried; None if not far enough, or if the vehicle is still moving.
+    """Return how far the vehicle was carried forward and to the right of its heading at the start, metres.
+
+    The result is None if the distance is too short, or if the vehicle is still moving.
 
     Args:
         samples: odometry since the start.
         q: attitude at the start, FRD to NED.
-
-    Returns:
-        Displacement forward and to the right, relative to the heading at the start, metres.
     """
     if not samples:
         return None
@@ -347,7 +334,6 @@ def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
 
 
 def is_moved_enough(motion: MotionEstimate) -> bool:
-    """Return whether a motion by hand was large enough: rotation about every axis, and translation."""
     x, y, z = motion.turned_rad_s
     return z > _TURNED_RAD_S and min(x, y) > _TILTING_RAD_S and motion.carried_m_s2 > _CARRIED_M_S2
 
@@ -360,8 +346,8 @@ def evaluate_motion(
     Args:
         motion: estimate from poses, gyro and accelerometer.
         config: configuration with which the poses were converted.
-        round_trip_s: round trip of the link, or None if unknown. The round trip contains the delay of a pose
-            from this program to PX4, and the delay of an IMU sample from PX4 to this program.
+        round_trip_s: round trip of the link, or None if unknown. It contains the delay of a pose from this
+            program to PX4, and the delay of an IMU sample from PX4 to this program.
         heading_off_deg: PX4's heading minus the heading of the poses, or None if unknown.
     """
     delay_ms = 1e3 * max(0.0, motion.latency_s + (round_trip_s or 0.0))
@@ -436,7 +422,6 @@ def _axis_of_room(direction_ned: Vec3, config: MotionCapture) -> str:
 
 
 def evaluate_remote(received: bool, modes: Collection[str]) -> StepFinding:
-    """Judge whether a remote control is received and its mode switch changes the mode."""
     measured: Measured = {"modes": ", ".join(modes)}
     if not received:
         return failed(

@@ -6,12 +6,12 @@ on the room's axes nor on the cameras' clock.
 Let R be the attitude (FRD to NED), f the specific force and w the body rate. If the room is rotated by A and
 the marker body by B, the poses show the attitude A R B, the rate B^-1 w and the acceleration A (R f + g).
 Matching the rates to the gyro therefore gives the age and B. The accelerations then give the scale and A g,
-the room's vertical. A mirrored room does not change the rates, because a rate is an axial vector. A mirrored
-room reverses the accelerations, so a negative correlation of the accelerations reveals the mirroring.
+the room's vertical. A mirrored room does not change the rates, because a rate is an axial vector. It reverses
+the accelerations, so a negative correlation of the accelerations reveals the mirroring.
 
-Gyro and accelerometer pass the same Gaussian filters as the poses. The second derivative of the Gaussian
-filters the noisy positions and differentiates them twice. The mean of each acceleration is subtracted,
-because the accelerometer also measures gravity.
+Gyro and accelerometer pass through the same Gaussian filters as the poses. The second derivative of the
+Gaussian filters the noisy positions and differentiates them twice. The mean of each acceleration is
+subtracted, because the accelerometer also measures gravity.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def estimate_motion(
 
 
 def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: Array) -> float | None:
-    """Return the median of the vehicle's heading minus the heading of the poses, degrees.
+    """Return the median of the vehicle's heading minus the poses' heading, degrees.
 
     The result is None if the poses and the attitudes do not overlap.
 
@@ -160,7 +160,7 @@ def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: A
 
 
 def _best_latency(pose_rate: Array, gyro_at: Callable[[float], Array]) -> float:
-    """Return the latency, seconds, at which the poses' rates best match the gyro after the best rotation."""
+    """Return the latency, seconds, at which the best rotation maps the poses' rates closest to the gyro's."""
 
     def agreement(latency_s: float) -> float:
         # The sum of the singular values, signed for a proper rotation, is Kabsch's best inner product.
@@ -196,7 +196,7 @@ def _resample(at_s: Array, times_s: Array, values: Array) -> Array:
 
 
 def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.bool_]:
-    """Return True for each time farther than `reach_s`, half the filter's width, from every pose gap."""
+    """Return whether each time is farther than `reach_s`, half the filter's width, from every pose gap."""
     whole = np.ones(len(grid), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(times_s) > _GAP_S):
         whole &= (grid < times_s[k] - reach_s) | (grid > times_s[k + 1] + reach_s)
@@ -223,7 +223,6 @@ def _rates_of(grid: Array, q: Array) -> Array:
 
 
 def _matrices(q: Array) -> Array:
-    """Return the rotation matrices of quaternions, (n, 3, 3)."""
     w, x, y, z = _normalised(q).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -1,6 +1,6 @@
 """The progress of a bring-up, stored as a record and as a printable page.
 
-With the record, the operator can resume an interrupted bring-up.
+From the record, the operator can resume an interrupted bring-up.
 """
 
 from __future__ import annotations
@@ -36,22 +36,16 @@ class BringupRecord(msgspec.Struct):
 
     @property
     def failed(self) -> bool:
-        """Whether a step has failed."""
         return any(step.result is StepOutcome.FAIL for step in self.steps)
 
 
 def create_record(vehicle: VehicleSource, connection: str) -> BringupRecord:
-    """Return a bring-up without completed steps."""
     steps = [StepRecord(step.name, StepOutcome.NEEDS_OPERATOR, "not done yet") for step in STEPS]
     return BringupRecord(vehicle, connection, steps)
 
 
 def load_record(folder: Path, vehicle: VehicleSource, connection: str) -> BringupRecord:
-    """Return this vehicle's stored bring-up from a folder, or a new one if none is stored.
-
-    Raises:
-        InputError: the file exists but cannot be read.
-    """
+    """Return this vehicle's stored bring-up from a folder, or a new one if none is stored."""
     path = folder / "bringup.json"
     try:
         found = msgspec.json.decode(path.read_bytes(), type=BringupRecord)
@@ -70,18 +64,13 @@ def load_record(folder: Path, vehicle: VehicleSource, connection: str) -> Bringu
 
 
 def store_finding(record: BringupRecord, name: str, finding: StepFinding) -> None:
-    """Store a step's finding with the present time."""
     date = datetime.now().astimezone().isoformat(timespec="seconds")
     done = StepRecord(name, finding.result, finding.message, finding.measured, date)
     record.steps = [done if step.name == name else step for step in record.steps]
 
 
 def save_record(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
-    """Write `bringup.json`, today's record and today's page; return the paths of today's two files.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
+    """Write `bringup.json`, today's record and today's page; return the paths of today's two files."""
     today = datetime.now().astimezone().date().isoformat()
     text = msgspec.json.format(msgspec.json.encode(record), indent=2)
     paths = folder / "bringup.json", folder / f"bringup-{today}.json", folder / f"bringup-{today}.html"

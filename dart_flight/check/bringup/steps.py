@@ -60,7 +60,7 @@ _ATTITUDE_S = 2.0
 _STATUS_S = 1.5  # SYS_STATUS arrives at least once per second
 _RADIO_S = 2.0
 _POLL_S = 0.05
-_KEPT = 4000  # samples kept of a stream
+_KEPT = 4000  # samples kept per stream
 _MOTION_S = 12.0  # duration of the motion by hand that is compared with the poses
 _NEW_MOTION_S = 2.0  # interval between two comparisons
 
@@ -74,7 +74,7 @@ class Operator(Protocol):
         """Show an instruction or a finding."""
 
     def confirm(self, question: str) -> bool:
-        """Ask a yes-or-no question and return whether the answer is yes."""
+        """Ask a yes-or-no question; True is yes."""
 
 
 class NotDoneError(Exception):
@@ -94,10 +94,7 @@ class Telemetry:
         self._all: deque[Input] = deque(maxlen=4 * _KEPT)
 
     def store(self, record: Input) -> None:
-        """Store a telemetry record or a pose.
-
-        MAVSDK's thread stores telemetry records. The motion capture's thread stores poses.
-        """
+        """Store a record from MAVSDK's thread or a pose from the motion capture's thread."""
         if isinstance(record, PoseSample):
             self.poses.append(record)
             return
@@ -134,7 +131,6 @@ class Telemetry:
 
 
 def attitude_at(samples: Sequence[AttitudeSample], t_us: int) -> Quaternion | None:
-    """Return the newest attitude up to a time, or None if there is none."""
     return next((s.q_frd_to_ned for s in reversed(list(samples)) if s.t_us <= t_us), None)
 
 
@@ -144,9 +140,8 @@ class Bringup(CheckContext[StepFinding]):
     Args:
         mission: provides the vehicle and the required streams.
         url: MAVSDK connection URL.
-        operator: the operator at the vehicle.
         wait_s: longest wait for an action of the operator, seconds.
-        opened: function to call after the link has opened, such as `LinkLease.lock_device`.
+        opened: called after the link has opened, for example `LinkLease.lock_device`.
     """
 
     own_errors = (NotDoneError, VehicleError, NoAnswerError)
@@ -167,7 +162,6 @@ class Bringup(CheckContext[StepFinding]):
         self.found: list[StepFinding] = []
 
     def explain(self, error: Exception) -> StepFinding:
-        """Return the finding of a step that could not be completed."""
         if isinstance(error, NotDoneError):
             return failed(f"not detected within {self._wait_s:g} s: {error}")
         if isinstance(error, NoAnswerError):
@@ -175,7 +169,6 @@ class Bringup(CheckContext[StepFinding]):
         return failed(self._explain_silence(str(error)))
 
     def close(self) -> None:
-        """Close the link."""
         if self._link is not None:
             self._link.__exit__(None, None, None)
             self._link = None
@@ -224,7 +217,6 @@ class Bringup(CheckContext[StepFinding]):
     # -- steps --
 
     def evaluate_link(self) -> StepFinding:
-        """Judge the rates, errors and round trip of the link."""
         link = self._connect()
         round_trip_s = link.round_trip_s()
         status = link.newest(messages.SYS_STATUS, _STATUS_S)
@@ -266,11 +258,7 @@ class Bringup(CheckContext[StepFinding]):
         return judgements.evaluate_push(push.acceleration_m_s2, force)
 
     def evaluate_servo(self) -> StepFinding:
-        """Move the lock to both ends and judge the moves.
-
-        Raises:
-            ServoInUseError: another process owns the servo.
-        """
+        """Move the lock to both ends and judge the moves."""
         config = self._mission.vehicle.lock
         if config is None:
             return StepFinding(StepOutcome.SKIPPED, "this vehicle has no lock")
@@ -386,7 +374,6 @@ class Bringup(CheckContext[StepFinding]):
         )
 
     def evaluate_remote(self) -> StepFinding:
-        """Judge the remote control and its mode switch."""
         link, t = self._connect(), self._telemetry
         t.clear()
         received = link.newest(messages.RC_CHANNELS, _RADIO_S) is not None

@@ -74,7 +74,6 @@ class Airframe(Section, frozen=True, kw_only=True):
     )
 
     def __post_init__(self) -> None:
-        """Check that the motor positions are defined exactly once."""
         arms = [name for name in ("arm_x_m", "arm_y_m") if getattr(self, name) is not None]
         if self.listed is not None and arms:
             raise ValueError(
@@ -147,7 +146,6 @@ class Thrust(Section, frozen=True):
     table: Annotated[tuple[tuple[Command, Newton], ...], Meta(min_length=2, max_length=200)] | None = None
 
     def __post_init__(self) -> None:
-        """Check that the curve is defined exactly once, and that a table is valid."""
         given = [name for name in ("full_n", "model_factor") if getattr(self, name) is not None]
         if self.table is None:
             if len(given) < 2:
@@ -188,7 +186,6 @@ class Thrust(Section, frozen=True):
         return max(0.0, min(1.0, sum(x * y for x, y in bent) / square)) if square > 0.0 else 0.0
 
     def scaled(self, factor: float) -> Thrust:
-        """Return the curve multiplied by a factor."""
         if self.table is not None:
             table = tuple((u, n * factor) for u, n in self.table)
             return Thrust(self.motor_lag_s, table=table)
@@ -206,7 +203,6 @@ class Thrust(Section, frozen=True):
         return self.forces_n((command,))[0]
 
     def forces_n(self, commands: Iterable[float]) -> list[float]:
-        """Return the steady thrust of each motor, newton."""
         curve = self.curve
         if curve is not None:
             return [curve.force_n(command) for command in commands]
@@ -218,7 +214,6 @@ class Thrust(Section, frozen=True):
         return self.commands_for((force_n,))[0]
 
     def commands_for(self, forces_n: Iterable[float]) -> list[float]:
-        """Return the command of each motor for a steady thrust in newton."""
         curve = self.curve
         if curve is not None:
             return [curve.command_for(force) for force in forces_n]

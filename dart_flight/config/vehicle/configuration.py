@@ -35,8 +35,8 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
         materials: contact coefficients by name, for every mode of the vehicle: k N/m, f N s/m, mu s/m, nu N.
         onset: lcp: the complementarity condition of the paper defines the beginning of the contact; touch:
             the contact begins at the wall's plane.
-        vertical_force_sign: sign of the vertical contact force along Z of the collision frame; -1: up at a
-            wall.
+        vertical_force_sign: sign of the vertical contact force along Z of the collision frame; -1: the force
+            at a wall points up.
     """
 
     version: Literal[1]
@@ -151,7 +151,7 @@ def default_config_path() -> Path:
 
 
 def _is_unchanged(path: Path) -> bool:
-    """Return True if a file equals the packaged file of the same name or is no vehicle configuration."""
+    """Return whether a file equals the packaged file of the same name or is no vehicle configuration."""
     try:
         text = read_text(path)
         if re.search(rf"^({EXTENDS}|airframe):", text, re.MULTILINE) is None:
@@ -175,16 +175,18 @@ def load_vehicle(
 ) -> VehicleConfig:
     """Load and validate a vehicle configuration.
 
+    A file with `extends: FILE` contains only its differences from FILE. The path FILE is relative to the
+    folder
+    of the extending file.
+
     Args:
         path: the file, a mapping with the same content, or a parsed document; default: the default
             configuration.
         settings: `KEY=VALUE` with a dotted key, set before the validation (`config.settings`).
 
-    A file with `extends: FILE` contains only its differences from FILE. The path FILE is relative to the
-    folder of the extending file.
-
     Raises:
-        InputError: as in `Document` and `parse_vehicle`.
+        InputError: the file is not a valid YAML file (`Document`), or the configuration is invalid
+            (`parse_vehicle`).
     """
     if isinstance(path, Mapping):
         document = Document.from_tree(path)
@@ -202,7 +204,7 @@ def parse_vehicle(document: Document) -> VehicleConfig:
 
     Raises:
         InputError: a key is unknown or missing; a value has the wrong type or is out of range; a material
-        lacks a mode of the vehicle; or the motors cannot carry the mass or control every axis.
+            lacks a mode of the vehicle; or the motors cannot carry the mass or control every axis.
     """
     lock = document.tree.get("lock")
     if isinstance(lock, dict) and lock.get("driver") == NO_LOCK:
@@ -252,7 +254,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
 
 
 def _set_last(document: Document, first: Key, second: Key) -> Key:
-    """Return the second key if another file than that of the first key has set it later, else the first."""
+    """Return `second` if a later file has set it than the file that has set `first`, otherwise `first`."""
     names = list(document.set_by)
     if second not in names or (first in names and names.index(first) > names.index(second)):
         return first
@@ -280,6 +282,6 @@ def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
                 node[part] = {}
             node = node[part]
         node[key[-1]] = value
-        merged.set_by.pop(key, None)  # the order is that of the files, the extending one last
+        merged.set_by.pop(key, None)  # so that the dict keeps the order of the files, the extending file last
         merged.set_by[key] = document.error(key, "").one_line()
     return merged

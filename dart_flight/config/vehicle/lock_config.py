@@ -90,7 +90,6 @@ class Servo(Section, frozen=True):
             )
 
     def pulse_us(self, mode: Mode) -> float:
-        """Return the calibrated pulse width of a mode's end."""
         return self.rigid_pulse_us if mode is Mode.RIGID else self.flexible_pulse_us
 
     @property
@@ -149,7 +148,6 @@ class Maestro(DriverSection, frozen=True):
 
     @property
     def ramp_us_s(self) -> float | None:
-        """Speed limit of the pulse width, us/s, or None."""
         return self.speed_limit_us_s or None
 
 
@@ -169,7 +167,6 @@ class Pwm(DriverSection, frozen=True):
     period_us: Annotated[float, Meta(ge=2_500.0, le=50_000.0)]
 
     def refuse_servo(self, servo: Servo) -> None:
-        """Raise ValueError if the longest pulse is not shorter than the period of the pulses."""
         if servo.max_pulse_us >= self.period_us:
             raise ValueError(
                 f"servo.max_pulse_us must be below pwm.period_us {self.period_us:g}, the period of the pulses"
@@ -197,7 +194,6 @@ class Px4Output(DriverSection, frozen=True):
     max_pulse_us: Annotated[float, Meta(ge=1600.0, le=2200.0)]
 
     def refuse_servo(self, servo: Servo) -> None:
-        """Raise ValueError if an end is outside PX4's output range."""
         for name in ("rigid_pulse_us", "flexible_pulse_us"):
             if not self.min_pulse_us <= getattr(servo, name) <= self.max_pulse_us:
                 raise ValueError(
@@ -316,7 +312,6 @@ class LockConfig(Section, frozen=True):
 
     @property
     def ramp_us_s(self) -> float | None:
-        """Speed limit of the pulse width, us/s, or None if the driver has none."""
         return None if self.driver_section is None else self.driver_section.ramp_us_s
 
     @property

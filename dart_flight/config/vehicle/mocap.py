@@ -36,7 +36,7 @@ class MotionCapture(Section, frozen=True):
     delay_ms: Annotated[float, Meta(ge=0.0, le=300.0)] | None = None
 
     def measured_parameters(self) -> dict[str, float]:
-        """Return name -> value of the PX4 parameters that follow from measurements of the motion capture."""
+        """Return the PX4 parameters, by name, that follow from measurements of the motion capture."""
         return {} if self.delay_ms is None else {"EKF2_EV_DELAY": self.delay_ms}
 
     def room_frame(self) -> RoomFrame:

@@ -1,6 +1,6 @@
 """The thrust curve of one motor, which converts between command and thrust. Two numbers define the curve.
 
-It is a separate module because it is compiled (docs/speed.md): the simulated vehicle evaluates it for every
+It is a separate module because it is compiled (docs/speed.md). The simulated vehicle evaluates it for every
 motor, every millisecond.
 """
 
@@ -12,12 +12,7 @@ _LINEAR: Final = 1e-6  # smaller shares of the square term count as none
 
 
 class MotorCurve:
-    """The curve `full_n` * (`square` * u^2 + (1 - `square`) * u), where the command u is from 0 to 1.
-
-    Args:
-        full_n: thrust at full command.
-        square: share of the quadratic term.
-    """
+    """The curve `full_n` * (`square` * u^2 + (1 - `square`) * u), newton; the command u is from 0 to 1."""
 
     def __init__(self, full_n: float, square: float) -> None:
         self._full_n, self._square, self._linear = full_n, square, 1.0 - square

@@ -51,13 +51,13 @@ class DriverError(Exception):
 
 @runtime_checkable
 class Driver(Protocol):
-    """Interface of every driver. All methods raise `DriverError` and nothing else."""
+    """Interface of every driver. No method raises anything but `DriverError`."""
 
     def open(self) -> None:
         """Connect to the hardware without moving anything; may be called again."""
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Output this pulse width in us; return after the hardware has received the pulse width."""
+        """Output this pulse width in us; return after the hardware has received it."""
 
     def release(self) -> None:
         """Switch the pulses off."""
@@ -73,7 +73,7 @@ class HardwareDriver(Driver, Protocol):
     """A driver that moves real hardware."""
 
     def device(self) -> ServoDevice | None:
-        """Return the hardware that only one process at a time may use, or None if this process simulates it.
+        """Return the hardware that only one process at a time may use; None if this process simulates it.
 
         Nothing is opened or moved.
         """
@@ -86,8 +86,8 @@ class DriverEntry(NamedTuple):
         path: `module:class`, with the module in this package. The module is imported only when the driver is
             made, because a driver may need an optional package (pyserial).
         words: description of the driver for people.
-        needs: names of the required arguments of `make_driver`, besides the configuration.
-        takes: names of the optional arguments.
+        needs: required arguments of `make_driver`, besides the configuration.
+        takes: optional arguments of `make_driver`.
         simulated: whether the driver works in simulated time.
         moves: whether the driver moves real hardware.
         reads_switches: whether the driver's readings contain the limit switches. If not, the switches are
@@ -122,7 +122,7 @@ if set(DRIVERS) != set(LockDriver):
 
 
 def driver_names(chosen: Callable[[DriverEntry], bool]) -> str:
-    """Return the names of the drivers for which `chosen` is True, as text: `maestro, pwm or px4`."""
+    """Return the names of the chosen drivers as text: `maestro, pwm or px4`."""
     *first, last = [kind.value for kind, entry in DRIVERS.items() if chosen(entry)]
     return f"{', '.join(first)} or {last}" if first else last
 
@@ -138,19 +138,15 @@ def make_driver(
 ) -> Driver:
     """Return a driver of the lock's servo, for simulated time; for real hardware, use `owned_driver`.
 
-    If a limit switch is configured, the driver also reads the switch.
-
     Args:
-        config: the lock's configuration.
-        kind: kind of driver; by default the configured kind.
-        clock_us: time base of the mock, microseconds; required for the mock only.
-        link: connection to PX4, for the px4 driver only.
+        kind: by default the configured kind.
+        clock_us: time base of the mock, microseconds; only the mock needs it.
+        link: connection to PX4; only the px4 driver needs it.
         faults: initial faults of the mock's servo.
-        gpio: whether GPIO limit switches are read; False without hardware.
+        gpio: whether configured limit switches are read from GPIO lines; False without hardware.
 
     Raises:
-        ValueError: the argument that this kind needs is missing.
-        DriverError: a limit switch is configured but not available.
+        ValueError: an argument that this kind needs is missing.
     """
     kind = config.driver if kind is None else kind
     entry = DRIVERS[kind]
@@ -175,18 +171,10 @@ def owned_driver(
 ) -> Iterator[Driver]:
     """Within the context, own the servo and return its driver; at the end close the driver.
 
-    A modelled servo has no owner.
-
-    Args:
-        config: the lock's configuration.
-        clock_us: time base of the mock, microseconds.
-        link: connection to PX4, for the px4 driver only.
-        faults: initial faults of the mock's servo.
-        lasting: whether this process owns the servo until it ends (`ServoOwnership`).
+    A modelled servo has no owner. The arguments are those of `make_driver` and `ServoOwnership`.
 
     Raises:
         ServoInUseError: another process owns the servo.
-        DriverError: the hardware of the driver, or a configured limit switch, is not available.
         InputError: the owner's file cannot be written.
     """
     driver = make_driver(config, clock_us=clock_us, link=link, faults=faults, gpio=False)

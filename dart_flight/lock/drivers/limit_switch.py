@@ -19,14 +19,10 @@ _INSTALL: Final = f"{sys.executable} -m pip install 'gpiod>=2'"
 
 
 class SwitchReader(Protocol):
-    """Reader of the limit switches."""
+    """Reader of the limit switches; raises `DriverError` if a switch cannot be read."""
 
     def read(self) -> tuple[bool | None, bool | None]:
-        """Return (rigid, flexible): True if the end's switch is closed, None if the end has no switch.
-
-        Raises:
-            DriverError: a switch cannot be read.
-        """
+        """Return (rigid, flexible): True if the end's switch is closed, None if the end has no switch."""
 
     def close(self) -> None:
         """Release the lines."""
@@ -36,11 +32,6 @@ class GpioLimitSwitch:
     """The configured lines of a GPIO chip, requested at the first reading."""
 
     def __init__(self, config: LimitSwitch) -> None:
-        """Find libgpiod.
-
-        Raises:
-            DriverError: the package is not installed, or is version 1.
-        """
         self._config = config
         self._request: Any = None
         try:
@@ -58,11 +49,6 @@ class GpioLimitSwitch:
             )
 
     def read(self) -> tuple[bool | None, bool | None]:
-        """Return (rigid, flexible): True if the end's switch is closed, None if the end has no switch.
-
-        Raises:
-            DriverError: the chip or a line is not available or cannot be read.
-        """
         config, line = self._config, self._gpiod.line
         try:
             if self._request is None:
@@ -84,7 +70,6 @@ class GpioLimitSwitch:
         return rigid, flexible
 
     def close(self) -> None:
-        """Release the lines."""
         request, self._request = self._request, None
         if request is not None:
             request.release()
@@ -98,25 +83,20 @@ class DriverWithLimitSwitch:
         self._switches = switches
 
     def open(self) -> None:
-        """Connect to the hardware and the switches."""
         self._driver.open()
         self._switches.read()
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Output this pulse width in us."""
         self._driver.set_pulse(pulse_us)
 
     def release(self) -> None:
-        """Switch the pulses off."""
         self._driver.release()
 
     def read(self) -> DriverReading:
-        """Return the driver's reading, with the switches."""
         reading = self._driver.read()
         rigid, flexible = self._switches.read()
         return msgspec.structs.replace(reading, rigid_switch=rigid, flexible_switch=flexible)
 
     def close(self) -> None:
-        """Release the hardware."""
         self._switches.close()
         self._driver.close()

@@ -46,7 +46,6 @@ _MAX_RAMP_BETWEEN = 16 * QUARTERS_PER_US  # change of a moving position between 
 
 
 def error_names(bits: int) -> tuple[str, ...]:
-    """Return the controller's error bits as text."""
     return tuple(name for i, name in enumerate(ERRORS) if bits & (1 << i))
 
 
@@ -58,16 +57,15 @@ class MaestroDriver:
         self._port: serial.Serial | None = None
 
     def device(self) -> ServoDevice:
-        """Return the serial port: only one process can open it, whichever channel that process uses."""
+        """Return the serial port: only one process can open it, whichever channel it uses."""
         return ServoDevice(device_key(self._config.port), self._config.port)
 
     def open(self) -> None:
         """Open the port and set the channel's speed limit.
 
         Raises:
-            DriverError: no Maestro answers, or the port does not exist, is not writable, is not a serial port
-                or is in use. If the port cannot be opened, the error's `key` is the configuration key of the
-                port.
+            DriverError: no Maestro answers, or the port cannot be opened. In the second case, the error's
+                `key` is the configuration key of the port.
         """
         if self._port is not None:
             return
@@ -97,11 +95,9 @@ class MaestroDriver:
         self._command(SET_TARGET, round(pulse_us * QUARTERS_PER_US))
 
     def release(self) -> None:
-        """Switch the pulses off."""
         self._command(SET_TARGET, 0)
 
     def read(self) -> DriverReading:
-        """Return the present output pulse width, and the errors since the last query."""
         self.open()
         position = self._query_position()
         bits = self._query_errors()
@@ -146,10 +142,9 @@ class MaestroDriver:
         raise self._connection_error("the controller gave no valid answer to the position query")
 
     def _query_errors(self) -> int:
-        """Return the error bits.
+        """Query the error bits twice and return the first answer, because answering clears the bits.
 
-        The query is sent twice. The first answer clears the bits, so only the first answer is returned. The
-        second answer must not contain bits that the first answer lacks.
+        The second answer must not contain bits that the first answer lacks.
         """
         for _ in range(_ATTEMPTS):
             answer = self._query(bytes((GET_ERRORS,)) * 2, 4)
@@ -189,7 +184,6 @@ class MaestroDriver:
 
 
 def _short_message(error: Exception) -> str:
-    """Return a system error as short text."""
     number = getattr(error, "errno", None)
     if isinstance(error, termios.error):
         number = error.args[0]

@@ -23,8 +23,8 @@ class MockFaults(msgspec.Struct, frozen=True):
     Attributes:
         servo: faults of the servo itself: stuck, slow or stalled.
         unplugged: the controller does not answer; the servo keeps the last pulse.
-        brown_out: the voltage drops during every travel, at `BROWN_OUT_S` after the start of the travel. The
-            controller then restarts, and outputs no pulses until the next command.
+        brown_out: `BROWN_OUT_S` after the start of every travel, the controller restarts, and outputs no
+            pulses until the next command.
         switch_silent: the limit switches never close.
     """
 
@@ -58,30 +58,23 @@ class MockDriver:
 
     @property
     def faults(self) -> MockFaults:
-        """Active faults."""
         return self._faults
 
     def inject(self, faults: MockFaults) -> None:
-        """Replace the active faults from now on."""
         now = self._advance(self._clock_us())
         self._faults = faults
         self._servo.set_faults(now, faults.servo)
 
     def horn_pulse_us(self, t_us: int) -> float:
-        """Return the true position of the horn at time `t_us`, as a pulse width in us.
-
-        `t_us` is a time of the mock's clock, microseconds.
-        """
+        """Return the true position of the horn at a time of the mock's clock, as a pulse width in us."""
         if self._reset_at_us is not None:
             self._advance(t_us)
         return self._servo.pulse_at(t_us)
 
     def open(self) -> None:
-        """Connect to the modelled controller."""
         self._require_answer()
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Output this pulse width in us."""
         now = self._require_answer()
         moves = abs(self._servo.pulse_at(now) - pulse_us) > self._config.servo.tolerance_us
         self._servo.command(now, pulse_us)
@@ -89,12 +82,10 @@ class MockDriver:
         self._reset_at_us = now + round(self.BROWN_OUT_S * 1e6) if self._faults.brown_out and moves else None
 
     def release(self) -> None:
-        """Switch the pulses off."""
         self._servo.command(self._require_answer(), None)
         self._reset_at_us = None
 
     def read(self) -> DriverReading:
-        """Return the output of the modelled controller, and the modelled switches."""
         now = self._require_answer()
         at = mode_of(self._config.servo, self._servo.pulse_at(now))
         return DriverReading(
@@ -105,7 +96,7 @@ class MockDriver:
         )
 
     def close(self) -> None:
-        """Do nothing; the pulses stay."""
+        """Leave the pulses as they are."""
 
     def _switch(self, mode: Mode, at: Mode | None) -> bool | None:
         fitted = self._config.limit_switch

@@ -15,13 +15,9 @@ from dart_flight.lock.state_machine import DriverReading
 
 
 class DriverWithModelledHorn:
-    """Passes every call to a driver; the modelled horn follows each accepted pulse width.
+    """Passes every call to a real driver; the modelled horn follows each accepted pulse width.
 
-    Args:
-        driver: the real driver.
-        config: configuration of the lock; before the first command the horn is at the flexible end, as in
-            the mock.
-        clock_us: time base of the model, microseconds.
+    Before the first command the horn is at the flexible end, as in the mock.
     """
 
     def __init__(self, driver: Driver, config: LockConfig, clock_us: Callable[[], int]) -> None:
@@ -29,27 +25,22 @@ class DriverWithModelledHorn:
         self._servo = ServoModel(config.servo, config.servo.flexible_pulse_us)
 
     def horn_pulse_us(self, t_us: int) -> float:
-        """Return the position of the modelled horn, as a pulse width in us."""
         return self._servo.pulse_at(t_us)
 
     def open(self) -> None:
-        """Implement `Driver`."""
         self._driver.open()
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Implement `Driver`; a pulse that the hardware rejects does not move the horn."""
+        """Pass the pulse on; a pulse that the hardware rejects does not move the horn."""
         self._driver.set_pulse(pulse_us)
         self._servo.command(self._clock_us(), pulse_us)
 
     def release(self) -> None:
-        """Implement `Driver`."""
         self._driver.release()
         self._servo.command(self._clock_us(), None)
 
     def read(self) -> DriverReading:
-        """Implement `Driver`."""
         return self._driver.read()
 
     def close(self) -> None:
-        """Implement `Driver`."""
         self._driver.close()

@@ -28,7 +28,7 @@ from dart_flight.lock.state_machine import DriverReading
 
 
 class _BoardPwm(NamedTuple):
-    """The name of a board, and the PWM channel that drives GPIO 18 on this board."""
+    """A board, and the PWM channel that drives its GPIO 18."""
 
     board: str
     gpio18: int
@@ -43,11 +43,7 @@ _APPEAR_S = 1.0  # udev needs a moment to give the new files to their group
 
 
 def write_attribute(path: Path, text: str) -> None:
-    """Write the whole text of a sysfs attribute in one system call. The file must exist already.
-
-    Raises:
-        OSError: the kernel refuses the write.
-    """
+    """Write a sysfs attribute in one system call. The file must exist already."""
     descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC)
     try:
         os.write(descriptor, text.encode())
@@ -65,21 +61,16 @@ class PwmDriver:
         self._period_ns = round(config.pwm.period_us * 1000.0)
 
     def device(self) -> ServoDevice:
-        """Return the channel of the chip.
-
-        Raises:
-            DriverError: as in `open`.
-        """
         self._find()
         chip, channel = self._chip, self._channel.name.removeprefix("pwm")
         return ServoDevice(f"{device_key(chip)}-{channel}", f"{chip.name}, channel {channel}")
 
     def open(self) -> None:
-        """Export the channel, and correct the period and the polarity if they differ from the wanted values.
+        """Export the channel, and correct its period and polarity.
 
         Raises:
-            DriverError: the chip or the channel does not exist, is not writable, or rejects a value. `key` of
-                the error is the configuration key of the chip or of the channel.
+            DriverError: the chip or the channel does not exist, is not writable, or rejects a value. The
+                error's `key` is the configuration key of the chip or of the channel.
         """
         if not (self._channel / "enable").exists():
             self._find()
@@ -97,26 +88,23 @@ class PwmDriver:
             self._write(self._channel / "polarity", "normal")
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Output this pulse width in us."""
         self.open()
         self._write(self._channel / "duty_cycle", str(round(pulse_us * 1000.0)))
         if self._text("enable") != "1":
             self._write(self._channel / "enable", "1")
 
     def release(self) -> None:
-        """Switch the pulses off."""
         self.open()
         self._stop()
 
     def read(self) -> DriverReading:
-        """Return the pulse width that the kernel outputs."""
         self.open()
         if self._text("enable") != "1":
             return DriverReading(pulse_us=None)
         return DriverReading(pulse_us=self._number(self._channel / "duty_cycle") / 1000.0)
 
     def close(self) -> None:
-        """Do nothing: no file is held open, and the pulses stay."""
+        """Leave the pulses as they are; no file is held open."""
 
     def _find(self) -> None:
         """Find chip and channel; write nothing."""
@@ -197,7 +185,7 @@ class PwmDriver:
 
 
 def _device(chip: Path) -> str:
-    """Return the name of a chip's device, such as `1f00098000.pwm`, or an empty string if unreadable."""
+    """Return the name of a chip's device, such as `1f00098000.pwm`; empty if unreadable."""
     link = chip / "device"
     try:
         return os.path.basename(os.readlink(link) if link.is_symlink() else link.read_text().strip())

@@ -40,12 +40,11 @@ class RequiredParameter(msgspec.Struct, frozen=True):
     mask: int | None = None
 
     def is_satisfied_by(self, actual: float) -> bool:
-        """Return whether a value read from the vehicle is correct."""
         return (round(actual) if self.mask is None else round(actual) & self.mask) == self.value
 
 
 def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
-    """Return the PX4 parameters (v1.14 and later) with which the output moves the servo as calibrated."""
+    """Return the PX4 parameters (v1.14 and later) that the servo needs to move as calibrated."""
     px4 = config.px4
     bank, pin = f"PWM_{px4.bank}", px4.pin
     function = ACTUATOR_SET_1 + px4.actuator_index - 1
@@ -78,12 +77,7 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
 
 
 def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[str]:
-    """Return one line for each PX4 parameter with which this output would not work.
-
-    Args:
-        config: the lock's configuration.
-        actual: parameters as read from the vehicle; a missing parameter counts as wrong.
-    """
+    """Return one line for each PX4 parameter that is missing or has a value with which the servo fails."""
     problems = []
     for required in required_parameters(config):
         if required.name not in actual:
@@ -123,16 +117,15 @@ class Px4Driver:
         self._sent_us: float | None = None
 
     def device(self) -> ServoDevice | None:
-        """Return the link to the autopilot, or None for a simulated autopilot in this process."""
+        """Return the link to the autopilot; None for an autopilot that this process simulates."""
         url = self._link.url
         key = None if url is None else f"px4-{endpoint_of(url).key}"
         return None if key is None else ServoDevice(key, f"an output of PX4 on {url}")
 
     def open(self) -> None:
-        """Do nothing: the shell has the connection."""
+        """Do nothing; the shell has the connection."""
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Send the actuator value of this pulse width in us."""
         try:
             value = actuator_value(self._config, pulse_us)
             self._link.set_actuator(self._config.px4.actuator_index, value)
@@ -144,12 +137,11 @@ class Px4Driver:
         self._sent_us = pulse_us
 
     def release(self) -> None:
-        """Raise `DriverError`: PX4 has no command that switches an output's pulses off."""
+        """Raise `DriverError`, because PX4 has no command that switches an output's pulses off."""
         raise DriverError("PX4 cannot switch off the pulses of an output")
 
     def read(self) -> DriverReading:
-        """Return the last commanded pulse width, or None before the first command."""
         return DriverReading(pulse_us=self._sent_us)
 
     def close(self) -> None:
-        """Do nothing; PX4 keeps the output as it is."""
+        """Leave the output as it is."""
