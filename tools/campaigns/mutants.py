@@ -100,6 +100,7 @@ def try_mutant(_: Point, seed: int) -> Mutant:
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         tree = Path(folder) / "tree"
         shutil.copytree(ROOT, tree, symlinks=True, ignore=_LEFT_OUT)  # some test data are broken links
+        (tree / ".venv").symlink_to(sys.prefix)  # the advice on missing packages depends on it
         (tree / path).write_text(after, "utf-8")
         command, detected_by = _first_detection(tree)
     if not seed:
@@ -116,7 +117,7 @@ def _first_detection(tree: Path) -> tuple[str, str]:
     for command, (marks, *groups) in _COMMANDS.items():
         selected = f"-m '({marks}) and not mavlink and not px4 and not realtime'"
         for tests in groups:
-            words = f"{environment} {sys.executable} -m pytest {options} {selected} {tests}"
+            words = f"{environment} {tree}/.venv/bin/python -m pytest {options} {selected} {tests}"
             outcome, output = run_tests(words, _LONGEST_S)
             if outcome is not TestOutcome.SURVIVED:
                 lines = output.splitlines()
