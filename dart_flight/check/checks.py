@@ -1,18 +1,20 @@
 """The list of all checks for `check`, `fly`, `survey` and hardware in the loop; each check has a stage.
 
-A command chooses stages (`select_checks`), creates a `FlightContext` and shows the findings of `run_checks`.
-To add a check, add one line to `CHECKS`. The steps on the bench have their own list, `bringup.steps.STEPS`.
+A command creates a `FlightContext`, runs the checks of its stages (`run_checks`) and shows the findings. To
+add a check, add one line to `CHECKS`. The steps on the bench have their own list, `bringup.steps.STEPS`.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
+from typing import NamedTuple
 
 from dart_flight.check.computer_load import check_computer, check_core_speed, check_lateness
-from dart_flight.check.findings import CheckFinding
+from dart_flight.check.findings import CheckFinding, EndOfStageError
 from dart_flight.check.hitl_check import (
     evaluate_hitl_lock,
     evaluate_hitl_mode,
@@ -36,7 +38,6 @@ from dart_flight.check.place_check import check_heading, evaluate_place
 from dart_flight.check.pose_check import evaluate_poses
 from dart_flight.check.probe_check import check_anchors
 from dart_flight.check.px4_parameters import evaluate_claim, evaluate_parameters, evaluate_position
-from dart_flight.check.stages import Check, CheckContext, Stage
 from dart_flight.check.telemetry_check import (
     evaluate_battery,
     evaluate_motor_outputs,
@@ -60,8 +61,18 @@ from dart_flight.planning.predicted_flight import PredictedFlight
 from dart_flight.vehicle.command_server import Press, Result
 
 
+class Stage(StrEnum):
+    """The stage of a check; all checks of a stage need the same kind of inputs."""
+
+    FILE = "file"  # the mission alone
+    COMPUTER = "computer"  # the onboard computer
+    DESK = "desk"  # values that are not measured, and the operator's claims
+    VEHICLE = "vehicle"
+    HITL = "hardware in the loop"
+
+
 @dataclass
-class FlightContext(CheckContext[CheckFinding]):
+class FlightContext:
     """The inputs of the checks before a flight.
 
     Attributes:
@@ -117,11 +128,17 @@ class FlightContext(CheckContext[CheckFinding]):
         return evaluate_own_parameters(self.mission, self.vehicle.values, self.position_from)
 
 
-FlightCheck = Check[FlightContext, CheckFinding]
+class Check(NamedTuple):
+    """A check; its name is unique within the stage."""
+
+    name: str
+    stage: Stage
+    run: Callable[[FlightContext], Iterable[CheckFinding]]
+
 
 _FILE, _COMPUTER, _DESK, _VEHICLE, _HITL = Stage.FILE, Stage.COMPUTER, Stage.DESK, Stage.VEHICLE, Stage.HITL
 
-CHECKS: tuple[FlightCheck, ...] = (
+CHECKS: tuple[Check, ...] = (
     Check("places", _FILE, lambda c: check_places(c.mission)),
     Check("heading", _FILE, lambda c: check_heading(c.mission)),
     Check("waypoints", _FILE, lambda c: check_waypoints(c.mission, c.planned)),
@@ -177,5 +194,18 @@ CHECKS: tuple[FlightCheck, ...] = (
 )
 
 
-def select_checks(*stages: Stage) -> list[FlightCheck]:
-    return [check for check in CHECKS if check.stage in stages]
+def run_checks(context: FlightContext, *stages: Stage) -> list[CheckFinding]:
+    """Run the checks of the given stages, in the order of `CHECKS`, and return their findings.
+
+    After `EndOfStageError`, skip the remaining checks of that stage.
+    """
+    first, ended = len(context.found), set[Stage]()
+    for check in CHECKS:
+        if check.stage not in stages or check.stage in ended:
+            continue
+        try:
+            context.found += check.run(context)
+        except EndOfStageError as end:
+            context.found += end.findings
+            ended.add(check.stage)
+    return context.found[first:]

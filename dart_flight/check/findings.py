@@ -5,7 +5,7 @@ Every no-go has a name. The operator must give this name to overrule the no-go.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import msgspec
 
@@ -32,6 +32,14 @@ class CheckFinding(msgspec.Struct, frozen=True):
     remark: bool = False
     overruled: bool = False
     figures: dict[str, float] = {}
+
+
+class EndOfStageError(Exception):
+    """Findings that make the remaining checks of their stage meaningless."""
+
+    def __init__(self, findings: Sequence[CheckFinding]) -> None:
+        super().__init__()
+        self.findings = findings
 
 
 class CheckReport(msgspec.Struct, frozen=True):

@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping
 
 import msgspec
 
-from dart_flight.check.findings import CheckFinding
+from dart_flight.check.findings import CheckFinding, EndOfStageError
 from dart_flight.check.hitl_check import BOARD, HITL, IO_OUTPUTS, ON_A_BOARD, WITH_IO, hitl_parameters
 from dart_flight.check.px4_parameters import alternative_names, parameter_names, position_source
-from dart_flight.check.stages import EndOfStageError
 from dart_flight.check.telemetry_check import LOOPBACK, motor_output_names
 from dart_flight.check.vehicle_check import evaluate_autopilot, evaluate_round_trip
 from dart_flight.config.mission import Mission

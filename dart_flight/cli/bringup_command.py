@@ -10,7 +10,6 @@ from pathlib import Path
 from dart_flight.check.bringup import progress
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
 from dart_flight.check.bringup.steps import STEPS, WAIT_S, Bringup
-from dart_flight.check.stages import run_checks
 from dart_flight.cli.options import add_driver_option, add_mocap_option, link_of, number, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, print_status
 from dart_flight.cli.vehicle_line import print_vehicle
@@ -93,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
                         StepOutcome.NEEDS_OPERATOR, "the step needs an operator at the vehicle"
                     )
                 else:
-                    (finding,) = run_checks([step], bringup)
+                    finding = bringup.do(step)
                 delay_ms = finding.measured.get("delay_ms")
                 if finding.result is StepOutcome.PASS and isinstance(delay_ms, float):
                     _write_delay(arguments, mission.flown_vehicle().source, delay_ms)

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from dart_flight.check.checks import FlightContext, select_checks
+from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.check.findings import CheckReport, decide
-from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import (
     add_driver_option,
@@ -103,10 +102,10 @@ def _check(arguments: argparse.Namespace) -> int:
     context = FlightContext(mission, arguments.log_dir, position_from=arguments.position_from)
     if arguments.connection is not None:
         context.url = link_of(arguments, mission.vehicle.connection)
-    run_checks(select_checks(Stage.FILE, Stage.COMPUTER, Stage.DESK), context)
+    run_checks(context, Stage.FILE, Stage.COMPUTER, Stage.DESK)
     if context.url is not None:
         with LinkLease(context.url, "check"):
-            run_checks(select_checks(Stage.VEHICLE), context)
+            run_checks(context, Stage.VEHICLE)
     report = decide(mission, context.found, arguments.overrule)
     print_vehicle(mission.flown_vehicle(), arguments)
     if arguments.json:

@@ -8,9 +8,8 @@ import shlex
 from pathlib import Path
 
 from dart_flight.base.errors import FlightError
-from dart_flight.check.checks import FlightContext, select_checks
+from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.check.findings import CheckFinding, decide
-from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
@@ -83,7 +82,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
         return reply.result, reply.text
 
     context = FlightContext(mission, arguments.log_dir, url, arguments.position_from, answer)
-    findings = run_checks(select_checks(Stage.FILE, Stage.COMPUTER, Stage.VEHICLE), context)
+    findings = run_checks(context, Stage.FILE, Stage.COMPUTER, Stage.VEHICLE)
     if cancelled:
         says = "a landing was requested during the check: the vehicle does not take off"
         findings.append(CheckFinding("operator", False, says))

@@ -11,10 +11,9 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from dart_flight.base.errors import FlightError
-from dart_flight.check.checks import FlightContext, select_checks
+from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.check.findings import decide
 from dart_flight.check.hitl_check import hitl_parameters
-from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.check_command import show
 from dart_flight.cli.options import link_of
 from dart_flight.cli.terminal import messages, print_status
@@ -50,7 +49,7 @@ def prepare_hitl(
         )
     context = FlightContext(mission, url=url, position_from=position_from)
     with LinkLease(url, "dry-run --hitl"):
-        run_checks(select_checks(Stage.HITL), context)
+        run_checks(context, Stage.HITL)
     report = decide(mission, context.found)
     show(report, messages())
     if not report.go:

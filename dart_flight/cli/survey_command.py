@@ -14,8 +14,7 @@ import msgspec
 import yaml
 from rich.table import Table
 
-from dart_flight.check.checks import FlightContext, select_checks
-from dart_flight.check.stages import Stage, run_checks
+from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.cli.dry_run_command import flight_function, with_emulated_mocap
 from dart_flight.cli.flight_output import FlightLines, exit_status, figure_or_dash, live_line_for, show_end
 from dart_flight.cli.fly_command import fly_if_go
@@ -194,7 +193,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
         url = link_of(arguments, mission.vehicle.connection)
         with LinkLease(url, "survey") as lease:
             context = FlightContext(mission, url=url, position_from=arguments.position_from)
-            findings = run_checks(select_checks(Stage.FILE, Stage.VEHICLE), context)
+            findings = run_checks(context, Stage.FILE, Stage.VEHICLE)
             return fly_if_go(arguments, mission, url, lease, findings)
     fly = flight_function(arguments, mission)
     live_line = None if arguments.fast else live_line_for(mission, console)

@@ -249,7 +249,7 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
         (
             "COM_OBL_RC_ACT",
             5.0,
-            "on loss of offboard setpoints: hold; recommended 4, not 5: Companion computer lost",
+            "on loss of offboard setpoints: hold; recommended 4, not 5: If the companion computer is lost",
         ),
         ("COM_RC_OVERRIDE", 2.0, "sticks override offboard; recommended 3, not 2"),
         ("IMU_GYRO_RATEMAX", 400.0, "at up to 400 Hz; recommended 800"),
@@ -284,7 +284,7 @@ def test_a_pose_delay_far_from_the_measured_one_is_a_no_go(actual_ms: float, mea
         assert f"set EKF2_EV_DELAY to {measured_ms:g}" in found.says
 
 
-@pytest.mark.parametrize(("actual_ms", "message"), [(10.0, "10 ms;"), (150.0, "wanted 10: Measure yours")])
+@pytest.mark.parametrize(("actual_ms", "message"), [(10.0, "10 ms;"), (150.0, "wanted 10: Age of an arriving pose, milliseconds; measure yours")])
 def test_an_unmeasured_pose_delay_is_a_remark(actual_ms: float, message: str) -> None:
     found = _delay_finding(actual_ms, None)
     assert found.go

@@ -3,82 +3,64 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dart_flight.check import checks
 from dart_flight.check.bringup.steps import STEPS
-from dart_flight.check.checks import CHECKS, select_checks
-from dart_flight.check.stages import Check, CheckContext, EndOfStageError, Stage, run_checks
+from dart_flight.check.checks import CHECKS, Check, FlightContext, Stage, run_checks
+from dart_flight.check.findings import CheckFinding, EndOfStageError
+from dart_flight.config.mission import load_empty_room
+
+MISSION = load_empty_room()
+OUTCOMES = ("nothing", "one", "two", "ends")
 
 
-class NotThereError(Exception):
-    """The error of a failing check."""
-
-
-@dataclass
-class Bench(CheckContext[str]):
-    """A context whose findings are strings."""
-
-    found: list[str] = field(default_factory=list)
-    own_errors = (NotThereError,)
-
-    def explain(self, error: Exception) -> str:
-        return f"failed: {error}"
-
-
-OUTCOMES = ("nothing", "one", "two", "fails", "ends")
-
-
-def make_check(outcome: str, name: str, stage: Stage) -> Check[Bench, str]:
-    def run(_: Bench) -> list[str]:
-        if outcome == "fails":
-            raise NotThereError(name)
+def make_check(outcome: str, name: str, stage: Stage) -> Check:
+    def run(_: FlightContext) -> list[CheckFinding]:
         if outcome == "ends":
-            raise EndOfStageError([f"{name} ends it"])
-        return [name] * ("nothing", "one", "two").index(outcome)
+            raise EndOfStageError([CheckFinding(f"{name} ends it", False, "")])
+        return [CheckFinding(name, True, "")] * ("nothing", "one", "two").index(outcome)
 
     return Check(name, stage, run)
 
 
-@given(st.lists(st.tuples(st.sampled_from(OUTCOMES), st.sampled_from([Stage.FILE, Stage.VEHICLE]))))
-def test_findings_come_in_order_until_their_stage_ends(kinds: list[tuple[str, Stage]]) -> None:
-    checks = [make_check(outcome, str(i), stage) for i, (outcome, stage) in enumerate(kinds)]
-    bench = Bench(found=["earlier"])
-    found = run_checks(checks, bench)
+STAGES = (Stage.FILE, Stage.DESK, Stage.VEHICLE)
+KINDS = st.lists(st.tuples(st.sampled_from(OUTCOMES), st.sampled_from(STAGES)))
+
+
+@given(KINDS)
+def test_findings_of_the_wanted_stages_come_in_order_until_their_stage_ends(
+    kinds: list[tuple[str, Stage]],
+) -> None:
+    made = tuple(make_check(outcome, str(i), stage) for i, (outcome, stage) in enumerate(kinds))
+    earlier = CheckFinding("earlier", True, "")
+    context = FlightContext(MISSION, found=[earlier])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checks, "CHECKS", made)
+        found = [finding.item for finding in run_checks(context, Stage.VEHICLE, Stage.FILE)]
     expected: list[str] = []
-    ended_stages = set()
+    ended = {Stage.DESK}  # not wanted
     for i, (outcome, stage) in enumerate(kinds):
-        if stage in ended_stages:
-            continue
-        if outcome == "ends":
-            ended_stages.add(stage)
-        texts = {"fails": [f"failed: {i}"], "ends": [f"{i} ends it"], "one": [f"{i}"], "two": [f"{i}"] * 2}
-        expected += texts.get(outcome, [])
+        if stage not in ended:
+            expected += {"ends": [f"{i} ends it"], "one": [f"{i}"], "two": [f"{i}"] * 2}.get(outcome, [])
+            ended |= {stage} if outcome == "ends" else set()
     assert found == expected
-    assert bench.found == ["earlier", *expected]
+    assert [finding.item for finding in context.found] == ["earlier", *expected]
 
 
-def test_an_unexpected_error_is_not_hidden() -> None:
-    def run(_: Bench) -> list[str]:
+def test_an_unexpected_error_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    def run(_: FlightContext) -> list[CheckFinding]:
         raise ZeroDivisionError
 
+    monkeypatch.setattr(checks, "CHECKS", (Check("broken", Stage.FILE, run),))
     with pytest.raises(ZeroDivisionError):
-        run_checks([Check("broken", Stage.FILE, run)], Bench())
+        run_checks(FlightContext(MISSION), Stage.FILE)
 
 
 def test_stage_and_name_identify_a_check() -> None:
-    names = Counter([*((check.stage, check.name) for check in CHECKS), *((s.stage, s.name) for s in STEPS)])
+    names = Counter([(check.stage, check.name) for check in CHECKS] + [("bench", s.name) for s in STEPS])
     assert max(names.values()) == 1
-    assert {check.stage for check in CHECKS} | {Stage.BENCH} == set(Stage)
-    assert {step.stage for step in STEPS} == {Stage.BENCH}
-
-
-def test_selected_checks_keep_the_order_of_the_list() -> None:
-    chosen = select_checks(Stage.VEHICLE, Stage.FILE)
-    assert [check.stage for check in chosen] == sorted(
-        (check.stage for check in chosen), key=[Stage.FILE, Stage.VEHICLE].index
-    )
-    assert chosen[0].name == "places"
+    assert {check.stage for check in CHECKS} == set(Stage)

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 
 import pytest
 
-from dart_flight.check.checks import FlightContext, select_checks
+from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.hitl_check import hitl_parameters
-from dart_flight.check.stages import Stage, run_checks
 from dart_flight.check.vehicle_reading import VehicleReading
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
@@ -40,7 +39,7 @@ def hitl_findings(
 ) -> list[CheckFinding]:
     reading = VehicleReading(mode, values)
     context = FlightContext(mission, position_from=PositionSource.MOCAP, reading=reading)
-    return run_checks(select_checks(Stage.HITL), context)
+    return run_checks(context, Stage.HITL)
 
 
 def refusals(

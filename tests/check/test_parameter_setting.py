@@ -124,7 +124,7 @@ def test_measured_values_override_the_files() -> None:
     assert [wanted[f"EKF2_IMU_POS_{axis}"].value for axis in "XYZ"] == [0.02, 0.0, -0.01]
     # Without motion capture there is no pose delay.
     assert "EKF2_EV_DELAY" not in wanted_parameters(measured, PositionSource.RTK)
-    assert wanted_parameters(mission(), MOCAP)["EKF2_EV_DELAY"].reason.startswith("Measure yours")
+    assert "measure yours" in wanted_parameters(mission(), MOCAP)["EKF2_EV_DELAY"].reason
 
 
 def test_px4s_tilt_limit_is_never_below_the_guards() -> None:

@@ -56,7 +56,7 @@ def ready(monkeypatch: pytest.MonkeyPatch) -> list[CheckFinding]:
     """Replace the preflight checks by these findings; a flight fails the test."""
     findings = [CheckFinding("disarmed", True, "disarmed")]
 
-    def find(_: object, context: FlightContext) -> list[CheckFinding]:
+    def find(context: FlightContext, *_: object) -> list[CheckFinding]:
         context.reading = VehicleReading(None, {})
         context.found += findings
         return findings

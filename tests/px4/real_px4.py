@@ -11,9 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from dart_flight.check.checks import FlightContext, select_checks
+from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.stages import Stage, run_checks
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import Parameter, PositionSource, Value
 from dart_flight.run.prepare import load_flyable
@@ -67,7 +66,7 @@ def station_of(url: str) -> OperatorStation:
 
 def vehicle_findings(mission: Mission, url: str) -> dict[str, CheckFinding]:
     """Return what `check` finds at a vehicle, by item; every item has one finding."""
-    findings = run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url))
+    findings = run_checks(FlightContext(mission, url=url), Stage.VEHICLE)
     items = {found.item: found for found in findings}
     assert len(items) == len(findings)
     return items

@@ -16,8 +16,7 @@ from typing import Any
 import msgspec
 
 from dart_flight.base.records import Outcome
-from dart_flight.check.checks import FlightContext, select_checks
-from dart_flight.check.stages import Stage, run_checks
+from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle, packaged
@@ -101,7 +100,7 @@ def refusals(room: str) -> tuple[str, ...]:
         mission = mission_of(cases()[int(room) - 1])
     except InputError as error:
         return (f"not loaded: {error}",)
-    findings = run_checks(select_checks(Stage.FILE), FlightContext(mission))
+    findings = run_checks(FlightContext(mission), Stage.FILE)
     return tuple(finding.item for finding in findings if not finding.go)
 
 

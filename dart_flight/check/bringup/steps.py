@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -36,7 +36,6 @@ from dart_flight.check.bringup.pose_motion import (
     estimate_motion,
     heading_offset_deg,
 )
-from dart_flight.check.stages import Check, CheckContext, Stage
 from dart_flight.check.telemetry_check import StreamRate, stream_rates
 from dart_flight.check.vehicle_check import round_trip_limit_s
 from dart_flight.config.link_url import parse_link
@@ -134,7 +133,7 @@ def attitude_at(samples: Sequence[AttitudeSample], t_us: int) -> Quaternion | No
     return next((s.q_frd_to_ned for s in reversed(list(samples)) if s.t_us <= t_us), None)
 
 
-class Bringup(CheckContext[StepFinding]):
+class Bringup:
     """The inputs of the steps: one vehicle and its operator. The link stays open between steps.
 
     Args:
@@ -143,8 +142,6 @@ class Bringup(CheckContext[StepFinding]):
         wait_s: longest wait for an action of the operator, seconds.
         opened: called after the link has opened, for example `LinkLease.lock_device`.
     """
-
-    own_errors = (NotDoneError, VehicleError, NoAnswerError)
 
     def __init__(
         self,
@@ -159,14 +156,16 @@ class Bringup(CheckContext[StepFinding]):
         self._telemetry = Telemetry(mission)
         self._link: GroundLink | None = None
         self._rates: list[StreamRate] = []
-        self.found: list[StepFinding] = []
 
-    def explain(self, error: Exception) -> StepFinding:
-        if isinstance(error, NotDoneError):
+    def do(self, step: Step) -> StepFinding:
+        try:
+            return step.run(self)
+        except NotDoneError as error:
             return failed(f"not detected within {self._wait_s:g} s: {error}")
-        if isinstance(error, NoAnswerError):
+        except NoAnswerError as error:
             return failed(f"{error.message}: check the wire to the flight controller (TX)")
-        return failed(self._explain_silence(str(error)))
+        except VehicleError as error:
+            return failed(self._explain_silence(str(error)))
 
     def close(self) -> None:
         if self._link is not None:
@@ -210,7 +209,7 @@ class Bringup(CheckContext[StepFinding]):
             )
         return f"{says}, but MAVLink arrives: its sender is not an autopilot, or the TX wire is open"
 
-    def needs_operator(self, step: BenchStep) -> bool:
+    def needs_operator(self, step: Step) -> bool:
         """Return whether a step needs an operator; without a lock, the servo's step does not."""
         return step.by_hand and (step.name != _SERVO or self._mission.vehicle.has_lock)
 
@@ -427,37 +426,28 @@ class Bringup(CheckContext[StepFinding]):
         return found
 
 
-BenchStep = Check[Bringup, StepFinding]
+class Step(NamedTuple):
+    """A step; `by_hand` is whether it needs an operator at the vehicle."""
 
-STEPS: tuple[BenchStep, ...] = (
-    Check("link", Stage.BENCH, lambda b: [b.evaluate_link()], "the rates, errors and round trip of the link"),
-    Check("imu_axes", Stage.BENCH, lambda b: [b.evaluate_axes()], "the IMU's axes match the vehicle's", True),
-    Check(
-        "force_sign",
-        Stage.BENCH,
-        lambda b: [b.evaluate_force()],
-        "the estimated force of a push has the right direction",
-        True,
-    ),
-    Check(
+    name: str
+    subject: str
+    run: Callable[[Bringup], StepFinding]
+    by_hand: bool = True
+
+
+STEPS: tuple[Step, ...] = (
+    Step("link", "the rates, errors and round trip of the link", Bringup.evaluate_link, by_hand=False),
+    Step("imu_axes", "the IMU's axes match the vehicle's", Bringup.evaluate_axes),
+    Step("force_sign", "the estimated force of a push has the right direction", Bringup.evaluate_force),
+    Step(
         _SERVO,
-        Stage.BENCH,
-        lambda b: [b.evaluate_servo()],
         "the lock's servo moves in the right direction; this step also measures its travel time",
-        True,
+        Bringup.evaluate_servo,
     ),
-    Check(
-        "position",
-        Stage.BENCH,
-        lambda b: [b.evaluate_position()],
-        "the estimated position follows the carried vehicle",
-        True,
-    ),
-    Check(
+    Step("position", "the estimated position follows the carried vehicle", Bringup.evaluate_position),
+    Step(
         "remote_control",
-        Stage.BENCH,
-        lambda b: [b.evaluate_remote()],
         "PX4 receives the remote control, and its switch changes the mode",
-        True,
+        Bringup.evaluate_remote,
     ),
 )

@@ -17,7 +17,6 @@ import pytest
 from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
 from dart_flight.check.bringup.steps import STEPS, Bringup
-from dart_flight.check.stages import run_checks
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_empty_room, load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -73,8 +72,7 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run_step(bringup: Bringup, name: str) -> StepFinding:
-    (found,) = run_checks([step for step in STEPS if step.name == name], bringup)
-    return found
+    return bringup.do(next(step for step in STEPS if step.name == name))
 
 
 def run_steps(vehicle: BenchVehicle, *names: str) -> dict[str, StepFinding]:
