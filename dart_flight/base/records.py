@@ -622,7 +622,6 @@ class ImpactBody(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/event/impact_body"
     t_us: int  # newest sample used
     first_us: int  # first sample in contact, as in the `ImpactOnset`
-    final: bool  # always true; older logs have another record, sent after the peak
     side: ContactSide
     lead_m: float  # lead of the right guard over the left one at the first touch, towards the wall
     incidence_rad: float  # angle from the wall to the leading edge at first touch; positive: turned left

@@ -191,7 +191,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         simulated_walls: additional walls that exist only in simulation.
         posts: the posts.
         vehicle_source: origin of the vehicle's configuration, or None if built in Python.
-        written: the keys as written, or None in logs of older versions.
+        written: the keys as written, or None if built in Python.
     """
 
     source: str

@@ -470,7 +470,6 @@ class ContactFitter:
         body = ImpactBody(
             t_us=request.t_us,
             first_us=onset.first_us,
-            final=True,
             side=ContactSide.from_lead(lead),
             lead_m=lead,
             incidence_rad=found.incidence_rad,

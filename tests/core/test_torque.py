@@ -185,7 +185,6 @@ def test_the_estimated_torque_matches_the_torque_of_the_wall(mode: Mode, yaw: fl
     assert worst < 0.1 * top
     assert sensed.contact is not None
     last = sensed.bodies[-1]
-    assert last.final
     assert last.peak_torque_nm == pytest.approx(sensed.contact.peak_torque_nm, rel=0.1, abs=0.15)
     assert last.incidence_rad == pytest.approx(sensed.contact.incidence_rad, abs=math.radians(1.0))
     assert last.lead_m * sensed.contact.lead_m > 0.0
@@ -210,7 +209,7 @@ def test_a_centred_hit_has_no_torque(mode: Mode) -> None:
     vehicle = body_vehicle(vertical_lever_m=0.0, fold_share=0.0)
     sensed = sense_hit(before_the_wall(vehicle, mode, -1.0, 0.0, 0.0), vehicle, (HOVER,) * 4)
     assert max(norm(e.torque_frd) for e in sensed.torques) < 1e-6
-    assert [(b.side, b.final) for b in sensed.bodies] == [(ContactSide.BOTH, True)]
+    assert [body.side for body in sensed.bodies] == [ContactSide.BOTH]
     assert sensed.bodies[-1].peak_torque_nm < 1e-3
 
 
