@@ -284,7 +284,10 @@ def test_a_pose_delay_far_from_the_measured_one_is_a_no_go(actual_ms: float, mea
         assert f"set EKF2_EV_DELAY to {measured_ms:g}" in found.says
 
 
-@pytest.mark.parametrize(("actual_ms", "message"), [(10.0, "10 ms;"), (150.0, "wanted 10: Age of an arriving pose, milliseconds; measure yours")])
+@pytest.mark.parametrize(
+    ("actual_ms", "message"),
+    [(10.0, "10 ms;"), (150.0, "wanted 10: Age of an arriving pose, milliseconds; measure yours")],
+)
 def test_an_unmeasured_pose_delay_is_a_remark(actual_ms: float, message: str) -> None:
     found = _delay_finding(actual_ms, None)
     assert found.go
