@@ -233,7 +233,8 @@ def test_the_retreat_from_an_unknown_wall_follows_the_measured_push() -> None:
 def test_the_retreat_from_one_face_of_a_partition_does_not_lead_through_it() -> None:
     """The vehicle is nearer to the front than the retreat, but on the other side."""
     board = {"point_m": [-0.15, 0.8], "normal": [-1.0, 0.0], "length_m": 0.2, "material": "wood"}
-    c = core_in(Phase.TRANSIT, settings={"walls.board": board | {"thickness_m": 0.012}})
+    thick = board | {"thickness_m": 0.012, "given_at": "centre"}
+    c = core_in(Phase.TRANSIT, settings={"walls.board": thick})
     c.position_ned = (0.3, -0.8, -1.0)
     c.run(0.02)
     c.pulse((20.0, 0.0))
