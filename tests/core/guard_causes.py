@@ -18,6 +18,7 @@ from dart_flight.base.records import (
     Mode,
     OdometrySample,
     OtherVehicle,
+    Override,
     Phase,
     PoseSample,
     Request,
@@ -536,3 +537,20 @@ def operator_ground(c: HandFedCore) -> None:
 def mission_fault(c: HandFedCore) -> None:
     c.break_mission()
     c.run(0.02)
+
+
+# What the vehicle does on each cause: a decision for its safety, written down apart from the rules.
+ACTIONS = {
+    Override.RELEASE: "px4_failsafe terminated pilot disarmed link_lost operator_release world_died",
+    Override.BREAK_OFF: "failsafe_announced pose_source heading_reset position_delayed hover_thrust tilt "
+    "force_over_limit operator peak_force wall_not_met wall_met_early hit_in_noise unplanned_hit no_peak "
+    "lock_not_settled mode_felt lock_late",
+    Override.LAND: "imu_silent attitude_silent odometry_silent status_silent telemetry_late second_vehicle "
+    "stamps_backwards imu_stuck imu_clipped pose_source_blind estimator_flags position_uncertain battery "
+    "altitude operator_ground lock_not_ready climb_timeout pause_timeout goal_not_reached mission_fault",
+    Override.HOLD: "actuator_silent stream_rate estimator_jump estimator_reset bounds speed no_approach "
+    "transit_timeout",
+    Override.GIVE_UP: "telemetry_late_ground second_vehicle_ground pose_source_ground not_ready "
+    "offboard_refused arming_refused",
+    Override.KILL: "still_armed lying",
+}

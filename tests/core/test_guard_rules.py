@@ -53,7 +53,7 @@ from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from tests.core.conftest import RULES_WITHOUT_JUMP, HandFedCore, core_in, known, of_kind
-from tests.core.guard_causes import CAUSES, delay_telemetry, fly_to_acrylic, request, rigid_pulse
+from tests.core.guard_causes import ACTIONS, CAUSES, delay_telemetry, fly_to_acrylic, request, rigid_pulse
 
 
 @pytest.mark.parametrize("force_ned", [(250.0, 0.0, 0.0), (0.0, 250.0, 0.0), (0.0, 0.0, -250.0)])
@@ -160,6 +160,11 @@ def test_the_reason_is_the_first_rule_or_the_one_that_explains_it(
 
 def test_every_rule_has_a_cause_here() -> None:
     assert set(CAUSES) == {rule.name for rule in RULES}
+
+
+def test_each_cause_has_the_action_that_was_decided_for_it() -> None:
+    decided = {name: action for action, names in ACTIONS.items() for name in names.split()}
+    assert {rule.name: rule.action for rule in RULES} == decided
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda r: r.name)
