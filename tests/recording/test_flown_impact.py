@@ -90,9 +90,7 @@ def records_of(drawn: list[DrawnContact]) -> list[Record]:
             )
         if contact.incidence_deg is not None:
             yaw = math.radians(contact.incidence_deg)
-            found.append(
-                ImpactBody(t_us, t_us, True, ContactSide.LEFT, 0.0, yaw, 0.01, (0.0,) * 3, float(number))
-            )
+            found.append(ImpactBody(t_us, t_us, ContactSide.LEFT, 0.0, yaw, 0.01, (0.0,) * 3, float(number)))
         if contact.is_recovered:
             place = frame.point_to_ned((float(number), 0.5, 1.0))
             elsewhere = Setpoint(t_us + 5000, t_us, still.position_ned, 0.0, recovery=True)
