@@ -189,7 +189,7 @@ class Constraints:
         if begins:
             alive[:, 0] = False
         for wall in obstacles:
-            place = (w.x, w.y)
+            place: tuple[Number, Number] = (w.x, w.y)
             # A place behind a wall is not inside it: only a passage through the front counts.
             inside = wall.signed_distance(place) > -min(_THICK_M, wall.behind_m)
             touched = _touches_wall(wall, w) & spans_with_margin(wall, place) & inside
@@ -226,11 +226,12 @@ class Constraints:
             goal: position of the goal, mission frame, m.
         """
         codes = np.zeros(x.shape, dtype=np.int8)
+        closest: tuple[Number, Number] = (x, y)
         for wall in self.walls:
-            here, there = wall.signed_distance((x, y)), wall.signed_distance(goal)
+            here, there = wall.signed_distance(closest), wall.signed_distance(goal)
             # Just after the release the vehicle may still be slightly behind the plane.
             crosses = (here > 0.0) if there < 0.0 else (here < -min(_THICK_M, wall.behind_m))
-            _, place = wall.crossing((x, y), goal)
+            _, place = wall.crossing(closest, goal)
             self.mark(codes, crosses & spans_with_margin(wall, place), Refusal.OBSTACLE)
         return codes
 

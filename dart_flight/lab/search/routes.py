@@ -24,8 +24,20 @@ from dart_flight.lab.search.scenario import Scenario
 _PAST_END_M = 0.12  # margin beyond half a vehicle, for a longer wall and for tracking errors
 _AFTER_HIT_M = 0.05  # additional margin after a hit, whose outgoing velocity is uncertain
 _ON_LINE_M = 0.01  # distance of a path's corner from the edge of its half-planes
+_OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
 _AROUND = 8  # corners of the polyline around a post
 TOUCH_M = 0.01  # distance that a path to a place at a wall keeps from the wall's plane
+
+
+def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:
+    """Return the bounds as half-planes, moved inwards by the margin `_OFF_BOUNDS_M`."""
+    (x0, x1), (y0, y1) = scenario.bounds.x, scenario.bounds.y
+    return (
+        HalfPlane((1.0, 0.0), x0 + _OFF_BOUNDS_M),
+        HalfPlane((-1.0, 0.0), -x1 + _OFF_BOUNDS_M),
+        HalfPlane((0.0, 1.0), y0 + _OFF_BOUNDS_M),
+        HalfPlane((0.0, -1.0), -y1 + _OFF_BOUNDS_M),
+    )
 
 
 class Obstacles(NamedTuple):

@@ -521,8 +521,8 @@ def test_arrays_of_velocities_give_arrays() -> None:
 def test_a_plan_completes_and_is_written(tmp_path: Path) -> None:
     found = dart_flight.plan(SINGLE.parent / "scenarios" / "one_wall.yaml", top=3)
     assert len(found.plans) == 3
-    first = found.mission.collisions[0].approach_m_s
-    assert first == (found.plans[0].normal_m_s, found.plans[0].tangential_m_s)
+    first = found.plans[0].collisions[0]
+    assert found.mission.collisions[0].approach_m_s == (first.normal_m_s, first.tangential_m_s)
     assert dart_flight.simulate(found.mission).verdict.outcome is Outcome.COMPLETED
     written = dart_flight.load_mission(found.write(tmp_path / "second.yaml", rank=2, verify=False))
     assert written.collisions == found.mission_of(2).collisions
