@@ -20,6 +20,7 @@ from dart_flight.cli import main
 from dart_flight.config.mission_file import CollisionSpec, GoalSpec, MissionFile, WallSpec
 from dart_flight.lab import api
 from dart_flight.recording.schema import RECORD_TYPES
+from tests.lab.search.test_quickest import scenario_between_walls
 from tests.shared_flights import SharedFlights
 
 SINGLE = dart_flight.packaged("missions", "paper_single_wall.yaml")
@@ -516,6 +517,12 @@ def test_arrays_of_velocities_give_arrays() -> None:
         assert one == pytest.approx([part[i] for part in many], rel=1e-9)
     grid = dart_flight.predict(vehicle, "wood", "rigid", normal[:, None], [0.0, 0.5])
     assert grid.tangential_out_m_s.shape == (7, 2)
+
+
+def test_the_quickest_plan_of_a_scenario_is_a_mission() -> None:
+    found = dart_flight.plan(scenario_between_walls())
+    assert [plan.sequence for plan in found.plans] == [("east",), ()]
+    assert found.mission.goal_trajectory is not None
 
 
 def test_a_plan_completes_and_is_written(tmp_path: Path) -> None:
