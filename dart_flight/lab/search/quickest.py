@@ -88,9 +88,7 @@ def plan_quickest(
         feasible=search.feasible,
         trajectories=search.computed,
         elapsed_s=time.perf_counter() - began,
-        gap_s=max(0.0, plans[0].time_to_goal_s - search.least_open_s)
-        if search.least_open_s < math.inf
-        else 0.0,
+        gap_s=max(0.0, plans[0].time_to_goal_s - search.least_open_s),
         most_hits=MOST_HITS if search.left_out_s < plans[0].time_to_goal_s else None,
     )
 
