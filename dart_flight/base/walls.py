@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import msgspec
 
+from dart_flight.base.arithmetic import Number, where
 from dart_flight.base.geometry import Vec2, Vec3, distance_to_segment, wrap_angle
 
 FRONT, BACK = ".front", ".back"  # ends of the names of a partition's faces
@@ -98,6 +98,22 @@ class Wall(msgspec.Struct, frozen=True):
         """Return the distance of the vehicle's centre from the plane, metres; negative is compression."""
         return (position[0] - self.point[0]) * self.normal[0] + (position[1] - self.point[1]) * self.normal[1]
 
+    def crossing(
+        self, a: tuple[Number, ...], b: tuple[Number, ...], a_off_m: float = 0.0, b_off_m: float = 0.0
+    ) -> tuple[Number, tuple[Number, Number]]:
+        """Return whether a segment crosses the wall's endless plane, and where its line meets the plane.
+
+        Coordinates may be numbers or arrays. If the line is parallel to the plane, the place is `a`.
+
+        Args:
+            a, b: ends of the segment, mission frame, metres.
+            a_off_m, b_off_m: distance by which the plane is moved along its normal, at each end.
+        """
+        here, there = self.signed_distance(a) - a_off_m, self.signed_distance(b) - b_off_m
+        gap = here - there
+        share = where(gap != 0.0, here / where(gap != 0.0, gap, 1.0), 0.0)
+        return here * there < 0.0, (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+
     def along(self, position: Vec2 | Vec3) -> float:
         """Return the distance from the middle of the wall along the tangent, metres."""
         tx, ty = self.tangent
@@ -118,7 +134,7 @@ class Wall(msgspec.Struct, frozen=True):
         nx, ny = self.normal
         return msgspec.structs.replace(self, normal=(c * nx - s * ny, s * nx + c * ny))
 
-    def plane_sd_m(self, position: tuple[Any, ...]) -> Any:
+    def plane_sd_m(self, position: tuple[Number, ...]) -> Number:
         """Return the standard deviation of the plane's position, metres, at the point nearest to `position`.
 
         It grows with the distance from the middle of the wall. Coordinates may be numbers or arrays.
@@ -132,7 +148,7 @@ class Wall(msgspec.Struct, frozen=True):
         along = max(-reach, min(reach, self.along(position)))
         return (self.point[0] + along * self.tangent[0], self.point[1] + along * self.tangent[1])
 
-    def end_distance_m(self, position: tuple[Any, ...]) -> Any:
+    def end_distance_m(self, position: tuple[Number, ...]) -> Number:
         """Return the distance along the wall to the nearer end, metres; negative beyond the end.
 
         Coordinates may be numbers or arrays.

@@ -46,7 +46,7 @@ def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedImpact]) ->
     (x, y), (nx, ny) = impact_place(last, hits), last.wall.normal
     before = (x + ON_PLANE_M * nx, y + ON_PLANE_M * ny)
     for wall in mission.walls:
-        if _crosses(wall, before, mission.goal.position_m):
+        if is_blocked(wall, before, mission.goal.position_m, 0.0, 0.0):
             says = (
                 f"wall {wall.name} is between the last impact and the goal: the vehicle would fly into it; "
                 "move the goal, or lead around the wall by waypoints"
@@ -179,7 +179,8 @@ def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
         for wall in mission.walls:
             if wall.is_uncertain and wall.name != collision.wall.name:
                 slack_m = max(float(position_margin_m(wall, place)) for place in places)
-                if any(_crosses(wall.displaced(slack_m), a, b) for a, b in itertools.pairwise(places)):
+                nearest = wall.displaced(slack_m)
+                if any(is_blocked(nearest, a, b, 0.0, 0.0) for a, b in itertools.pairwise(places)):
                     yield f"wall {wall.name} may block the trajectory to wall {collision.wall.name}"
         return
     if collision.approach_m_s is None:
@@ -196,12 +197,3 @@ def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
             nearest = wall.displaced(float(position_margin_m(wall, impact)))
             if any(is_blocked(nearest, *leg) for leg in legs(nearest)):
                 yield f"wall {wall.name} may block the run-up to wall {collision.wall.name}"
-
-
-def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:
-    here, there = wall.signed_distance(a), wall.signed_distance(b)
-    if here * there >= 0.0:
-        return False
-    share = here / (here - there)
-    at = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
-    return bool(wall.end_distance_m(at) >= -end_margin_m(wall, at))

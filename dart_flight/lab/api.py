@@ -34,9 +34,11 @@ from dart_flight.lab.predict import prediction
 from dart_flight.lab.search import scenario as scenario_files
 from dart_flight.lab.search.flown_plan import fly_in_process, fly_mission
 from dart_flight.lab.search.mission_writer import mission_text, planned_mission, write_mission
+from dart_flight.lab.search.plan import Plan, SearchResult
 from dart_flight.lab.search.plan_table import with_objective
+from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import Objective, Scenario
-from dart_flight.lab.search.search import Plan, SearchResult, search
+from dart_flight.lab.search.search import search
 from dart_flight.lab.stepwise import FlightSetpoint
 from dart_flight.lab.stepwise import SteppedSimulation as Simulation
 from dart_flight.recording.reader import Log, read_log
@@ -338,15 +340,17 @@ def plan(
     objective: str | None = None,
     top: int = 10,
     seed: int = 1,
+    within_s: float = 60.0,
 ) -> PlanResult:
     """Choose walls, velocities and modes for a scenario.
 
     Args:
         scenario: a scenario, or a file or mapping for `load_scenario`.
         vehicle: the configuration to use instead of the scenario's configuration.
-        objective: `nearest`, `fastest`, `gentlest` or `robust`, instead of the scenario's.
+        objective: `nearest`, `fastest`, `gentlest`, `robust` or `quickest`, instead of the scenario's.
         top: number of plans to keep.
         seed: seed of the random sets of values that the objective `robust` evaluates.
+        within_s: time limit of the search with the objective `quickest`.
 
     Raises:
         InputError: the scenario is invalid or has no feasible plan; the message names the most frequent
@@ -362,6 +366,8 @@ def plan(
         if objective not in list(Objective):
             raise InputError(f"{objective!r} is none of {', '.join(Objective)}", key=("objective",))
         scenario = with_objective(scenario, Objective(objective))
+    if scenario.objective is Objective.QUICKEST:
+        return PlanResult(plan_quickest(scenario, within_s))
     return PlanResult(search(scenario, top, seed))
 
 

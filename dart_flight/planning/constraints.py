@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.arithmetic import Number
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2
 from dart_flight.base.walls import Post, Wall
-from dart_flight.core.mission.arithmetic import Number
 from dart_flight.core.mission.commitment import (
     SETPOINT_OUTSIDE_M,
     SETTLED_BEFORE_S,
@@ -26,7 +26,7 @@ from dart_flight.core.mission.commitment import (
     setpoint_outside_m,
 )
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, STOP_TIME_S, least_distance_m, stop_share
-from dart_flight.core.mission.wall_uncertainty import end_margin_m
+from dart_flight.core.mission.wall_uncertainty import spans_with_margin
 from dart_flight.planning.flight_model import GridWindow, SetpointResponse
 from dart_flight.planning.task import Task
 
@@ -88,8 +88,7 @@ class Constraints:
         self.most_acceleration = GRAVITY_M_S2 * math.tan(math.radians(vehicle.px4.mpc_tiltmax_air))
         lock = vehicle.lock
         self.lock_s = lock.relaxation_s + lock.switch_time_s + _LOCK_POLL_S if lock else 0.0
-        airframe = vehicle.airframe  # a corner of the guards may touch a post
-        self._corner_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
+        self._corner_m = vehicle.airframe.corner_m  # a corner of the guards may touch a post
         self._reach = _reach_tables(task)
 
     def mark(
@@ -177,12 +176,10 @@ class Constraints:
         if begins:
             alive[:, 0] = False
         for wall in obstacles:
-            (nx, ny), (px, py) = wall.normal, wall.point
-            depth = nx * (w.x - px) + ny * (w.y - py)
-            place = (w.x, w.y)
+            place: tuple[Number, Number] = (w.x, w.y)
             # A place behind a wall is not inside it: only a passage through the front counts.
-            before = wall.end_distance_m(place) >= -end_margin_m(wall, place)
-            touched = _touches_wall(wall, w) & before & (depth > -min(_THICK_M, wall.behind_m))
+            inside = wall.signed_distance(place) > -min(_THICK_M, wall.behind_m)
+            touched = _touches_wall(wall, w) & spans_with_margin(wall, place) & inside
             self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
         for post in posts:
             self.mark(codes, (_hits_post(post, self._corner_m, w) & alive).any(axis=1), Refusal.OBSTACLE)
@@ -211,15 +208,13 @@ class Constraints:
     def to_goal(self, x: Array, y: Array, goal: Vec2) -> Codes:
         """Refuse if a wall is between the closest approach (x, y) and the goal."""
         codes = np.zeros(x.shape, dtype=np.int8)
+        closest: tuple[Number, Number] = (x, y)
         for wall in self.walls:
-            (nx, ny), (px, py) = wall.normal, wall.point
-            here, there = nx * (x - px) + ny * (y - py), wall.signed_distance(goal)
+            here, there = wall.signed_distance(closest), wall.signed_distance(goal)
             # Just after the release the vehicle may still be slightly behind the plane.
             crosses = (here > 0.0) if there < 0.0 else (here < -min(_THICK_M, wall.behind_m))
-            share = np.where(crosses, here / np.where(crosses, here - there, 1.0), 0.0)
-            crossing = (x + share * (goal[0] - x), y + share * (goal[1] - y))
-            blocks = crosses & (wall.end_distance_m(crossing) >= -end_margin_m(wall, crossing))
-            self.mark(codes, blocks, Refusal.OBSTACLE)
+            _, place = wall.crossing(closest, goal)
+            self.mark(codes, crosses & spans_with_margin(wall, place), Refusal.OBSTACLE)
         return codes
 
     def lock_in_time(self, leg: SetpointResponse, wall: Wall) -> NDArray[np.bool_]:
@@ -228,7 +223,7 @@ class Constraints:
         The executive decides by the same prediction (`least_distance_m`).
         """
         nx, ny = wall.normal
-        distance = nx * (leg.x[0] + leg.goal_x - wall.point[0]) + ny * (leg.y[0] + leg.goal_y - wall.point[1])
+        distance = wall.signed_distance((leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y))
         closing = -(nx * leg.x[1] + ny * leg.y[1])
         pushing = -(nx * leg.x[2] + ny * leg.y[2])
         size = np.maximum(closing, 0.0) + ATTITUDE_LAG_S * np.abs(pushing) + 1e-12
@@ -270,7 +265,7 @@ class Constraints:
 def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:
     """Return whether a wall has `target` behind it and `place` in front; coordinates may be arrays."""
     crosses = (wall.signed_distance(place) > 0.0) & (wall.signed_distance(target) <= 0.0)
-    return crosses & (wall.end_distance_m(target) >= -end_margin_m(wall, target))
+    return crosses & spans_with_margin(wall, target)
 
 
 def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:

@@ -20,6 +20,9 @@ from dart_flight.cli import COMMANDS, build_parser, main
 from dart_flight.lab.commands import plan_command
 from dart_flight.lab.search import flown_plan
 from dart_flight.lab.search.flown_plan import fly_in_process
+from dart_flight.lab.search.plan import SearchResult
+from dart_flight.lab.search.quickest import Progress, plan_quickest
+from dart_flight.lab.search.scenario import Scenario
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.fault_table import parse_fault
@@ -238,9 +241,13 @@ RUNNABLE = [
 @pytest.fixture
 def short_plans(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
     """Share the plan of a scenario with `sight`; fly a plan in one drawn world, in this process."""
-    monkeypatch.setattr(
-        plan_command, "plan_limited_sight", lambda scenario, progress: limited_sight_plan(flown, scenario)
-    )
+
+    def plan(scenario: Scenario, within_s: float, progress: Progress) -> SearchResult:
+        if scenario.sight is None:
+            return plan_quickest(scenario, within_s, progress)
+        return limited_sight_plan(flown, scenario)
+
+    monkeypatch.setattr(plan_command, "plan_quickest", plan)
     monkeypatch.setattr(flown_plan, "DRAWN", 1)
     monkeypatch.setattr(
         flown_plan,

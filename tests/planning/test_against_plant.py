@@ -50,7 +50,7 @@ def test_the_published_plan_matches_the_flight_of_the_shipped_mission(tmp_path: 
     plan = next(
         p
         for p in result.plans
-        if (p.normal_m_s, p.tangential_m_s) == (-0.6, 0.5)
+        if (p.collisions[0].normal_m_s, p.collisions[0].tangential_m_s) == (-0.6, 0.5)
         and [m.value for m in p.modes] == ["flexible", "rigid"]
     )
     verdict = fly_fast(mission, 4, None)

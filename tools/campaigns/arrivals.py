@@ -8,9 +8,9 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.arrival import planned_there_s
-from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import planned_mission
-from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
+from dart_flight.lab.search.plan import Plan
+from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 
 COLLIDING, FREE = "colliding", "free"
@@ -27,7 +27,7 @@ class BothWays(NamedTuple):
 
     scenario: Scenario
     missions: dict[str, Mission]
-    plans: dict[str, QuickestPlan]
+    plans: dict[str, Plan]
 
     @property
     def visits(self) -> list[tuple[Vec2, float]]:
@@ -36,13 +36,13 @@ class BothWays(NamedTuple):
 
     def planned_s(self, way: str) -> float:
         """Return the planned arrival time, by the rule of `arrival_of`."""
-        return planned_there_s(self.plans[way].trajectory, self.scenario.goal.position_m)
+        return planned_there_s(self.plans[way], self.scenario.goal.position_m)
 
 
 def both_ways(name: str) -> BothWays:
     """Return one of the missions that use collisions, and plan its free flight."""
     scenario = load_scenario(packaged("missions", "scenarios", f"{name}.yaml"))
-    result = plan_quickest(scenario) if scenario.sight is None else plan_limited_sight(scenario)
+    result = plan_quickest(scenario)
     assert result.free is not None
     assert result.colliding is not None
     shipped = load_mission(packaged("missions", f"{name}.yaml"))

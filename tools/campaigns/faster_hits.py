@@ -31,12 +31,12 @@ from dart_flight.lab.search.mission_writer import trajectory_keys
 from dart_flight.lab.search.optimal_trajectory import (
     Hit,
     HitLimits,
-    MotionLimits,
     Part,
     Problem,
     Visit,
     solve,
 )
+from dart_flight.lab.search.plan import MotionLimits
 from dart_flight.lab.statistics import wilson
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled

@@ -20,9 +20,9 @@ from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.lab.campaign.arrival import arrival_of, planned_there_s
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import mission_text
-from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
+from dart_flight.lab.search.plan import Plan
+from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
@@ -58,7 +58,7 @@ class MapPlan(NamedTuple):
     """One plan of a map."""
 
     scenario: Scenario
-    plan: QuickestPlan
+    plan: Plan
     is_best: bool
 
     @property
@@ -71,7 +71,7 @@ class MapPlan(NamedTuple):
     @property
     def there_s(self) -> float:
         """The planned arrival time, measured as for a flight."""
-        return planned_there_s(self.plan.trajectory, self.scenario.goal.position_m)
+        return planned_there_s(self.plan, self.scenario.goal.position_m)
 
 
 _MISSION_PATH = ROOT / "missions" / "generated.yaml"
@@ -86,8 +86,7 @@ def flown_cases() -> list[dict[str, str]]:
 def plan_map(kind: str, number: int, limits: str) -> dict[str, MapPlan]:
     """Plan a map free and with hits."""
     scenario = load_scenario(scenario_of(kind, number, limits))
-    is_sight_limited = scenario.sight is not None
-    result = plan_limited_sight(scenario) if is_sight_limited else plan_quickest(scenario, _PLAN_WITHIN_S)
+    result = plan_quickest(scenario, _PLAN_WITHIN_S)
     plans = {"free": result.free, "hit": result.colliding}
     return {way: MapPlan(scenario, p, p is result.best) for way, p in plans.items() if p is not None}
 

@@ -37,11 +37,11 @@ def plan(point: Point, _: int) -> PlannedMap:
     """Plan one map."""
     plans = plan_map(point.case["kind"], int(point.case["map"]), point.case["limits"])
     free, hit = plans.get("free"), plans.get("hit")
-    gain = None if free is None or hit is None else 1.0 - hit.plan.time_s / free.plan.time_s
+    gain = None if free is None or hit is None else 1.0 - hit.plan.time_to_goal_s / free.plan.time_to_goal_s
     cruises = [way and way.plan.cruise_m_s for way in (free, hit)]
     ratio = cruises[1] / cruises[0] if cruises[0] and cruises[1] else None
-    hits = len(hit.plan.trajectory.hits) if hit else 0
-    return PlannedMap(free and free.plan.time_s, hit and hit.plan.time_s, hits, gain, ratio)
+    hits = len(hit.plan.collisions) if hit else 0
+    return PlannedMap(free and free.plan.time_to_goal_s, hit and hit.plan.time_to_goal_s, hits, gain, ratio)
 
 
 def page(rows: Sequence[JudgedRow]) -> str:

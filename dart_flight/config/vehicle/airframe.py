@@ -108,6 +108,11 @@ class Airframe(Section, frozen=True, kw_only=True):
         half: list[Vec2] = [(out, along), (along, out), (-along, out), (-out, along)]
         return half + [(-x, -y) for x, y in half]
 
+    @property
+    def corner_m(self) -> float:
+        """Distance from the centre to the farthest corner of the guards, m: the reach at any heading."""
+        return math.hypot(self.contact_distance_m, self.guard_along_m)
+
     def wall_surface(self, wall: Wall) -> Wall:
         """Return a wall's surface: the wall's plane, moved by the contact distance against the normal."""
         return wall.displaced(-self.contact_distance_m)

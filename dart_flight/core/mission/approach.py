@@ -11,15 +11,15 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from dart_flight.base.arithmetic import Number, hypot, maximum, sqrt, where
 from dart_flight.base.geometry import Vec2, Vec3, distance2
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.probes import Probe
 from dart_flight.config.vehicle import Flying
-from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, where
 from dart_flight.core.mission.trajectories import Trajectory
-from dart_flight.core.mission.wall_uncertainty import end_margin_m, position_margin_m
+from dart_flight.core.mission.wall_uncertainty import position_margin_m, spans_with_margin
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the length half speed times time.
 PEAK_OVER_MEAN = 1.5
@@ -86,26 +86,21 @@ def is_blocked(
     a: tuple[Number, Number],
     b: tuple[Number, Number],
     end_clearance_m: float = CLEARANCE_M,
+    begin_clearance_m: float = CLEARANCE_M,
 ) -> Number:
     """Return whether a wall blocks a segment, or the segment begins too close behind the wall.
 
     A segment that passes the wall's end must keep the distance `end_margin_m` from this end.
-    `end_clearance_m` is the required distance of `b` from the plane; for `a` it is `CLEARANCE_M`.
+    `end_clearance_m` and `begin_clearance_m` are the required distances of `b` and `a` from the plane.
     """
-    here = wall.signed_distance(a)
-    da, db = here - CLEARANCE_M, wall.signed_distance(b) - end_clearance_m
-    crosses = (da * db < 0.0) | ((da < 0.0) & (here > -CLEARANCE_M))
-    gap = da - db
-    share = where(gap != 0.0, da / where(gap != 0.0, gap, 1.0), 0.0)
-    crossing = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
-    return crosses & (wall.end_distance_m(crossing) >= -end_margin_m(wall, crossing))
+    crosses, place = wall.crossing(a, b, begin_clearance_m, end_clearance_m)
+    too_close = abs(wall.signed_distance(a)) < begin_clearance_m
+    return (crosses | too_close) & spans_with_margin(wall, place)
 
 
 def is_blocked_by_post(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
     """Return whether a segment is too close to a post for a vehicle with any heading."""
-    airframe = mission.vehicle.airframe
-    corner_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
-    return post.distance_to_segment(a, b) < post.radius_m + corner_m + CLEARANCE_M
+    return post.distance_to_segment(a, b) < post.radius_m + mission.vehicle.airframe.corner_m + CLEARANCE_M
 
 
 def segments_to_impact(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from dart_flight.base.arithmetic import Number, hypot, maximum, where
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
@@ -18,7 +19,6 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
-from dart_flight.core.mission.arithmetic import Number, hypot, maximum, where
 from dart_flight.core.mission.position_loop import PlaneImpact
 from dart_flight.core.sense.state import FlightState
 

@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
+from dart_flight.base.arithmetic import Number, maximum, minimum, where
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Px4Parameters
-from dart_flight.core.mission.arithmetic import Number, maximum, minimum, where
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
 # Attitude loop (MC_ROLL_P 6.5) and motors; tests/planning/test_against_plant.py compares it with the plant.
@@ -41,7 +41,7 @@ def stop_share(
     for wall in walls:
         here = wall.signed_distance(position)
         there = wall.signed_distance((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy))
-        within = abs(wall.along(position)) <= 0.5 * wall.length_m
+        within = wall.spans(position)
         behind_m = _BEHIND_M + position_margin_m(wall, position) if wall.is_uncertain else _BEHIND_M
         if wall.thickness_m is not None:
             behind_m = minimum(behind_m, wall.behind_m)

@@ -12,11 +12,11 @@ from enum import StrEnum
 
 import msgspec
 
+from dart_flight.base.arithmetic import Number, maximum, sqrt
 from dart_flight.base.geometry import Vec2, Vec3
 from dart_flight.base.records import PlanAnswer
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import Flying
-from dart_flight.core.mission.arithmetic import Number, maximum, sqrt
 
 _MIN_TRANSIT_S = 0.1
 _AT_REST_M_S, _LEVEL_M_S2 = 0.01, 0.01  # at the end of a trajectory; larger than rounding errors

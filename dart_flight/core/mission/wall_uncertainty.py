@@ -12,12 +12,12 @@ from collections.abc import Iterable
 
 import msgspec
 
+from dart_flight.base.arithmetic import Number
 from dart_flight.base.geometry import Vec2, Vec3, angle_between
 from dart_flight.base.records import WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle.flying import GuardThresholds
 from dart_flight.core.mission.anchors import FrameAnchors
-from dart_flight.core.mission.arithmetic import Number
 
 SURE_SD = 3.0  # number of standard deviations that are allowed for
 _MIN_CLOSING_M_S = 0.1
@@ -40,6 +40,11 @@ def end_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
     position.
     """
     return wall.half_vehicle_m + position_margin_m(wall, place)
+
+
+def spans_with_margin(wall: Wall, place: tuple[Number, ...]) -> Number:
+    """Return whether a wall reaches to a place beside its ends, when lengthened by `end_margin_m`."""
+    return wall.end_distance_m(place) >= -end_margin_m(wall, place)
 
 
 def overrun_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
-from dart_flight.lab.search.optimal_trajectory import OptimalTrajectory
+from dart_flight.lab.search.plan import Plan
 from dart_flight.recording.reader import Log
 
 THERE_M, STILL_M_S = 0.15, 0.3  # distance from the goal and speed at which a flight or plan has arrived
@@ -68,10 +68,10 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
     return GoalArrival(begin_us, tuple(passed), float(t[there[0]]) if there.size else None)
 
 
-def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
+def planned_there_s(plan: Plan, goal: tuple[float, float]) -> float:
     """Return the time, s, after which a planned flight remains slow and close to the goal."""
-    last = found.legs[-1]
-    begin = found.time_s - last.duration_s
+    last = plan.legs[-1]
+    begin = plan.time_to_goal_s - last.duration_s
     there = begin
     for before, after in zip(last.states(), last.states()[1:], strict=False):
         for share in np.linspace(0.0, 1.0, 20):

@@ -20,20 +20,19 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.mission_file import FlownRecord
 from dart_flight.lab.search import flown_plan
 from dart_flight.lab.search.flown_plan import Done, FlightWatch, PlanChoice, fly_mission, fly_on_all_cores
-from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import RefusedPlanError, planned_mission, write_mission
+from dart_flight.lab.search.plan import Plan, SearchResult
 from dart_flight.lab.search.plan_table import (
     describe_quickest,
     plan_summary,
     plan_table,
-    quickest_summary,
     quickest_table,
     refusal_table,
     with_objective,
 )
 from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
-from dart_flight.lab.search.search import Plan, Progress, SearchResult, search
+from dart_flight.lab.search.search import Progress, search
 from dart_flight.planning.predicted_flight import describe_goal_miss
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.many_flights import RunsInterruptedError
@@ -247,10 +246,7 @@ def _warn_about_settings(arguments: argparse.Namespace) -> None:
 def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
     console = messages()
     with _search_bar() as progress:
-        if scenario.sight is not None:
-            result = plan_limited_sight(scenario, progress)
-        else:
-            result = plan_quickest(scenario, arguments.within, progress)
+        result = plan_quickest(scenario, arguments.within, progress)
     print_vehicle(scenario.vehicle_source, arguments)
     if arguments.free and result.free is None:
         raise InputError("the goal cannot be reached without a collision", source=scenario.source)
@@ -277,5 +273,5 @@ def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
             write_picture(planned_mission(offered.scenario, offered.plan), arguments.plot)
     if arguments.json:
         found = {"flown": choice.flown, "says": choice.says, "refused": choice.refused}
-        emit_json({**quickest_summary(result), **found})
+        emit_json({**plan_summary(result), **found})
     return status or (0 if offered.plan is not None else 1)

@@ -19,7 +19,7 @@ from dart_flight.base.records import Outcome
 from dart_flight.config.mission import Mission
 from dart_flight.config.mission_file import DrawnFlights, FlownRecord, NominalFlight
 from dart_flight.lab.search.mission_writer import RefusedPlanError, planned_mission
-from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
+from dart_flight.lab.search.plan import Plan, SearchResult
 from dart_flight.lab.search.scenario import Scenario
 from dart_flight.recording.about import software_version
 from dart_flight.recording.verdict import Verdict
@@ -190,7 +190,7 @@ class OfferedPlan(NamedTuple):
         refused: reasons why plans were not flown, under the same keys.
     """
 
-    plan: QuickestPlan | None
+    plan: Plan | None
     scenario: Scenario
     record: FlownRecord | None
     says: list[str]
@@ -209,7 +209,7 @@ class _Candidate(NamedTuple):
     key: str
     name: str
     scenario: Scenario
-    plan: QuickestPlan
+    plan: Plan
 
 
 class PlanChoice:
@@ -219,7 +219,7 @@ class PlanChoice:
     `OfferedPlan`, for the plans so far.
     """
 
-    def __init__(self, result: QuickestResult, free_only: bool, watch: FlightWatch = _NO_WATCH) -> None:
+    def __init__(self, result: SearchResult, free_only: bool, watch: FlightWatch = _NO_WATCH) -> None:
         self.says, self.flown, self.refused = list[str](), dict[str, FlownRecord](), dict[str, str]()
         self._result, self._watch = result, watch
         scenario = result.scenario
@@ -305,16 +305,16 @@ class PlanChoice:
         saving_s, free = self._result.saving_s, self._result.free
         if not self._hits or saving_s is None or free is None or _is_demanded(self._result.scenario):
             return False
-        if saving_s >= LEAST_SAVING * free.time_s:
+        if saving_s >= LEAST_SAVING * free.time_to_goal_s:
             return False
         self._say(
             f"the plan with collisions is not flown: it is predicted to save {saving_s:.2f} s of "
-            f"{free.time_s:.2f} s, less than {LEAST_SAVING:.0%}"
+            f"{free.time_to_goal_s:.2f} s, less than {LEAST_SAVING:.0%}"
         )
         return True
 
 
-def _colliding(scenario: Scenario, hits: QuickestPlan) -> Iterator[_Candidate]:
+def _colliding(scenario: Scenario, hits: Plan) -> Iterator[_Candidate]:
     """Yield the plan with hits and, if the scenario has no touches, also the plan with touches."""
     name = "the plan with collisions"
     yield _Candidate("colliding", name, scenario, hits)

@@ -9,32 +9,24 @@ the goal as fast as possible.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 
 import msgspec
 import numpy as np
 
 from dart_flight.base.geometry import Vec2
-from dart_flight.lab.search.free_plan import limits_of
 from dart_flight.lab.search.optimal_trajectory import (
+    POLISHED,
     Cruise,
     HalfPlane,
     Hit,
-    MotionLimits,
+    HitLimits,
     Part,
     Problem,
     solve,
 )
-from dart_flight.lab.search.quickest import (
-    POLISHED,
-    QuickestPlan,
-    QuickestResult,
-    best_of,
-    first_mode,
-    hit_limits_of,
-    room_of,
-)
+from dart_flight.lab.search.plan import MotionLimits, Plan
+from dart_flight.lab.search.routes import room_of
 from dart_flight.lab.search.scenario import Scenario, SightSpec
 
 _BEFORE_WALL_M = 0.02  # stopping distance to a wall that must not be touched
@@ -55,19 +47,16 @@ def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> fl
 
 
 def plan_limited_sight(
-    scenario: Scenario, progress: Callable[[int, int], None] = lambda done, of: None
-) -> QuickestResult:
-    """Plan the flights with and without a hit for a scenario with `sight`: one wall, in front of the start.
+    scenario: Scenario, sight: SightSpec, progress: Callable[[int, int], None]
+) -> tuple[Plan | None, Plan | None, int]:
+    """Return the flights without and with a hit, and the number of computed flights.
 
-    The best plan is the flight with the hit if the scenario demands the hit, and otherwise the faster flight.
+    The scenario has one wall, in front of the start.
 
     Args:
         progress: called with the number of computed flights and the number of flights to compute.
     """
-    began = time.perf_counter()
-    sight = scenario.sight
-    assert sight is not None
-    limits = limits_of(scenario)
+    limits = MotionLimits.from_scenario(scenario)
     (wall,) = scenario.walls.values()
     safe_m_s = safe_speed_m_s(limits, sight.distance_m - _BEFORE_WALL_M, sight.reaction_s)
     free = _flight(scenario, sight, safe_m_s, None)
@@ -75,15 +64,14 @@ def plan_limited_sight(
     for speed in np.arange(_AT_LIMIT * limits.speed_m_s, safe_m_s, -_STEP_M_S):
         progress(computed, computed + 1)
         computed += 1
-        hit = Hit(wall, first_mode(scenario), None, wall.foot(scenario.start))
+        hit = Hit(wall, scenario.first_mode, None, wall.foot(scenario.start))
         colliding = _flight(scenario, sight, float(speed), hit)
         if colliding is not None:
             break
-    best = best_of(scenario, free, colliding)
-    return QuickestResult(scenario, best, free, colliding, computed, 0, 0.0, time.perf_counter() - began)
+    return free, colliding, computed
 
 
-def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | None) -> QuickestPlan | None:
+def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | None) -> Plan | None:
     """Return the fastest flight that cruises at `speed_m_s` until the reaction ends."""
     (wall,) = scenario.walls.values()
     (nx, ny), (x, y) = wall.normal, wall.foot(scenario.start)
@@ -93,16 +81,15 @@ def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | N
     keep = (*room_of(scenario), HalfPlane(wall.normal, nx * x + ny * y + off_m))
     parts = (Part(Cruise(seen, (-speed_m_s * nx, -speed_m_s * ny)), keep), Part(hit, keep), Part(None, keep))
     # The cruise speed also limits the acceleration phase before it.
-    limits = msgspec.structs.replace(limits_of(scenario), speed_m_s=speed_m_s / _AT_LIMIT)
+    limits = msgspec.structs.replace(MotionLimits.from_scenario(scenario), speed_m_s=speed_m_s / _AT_LIMIT)
     problem = Problem(
         scenario.vehicle,
         scenario.start,
         scenario.goal.position_m,
         parts if hit else (parts[0], parts[2]),
         limits,
-        hit_limits_of(scenario),
+        HitLimits.from_scenario(scenario),
         scenario.vehicle.flying.replan_within_s,
     )
     found = solve(problem, POLISHED)
-    events = (hit,) if hit else ()
-    return None if found is None else QuickestPlan(found.time_s, found, events, speed_m_s)
+    return found and msgspec.structs.replace(found, cruise_m_s=speed_m_s)

@@ -18,10 +18,9 @@ from dart_flight.config.document import Document, InputError, dotted, replace_fi
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.mission_file import FlownRecord, Limits, TrajectoryPieces, WallSpec
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.lab.search.optimal_trajectory import ContactResponse, OptimalTrajectory, TrajectoryHit
-from dart_flight.lab.search.quickest import QuickestPlan
+from dart_flight.lab.search.optimal_trajectory import ContactResponse
+from dart_flight.lab.search.plan import Plan, PlannedCollision
 from dart_flight.lab.search.scenario import Scenario
-from dart_flight.lab.search.search import Plan, PlannedCollision
 from dart_flight.planning.task import drag_along
 from dart_flight.run.prepare import refuse_unflyable
 
@@ -31,9 +30,7 @@ _REST_S = 1.0  # rest at the start after a touch
 _LEAST_FRICTION_N = 2.0  # a smaller friction force cannot move the setpoint along the wall
 
 
-def mission_text(
-    scenario: Scenario, plan: Plan | QuickestPlan, target: Path, flown: FlownRecord | None = None
-) -> str:
+def mission_text(scenario: Scenario, plan: Plan, target: Path, flown: FlownRecord | None = None) -> str:
     """Return the text of the mission file; paths in it are relative to the folder of `target`."""
     spec = scenario.spec
     tree: dict[str, Any] = {"version": 1, "name": scenario.name}
@@ -51,8 +48,8 @@ def mission_text(
     }
     if spec.posts:
         tree["posts"] = spec.posts
-    if isinstance(plan, QuickestPlan):
-        tree |= trajectory_keys(scenario.vehicle, scenario.walls, plan.trajectory)
+    if plan.legs:
+        tree |= trajectory_keys(scenario.vehicle, scenario.walls, plan)
         if spec.touch_m_s is not None:
             tree |= _with_touches(tree["collisions"], spec.touch_m_s, spec.start.position_m)
     else:
@@ -68,12 +65,10 @@ def mission_text(
     return head + yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None)
 
 
-def trajectory_keys(
-    vehicle: VehicleConfig, walls: Mapping[str, Wall], trajectory: OptimalTrajectory
-) -> dict[str, Any]:
-    """Return the keys of a mission that flies to its collisions and its goal along trajectories."""
+def trajectory_keys(vehicle: VehicleConfig, walls: Mapping[str, Wall], plan: Plan) -> dict[str, Any]:
+    """Return the keys of a mission that flies to its collisions and its goal along a plan's trajectories."""
     collisions: list[dict[str, Any]] = []
-    for hit, leg in zip(trajectory.hits, trajectory.legs, strict=False):
+    for hit, leg in zip(plan.collisions, plan.legs, strict=False):
         body: dict[str, Any] = {"wall": hit.wall, "mode": hit.mode}
         if not collisions:
             velocity = (_short(hit.normal_m_s), _short(hit.tangential_m_s))
@@ -81,11 +76,11 @@ def trajectory_keys(
         gains = recovery_gains(vehicle, walls[hit.wall], hit)
         body["alpha_wall_m_per_n"] = [_short(alpha) for alpha in gains]
         body["trajectory"] = _rounded(leg)
-        body["predicted"] = _predicted(hit, hit.t_s, hit.contact_s)
+        body["predicted"] = _predicted(hit)
         collisions.append(body)
     return {
         "collisions": collisions,
-        "goal_trajectory": _rounded(trajectory.legs[-1]),
+        "goal_trajectory": _rounded(plan.legs[-1]),
         "after_impact": AfterImpact.REPLAN,
         "predicted": {"goal_miss_m": 0.0},
     }
@@ -119,7 +114,7 @@ def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
     return {name: [round(v, 5) + 0.0 for v in getattr(leg, name)] for name in vectors} | {"pieces": pieces}
 
 
-def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Vec2:
+def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: PlannedCollision) -> Vec2:
     """Return the gains (A_n, A_t) of a hit's recovery setpoint, m/N.
 
     The recovery setpoint is active from the peak of the hit until the replanned trajectory begins. The gains
@@ -130,6 +125,7 @@ def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Ve
     """
     response, px4 = ContactResponse.at_wall(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
+    assert hit.acceleration_m_s2 is not None
     thrust_n = hit.acceleration_m_s2[0] + drag_n * hit.normal_m_s
     thrust_t = hit.acceleration_m_s2[1] + drag_t * hit.tangential_m_s
     kept = math.exp(response.friction_s_per_m * hit.normal_m_s)
@@ -144,24 +140,24 @@ def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Ve
 def _collision(scenario: Scenario, plan: Plan, c: PlannedCollision) -> dict[str, Any]:
     body: dict[str, Any] = {"wall": c.wall, "mode": c.mode}
     if c is plan.collisions[0]:
-        body["approach"] = {"normal_m_s": plan.normal_m_s, "tangential_m_s": plan.tangential_m_s}
+        body["approach"] = {"normal_m_s": c.normal_m_s, "tangential_m_s": c.tangential_m_s}
     spec = scenario.spec
     if c.wall in spec.alpha_m_per_n:
         body["alpha_m_per_n"] = spec.alpha_m_per_n[c.wall]
     else:
         body["alpha_wall_m_per_n"] = spec.alpha_wall_m_per_n[c.wall]
-    body["predicted"] = _predicted(c, c.t_s, c.contact_time_s)
+    body["predicted"] = _predicted(c)
     return body
 
 
-def _predicted(hit: PlannedCollision | TrajectoryHit, t_s: float, contact_s: float) -> dict[str, Any]:
+def _predicted(hit: PlannedCollision) -> dict[str, Any]:
     return {
-        "t_s": _short(t_s),
+        "t_s": _short(hit.t_s),
         "position_m": [_short(v) for v in hit.position_m],
         "normal_m_s": _short(hit.normal_m_s),
         "tangential_m_s": _short(hit.tangential_m_s),
         "peak_force_n": _short(hit.peak_force_n),
-        "contact_time_s": _short(contact_s),
+        "contact_time_s": _short(hit.contact_time_s),
     }
 
 
@@ -174,7 +170,7 @@ class RefusedPlanError(InputError):
         return ": ".join(part for part in (dotted(self.key), self.message) if part)
 
 
-def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | None = None) -> Mission:
+def planned_mission(scenario: Scenario, plan: Plan, text: str | None = None) -> Mission:
     """Return the mission of a plan, parsed from its text (by default `mission_text`), once it is flyable.
 
     If `dry-run` would refuse the mission, `RefusedPlanError` is raised.
@@ -190,9 +186,7 @@ def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | N
     return mission
 
 
-def write_mission(
-    scenario: Scenario, plan: Plan | QuickestPlan, target: Path, flown: FlownRecord | None = None
-) -> str:
+def write_mission(scenario: Scenario, plan: Plan, target: Path, flown: FlownRecord | None = None) -> str:
     """Write the mission file, validated as by `dry-run`, and return its text.
 
     After a `RefusedPlanError` or a failed write, an existing file is kept.

@@ -16,7 +16,6 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,15 +29,20 @@ from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import collide, contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.trajectories import transit_time_s
+from dart_flight.lab.search.plan import MotionLimits, Plan, PlannedCollision
+from dart_flight.lab.search.scenario import Scenario
 from dart_flight.planning.polynomials import quintic
 from dart_flight.planning.task import drag_along
 
 Array = NDArray[np.float64]
 
 INTERVALS = 10  # of a part between two events
+POLISHED = 3 * INTERVALS
 _ANY_JERK_M_S3 = 200.0  # limit if none is given
 _LONGEST_S = 30.0  # of a part
 _LEAST_S = 0.05  # initial guess of a part's shortest duration
+_FORCE_USED = 0.8  # share of limits.peak_force_n, because the stiffness is known to some 15 %
+_FRICTION_RATIO = 0.5  # default, because friction was measured at half a metre per second
 _SMOOTH = 1e-5  # s per (m/s3)^2 s; prefers the smoother of two equally fast flights
 _GUESSED_M_S, _GUESSED_LEFT = 1.5, 0.7  # initial guess of a hit's speed and of its restitution
 _THRUST_M_S2 = {Mode.FLEXIBLE: (-0.05, 0.2), Mode.RIGID: (-0.05, 1.0)}  # see `HitLimits`
@@ -47,15 +51,6 @@ _SOLVER: dict[str, Any] = {
     "no_nlp_grad": True,  # expensive, and unused by IPOPT
     "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 250},
 }
-
-
-class MotionLimits(msgspec.Struct, frozen=True):
-    """The limits of a trajectory; None for `jerk_m_s3` means that the jerk is not limited."""
-
-    speed_m_s: float
-    acceleration_m_s2: float
-    jerk_m_s3: float | None
-    tilt_deg: float
 
 
 class HitLimits(NamedTuple):
@@ -81,6 +76,17 @@ class HitLimits(NamedTuple):
     detectable_n: float
     thrust_m_s2: Mapping[Mode, Vec2] = _THRUST_M_S2
     thrust_along_m_s2: float = 1.0
+
+    @classmethod
+    def from_scenario(cls, scenario: Scenario) -> HitLimits:
+        limits = scenario.limits
+        return cls(
+            _FORCE_USED * limits.peak_force_n,
+            limits.closing_m_s,
+            limits.sliding_m_s,
+            _FRICTION_RATIO if limits.friction_ratio is None else limits.friction_ratio,
+            scenario.vehicle.detection.force_threshold_n,
+        )
 
 
 class ContactResponse(NamedTuple):
@@ -204,36 +210,6 @@ class Problem(NamedTuple):
     limits: MotionLimits
     hits: HitLimits
     dead_s: float
-
-
-class TrajectoryHit(msgspec.Struct, frozen=True):
-    """A hit of a trajectory; velocities are in the wall's collision frame.
-
-    Attributes:
-        t_s: time from the start of the trajectory to the onset.
-        position_m: position of the vehicle's centre at the onset, mission frame.
-        acceleration_m_s2: acceleration at the onset, along normal and tangent.
-    """
-
-    wall: str
-    mode: Mode
-    t_s: float
-    position_m: Vec2
-    normal_m_s: float
-    tangential_m_s: float
-    acceleration_m_s2: Vec2
-    peak_force_n: float
-    peak_friction_n: float
-    contact_s: float
-
-
-class OptimalTrajectory(msgspec.Struct, frozen=True):
-    """The fastest flight found; `legs` has one more element than `hits`."""
-
-    time_s: float
-    legs: tuple[TrajectoryPieces, ...]
-    hits: tuple[TrajectoryHit, ...]
-    visits_s: tuple[float, ...]  # passage of each visit; a visit served by a hit is passed at the onset
 
 
 class _Transcription:
@@ -393,7 +369,7 @@ def _quintic_states(begin: _GuessedEnd, end: _GuessedEnd, duration_s: float, n: 
     return np.stack([axes[axis][order] for order in range(3) for axis in range(2)])
 
 
-def solve(problem: Problem, intervals: int = INTERVALS, tolerance: float = 1e-6) -> OptimalTrajectory | None:
+def solve(problem: Problem, intervals: int = INTERVALS, tolerance: float = 1e-6) -> Plan | None:
     """Return the fastest flight through the events of a problem; None if the solver fails.
 
     Args:
@@ -423,7 +399,7 @@ def solve(problem: Problem, intervals: int = INTERVALS, tolerance: float = 1e-6)
     if not solver.stats()["success"]:
         return None
     values = casadi.Function("values", [x], [*t.times, *t.states, *t.jerks])(found["x"])
-    return _as_trajectory(problem, intervals, [np.array(v) for v in values])
+    return _as_plan(problem, intervals, [np.array(v) for v in values])
 
 
 def _is_possible(vehicle: VehicleConfig, event: Event | None) -> bool:
@@ -433,12 +409,12 @@ def _is_possible(vehicle: VehicleConfig, event: Event | None) -> bool:
     return math.isfinite(response.contact_s) and response.restitution > 0.0
 
 
-def _as_trajectory(problem: Problem, n: int, values: list[Array]) -> OptimalTrajectory:
+def _as_plan(problem: Problem, n: int, values: list[Array]) -> Plan:
     count = len(problem.parts)
     durations = [float(v[0, 0]) for v in values[:count]]
     states, jerks = values[count : 2 * count], values[2 * count :]
     legs: list[TrajectoryPieces] = []
-    hits: list[TrajectoryHit] = []
+    hits: list[PlannedCollision] = []
     visits: list[float] = []
     now, pieces, begin = 0.0, [], states[0][:, 0]
     for i, part in enumerate(problem.parts):
@@ -454,7 +430,18 @@ def _as_trajectory(problem: Problem, n: int, values: list[Array]) -> OptimalTraj
             hits.append(_hit(part.to, problem.vehicle, now, states[i][:, -1]))
             now += response.contact_s + problem.dead_s
             begin = states[i + 1][:, 0]
-    return OptimalTrajectory(now, tuple(legs), tuple(hits), tuple(visits))
+    return Plan(
+        rank=1,
+        score=now,
+        goal_miss_m=0.0,
+        time_to_goal_s=now,
+        peak_force_n=max((math.hypot(hit.peak_force_n, hit.peak_friction_n) for hit in hits), default=0.0),
+        closest_m=problem.goal,
+        collisions=tuple(hits),
+        time_to_rest_s=now,
+        visits_s=tuple(visits),
+        legs=tuple(legs),
+    )
 
 
 def _leg(begin: Array, pieces: list[tuple[float, float, float]]) -> TrajectoryPieces:
@@ -469,21 +456,21 @@ def _leg(begin: Array, pieces: list[tuple[float, float, float]]) -> TrajectoryPi
     return TrajectoryPieces((x, y), joined, (vx, vy), (ax, ay))
 
 
-def _hit(event: Hit, vehicle: VehicleConfig, t_s: float, state: Array) -> TrajectoryHit:
+def _hit(event: Hit, vehicle: VehicleConfig, t_s: float, state: Array) -> PlannedCollision:
     x, y, vx, vy, ax, ay = (float(v) for v in state)
     normal, tangential, _ = event.wall.to_collision((vx, vy, 0.0))
     pushed = event.wall.to_collision((ax, ay, 0.0))
     coefficients = vehicle.materials[event.wall.material].coefficients(event.mode)
     hit = collide(coefficients, vehicle.airframe.mass_kg, normal, tangential, Onset(vehicle.onset))
-    return TrajectoryHit(
-        event.wall.name,
-        event.mode,
-        t_s,
-        (x, y),
-        normal,
-        tangential,
-        (pushed[0], pushed[1]),
-        hit.peak_normal_force_n,
-        hit.peak_friction_force_n,
-        hit.contact_time_s,
+    return PlannedCollision(
+        wall=event.wall.name,
+        mode=event.mode,
+        t_s=t_s,
+        position_m=(x, y),
+        normal_m_s=normal,
+        tangential_m_s=tangential,
+        peak_force_n=hit.peak_normal_force_n,
+        peak_friction_n=hit.peak_friction_force_n,
+        contact_time_s=hit.contact_time_s,
+        acceleration_m_s2=(pushed[0], pushed[1]),
     )

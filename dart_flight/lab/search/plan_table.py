@@ -10,10 +10,9 @@ import msgspec
 from rich.table import Table
 
 from dart_flight.config.packages import install_command
-from dart_flight.lab.search.free_plan import FreePlan, limits_of
-from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
+from dart_flight.lab.search.plan import FreeTime, MotionLimits, Plan, SearchResult
 from dart_flight.lab.search.scenario import Objective, Scenario
-from dart_flight.lab.search.search import ADVICE, Plan, SearchResult
+from dart_flight.lab.search.search import ADVICE
 
 _FORCE = "peak (normal,\nalong) N"  # the force that limits.peak_force_n limits, and its parts
 _SHOWN_S = 0.005  # a smaller gap is not shown
@@ -36,6 +35,11 @@ def plan_summary(result: SearchResult, refused: Mapping[int, str] | None = None)
     `refused` gives the reason for each plan whose mission is refused, by rank.
     """
     missions = {"mission": {"count": len(refused), "advice": "; ".join(refused.values())}} if refused else {}
+    free: FreeTime | dict[str, Any] | None = result.free_time
+    if result.free is not None:
+        limits = MotionLimits.from_scenario(result.scenario)
+        free = {"time_s": result.free.time_to_goal_s, "limits": limits, "cruise_m_s": result.free.cruise_m_s}
+    shown = [name for name in Plan.__struct_fields__ if name != "legs"]  # `-o` writes the trajectories
     return {
         "scenario": result.scenario.name,
         "objective": result.scenario.objective.value,
@@ -49,8 +53,10 @@ def plan_summary(result: SearchResult, refused: Mapping[int, str] | None = None)
         }
         | missions,
         "elapsed_s": result.elapsed_s,
-        "free": result.free,
-        "plans": result.plans,
+        "gap_s": result.gap_s,
+        "most_hits": result.most_hits,
+        "free": free,
+        "plans": [{name: getattr(plan, name) for name in shown} for plan in result.plans],
         "vehicle": result.scenario.vehicle_source,
     }
 
@@ -88,10 +94,10 @@ def plan_table(result: SearchResult) -> Table:
         f"{result.feasible} of {result.candidates} candidates feasible, {result.trajectories} trajectories "
         f"in {result.elapsed_s:.3f} s"
     )
-    edge = _at_edge(result.scenario, result.plans[0])
+    edge = _at_edge(result.scenario, result.best)
     if edge:
         table.caption += f"\nplan 1 is at the edge of `search` ({edge}): a wider grid may have a better one"
-    table.caption += "\n" + describe_free(result.free, result.plans[0])
+    table.caption += "\n" + describe_free(result.free_time, result.best)
     table.caption_justify = "left"
     return table
 
@@ -101,7 +107,7 @@ def _at_edge(scenario: Scenario, best: Plan) -> str:
     spec = scenario.spec.search
     if spec is None:
         return ""
-    chosen = {"normal_m_s": best.normal_m_s, "tangential_m_s": best.tangential_m_s}
+    chosen = {name: getattr(best.collisions[0], name) for name in ("normal_m_s", "tangential_m_s")}
     grids = {name: getattr(spec, name) for name in chosen}
     return ", ".join(
         f"{name} {value:g}"
@@ -110,7 +116,7 @@ def _at_edge(scenario: Scenario, best: Plan) -> str:
     )
 
 
-def describe_free(free: FreePlan | None, best: Plan) -> str:
+def describe_free(free: FreeTime | None, best: Plan) -> str:
     if free is None:
         return (
             "without any collision: the time is unknown, because ruckig is not installed: "
@@ -118,14 +124,8 @@ def describe_free(free: FreePlan | None, best: Plan) -> str:
         )
     if free.time_s is None:
         return "without any collision: no path reaches the goal"
-    limits, gap = free.limits, ""
-    if free.gap_s > _SHOWN_S:
-        gap = f", {free.time_s - free.gap_s:.2f} s at best"
-    jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
-    text = (
-        f"without any collision: {free.time_s:.2f} s{gap} "
-        f"({limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk})"
-    )
+    gap = f", {free.time_s - free.gap_s:.2f} s at best" if free.gap_s > _SHOWN_S else ""
+    text = f"without any collision: {free.time_s:.2f} s{gap} ({_limits(free.limits)})"
     if best.saving_s is None or best.time_to_rest_s is None:
         return text
     verb = "would save" if best.saving_s > 0.0 else "would lose"
@@ -134,82 +134,52 @@ def describe_free(free: FreePlan | None, best: Plan) -> str:
     )
 
 
-def quickest_summary(result: QuickestResult) -> dict[str, Any]:
-    """Return the object of `plan --json` for the objective quickest."""
-    limits = limits_of(result.scenario)
-    return {
-        "scenario": result.scenario.name,
-        "objective": result.scenario.objective.value,
-        "elapsed_s": result.elapsed_s,
-        "computed": result.computed,
-        "pruned": result.pruned,
-        "gap_s": result.gap_s,
-        "most_hits": result.most_hits,
-        "free": result.free
-        and {"time_s": result.free.time_s, "limits": limits, "cruise_m_s": result.free.cruise_m_s},
-        "plans": [
-            {
-                "time_to_goal_s": plan.time_s,
-                "saving_s": result.free and result.free.time_s - plan.time_s,
-                "collisions": plan.trajectory.hits,
-                "visits_s": plan.trajectory.visits_s,
-                "cruise_m_s": plan.cruise_m_s,
-            }
-            for plan in _in_order(result)
-        ],
-        "vehicle": result.scenario.vehicle_source,
-    }
+def _limits(limits: MotionLimits) -> str:
+    jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
+    return f"{limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}"
 
 
-def _in_order(result: QuickestResult) -> list[QuickestPlan]:
-    others = (plan for plan in (result.free, result.colliding) if plan is not None and plan != result.best)
-    return [result.best, *others]
-
-
-def quickest_table(result: QuickestResult) -> Table:
+def quickest_table(result: SearchResult) -> Table:
     """Return a table of the hits of the best plan and of the other plan, if there is another plan."""
     table = Table(title=f"{result.scenario.name}: quickest", title_justify="left", box=None, pad_edge=False)
     for column in ("", "wall", "mode"):
         table.add_column(column, overflow="fold")
     for column in ("at\ns", "normal\nm/s", "along\nm/s", _FORCE, "goal\ns"):
         table.add_column(column, justify="right", no_wrap=True)
-    for rank, plan in enumerate(_in_order(result), start=1):
-        if not plan.trajectory.hits:
-            table.add_row(str(rank), "no collision", "", "", "", "", "", f"{plan.time_s:.2f}")
-        for i, hit in enumerate(plan.trajectory.hits):
-            figures = (hit.t_s, hit.normal_m_s, hit.tangential_m_s)
-            row = [str(rank) if i == 0 else "", hit.wall, hit.mode.value, *(f"{v:.2f}" for v in figures)]
-            row.append(_force(hit.peak_force_n, hit.peak_friction_n))
-            table.add_row(*row, f"{plan.time_s:.2f}" if i == 0 else "")
+    for plan in result.plans:
+        goal_s = f"{plan.time_to_goal_s:.2f}"
+        if not plan.collisions:
+            table.add_row(str(plan.rank), "no collision", "", "", "", "", "", goal_s)
+        for i, c in enumerate(plan.collisions):
+            figures = (c.t_s, c.normal_m_s, c.tangential_m_s)
+            row = [str(plan.rank) if i == 0 else "", c.wall, c.mode.value, *(f"{v:.2f}" for v in figures)]
+            table.add_row(*row, _force(c.peak_force_n, c.peak_friction_n), goal_s if i == 0 else "")
     return table
 
 
-def describe_quickest(result: QuickestResult) -> str:
+def describe_quickest(result: SearchResult) -> str:
     """Return a sentence that compares the colliding plan with the free plan."""
-    limits, gap = limits_of(result.scenario), ""
-    jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
-    text = f"planned, at {limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}: "
-    if result.free is None:
+    free, hits, saving_s, gap = result.free, result.colliding, result.saving_s, ""
+    text = f"planned, at {_limits(MotionLimits.from_scenario(result.scenario))}: "
+    if free is None:
         text += "the goal cannot be reached without a collision"
-    elif result.saving_s is None:
-        text += f"{result.free.time_s:.2f} s without a collision; no flight with collisions can be faster"
+    elif hits is None or saving_s is None:
+        text += f"{free.time_to_goal_s:.2f} s without a collision; no flight with collisions can be faster"
     else:
-        verb = "would save" if result.saving_s > 0.0 else "would lose"
-        share = abs(result.saving_s) / result.free.time_s
-        text += (
-            f"{result.free.time_s:.2f} s without a collision; colliding {verb} {abs(result.saving_s):.2f} s"
-        )
-        text += f" ({share:.0%})"
-        if result.saving_s < 0.0 and result.best is result.colliding:
+        verb = "would save" if saving_s > 0.0 else "would lose"
+        text += f"{free.time_to_goal_s:.2f} s without a collision; colliding {verb} {abs(saving_s):.2f} s"
+        text += f" ({abs(saving_s) / free.time_to_goal_s:.0%})"
+        if saving_s < 0.0 and result.best is hits:
             text += "; the scenario requires the collisions"
-    if result.free and result.free.cruise_m_s is not None:
-        cruises = [f"{plan.cruise_m_s:.2f}" for plan in (result.free, result.colliding) if plan is not None]
+    if free and free.cruise_m_s is not None:
+        cruises = [f"{plan.cruise_m_s:.2f}" for plan in (free, hits) if plan is not None]
         text += f"; the cruise speed until the wall comes into sight is {' and '.join(cruises)} m/s"
     if result.gap_s > _SHOWN_S:
         gap = f"; sequences that were not computed could be faster by at most {result.gap_s:.2f} s"
     if result.most_hits is not None:
         gap += f"; sequences of more than {result.most_hits} hits were not computed"
-    return f"{text}; {result.computed} sequences computed, {result.pruned} ruled out{gap}"
+    ruled_out = result.candidates - result.trajectories
+    return f"{text}; {result.trajectories} sequences computed, {ruled_out} ruled out{gap}"
 
 
 def _force(normal_n: float, friction_n: float) -> str:

@@ -22,20 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.base.geometry import Vec2, distance2
-from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
-from dart_flight.lab.search.free_plan import limits_of
+from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.optimal_trajectory import (
     INTERVALS,
+    POLISHED,
     ContactResponse,
     Event,
-    HalfPlane,
     Hit,
     HitLimits,
-    MotionLimits,
-    OptimalTrajectory,
     Part,
     Problem,
     RouteCorner,
@@ -43,7 +40,8 @@ from dart_flight.lab.search.optimal_trajectory import (
     most_sliding_m_s,
     solve,
 )
-from dart_flight.lab.search.routes import Obstacles, regions, shortest_path
+from dart_flight.lab.search.plan import MotionLimits, Plan, SearchResult
+from dart_flight.lab.search.routes import Obstacles, regions, room_of, shortest_path
 from dart_flight.lab.search.scenario import Scenario
 
 Progress = Callable[[int, int], None]
@@ -51,9 +49,6 @@ Array = NDArray[np.float64]
 
 MOST_HITS = 16  # limit of the search; longer sequences count as not computed (`gap_s`)
 _TOLERANCE_USED = 0.8  # share of a visit's tolerance; the rest is a margin for tracking errors
-_FORCE_USED = 0.8  # share of limits.peak_force_n, because the stiffness is known to some 15 %
-_FRICTION_RATIO = 0.5  # default, because friction was measured at half a metre per second
-POLISHED = 3 * INTERVALS
 _COMPARED_TO, _POLISHED_TO = 1e-4, 1e-6  # tolerance of the solver
 _SWEEPS = 12  # iterations for the shortest path through discs and walls
 _SLACK = 0.98  # factor on a leg's length, because the iterations end slightly above the shortest path
@@ -61,128 +56,58 @@ _REVERSAL_COSINE = -0.9  # cosine between two legs below which the path reverses
 _SPEEDS = 61
 _TRIED_IN_OTHER_MODE = 3  # number of the fastest sequences that are also tried in other modes
 _SEARCHED = 0.94  # share of the time for the search; the rest is for polishing
-_OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
-
-
-class QuickestPlan(msgspec.Struct, frozen=True):
-    """A flight with or without hits.
-
-    In a scenario with `sight`, `cruise_m_s` is the speed until the vehicle reacts to the detected wall.
-    """
-
-    time_s: float
-    trajectory: OptimalTrajectory
-    events: tuple[Event, ...]
-    cruise_m_s: float | None = None
-
-    @property
-    def sequence(self) -> tuple[str, ...]:
-        """The walls in the order of the hits."""
-        return tuple(hit.wall for hit in self.trajectory.hits)
-
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        return tuple(hit.mode for hit in self.trajectory.hits)
-
-
-class QuickestResult(msgspec.Struct, frozen=True):
-    """The result of a search with the objective quickest.
-
-    Attributes:
-        best: the fastest plan that the scenario allows.
-        free: the fastest plan without a hit; None if there is no path or a place is reachable only by a hit.
-        colliding: the fastest plan with hits; None if no plan with hits can be faster than the free plan.
-        computed, pruned: number of computed sequences, and number of sequences excluded by their bounds.
-        gap_s: largest time by which one of the sequences not computed could be faster than the best plan.
-        most_hits: limit of the search on the number of hits, if a sequence with more hits could be faster
-            than the best plan.
-    """
-
-    scenario: Scenario
-    best: QuickestPlan
-    free: QuickestPlan | None
-    colliding: QuickestPlan | None
-    computed: int
-    pruned: int
-    gap_s: float
-    elapsed_s: float
-    most_hits: int | None = None
-
-    @property
-    def saving_s(self) -> float | None:
-        """The free plan's time minus the colliding plan's; negative if the colliding plan is slower."""
-        if self.free is None or self.colliding is None:
-            return None
-        return self.free.time_s - self.colliding.time_s
 
 
 def plan_quickest(
     scenario: Scenario, within_s: float = math.inf, progress: Progress = lambda done, of: None
-) -> QuickestResult:
+) -> SearchResult:
     """Search a scenario with the objective `quickest`.
 
     The plan must hit the walls of the scenario's sequence, if there is a sequence.
 
     Args:
-        within_s: time limit of the search; the best plan found until then is refined and returned.
+        within_s: time limit of the search; the best plan found until then is refined and returned. A search
+            with `sight` has no limit.
         progress: called with the number of computed sequences and the number of known sequences.
+
+    Raises:
+        InputError: no flight within the limits satisfies the scenario.
     """
     began = time.perf_counter()
+    if scenario.sight is not None:
+        free, colliding, computed = plan_limited_sight(scenario, scenario.sight, progress)
+        plans = _ranked(scenario, free, colliding)
+        return SearchResult(scenario, plans, computed, len(plans), computed, time.perf_counter() - began)
     search = _Search(scenario)
     search.run(lambda: time.perf_counter() - began > _SEARCHED * within_s, progress)
-    best = best_of(scenario, search.free, search.colliding)
-    return QuickestResult(
+    plans = _ranked(scenario, search.polished(search.free), search.polished(search.colliding))
+    return SearchResult(
         scenario,
-        best,
-        search.free,
-        search.colliding,
-        search.computed,
-        search.pruned,
-        max(0.0, best.time_s - search.least_open_s) if search.least_open_s < math.inf else 0.0,
-        time.perf_counter() - began,
-        MOST_HITS if search.left_out_s < best.time_s else None,
+        plans,
+        candidates=search.computed + search.pruned,
+        feasible=search.feasible,
+        trajectories=search.computed,
+        elapsed_s=time.perf_counter() - began,
+        gap_s=max(0.0, plans[0].time_to_goal_s - search.least_open_s),
+        most_hits=MOST_HITS if search.left_out_s < plans[0].time_to_goal_s else None,
     )
 
 
-def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPlan | None) -> QuickestPlan:
-    """Return the fastest plan that a scenario allows; refuse a scenario that allows neither."""
+def _ranked(scenario: Scenario, free: Plan | None, colliding: Plan | None) -> tuple[Plan, ...]:
+    """Return the plans in order, with what they save; refuse a scenario that allows neither."""
     demanded = _demanded(scenario)
-    found = [colliding] if demanded else [free, colliding]
-    best = min((plan for plan in found if plan is not None), key=lambda plan: plan.time_s, default=None)
-    if best is not None:
-        return best
-    if demanded:
+    plans = [plan for plan in (free, colliding) if plan is not None]
+    if demanded and colliding is None:
         problem = f"no feasible trajectory hits {', '.join(demanded)} and rests at the goal within the limits"
-    else:
+        raise InputError(problem, source=scenario.source, key=("limits",))
+    if not plans:
         problem = "no feasible trajectory visits every place and rests at the goal within limits and bounds"
-    raise InputError(problem, source=scenario.source, key=("limits",))
-
-
-def hit_limits_of(scenario: Scenario) -> HitLimits:
-    limits = scenario.limits
-    return HitLimits(
-        _FORCE_USED * limits.peak_force_n,
-        limits.closing_m_s,
-        limits.sliding_m_s,
-        _FRICTION_RATIO if limits.friction_ratio is None else limits.friction_ratio,
-        scenario.vehicle.detection.force_threshold_n,
+        raise InputError(problem, source=scenario.source, key=("limits",))
+    plans.sort(key=lambda plan: (bool(demanded) and plan is free, plan.time_to_goal_s))
+    return tuple(
+        msgspec.structs.replace(plan, rank=rank, saving_s=free and free.time_to_goal_s - plan.time_to_goal_s)
+        for rank, plan in enumerate(plans, start=1)
     )
-
-
-def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:
-    """Return the bounds as half-planes, moved inwards by the margin `_OFF_BOUNDS_M`."""
-    (x0, x1), (y0, y1) = scenario.bounds.x, scenario.bounds.y
-    return (
-        HalfPlane((1.0, 0.0), x0 + _OFF_BOUNDS_M),
-        HalfPlane((-1.0, 0.0), -x1 + _OFF_BOUNDS_M),
-        HalfPlane((0.0, 1.0), y0 + _OFF_BOUNDS_M),
-        HalfPlane((0.0, -1.0), -y1 + _OFF_BOUNDS_M),
-    )
-
-
-def first_mode(scenario: Scenario) -> Mode:
-    """Return the mode to try first: the mode in which a hit loses the least velocity."""
-    return Mode.FLEXIBLE if Mode.FLEXIBLE in scenario.modes else scenario.modes[0]
 
 
 def _demanded(scenario: Scenario) -> tuple[str, ...]:
@@ -257,13 +182,13 @@ class _Search:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.vehicle, self.walls = scenario.vehicle, tuple(scenario.walls.values())
-        self.limits = limits_of(scenario)
-        self.hits = hit_limits_of(scenario)
+        self.limits = MotionLimits.from_scenario(scenario)
+        self.hits = HitLimits.from_scenario(scenario)
         self.dead_s = self.vehicle.flying.replan_within_s
-        self.free: QuickestPlan | None = None
-        self.colliding: QuickestPlan | None = None
+        self.free: tuple[Event, ...] = tuple(self._visits())
+        self.colliding: tuple[Event, ...] | None = None
         self.computed = self.pruned = 0
-        self._compared: dict[tuple[Event, ...], QuickestPlan | None] = {}
+        self._compared: dict[tuple[Event, ...], Plan | None] = {}
         self.least_open_s = self.left_out_s = math.inf  # lowest bounds: not computed, too many hits
         # Every bound needs the responses, so compute them once.
         self._responses = {
@@ -279,8 +204,8 @@ class _Search:
 
         The search ends when no remaining sequence can be faster than the best plan, or `enough` returns True.
         """
-        self.free = self._solved(tuple(self._visits()))
-        tie, found = itertools.count(), list[QuickestPlan]()
+        self._solved(self.free)
+        tie, found = itertools.count(), list[tuple[Event, ...]]()
         open_ = list[tuple[float, int, tuple[Event, ...]]]()
         seen = set[tuple[Event, ...]]()
 
@@ -308,24 +233,23 @@ class _Search:
                 self.least_open_s = min(self.least_open_s, bound_s)
                 break
             if self._is_wanted(events):
-                plan = self._solved(events)
-                found += [] if plan is None else [plan]
-                self.colliding = min(plan, self.colliding, key=_time_s)
+                found.append(events)
+                self.colliding = min(events, self.colliding, key=self._time_s)
             for more in self._with_one_more(events):
                 put(more)
         self.least_open_s = min(self.least_open_s, self.left_out_s)
         # Another mode may make the second or third sequence the fastest.
-        for plan in sorted(found, key=_time_s)[:_TRIED_IN_OTHER_MODE]:
+        feasible = [events for events in found if self._solved(events) is not None]
+        for events in sorted(feasible, key=self._time_s)[:_TRIED_IN_OTHER_MODE]:
             for mode in self.scenario.modes:
-                events = tuple(e._replace(mode=mode) if isinstance(e, Hit) else e for e in plan.events)
-                self.colliding = min(self._solved(events), self.colliding, key=_time_s)
+                other = tuple(e._replace(mode=mode) if isinstance(e, Hit) else e for e in events)
+                self.colliding = min(other, self.colliding, key=self._time_s)
         if self.colliding is not None:
             self.colliding = self._with_best_modes(self.colliding)
-        self.free, self.colliding = self._polished(self.free), self._polished(self.colliding)
 
     def _to_beat_s(self) -> float:
-        found = [self.colliding] if self._demanded else [self.free, self.colliding]
-        return min((plan.time_s for plan in found if plan is not None), default=math.inf)
+        free_s = math.inf if self._demanded else self._time_s(self.free)
+        return min(free_s, self._time_s(self.colliding))
 
     # -- sequences --
 
@@ -337,7 +261,7 @@ class _Search:
 
         The vehicle passes a visit in flight, or by a hit if the visit lies at a wall.
         """
-        mode = first_mode(self.scenario)
+        mode = self.scenario.first_mode
         choices: list[list[Event]] = [
             [visit, *(Hit(wall, mode, visit) for wall in self.walls if _serves(wall, visit))]
             for visit in self._visits()
@@ -349,7 +273,7 @@ class _Search:
     def _with_one_more(self, events: tuple[Event, ...]) -> Iterator[tuple[Event, ...]]:
         """Yield the events with one more hit before, between or after them."""
         for wall, k in itertools.product(self.walls, range(len(events) + 1)):
-            more = (*events[:k], Hit(wall, first_mode(self.scenario)), *events[k:])
+            more = (*events[:k], Hit(wall, self.scenario.first_mode), *events[k:])
             if not _repeats(more) and self._may_be_wanted(more):
                 yield more
 
@@ -416,7 +340,7 @@ class _Search:
 
     # -- flights --
 
-    def _solved(self, events: tuple[Event, ...]) -> QuickestPlan | None:
+    def _solved(self, events: tuple[Event, ...]) -> Plan | None:
         """Return the plan of a sequence, for comparison with other sequences; it is computed once and kept.
 
         Its duration is inaccurate by a few milliseconds.
@@ -425,17 +349,18 @@ class _Search:
             self._compared[events] = self._computed_plan(events, INTERVALS, _COMPARED_TO)
         return self._compared[events]
 
-    def _computed_plan(
-        self, events: tuple[Event, ...], intervals: int, tolerance: float
-    ) -> QuickestPlan | None:
+    def _time_s(self, events: tuple[Event, ...] | None) -> float:
+        """Return the duration of a sequence's plan; infinite without a plan."""
+        plan = None if events is None else self._solved(events)
+        return math.inf if plan is None else plan.time_to_goal_s
+
+    def _computed_plan(self, events: tuple[Event, ...], intervals: int, tolerance: float) -> Plan | None:
         problem = self._problem(events)
         if problem is None:
             return None
         self.computed += 1
         found = solve(problem, intervals, tolerance)
-        if found is None or not self._servo_has_time(found):
-            return None
-        return QuickestPlan(found.time_s, found, events)
+        return found if found is not None and self._servo_has_time(found) else None
 
     def _problem(self, events: Sequence[Event]) -> Problem | None:
         """Return the optimal control problem whose parts end at the events and at the path's corners.
@@ -461,33 +386,36 @@ class _Search:
             self.vehicle, self.scenario.start, self._goal, tuple(parts), self.limits, self.hits, self.dead_s
         )
 
-    def _servo_has_time(self, found: OptimalTrajectory) -> bool:
+    def _servo_has_time(self, plan: Plan) -> bool:
         """Return whether the lock settles before each hit whose mode differs from the previous hit's mode."""
         lock = self.vehicle.lock
         if lock is None:
             return True
         needed_s = lock.relaxation_s + lock.servo.full_travel_s + SETTLED_BEFORE_S
         return all(
-            a.mode is b.mode or b.t_s - (a.t_s + a.contact_s) >= needed_s
-            for a, b in itertools.pairwise(found.hits)
+            a.mode is b.mode or b.t_s - (a.t_s + a.contact_time_s) >= needed_s
+            for a, b in itertools.pairwise(plan.collisions)
         )
 
-    def _with_best_modes(self, plan: QuickestPlan) -> QuickestPlan:
-        """Return the plan with the faster mode for each hit, examined one after the other."""
-        for k, mode in itertools.product(range(len(plan.events)), self.scenario.modes):
-            event = plan.events[k]
+    def _with_best_modes(self, events: tuple[Event, ...]) -> tuple[Event, ...]:
+        """Return the events with the faster mode for each hit, examined one after the other."""
+        for k, mode in itertools.product(range(len(events)), self.scenario.modes):
+            event = events[k]
             if isinstance(event, Hit) and event.mode is not mode:
-                other = self._solved((*plan.events[:k], event._replace(mode=mode), *plan.events[k + 1 :]))
-                if other is not None and other.time_s < plan.time_s:
-                    plan = other
-        return plan
+                other = (*events[:k], event._replace(mode=mode), *events[k + 1 :])
+                events = min(events, other, key=self._time_s)
+        return events
 
-    def _polished(self, plan: QuickestPlan | None) -> QuickestPlan | None:
-        return plan and (self._computed_plan(plan.events, POLISHED, _POLISHED_TO) or plan)
+    def polished(self, events: tuple[Event, ...] | None) -> Plan | None:
+        """Return the plan of a sequence, computed with more intervals."""
+        if events is None or (plan := self._solved(events)) is None:
+            return None
+        return self._computed_plan(events, POLISHED, _POLISHED_TO) or plan
 
-
-def _time_s(plan: QuickestPlan | None) -> float:
-    return math.inf if plan is None else plan.time_s
+    @property
+    def feasible(self) -> int:
+        """The number of sequences that have a plan."""
+        return sum(plan is not None for plan in self._compared.values())
 
 
 def _walls_hit(events: Sequence[Event]) -> tuple[str, ...]:

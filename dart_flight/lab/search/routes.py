@@ -24,8 +24,20 @@ from dart_flight.lab.search.scenario import Scenario
 _PAST_END_M = 0.12  # margin beyond half a vehicle, for a longer wall and for tracking errors
 _AFTER_HIT_M = 0.05  # additional margin after a hit, whose outgoing velocity is uncertain
 _ON_LINE_M = 0.01  # distance of a path's corner from the edge of its half-planes
+_OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
 _AROUND = 8  # corners of the polyline around a post
 TOUCH_M = 0.01  # distance that a path to a place at a wall keeps from the wall's plane
+
+
+def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:
+    """Return the bounds as half-planes, moved inwards by the margin `_OFF_BOUNDS_M`."""
+    (x0, x1), (y0, y1) = scenario.bounds.x, scenario.bounds.y
+    return (
+        HalfPlane((1.0, 0.0), x0 + _OFF_BOUNDS_M),
+        HalfPlane((-1.0, 0.0), -x1 + _OFF_BOUNDS_M),
+        HalfPlane((0.0, 1.0), y0 + _OFF_BOUNDS_M),
+        HalfPlane((0.0, -1.0), -y1 + _OFF_BOUNDS_M),
+    )
 
 
 class Obstacles(NamedTuple):
@@ -37,8 +49,7 @@ class Obstacles(NamedTuple):
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Obstacles:
-        airframe = scenario.vehicle.airframe
-        kept_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m) + CLEARANCE_M
+        kept_m = scenario.vehicle.airframe.corner_m + CLEARANCE_M
         discs = (Disc(post.centre, post.radius_m + kept_m) for post in scenario.posts)
         return cls(tuple(scenario.walls.values()), tuple(discs), scenario.bounds)
 
@@ -68,8 +79,9 @@ def least_length_m(begin: Vec2, end: Vec2, obstacles: Obstacles) -> float:
     """
     tips: list[Vec2] = []
     for wall in obstacles.walls:
-        edge, past_m = _edge(wall), wall.half_vehicle_m + _PAST_END_M
-        tips += [_moved_along(wall, tip, side * past_m) for side, tip in zip((-1.0, 1.0), edge, strict=True)]
+        past_m, (tx, ty) = wall.half_vehicle_m + _PAST_END_M, wall.tangent
+        (lx, ly), (rx, ry) = _surface_ends(wall)
+        tips += [(lx - past_m * tx, ly - past_m * ty), (rx + past_m * tx, ry + past_m * ty)]
     path = _shortest_through(
         [begin, end, *tips], lambda a, b: any(_crosses(w, a, b) for w in obstacles.walls)
     )
@@ -100,34 +112,21 @@ def _shortest_through(places: Sequence[Vec2], blocked: Callable[[Vec2, Vec2], bo
     return [places[k] for k in reversed(path)]
 
 
-def _edge(wall: Wall) -> tuple[Vec2, Vec2]:
+def _surface_ends(wall: Wall) -> tuple[Vec2, Vec2]:
     """Return the ends of a wall's surface. The surface is half a vehicle behind the wall's plane."""
-    (nx, ny), back = wall.normal, wall.half_vehicle_m
-    middle = (wall.point[0] - back * nx, wall.point[1] - back * ny)
-    left, right = (_moved_along(wall, middle, side * 0.5 * wall.length_m) for side in (-1.0, 1.0))
-    return left, right
-
-
-def _moved_along(wall: Wall, place: Vec2, by_m: float) -> Vec2:
-    (tx, ty) = wall.tangent
-    return (place[0] + by_m * tx, place[1] + by_m * ty)
+    return wall.displaced(-wall.half_vehicle_m).ends
 
 
 def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:
     """Return whether a straight path crosses a wall's face, or passes an end of the face too closely."""
-    here, there = (wall.signed_distance(p) + wall.half_vehicle_m for p in (a, b))
-    if here * there >= 0.0:
-        return False
-    share = here / (here - there)
-    crossing = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
-    return bool(wall.end_distance_m(crossing) > _ON_LINE_M - wall.half_vehicle_m - _PAST_END_M)
+    crosses, place = wall.crossing(a, b, -wall.half_vehicle_m, -wall.half_vehicle_m)
+    return bool(crosses and wall.end_distance_m(place) > _ON_LINE_M - wall.half_vehicle_m - _PAST_END_M)
 
 
 def _corners_around_ends(wall: Wall) -> Iterator[Vec2]:
     """Yield corners around a wall's ends, on both sides of the wall, just beyond the clearance."""
-    (tx, ty), (nx, ny), reach = wall.tangent, wall.normal, 0.5 * wall.length_m
-    for side, face in itertools.product((-1.0, 1.0), (-1.0, 1.0)):
-        tip = (wall.point[0] + side * reach * tx, wall.point[1] + side * reach * ty)
+    (tx, ty), (nx, ny) = wall.tangent, wall.normal
+    for (side, tip), face in itertools.product(zip((-1.0, 1.0), wall.ends, strict=True), (-1.0, 1.0)):
         past, off = side * (end_margin_m(wall, tip) + _PAST_END_M), face * (CLEARANCE_M + _ON_LINE_M)
         yield (tip[0] + past * tx + off * nx, tip[1] + past * ty + off * ny)
 
@@ -248,7 +247,7 @@ def _side(begin: Vec2, end: Vec2, wall: Wall, touched: bool, past_end_m: float) 
         return
     yield HalfPlane(half.normal, half.offset_m - wall.half_vehicle_m - _PAST_END_M)
     kept_m = wall.half_vehicle_m + past_end_m + _ON_LINE_M
-    yield Disc(max(_edge(wall), key=lambda tip: _within(half, tip)), kept_m)
+    yield Disc(max(_surface_ends(wall), key=lambda tip: _within(half, tip)), kept_m)
 
 
 def _within(half: HalfPlane, place: Vec2) -> float:

@@ -215,6 +215,11 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
     posts: tuple[Post, ...] = ()
     vehicle_source: VehicleSource | None = None
 
+    @property
+    def first_mode(self) -> Mode:
+        """The mode to try first: the mode in which a hit loses the least velocity."""
+        return Mode.FLEXIBLE if Mode.FLEXIBLE in self.modes else self.modes[0]
+
 
 def load_scenario(
     path: str | Path | Mapping[str, Any],

@@ -10,16 +10,15 @@ import importlib.util
 import math
 import time
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import Vec2, distance2
-from dart_flight.base.records import Mode
+from dart_flight.base.geometry import distance2
 from dart_flight.config.document import InputError
-from dart_flight.lab.search.free_plan import FreePlan, plan_free, rest_at_s
+from dart_flight.lab.search.free_time import least_free_time, rest_at_s
+from dart_flight.lab.search.plan import Candidates, FreeTime, Plan, PlannedCollision, SearchResult
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.planning.approach_grid import ApproachGrid
 from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
@@ -63,124 +62,6 @@ ADVICE = {
 }
 
 
-class PlannedCollision(msgspec.Struct, frozen=True):
-    """A predicted collision.
-
-    Attributes:
-        wall, mode: wall and mode.
-        t_s: time from the start of the run-up to the onset of the contact.
-        position_m: position of the vehicle's centre at the onset, mission frame.
-        normal_m_s, tangential_m_s: velocity at the onset, collision frame.
-        peak_force_n: peak of the normal force.
-        peak_friction_n: peak of the friction force.
-        contact_time_s: duration of the contact.
-        setpoint_m: recovery setpoint, mission frame.
-    """
-
-    wall: str
-    mode: Mode
-    t_s: float
-    position_m: Vec2
-    normal_m_s: float
-    tangential_m_s: float
-    peak_force_n: float
-    peak_friction_n: float
-    contact_time_s: float
-    setpoint_m: Vec2
-
-
-class Plan(msgspec.Struct, frozen=True):
-    """A feasible candidate.
-
-    Attributes:
-        rank: 1 is the best.
-        score: value of the ranking criterion; smaller is better. The unit is m (nearest, robust), s (fastest)
-            or N (gentlest).
-        normal_m_s, tangential_m_s: approach of the first collision.
-        goal_miss_m: smallest distance to the goal after the last contact, at nominal values.
-        time_to_goal_s: time from `start` to the closest approach, including transit and run-up, plus the time
-            for the remaining distance to the goal at transit speed.
-        peak_force_n: largest force of any contact, normal and friction together.
-        closest_m: position of the closest approach, mission frame.
-        expected_miss_m, worst_miss_m: mean and largest miss of the goal over the random sets of values
-            (draws), only for `robust`. If the plan fails in a draw, its miss is the distance from start to
-            goal, or 1 m if this distance is smaller.
-        failed_draws: share of the draws in which the plan fails because it violates a constraint.
-        time_to_rest_s: time from `start` until the vehicle rests at the goal. The last part, from the closest
-            approach to rest, uses the motion limits of the free plan.
-        saving_s: the free plan's time minus `time_to_rest_s`; negative if the plan with hits is slower.
-            Without a free plan, `saving_s` and `time_to_rest_s` are None.
-    """
-
-    rank: int
-    score: float
-    normal_m_s: float
-    tangential_m_s: float
-    goal_miss_m: float
-    time_to_goal_s: float
-    peak_force_n: float
-    closest_m: Vec2
-    collisions: tuple[PlannedCollision, ...]
-    expected_miss_m: float | None = None
-    worst_miss_m: float | None = None
-    failed_draws: float | None = None
-    time_to_rest_s: float | None = None
-    saving_s: float | None = None
-
-    @property
-    def sequence(self) -> tuple[str, ...]:
-        """The walls in the order of the hits."""
-        return tuple(c.wall for c in self.collisions)
-
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        """The modes of the collisions."""
-        return tuple(c.mode for c in self.collisions)
-
-
-class Candidates(NamedTuple):
-    """All feasible candidates of one sequence of walls and modes, as arrays (n,), for ranking and maps."""
-
-    sequence: tuple[str, ...]
-    modes: tuple[Mode, ...]
-    rows: Rows  # index into the grid of approaches, normal first
-    normal_m_s: Array
-    tangential_m_s: Array
-    miss_m: Array
-    time_s: Array
-    force_n: Array
-    x: Array
-    y: Array
-    score: Array
-    expected_m: Array | None
-    worst_m: Array | None
-    failed: Array | None
-
-
-class SearchResult(msgspec.Struct, frozen=True):
-    """The result of `search`.
-
-    Attributes:
-        plans: the best plans, in order.
-        candidates, feasible: number of candidates, and number of feasible candidates.
-        refused: numbers of rejected candidates by reason.
-        trajectories: number of simulated trajectories, including the draws of `robust`.
-        elapsed_s: duration, including preparation.
-        free: the fastest flight without a collision; None if the extra `plan` is not installed.
-        maps: all feasible candidates.
-    """
-
-    scenario: Scenario
-    plans: tuple[Plan, ...]
-    candidates: int
-    feasible: int
-    trajectories: int
-    refused: dict[Refusal, int]
-    elapsed_s: float
-    free: FreePlan | None
-    maps: tuple[Candidates, ...]
-
-
 def search(
     scenario: Scenario, top: int = 10, seed: int = 1, progress: Progress | None = None
 ) -> SearchResult:
@@ -212,7 +93,7 @@ def search(
         trajectories=planner.flown,
         refused={r: int(n) for r, n in zip(REFUSALS, planner.refused[1:], strict=True) if n},
         elapsed_s=time.perf_counter() - began,
-        free=free,
+        free_time=free,
         maps=tuple(maps),
     )
 
@@ -334,7 +215,7 @@ class ScenarioSearch:
 
     # -- plans and explanations --
 
-    def explain(self, chosen: list[tuple[Candidates, int]], free: FreePlan | None = None) -> tuple[Plan, ...]:
+    def explain(self, chosen: list[tuple[Candidates, int]], free: FreeTime | None = None) -> tuple[Plan, ...]:
         """Return a plan with its collisions for each chosen candidate, in the order given."""
         plans: dict[int, Plan] = {}
         groups: dict[int, list[tuple[int, Candidates, int]]] = {}
@@ -349,8 +230,8 @@ class ScenarioSearch:
                 plans[rank] = self._compared(plan, arrivals, place[j], free)
         return tuple(plans[rank] for rank in sorted(plans))
 
-    def _compared(self, plan: Plan, arrivals: Arrivals, k: int, free: FreePlan | None) -> Plan:
-        """Return the plan with its time to rest at the goal and its saving against the free plan."""
+    def _compared(self, plan: Plan, arrivals: Arrivals, k: int, free: FreeTime | None) -> Plan:
+        """Return the plan with its time to rest at the goal and its saving against the free flight."""
         if free is None or free.time_s is None:
             return plan
         velocity, goal = (float(arrivals.vx[k]), float(arrivals.vy[k])), self.scenario.goal.position_m
@@ -405,8 +286,6 @@ def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
     return Plan(
         rank=rank,
         score=float(c.score[i]),
-        normal_m_s=float(c.normal_m_s[i]),
-        tangential_m_s=float(c.tangential_m_s[i]),
         goal_miss_m=float(c.miss_m[i]),
         time_to_goal_s=float(c.time_s[i]),
         peak_force_n=float(c.force_n[i]),
@@ -443,9 +322,9 @@ def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
     return draws
 
 
-def _free(scenario: Scenario) -> FreePlan | None:
+def _free(scenario: Scenario) -> FreeTime | None:
     there = all(importlib.util.find_spec(name) is not None for name in ("ruckig", "casadi"))
-    return plan_free(scenario) if there else None
+    return least_free_time(scenario) if there else None
 
 
 def _at(values: Array | None, i: int) -> float | None:

@@ -20,6 +20,7 @@ from dart_flight.cli import main
 from dart_flight.config.mission_file import CollisionSpec, GoalSpec, MissionFile, WallSpec
 from dart_flight.lab import api
 from dart_flight.recording.schema import RECORD_TYPES
+from tests.lab.search.test_quickest import scenario_between_walls
 from tests.shared_flights import SharedFlights
 
 SINGLE = dart_flight.packaged("missions", "paper_single_wall.yaml")
@@ -518,11 +519,17 @@ def test_arrays_of_velocities_give_arrays() -> None:
     assert grid.tangential_out_m_s.shape == (7, 2)
 
 
+def test_the_quickest_plan_of_a_scenario_is_a_mission() -> None:
+    found = dart_flight.plan(scenario_between_walls())
+    assert [plan.sequence for plan in found.plans] == [("east",), ()]
+    assert found.mission.goal_trajectory is not None
+
+
 def test_a_plan_completes_and_is_written(tmp_path: Path) -> None:
     found = dart_flight.plan(SINGLE.parent / "scenarios" / "one_wall.yaml", top=3)
     assert len(found.plans) == 3
-    first = found.mission.collisions[0].approach_m_s
-    assert first == (found.plans[0].normal_m_s, found.plans[0].tangential_m_s)
+    first = found.plans[0].collisions[0]
+    assert found.mission.collisions[0].approach_m_s == (first.normal_m_s, first.tangential_m_s)
     assert dart_flight.simulate(found.mission).verdict.outcome is Outcome.COMPLETED
     written = dart_flight.load_mission(found.write(tmp_path / "second.yaml", rank=2, verify=False))
     assert written.collisions == found.mission_of(2).collisions

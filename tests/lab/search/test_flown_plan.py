@@ -20,7 +20,8 @@ from dart_flight.lab.report.figures.mission_figure import prediction_lines
 from dart_flight.lab.search import flown_plan
 from dart_flight.lab.search.flown_plan import DRAWN, FIRST_SEED, OfferedPlan, PlanChoice
 from dart_flight.lab.search.mission_writer import write_mission
-from dart_flight.lab.search.quickest import QuickestResult, plan_quickest
+from dart_flight.lab.search.plan import SearchResult
+from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.many_flights import RunsInterruptedError
@@ -81,16 +82,16 @@ def times_by_kind(**times_s: float) -> Ends:
 
 
 @pytest.fixture(scope="module")
-def planned() -> QuickestResult:
+def planned() -> SearchResult:
     return one_turn()
 
 
-def choose(result: QuickestResult, ends: Ends, free_only: bool = False) -> tuple[OfferedPlan, FakeFlights]:
+def choose(result: SearchResult, ends: Ends, free_only: bool = False) -> tuple[OfferedPlan, FakeFlights]:
     flights = FakeFlights(ends)
     return PlanChoice(result, free_only).run(flights), flights
 
 
-def test_a_faster_plan_that_completes_is_offered_with_its_flight_record(planned: QuickestResult) -> None:
+def test_a_faster_plan_that_completes_is_offered_with_its_flight_record(planned: SearchResult) -> None:
     offered, flights = choose(planned, times_by_kind(free=20.0, colliding=18.5))
     assert offered.plan is planned.colliding
     assert offered.record is not None
@@ -108,7 +109,7 @@ def _nominal_and_drawn() -> list[tuple[bool, int]]:
     return [(False, 0), *((True, k) for k in range(DRAWN))]
 
 
-def test_the_saving_compares_flights_in_equal_worlds(planned: QuickestResult) -> None:
+def test_the_saving_compares_flights_in_equal_worlds(planned: SearchResult) -> None:
     """Only worlds in which both flights complete count; a slow world slows both flights."""
 
     def ends(mission: Mission, seed: int) -> tuple[float, bool, bool]:
@@ -127,7 +128,7 @@ def test_the_saving_compares_flights_in_equal_worlds(planned: QuickestResult) ->
 
 @pytest.mark.parametrize("fails", ["nominal", "three", "uncontrolled", "nominal uncontrolled"])
 def test_a_plan_that_fails_in_simulation_is_offered_only_with_touches(
-    planned: QuickestResult, fails: str
+    planned: SearchResult, fails: str
 ) -> None:
     def ends(mission: Mission, seed: int) -> tuple[float, bool, bool]:
         k = seed - FIRST_SEED if seed else None
@@ -149,7 +150,7 @@ def test_a_plan_that_fails_in_simulation_is_offered_only_with_touches(
     assert len(alone) == expected[fails], "the flights end as soon as the plan has failed"
 
 
-def test_two_of_twenty_drawn_flights_may_abort(planned: QuickestResult) -> None:
+def test_two_of_twenty_drawn_flights_may_abort(planned: SearchResult) -> None:
     def ends(mission: Mission, seed: int) -> tuple[float, bool, bool]:
         hits = kind_of(mission) == "colliding"
         return (18.0 if hits else 20.0), not hits or seed - FIRST_SEED not in (4, 9), True
@@ -158,7 +159,7 @@ def test_two_of_twenty_drawn_flights_may_abort(planned: QuickestResult) -> None:
     assert offered.plan is planned.colliding
 
 
-def test_the_free_plan_is_offered_if_touches_cost_more_than_collisions_save(planned: QuickestResult) -> None:
+def test_the_free_plan_is_offered_if_touches_cost_more_than_collisions_save(planned: SearchResult) -> None:
     def ends(mission: Mission, seed: int) -> tuple[float, bool, bool]:
         return (
             {"free": 20.0, "colliding": 18.0, "touched": 33.0}[kind_of(mission)],
@@ -189,17 +190,17 @@ def test_touches_of_the_scenario_are_flown_and_counted_in_the_time() -> None:
     assert {kind for kind, _, _ in flights.flown} == {"free", "touched"}
 
 
-def test_the_free_plan_is_flown_before_it_is_offered(planned: QuickestResult) -> None:
+def test_the_free_plan_is_flown_before_it_is_offered(planned: SearchResult) -> None:
     offered, flights = choose(planned, times_by_kind(free=20.0), free_only=True)
     assert offered.plan is planned.free
     assert len(flights.flown) == 1 + DRAWN
 
 
-def test_optional_collisions_that_hardly_save_time_are_not_flown(planned: QuickestResult) -> None:
+def test_optional_collisions_that_hardly_save_time_are_not_flown(planned: SearchResult) -> None:
     assert planned.colliding is not None
     assert planned.free is not None
-    slow = msgspec.structs.replace(planned.colliding, time_s=0.991 * planned.free.time_s)
-    result = msgspec.structs.replace(planned, colliding=slow, best=slow)
+    slow = msgspec.structs.replace(planned.colliding, saving_s=0.009 * planned.free.time_to_goal_s)
+    result = msgspec.structs.replace(planned, plans=(slow, planned.free))
     offered, flights = choose(result, times_by_kind(free=20.0))
     assert offered.plan is planned.free
     assert "less than 1%" in offered.says[-2]
@@ -240,7 +241,7 @@ def test_a_plan_whose_mission_is_refused_is_not_flown(
     assert skipped.plan is (result.free if touch_m_s else result.colliding)
 
 
-def test_errors_of_the_flights_are_not_refusals(planned: QuickestResult) -> None:
+def test_errors_of_the_flights_are_not_refusals(planned: SearchResult) -> None:
     def ends(mission: Mission, seed: int) -> tuple[float, bool, bool]:
         raise InputError("cannot write: No space left on device", source="flights")
 
@@ -251,7 +252,7 @@ def test_errors_of_the_flights_are_not_refusals(planned: QuickestResult) -> None
 # --- the flight record in the mission file, and its check ----------------------------------------------
 
 
-def write_chosen(result: QuickestResult, ends: Ends, path: Path) -> Mission:
+def write_chosen(result: SearchResult, ends: Ends, path: Path) -> Mission:
     offered, _ = choose(result, ends)
     assert offered.plan is not None
     write_mission(offered.scenario, offered.plan, path, offered.record)
@@ -263,7 +264,7 @@ def flown_finding(mission: Mission) -> Any:
 
 
 def test_check_shows_the_flight_record_and_detects_a_changed_mission(
-    planned: QuickestResult, tmp_path: Path
+    planned: SearchResult, tmp_path: Path
 ) -> None:
     path = tmp_path / "mission.yaml"
     mission = write_chosen(planned, times_by_kind(free=20.0, colliding=18.5), path)
@@ -292,7 +293,7 @@ def test_check_shows_the_flight_record_and_detects_a_changed_mission(
 
 
 def test_check_rejects_a_mission_that_lost_control_in_simulation(
-    planned: QuickestResult, tmp_path: Path
+    planned: SearchResult, tmp_path: Path
 ) -> None:
     mission = write_chosen(planned, times_by_kind(free=20.0, colliding=18.5), tmp_path / "mission.yaml")
     assert mission.flown is not None
@@ -312,7 +313,7 @@ def test_check_remarks_on_a_mission_without_a_flight_record() -> None:
     assert "contains no record of simulated flights" in finding.says
 
 
-def test_an_invalid_flight_record_is_refused(planned: QuickestResult, tmp_path: Path) -> None:
+def test_an_invalid_flight_record_is_refused(planned: SearchResult, tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     write_chosen(planned, times_by_kind(free=20.0, colliding=18.5), path)
     path.write_text(path.read_text().replace("uncontrolled: 0", "uncontrolled: -1"))

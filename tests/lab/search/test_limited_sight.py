@@ -20,9 +20,9 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.campaign.arrival import arrival_of
 from dart_flight.lab.commands import plan_command
-from dart_flight.lab.search.limited_sight import plan_limited_sight, safe_speed_m_s
-from dart_flight.lab.search.optimal_trajectory import MotionLimits
-from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
+from dart_flight.lab.search.limited_sight import safe_speed_m_s
+from dart_flight.lab.search.plan import MotionLimits, Plan, SearchResult
+from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import load_scenario
 from tests.shared_flights import SharedFlights
 from tests.shared_plans import limited_sight_plan
@@ -47,21 +47,21 @@ def test_stopping_from_the_safe_speed_uses_all_of_the_distance(
     assert reaction_s * v + place[0] == pytest.approx(distance_m, rel=1e-2)
 
 
-def first_leg_states(plan: QuickestPlan) -> tuple[np.ndarray, np.ndarray]:
+def first_leg_states(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Return position and velocity towards the wall along the first leg."""
-    trajectory = Trajectory.from_mission(plan.trajectory.legs[0], 1.0)
+    trajectory = Trajectory.from_mission(plan.legs[0], 1.0)
     states = [trajectory.at(t) for t in np.linspace(0.0, trajectory.duration_s, 3000)]
     return np.array([s.position[0] for s in states]), np.array([s.velocity[0] for s in states])
 
 
 @pytest.fixture(scope="module")
-def planned(flown: SharedFlights) -> QuickestResult:
+def planned(flown: SharedFlights) -> SearchResult:
     """Return the plan of the shipped scenario."""
     return limited_sight_plan(flown, load_scenario(SHIPPED))
 
 
 @pytest.mark.rest
-def test_both_plans_cruise_until_the_reaction_time_has_passed(planned: QuickestResult) -> None:
+def test_both_plans_cruise_until_the_reaction_time_has_passed(planned: SearchResult) -> None:
     result = planned
     assert result.best is result.colliding
     for plan in (result.free, result.colliding):
@@ -77,18 +77,18 @@ def test_both_plans_cruise_until_the_reaction_time_has_passed(planned: QuickestR
     assert result.best.cruise_m_s is not None
     assert result.free.cruise_m_s is not None
     assert result.best.cruise_m_s > 1.6 * result.free.cruise_m_s
-    (hit,) = result.best.trajectory.hits
+    (hit,) = result.best.collisions
     assert hit.normal_m_s >= -3.0 - 1e-6
 
 
 @pytest.mark.rest
 def test_the_free_plan_completes_without_a_collision(
-    planned: QuickestResult,
+    planned: SearchResult,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(plan_command, "plan_limited_sight", lambda scenario, progress: planned)
+    monkeypatch.setattr(plan_command, "plan_quickest", lambda *_: planned)
     target = tmp_path / "free.yaml"
     assert main(["plan", str(SHIPPED), "--free", "--json", "--no-verify", "-o", str(target)]) == 0
     output = json.loads(capsys.readouterr().out)
@@ -126,4 +126,4 @@ def test_free_is_refused_for_other_objectives(capsys: pytest.CaptureFixture[str]
 def test_an_infeasible_scenario_is_refused_with_the_reason(change: dict[str, Any], message: str) -> None:
     tree = yaml.safe_load(SHIPPED.read_text("utf-8")) | {"vehicle": str(packaged("configs", "dart.yaml"))}
     with pytest.raises(InputError, match=message):
-        plan_limited_sight(load_scenario(tree | change))
+        plan_quickest(load_scenario(tree | change))

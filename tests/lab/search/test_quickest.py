@@ -23,20 +23,19 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.search import quickest
-from dart_flight.lab.search.free_plan import straight_time_s
+from dart_flight.lab.search.free_time import straight_time_s
 from dart_flight.lab.search.mission_writer import write_mission
 from dart_flight.lab.search.optimal_trajectory import (
     ContactResponse,
     Hit,
     HitLimits,
-    MotionLimits,
-    OptimalTrajectory,
     Part,
     Problem,
     solve,
 )
+from dart_flight.lab.search.plan import MotionLimits, Plan, SearchResult
 from dart_flight.lab.search.plan_table import describe_quickest
-from dart_flight.lab.search.quickest import LeastTimes, LegEnd, QuickestResult, plan_quickest
+from dart_flight.lab.search.quickest import LeastTimes, LegEnd, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 
 MAPS = Path(__file__).parents[2] / "data" / "scenarios"
@@ -67,12 +66,12 @@ def scenario_between_walls(
 
 
 @functools.cache
-def one_turn() -> QuickestResult:
+def one_turn() -> SearchResult:
     """Return the plans of the scenario between walls, with one turn at the east wall."""
     return plan_quickest(scenario_between_walls())
 
 
-def assert_within(found: OptimalTrajectory, limits: MotionLimits) -> None:
+def assert_within(found: Plan, limits: MotionLimits) -> None:
     assert limits.jerk_m_s3 is not None
     for leg in found.legs:
         for _, jx, jy in leg.pieces:
@@ -89,19 +88,19 @@ def test_a_collision_reverses_the_vehicle_faster_than_braking() -> None:
     assert result.best.sequence == ("east",)
     assert result.saving_s is not None
     # An independent optimal control saves 15 to 19 %, with one reversal and places within 5 cm.
-    assert 0.12 < result.saving_s / result.free.time_s < 0.22
+    assert 0.12 < result.saving_s / result.free.time_to_goal_s < 0.22
     assert result.gap_s == 0.0
     limits = MotionLimits(3.0, 5.0, 8.0, 45.0)
-    assert_within(result.best.trajectory, limits)
-    assert_within(result.free.trajectory, limits)
-    leg = Trajectory.from_mission(result.free.trajectory.legs[0], 1.0)
+    assert_within(result.best, limits)
+    assert_within(result.free, limits)
+    leg = Trajectory.from_mission(result.free.legs[0], 1.0)
     positions = [leg.at(t).position[0] for t in np.linspace(0.0, leg.duration_s, 2000)]
     assert max(positions) == pytest.approx(2.0 - 0.04, abs=2e-3)
 
 
 def test_a_planned_collision_follows_the_contact_law() -> None:
-    scenario, found = one_turn().scenario, one_turn().best.trajectory
-    (hit,), (into, out) = found.hits, found.legs
+    scenario, found = one_turn().scenario, one_turn().best
+    (hit,), (into, out) = found.collisions, found.legs
     response = ContactResponse.at_wall(scenario.vehicle, scenario.walls["east"], hit.mode)
     before, after = into.states()[-1], out.states()[0]
     assert before.velocity[0] == pytest.approx(-hit.normal_m_s, abs=1e-3)
@@ -118,7 +117,7 @@ def test_a_planned_collision_follows_the_contact_law() -> None:
     assert before.position[0] == pytest.approx(2.0 - response.lead_s * before.velocity[0], abs=1e-3)
     assert out.states()[-1].position == pytest.approx((0.0, 0.0), abs=1e-3)
     total_s = into.duration_s + response.contact_s + dead_s + out.duration_s
-    assert found.time_s == pytest.approx(total_s, abs=1e-3)
+    assert found.time_to_goal_s == pytest.approx(total_s, abs=1e-3)
 
 
 @pytest.mark.parametrize("sequence", [["far"], pytest.param(["near", "far"], marks=pytest.mark.rest)])
@@ -129,9 +128,9 @@ def test_the_far_side_of_a_partition_is_reached_around_its_end(sequence: list[st
         "near": wall | {"point_m": [1.0, 0.0], "normal": [-1.0, 0.0]},
         "far": wall | {"point_m": [1.5, 0.0], "normal": [1.0, 0.0]},
     }
-    found = plan_quickest(scenario_between_walls(visits=[], walls=walls, sequence=sequence)).best.trajectory
-    assert [hit.wall for hit in found.hits] == sequence
-    assert found.hits[-1].normal_m_s < 0.0
+    found = plan_quickest(scenario_between_walls(visits=[], walls=walls, sequence=sequence)).best
+    assert [hit.wall for hit in found.collisions] == sequence
+    assert found.collisions[-1].normal_m_s < 0.0
     places = np.array([state.position for leg in found.legs for state in leg.states()])
     between_them = (places[:, 0] > 1.02) & (places[:, 0] < 1.48)
     assert between_them.any()
@@ -155,7 +154,7 @@ def test_every_visit_may_be_a_collision_up_to_the_number_that_is_computed(
     limited = plan_quickest(room)
     assert len(limited.best.sequence) <= 2
     assert limited.most_hits == 2
-    assert limited.gap_s >= limited.best.time_s - whole.best.time_s > 0.1
+    assert limited.gap_s >= limited.best.time_to_goal_s - whole.best.time_to_goal_s > 0.1
     assert "sequences of more than 2 hits were not computed" in describe_quickest(limited)
 
 
@@ -183,7 +182,7 @@ def test_the_free_plan_is_returned_if_a_collision_costs_time() -> None:
     result = plan_quickest(scenario_between_walls(visits=[], goal=goal))
     assert result.best is result.free
     assert result.free is not None
-    assert result.free.trajectory.hits == ()
+    assert result.free.collisions == ()
     required = plan_quickest(scenario_between_walls(visits=[], goal=goal, sequence=["east"]))
     assert required.best.sequence == ("east",)
     assert required.saving_s is not None
@@ -193,7 +192,7 @@ def test_the_free_plan_is_returned_if_a_collision_costs_time() -> None:
 def test_the_plan_matches_an_exhaustive_grid_of_impacts_with_time_optimal_legs() -> None:
     """The grid has steps of impact velocity and thrust; Ruckig computes both legs along the normal."""
     scenario, found = one_turn().scenario, one_turn().best
-    hit = found.trajectory.hits[0]
+    hit = found.collisions[0]
     response = ContactResponse.at_wall(scenario.vehicle, scenario.walls["east"], hit.mode)
     drag, dead_s = scenario.vehicle.airframe.drag_per_s[0], scenario.vehicle.flying.replan_within_s
     best = math.inf
@@ -205,8 +204,8 @@ def test_the_plan_matches_an_exhaustive_grid_of_impacts_with_time_optimal_legs()
         after = released + out * dead_s + 0.5 * a * dead_s**2
         leg_s = _leg_s((0.0, 0.0, 0.0), (x, v, a)) + _leg_s((after, out + a * dead_s, a), (0.0, 0.0, 0.0))
         best = min(best, leg_s + response.contact_s + dead_s)
-    assert found.time_s <= 1.02 * best
-    assert found.time_s >= 0.97 * best  # a plan much faster than the grid would be infeasible
+    assert found.time_to_goal_s <= 1.02 * best
+    assert found.time_to_goal_s >= 0.97 * best  # a plan much faster than the grid would be infeasible
 
 
 def _leg_s(begin: tuple[float, float, float], end: tuple[float, float, float]) -> float:
@@ -243,8 +242,8 @@ def test_the_best_plan_is_the_faster_of_free_and_colliding(east_m: float, within
     result = plan_quickest(
         scenario_between_walls(east_m, [{"position_m": [east_m, 0.0], "within_m": within_m}])
     )
-    times = [plan.time_s for plan in (result.free, result.colliding) if plan is not None]
-    assert result.best.time_s == min(times)
+    times = [plan.time_to_goal_s for plan in (result.free, result.colliding) if plan is not None]
+    assert result.best.time_to_goal_s == min(times)
 
 
 def test_the_chosen_modes_respect_the_peak_force() -> None:
@@ -252,7 +251,7 @@ def test_the_chosen_modes_respect_the_peak_force() -> None:
     visits = [{"position_m": [x, 0.0], "within_m": 0.05} for x in (2.0, -2.0)]
     result = plan_quickest(scenario_between_walls(visits=visits))
     assert result.best.sequence == ("east", "west")
-    for hit in result.best.trajectory.hits:
+    for hit in result.best.collisions:
         assert hit.peak_force_n <= 150.0 + 1e-3
         assert hit.mode in (Mode.RIGID, Mode.FLEXIBLE)
 
@@ -271,7 +270,7 @@ def test_a_colliding_plan_completes_as_a_mission(tmp_path: Path) -> None:
     phases = flown.log["/event/phase"]
     began = next(t for t, p in zip(phases["t_us"], phases["after"], strict=True) if p == "approach")
     goal = next(t for t, p in zip(phases["t_us"], phases["after"], strict=True) if p == "goal")
-    assert (goal - began) * 1e-6 == pytest.approx(result.best.time_s, rel=0.1)
+    assert (goal - began) * 1e-6 == pytest.approx(result.best.time_to_goal_s, rel=0.1)
 
 
 @pytest.mark.rest
@@ -293,7 +292,7 @@ POST = {"centre_m": [1.0, 0.05], "radius_m": 0.1, "material": "acrylic"}
 
 
 @functools.cache
-def turn_around_a_post() -> QuickestResult:
+def turn_around_a_post() -> SearchResult:
     """Return the plans of `one_turn` with a post on the straight line to the wall."""
     return plan_quickest(scenario_between_walls(posts={"mast": POST}))
 
@@ -305,11 +304,11 @@ def test_a_post_is_passed_with_clearance_for_any_heading(kind: str) -> None:
     plan, unhindered = getattr(result, kind), getattr(one_turn(), kind)
     airframe = result.scenario.vehicle.airframe
     clearance_m = 0.1 + math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
-    for leg in plan.trajectory.legs:
+    for leg in plan.legs:
         flown = Trajectory.from_mission(leg, 1.0)
         for t in np.arange(0.0, flown.duration_s, 0.02):
             assert math.dist(flown.at(float(t)).position[:2], (1.0, 0.05)) >= clearance_m + 0.1
-    assert plan.time_s > unhindered.time_s
+    assert plan.time_to_goal_s > unhindered.time_to_goal_s
 
 
 @pytest.mark.rest
@@ -333,7 +332,7 @@ def test_the_end_of_a_wall_is_passed_at_the_minimum_clearance() -> None:
     )
     free = plan_quickest(scenario).free
     assert free is not None
-    (leg,) = free.trajectory.legs
+    (leg,) = free.legs
     flown = Trajectory.from_mission(leg, 1.0)
     places = [flown.at(float(t)).position[:2] for t in np.arange(0.0, flown.duration_s, 0.005)]
     nearest = min(min(math.dist(p, edge) for edge in ((1.2, 0.0), (1.2, 2.0))) for p in places)
@@ -421,7 +420,7 @@ def test_collisions_save_about_a_sixth_of_the_time_of_a_shuttle() -> None:
     result = plan_quickest(load_scenario(MAPS / "shuttle_4.yaml"), 20.0)
     assert result.free is not None
     assert result.colliding is not None
-    assert 0.1 < 1.0 - result.colliding.time_s / result.free.time_s < 0.25
+    assert 0.1 < 1.0 - result.colliding.time_to_goal_s / result.free.time_to_goal_s < 0.25
 
 
 def test_two_collisions_guessed_at_one_place_give_a_valid_initial_point() -> None:
@@ -435,4 +434,4 @@ def test_two_collisions_guessed_at_one_place_give_a_valid_initial_point() -> Non
     with np.errstate(all="raise"):
         found = solve(Problem(scenario.vehicle, (0.0, 0.0), (0.0, 0.0), parts, limits, hit_limits, 0.1))
     assert found is not None
-    assert [hit.wall for hit in found.hits] == [east.name, south.name]
+    assert [hit.wall for hit in found.collisions] == [east.name, south.name]

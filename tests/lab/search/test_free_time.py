@@ -16,8 +16,8 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import plan_approach
 from dart_flight.core.mission.trajectories import transit_time_s
-from dart_flight.lab.search.free_plan import plan_free, straight_time_s
-from dart_flight.lab.search.optimal_trajectory import MotionLimits
+from dart_flight.lab.search.free_time import least_free_time, straight_time_s
+from dart_flight.lab.search.plan import MotionLimits
 from dart_flight.lab.search.routes import Obstacles, least_length_m
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.lab.search.search import search
@@ -80,7 +80,7 @@ def scenario_with_wall(offset_m: float) -> Scenario:
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-1.0, 1.0))
 def test_the_gap_of_a_flight_around_a_wall_is_a_valid_bound(offset: float) -> None:
-    free = plan_free(scenario_with_wall(offset))
+    free = least_free_time(scenario_with_wall(offset))
     assert free.time_s is not None
     assert free.via
     assert all(abs(y - offset) > 1.0 for _, y in free.via)  # past the wall's end
@@ -106,7 +106,7 @@ def test_the_gap_of_a_flight_around_a_wall_is_a_valid_bound(offset: float) -> No
 
 
 def test_a_wall_beside_the_straight_path_needs_no_detour() -> None:
-    free = plan_free(scenario_with_wall(2.5))
+    free = least_free_time(scenario_with_wall(2.5))
     assert (free.via, free.gap_s) == ((), 0.0)
 
 

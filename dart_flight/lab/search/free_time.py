@@ -1,4 +1,4 @@
-"""The fastest flight without a collision, for comparison with colliding plans within the same limits.
+"""The time of the fastest flight without a collision, to compare colliding plans within the same limits.
 
 Along a straight line, Ruckig finds the optimum (time-optimal with bounded speed, acceleration and jerk).
 Around walls, the plan is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).
@@ -12,66 +12,28 @@ import itertools
 import math
 from collections.abc import Sequence
 
-import msgspec
-
-from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, distance2
+from dart_flight.base.geometry import Vec2, distance2
 from dart_flight.config.packages import missing_package
-from dart_flight.lab.search.optimal_trajectory import (
-    HitLimits,
-    MotionLimits,
-    Part,
-    Problem,
-    RouteCorner,
-    solve,
-)
+from dart_flight.lab.search.optimal_trajectory import HitLimits, Part, Problem, RouteCorner, solve
+from dart_flight.lab.search.plan import FreeTime, MotionLimits
 from dart_flight.lab.search.routes import Obstacles, least_length_m, regions, shortest_path
 from dart_flight.lab.search.scenario import Scenario
 
 _AXIS = math.sqrt(0.5)  # share of a vector's limit for each of two axes
-_SPEED_USED = 0.95  # share of the limit; the rest is a margin for tracking errors
 _NO_HITS = HitLimits(math.inf, None, None, None, 0.0)
 
 
-class FreePlan(msgspec.Struct, frozen=True):
-    """The fastest flight from start to goal without a contact, from rest to rest.
-
-    Attributes:
-        time_s: duration; None without a path.
-        gap_s: largest time by which another flight could be faster; 0 for an optimum.
-        length_m: length of the polyline.
-        via: corners of the polyline, mission frame.
-        limits: limits of the motion.
-    """
-
-    time_s: float | None
-    gap_s: float
-    length_m: float
-    via: tuple[Vec2, ...]
-    limits: MotionLimits
-
-
-def limits_of(scenario: Scenario) -> MotionLimits:
-    flying, px4 = scenario.vehicle.flying, scenario.vehicle.px4
-    tilt = math.degrees(math.atan2(flying.acceleration_m_s2, GRAVITY_M_S2))
-    speed = scenario.limits.speed_m_s
-    if scenario.limits.acceleration_m_s2 is None:
-        speed = min(speed, flying.transit_speed_m_s)
-    return MotionLimits(
-        _SPEED_USED * speed, flying.acceleration_m_s2, flying.jerk_m_s3, min(tilt, px4.mpc_tiltmax_air)
-    )
-
-
-def plan_free(scenario: Scenario) -> FreePlan:
-    limits = limits_of(scenario)
+def least_free_time(scenario: Scenario) -> FreeTime:
+    limits = MotionLimits.from_scenario(scenario)
     obstacles, goal = Obstacles.from_scenario(scenario), scenario.goal.position_m
     corners = shortest_path(scenario.start, goal, obstacles)
     if corners is None:
-        return FreePlan(None, 0.0, 0.0, (), limits)
+        return FreeTime(None, 0.0, 0.0, (), limits)
     length = sum(distance2(a, b) for a, b in itertools.pairwise(corners))
     least_s = straight_time_s(least_length_m(scenario.start, goal, obstacles), limits)
     time_s = least_s if len(corners) == 2 else _time_past_corners_s(scenario, corners, obstacles, limits)
     gap_s = 0.0 if time_s is None else time_s - least_s
-    return FreePlan(time_s, gap_s, length, tuple(corners[1:-1]), limits)
+    return FreeTime(time_s, gap_s, length, tuple(corners[1:-1]), limits)
 
 
 def _time_past_corners_s(
@@ -82,7 +44,7 @@ def _time_past_corners_s(
     parts = [Part(RouteCorner(b), regions(a, b, obstacles)) for a, b in itertools.pairwise(corners)]
     parts[-1] = parts[-1]._replace(to=None)
     found = solve(Problem(scenario.vehicle, scenario.start, goal, tuple(parts), limits, _NO_HITS, 0.0))
-    return None if found is None else found.time_s
+    return None if found is None else found.time_to_goal_s
 
 
 def straight_time_s(length_m: float, limits: MotionLimits) -> float:
