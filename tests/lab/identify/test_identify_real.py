@@ -26,10 +26,10 @@ from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.held_out import hold_out
 from dart_flight.lab.identify.hit_fit import HitTable, fit_hits, predict
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
-from dart_flight.lab.identify.synthetic_trials import MASS_KG, wall_trial
 from dart_flight.lab.identify.trials import Series, Trial
 from dart_flight.lab.identify.windows import MAX_SET_ASIDE, weigh
 from dart_flight.lab.predict.path import ContactMotion
+from tests.doubles.synthetic_trials import MASS_KG, wall_trial
 
 pytest.importorskip("scipy")
 
