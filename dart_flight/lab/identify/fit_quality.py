@@ -12,10 +12,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.estimates import Errors, Estimate, FitQuality
-from dart_flight.lab.identify.hit_fit import HitTable, predict
+from dart_flight.lab.identify.estimates import Estimate, FitQuality
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
+from dart_flight.lab.identify.problem import LawProblem
 from dart_flight.lab.identify.recorded_impact import noise_of
 from dart_flight.lab.identify.trials import Trial
 
@@ -23,59 +22,37 @@ _NOISES = 3.0  # residual of a good fit over the recording's noise
 _SHARE = 0.06  # residual relative to the contact's amplitude, for filters and for simplifications of the law
 _CONTACT_S = 0.1  # interval on either side of the turn that contains the contact
 # Medians over whole hits: twice the scatter of repeated real drops (docs/results/real_data.md).
-_MOST = Errors(peak_force=0.25, outgoing_speed=0.1)
-
-
-def errors_of(
-    coefficients: Mapping[str, Estimate | None], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
-) -> Errors:
-    """Return the prediction errors of coefficients on the hits to which they were fitted.
-
-    The errors are None if there are no hits, or if k or f is unknown.
-    """
-    k, f = coefficients["k"], coefficients["f"]
-    if k is None or f is None or not hits:
-        return Errors(None, None)
-    table = HitTable.from_hits(hits)
-    predicted = predict(k.value, f.value, table, mass_kg, onset)
-    return table.errors(predicted.peak_normal_force_n, predicted.normal_out_m_s)
+_MOST = (0.25, 0.1)  # peak force, outgoing speed
 
 
 def assess_fit(
     coefficients: Mapping[str, Mapping[str, Estimate | None]],
-    whole: Sequence[MeasuredImpact],
+    whole: LawProblem,
     residuals: Mapping[str, float],
     expected: Mapping[str, float],
-    mass_kg: float,
-    onset: Onset,
 ) -> FitQuality:
     """Assess coefficients against the recordings to which the coefficients were fitted.
 
     Args:
         whole: hits that were fitted as a whole, without their samples.
         residuals: quantity -> residual of the fitted samples.
-        expected: quantity -> largest residual of a good fit.
+        expected: quantity -> largest residual of a good fit; quantities without one are skipped.
     """
     off, most = dict(residuals), dict(expected)
-    for mode, found in coefficients.items():
-        errors = errors_of(found, [hit for hit in whole if hit.mode == mode], mass_kg, onset)
+    for mode, own in whole.by_mode().items():
+        errors = own.errors_of(coefficients[mode])
         for name, error, limit in zip(("peak", "speed out"), errors, _MOST, strict=True):
-            if error is not None and limit is not None:
+            if error is not None:
                 off[f"{mode} {name}"], most[f"{mode} {name}"] = error, limit
-    return compare_residuals(off, most)
-
-
-def compare_residuals(off: Mapping[str, float], expected: Mapping[str, float]) -> FitQuality:
-    """Compare residuals with the largest residuals of a good fit; skip quantities without an expectation."""
-    compared = {name: value for name, value in off.items() if name in expected}
+    compared = {name: value for name, value in off.items() if name in most}
     sentences = [
-        f"poor fit: the residual of {name} is {value:.3g}; a good fit has at most {expected[name]:.3g}, "
-        f"which is {value / expected[name]:.1f} times less; check --drop, --mode and the units, and use "
+        f"poor fit: the residual of {name} is {value:.3g}; a good fit has at most {most[name]:.3g}, "
+        f"which is {value / most[name]:.1f} times less; check --drop, --mode and the units, and use "
         "trials of one wall"
         for name, value in compared.items()
-        if not value <= expected[name]
+        if not value <= most[name]
     ]
-    return FitQuality(not sentences if compared else None, dict(expected), sentences)
+    return FitQuality(not sentences if compared else None, most, sentences)
 
 
 def expected_residuals(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) -> dict[str, float]:
@@ -95,7 +72,7 @@ def expected_residuals(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) 
                 continue
             values = series.value[near]
             change = abs(hit.turn.deepest_m) if name == "normal_m" else float(np.ptp(values))
-            noise.setdefault(name, []).append(noise_of(series))
+            noise.setdefault(name, []).append(noise_of(series.value))
             size.setdefault(name, []).append(change)
     return {name: max(_NOISES * _rms(noise[name]), _SHARE * _rms(size[name])) for name in noise}
 

@@ -9,21 +9,21 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.contact.coefficients import Array
-from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Errors, HeldOut
-from dart_flight.lab.identify.hit_fit import HitFit, HitTable, median, predict
-from dart_flight.lab.identify.measured_impacts import MeasuredImpact
+from dart_flight.lab.identify.hit_fit import HitFit
+from dart_flight.lab.identify.problem import LawProblem, median
 
 _SAME_SPEED = 0.12  # hits whose speeds differ by less are repeats
 _MIN_HITS = 3
 _EARNED = 0.1  # smallest relative improvement that is not chance with so few hits
 CONSTANT_RESTITUTION, FORCE_PROPORTIONAL = "constant-restitution", "force-proportional"
+_Prediction = Callable[[LawProblem, LawProblem], tuple[Array, Array]]
 
 
 def speed_groups(speed: Array) -> NDArray[np.intp]:
@@ -38,28 +38,21 @@ def speed_groups(speed: Array) -> NDArray[np.intp]:
     return groups
 
 
-def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> HeldOut:
+def hold_out(problem: LawProblem) -> HeldOut:
     """Return the errors on the hits at each speed, predicted from a fit to the hits at other speeds.
 
     The hits are of one mode. If all have the same speed, each hit is predicted from the other hits.
     """
-    mode, n = hits[0].mode, len(hits)
+    mode, n = problem.hits[0].trial.mode, len(problem.hits)
     if n < _MIN_HITS:
         sentence = f"{mode}: {n} hit{'s' if n > 1 else ''}, too few to assess predictions"
         return HeldOut(mode, "trial", 0, None, {}, Errors(None, None), False, sentence)
-
-    def by_law(rest: HitTable, held: HitTable) -> tuple[Array, Array]:
-        k, f = np.exp(HitFit(rest, mass_kg, onset).solve())
-        predicted = predict(k, f, held, mass_kg, onset)
-        return predicted.peak_normal_force_n, predicted.normal_out_m_s
-
-    table = HitTable.from_hits(hits)
-    groups = speed_groups(table.speed_in)
+    groups = speed_groups(problem.speed_in)
     by_speed = bool(groups.max() > 0)
     folds = groups if by_speed else np.arange(n)
-    enough = all(table.only(folds != fold).is_enough for fold in np.unique(folds))
-    law = _errors(table, folds, by_law) if enough else None
-    ratios = _errors(table, folds, _in_proportion)
+    enough = all(problem.only(folds != fold).is_enough for fold in np.unique(folds))
+    law = _errors(problem, folds, _by_law) if enough else None
+    ratios = _errors(problem, folds, _in_proportion)
     earned, sentence = False, "these trials determine only restitution and tangential ratio"
     if law is not None:
         earned, sentence = _compare(law, ratios, "held-out speeds" if by_speed else "held-out hits")
@@ -72,29 +65,39 @@ def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> He
             CONSTANT_RESTITUTION: Errors(None, ratios.outgoing_speed),
             FORCE_PROPORTIONAL: Errors(ratios.peak_force, None),
         },
-        scatter=_scatter(table, groups),
+        scatter=_scatter(problem, groups),
         earned=earned,
         sentence=f"{mode}: {sentence}",
     )
 
 
 def _errors(
-    table: HitTable, folds: NDArray[np.intp], by: Callable[[HitTable, HitTable], tuple[Array, Array]]
+    problem: LawProblem,
+    folds: NDArray[np.intp],
+    predict: Callable[[LawProblem, LawProblem], tuple[Array, Array]],
 ) -> Errors:
     """Return the errors on held-out hits.
 
     Args:
         folds: fold of each hit. The hits of a fold are predicted from the other hits.
-        by: called with the known hits and the held-out hits; returns the predicted peaks and outgoing speeds
-            of the held-out hits.
+        predict: called with the known hits and the held-out hits; returns the peaks and outgoing speeds of
+            the held-out hits.
     """
     peak, out = np.empty(folds.size), np.empty(folds.size)
     for fold in np.unique(folds):
-        peak[folds == fold], out[folds == fold] = by(table.only(folds != fold), table.only(folds == fold))
-    return table.errors(peak, out)
+        held = folds == fold
+        peak[held], out[held] = predict(problem.only(~held), problem.only(held))
+    return problem.errors(peak, out)
 
 
-def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
+def _by_law(known: LawProblem, held: LawProblem) -> tuple[Array, Array]:
+    fit = HitFit(known)
+    k, f = np.exp(fit.solve(fit.start))
+    predicted = held.predict(k, f)
+    return predicted.peak_normal_force_n, predicted.normal_out_m_s
+
+
+def _in_proportion(known: LawProblem, held: LawProblem) -> tuple[Array, Array]:
     """Predict peak and outgoing speed in proportion to the incoming speed, by the median of the known ratios.
 
     If no known hit has a ratio, the prediction is NaN.
@@ -104,7 +107,7 @@ def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
     return peak, out
 
 
-def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
+def _scatter(problem: LawProblem, groups: NDArray[np.intp]) -> Errors:
     """Return the errors of a prediction of each hit from the median of all hits at its speed.
 
     A law that depends only on the speed can hardly have smaller errors.
@@ -113,9 +116,9 @@ def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
     for group in np.unique(groups):
         members = groups == group
         if members.sum() >= 3:
-            repeats = table.only(members)
+            repeats = problem.only(members)
             peak[members], out[members] = _in_proportion(repeats, repeats)
-    return table.errors(peak, out)
+    return problem.errors(peak, out)
 
 
 def _compare(law: Errors, ratios: Errors, words: str) -> tuple[bool, str]:

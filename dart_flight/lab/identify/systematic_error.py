@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
-from dart_flight.lab.identify.trials import Trial
 
 # Largest change of the guards' sliding speed, relative to the edge's speed at the largest turn rate
 # (docs/results/flight_identification.md).
@@ -24,16 +23,17 @@ _TURNS = 0.1  # ratio from which the rotation is reported
 
 
 def widen_intervals(
-    found: dict[str, Estimate | None], trials: Sequence[Trial], hits: Sequence[MeasuredImpact]
+    found: dict[str, Estimate | None], hits: Sequence[MeasuredImpact]
 ) -> tuple[dict[str, Estimate | None], list[str]]:
-    """Widen the intervals of one mode's coefficients by the trials' systematic errors; return notes, too.
+    """Widen the intervals of one mode's coefficients by the systematic errors of the recordings of its hits.
 
-    The trials are those to which the coefficients are fitted, and `hits` are theirs in the same order.
+    Return notes, too.
     """
-    shares = {name: max(trial.allowance.get(name, 0.0) for trial in trials) for name in found}
+    shares = {name: max(hit.trial.allowance.get(name, 0.0) for hit in hits) for name in found}
     notes = []
     rate_rad_s = share = 0.0  # largest turn rate; largest ratio of guard speed to speed along the wall
-    for trial, hit in zip(trials, hits, strict=True):
+    for hit in hits:
+        trial = hit.trial
         if trial.flown is not None and trial.turn_rad_s is not None and hit.tangential_in_m_s:
             sliding = trial.turn_rad_s * trial.flown.config.airframe.contact_distance_m
             rate_rad_s = max(rate_rad_s, trial.turn_rad_s)
