@@ -12,19 +12,18 @@ A coefficient that the data do not determine is None.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate, Identification, TrialFit
-from dart_flight.lab.identify.fit_quality import assess_fit, expected_residuals
-from dart_flight.lab.identify.held_out import hold_out
+from dart_flight.lab.identify.fit_quality import assess_fit, expected_residuals, hold_out
 from dart_flight.lab.identify.hit_fit import fit_hits
-from dart_flight.lab.identify.measured_impacts import measure_impact
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.problem import LawProblem
 from dart_flight.lab.identify.sample_result import SampleResult, fit_samples
 from dart_flight.lab.identify.speed_ratios import friction, restitution, tangential_ratio
-from dart_flight.lab.identify.systematic_error import widen_intervals
 from dart_flight.lab.identify.trials import Trial, without_derived
 
 _PREDICTS = 0.1  # error of peak and outgoing speed up to which a fit with large residuals is kept
@@ -33,6 +32,12 @@ _UNKNOWN = {
     "mu": "(friction) is unknown, because no trial shows friction that slows a motion along the wall",
     "nu": "(vertical force) is unknown, because no trial shows a contact that changes a vertical motion",
 }
+# Largest change of the guards' sliding speed, relative to the edge's speed at the largest turn rate
+# (docs/results/flight_identification.md).
+_OF_TURNING = 0.75
+_MOST_OF_TURNING = 0.8
+_K_OF_TURNING = 0.03  # rotation loads one guard more than the other, which lowers k by up to 6 %
+_TURNS = 0.1  # ratio from which the rotation is reported
 
 
 def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identification:
@@ -58,7 +63,7 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
     coefficients = {}
     for mode, own in modes.items():
         found = _coefficients(mode, result, own, notes)
-        coefficients[mode], more = widen_intervals(found, own.hits)
+        coefficients[mode], more = _widen_intervals(found, own.hits)
         notes += [f"{mode}: {note}" for note in more]
     whole = problem.of([hit for hit in problem.hits if hit not in result.trials])
     expected = expected_residuals(trials, problem.hits)
@@ -69,8 +74,8 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
         trials=[result.trials.get(hit) or TrialFit.from_hit(hit) for hit in problem.hits],
         vertical_side=result.vertical_side,
         notes=notes,
-        restitution={mode: restitution(own.hits) for mode, own in modes.items()},
-        tangential_ratio={mode: tangential_ratio(own.hits) for mode, own in modes.items()},
+        restitution={mode: restitution(own) for mode, own in modes.items()},
+        tangential_ratio={mode: tangential_ratio(own) for mode, own in modes.items()},
         held_out=held_out,
         fit=assess_fit(coefficients, whole, result.residuals, expected),
     )
@@ -95,6 +100,46 @@ def _coefficients(
             notes.append(f"{mode}: k and f are from speeds, peaks and durations of whole hits")
         elif not bad:
             notes.append(f"{mode}: neither forces nor enough samples in contact: k and f are unknown")
-        found["mu"] = friction(problem.hits) or found["mu"]
+        found["mu"] = friction(problem) or found["mu"]
     notes += [f"{mode}: {name} {why}" for name, why in _UNKNOWN.items() if found[name] is None]
     return found
+
+
+def _widen_intervals(
+    found: dict[str, Estimate | None], hits: Sequence[MeasuredImpact]
+) -> tuple[dict[str, Estimate | None], list[str]]:
+    """Widen the intervals of one mode by the systematic errors of its recordings; return notes, too.
+
+    More data do not reduce these errors. If a vehicle turns during the contact, its guards slide faster or
+    slower than its centre. In the law the vehicle is a point, so the friction depends on the velocity of the
+    centre. Flights at one speed do not determine the lever arm from the centre to the sliding guard
+    (docs/results/real_data.md). The intervals therefore include the possible effect of the rotation.
+    """
+    shares = {name: max(hit.trial.allowance.get(name, 0.0) for hit in hits) for name in found}
+    notes = []
+    rate_rad_s = share = 0.0  # largest turn rate; largest ratio of guard speed to speed along the wall
+    for hit in hits:
+        trial = hit.trial
+        if trial.flown is not None and trial.turn_rad_s is not None and hit.tangential_in_m_s:
+            sliding = trial.turn_rad_s * trial.flown.config.airframe.contact_distance_m
+            rate_rad_s = max(rate_rad_s, trial.turn_rad_s)
+            share = max(share, sliding / abs(hit.tangential_in_m_s))
+    mu = found["mu"]
+    if share > _TURNS:
+        slides = min(_OF_TURNING * share, _MOST_OF_TURNING)
+        shares["k"] += _K_OF_TURNING
+        if mu is not None:
+            found = found | {"mu": Estimate(mu.value, mu.low / (1.0 + slides), mu.high / (1.0 - slides))}
+        notes.append(
+            f"the vehicle turned at up to {math.degrees(rate_rad_s):.0f} deg/s in these contacts, so the "
+            f"guards slid up to {100.0 * slides:.0f} % slower or faster than the vehicle's centre; the "
+            "contact law ignores rotation, so the interval of mu is widened"
+        )
+    return {name: _widened(e, shares[name]) for name, e in found.items()}, notes
+
+
+def _widened(estimate: Estimate | None, share: float) -> Estimate | None:
+    if estimate is None:
+        return None
+    more = share * abs(estimate.value)
+    return Estimate(estimate.value, max(estimate.low - more, 0.0), estimate.high + more)

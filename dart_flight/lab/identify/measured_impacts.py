@@ -140,14 +140,12 @@ def _measure_motion(trial: Trial) -> MeasuredImpact:
     )
     guard = max(_GUARD_S, 2.0 * step)
     begin, end = impact.turn_s - guard, impact.turn_s + guard
-    flights: tuple[_FreeFlightFit, _FreeFlightFit]
     for _ in range(3):
-        found = _flights(trial.normal, begin, end, spans, bend, bend_sd)
-        if found is None:
+        flights = _flights(trial.normal, begin, end, spans, bend, bend_sd)
+        if flights is None:
             raise InputError("too few samples around the impact", source=trial.name)
-        flights = found
         begin, end = _extent(trial.normal, impact.turn_s, flights, impact.noise_m, step)
-    before, after = flights
+        before, after = flights
     speed_in, sd_in = before.speed(begin)
     speed_out, sd_out = after.speed(end)
     inside = (time > begin) & (time < end)

@@ -27,16 +27,14 @@ class LawProblem:
 
     def __init__(self, hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> None:
         self.hits, self.mass_kg, self.onset = list(hits), mass_kg, onset
-        rows = [
-            (
-                h.normal_in_m_s, h.normal_out_m_s, h.peak_force_n, h.contact_s, h.compression_m,
-                h.trial.acceleration_m_s2,
-            )
-            for h in hits
-        ]  # fmt: skip
-        self.speed_in, self.speed_out, self.peak, self.contact, self.depth, self.acceleration = (
-            np.array(rows, dtype=float).reshape(-1, 6).T
-        )
+        self.speed_in, self.speed_out = self.column("normal_in_m_s"), self.column("normal_out_m_s")
+        self.peak, self.contact = self.column("peak_force_n"), self.column("contact_s")
+        self.depth = self.column("compression_m")
+        self.acceleration = np.array([hit.trial.acceleration_m_s2 for hit in hits])
+
+    def column(self, name: str) -> Array:
+        """Return an attribute of all hits as an array; unknown values are NaN."""
+        return np.array([getattr(hit, name) for hit in self.hits], dtype=float)
 
     def of(self, hits: Sequence[MeasuredImpact]) -> LawProblem:
         """Return the problem of other hits of the same vehicle."""

@@ -23,7 +23,7 @@ from dart_flight.contact.contact_map import collide as exact
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
-from dart_flight.lab.identify.held_out import hold_out
+from dart_flight.lab.identify.fit_quality import hold_out
 from dart_flight.lab.identify.hit_fit import fit_hits
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.problem import LawProblem
