@@ -101,11 +101,11 @@ class FittedHit:
         window: the fitted samples, by channel.
     """
 
-    def __init__(self, hit: MeasuredImpact, at: dict[str, int], mass_kg: float, onset: Onset) -> None:
+    def __init__(self, hit: MeasuredImpact, at: dict[str, int], problem: LawProblem) -> None:
         assert hit.turn is not None
         self.hit, self.trial, self.at = hit, hit.trial, at
         self._turn: TrialImpact = hit.turn
-        self._law = mass_kg, onset
+        self._problem = problem
         drop = self.trial.acceleration_m_s2 < 0.0
         before, after = _free_s(self.trial, -self._turn.approach_m_s, self._turn.rebound_m_s)
         begin_s = self._turn.turn_s - (0.03 if drop else 0.05) - before
@@ -114,7 +114,7 @@ class FittedHit:
     def contact(self, theta: Array) -> ContactMotion:
         law = (float(theta[self.at[name]]) for name in ("k", "f", "mu", "speed"))
         push = float(theta[self.at["n_in"]]) if "n_in" in self.at else 0.0
-        return _contact(*law, push + self.trial.acceleration_m_s2, *self._law)
+        return _contact(*law, push + self.trial.acceleration_m_s2, self._problem.mass_kg, self._problem.onset)
 
     def span(self, theta: Array) -> tuple[float, float, ContactMotion]:
         """Return (onset, release, contact) by the law; both times count as in the recording."""
@@ -254,7 +254,7 @@ class SampleFit(LawFit):
             own = {name: self.size + i for i, name in enumerate(_own_unknowns(hit.trial, pushed))}
             self.size += len(own)
             at = {"plane": 0, **self.modes[hit.trial.mode], **own}
-            self.hits.append(FittedHit(hit, at, problem.mass_kg, problem.onset))
+            self.hits.append(FittedHit(hit, at, problem))
         position = float(np.median([hit.turn.noise_m for hit in problem.hits if hit.turn is not None]))
         self.sd = dict.fromkeys(_POSITIONS, max(position, 1e-5)) | _FIRST_SD
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
