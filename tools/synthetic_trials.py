@@ -15,7 +15,7 @@ from dart_flight.base.records import Mode
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.synthetic_trials import drop_trial, wall_trial, write_csv
+from tests.doubles.synthetic_trials import drop_trial, wall_trial, write_csv
 
 
 def main() -> None:

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from dart_flight.base.records import GuardEvent, ImuSample, Setpoint, Silence, StatusSample, VehicleCommand
-from dart_flight.lab.campaign.fault_flights import ROWS
 from dart_flight.recording.reader import read_log
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.fault_table import Fault, parse_fault
 from dart_flight.sim.pipe import FULL_SPEED
 from tests.faults.expected import expected_outcomes
+from tests.faults.fault_flights import ROWS
 from tests.real_time import assert_below, rule_of
 from tests.shared_flights import PATIENT
 

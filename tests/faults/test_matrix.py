@@ -13,7 +13,12 @@ import pytest
 from dart_flight.base.records import GuardEvent, Outcome, Override, Record, StatusSample
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
-from dart_flight.lab.campaign.fault_flights import (
+from dart_flight.run.fast import FastFlight, fly_fast
+from dart_flight.run.prepare import load_flyable
+from dart_flight.sim.faults.fault_table import KINDS, Fault, FaultSite, parse_fault
+from dart_flight.sim.faults.impairment import Impairment, LossyLink
+from tests.faults.expected import expected_outcomes
+from tests.faults.fault_flights import (
     CELLS,
     ON_GROUND,
     PHASES,
@@ -23,11 +28,6 @@ from dart_flight.lab.campaign.fault_flights import (
     fly_fault,
     random_fault,
 )
-from dart_flight.run.fast import FastFlight, fly_fast
-from dart_flight.run.prepare import load_flyable
-from dart_flight.sim.faults.fault_table import KINDS, Fault, FaultSite, parse_fault
-from dart_flight.sim.faults.impairment import Impairment, LossyLink
-from tests.faults.expected import expected_outcomes
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/paper_single_wall.yaml"

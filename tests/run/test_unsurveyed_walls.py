@@ -18,7 +18,6 @@ from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, load_mission, parse_mission
 from dart_flight.core.mission.approach import plan_approach, standoff_point
 from dart_flight.core.mission.wall_uncertainty import SURE_SD
-from dart_flight.lab.campaign.watched_flight import place_walls
 from dart_flight.lab.search.mission_writer import write_mission
 from dart_flight.lab.search.plan_table import with_objective
 from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
@@ -33,6 +32,7 @@ from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.prepare import as_rehearsal
 from dart_flight.sim.draws import DrawnWorld, draw_world
 from tests.mission_findings import check_mission
+from tests.watched_flight import place_walls
 
 ROOT = Path(__file__).parents[2]
 SINGLE = (ROOT / "missions/paper_single_wall.yaml").read_text()

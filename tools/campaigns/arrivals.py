@@ -7,11 +7,11 @@ from typing import NamedTuple
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.lab.campaign.arrival import planned_there_s
 from dart_flight.lab.search.mission_writer import planned_mission
 from dart_flight.lab.search.plan import Plan
 from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
+from tests.arrival import planned_there_s
 
 COLLIDING, FREE = "colliding", "free"
 USING_COLLISIONS = ("shuttle", "touch_and_return", "hairpin", "limited_sight")

@@ -18,8 +18,8 @@ from dart_flight.base.geometry import norm, tilt_of
 from dart_flight.base.records import ImuSample, Record, TruthContact, TruthSample
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.campaign.watched_flight import WatchedFlight, place_walls, rule_of
 from dart_flight.sim.draws import draw_world
+from tests.watched_flight import WatchedFlight, place_walls, rule_of
 from tools.campaigns.results import markdown
 
 _AFTER_US = 600_000  # interval for the effect of a hit on tilt and rate

@@ -26,7 +26,6 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.campaign.watched_flight import WatchedFlight, place_walls, rule_of
 from dart_flight.lab.search.mission_writer import trajectory_keys
 from dart_flight.lab.search.optimal_trajectory import (
     Hit,
@@ -44,6 +43,7 @@ from dart_flight.recording.verdict import Verdict
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.px4.launch import ENVIRONMENT
+from tests.watched_flight import WatchedFlight, place_walls, rule_of
 from tools.campaigns.results import markdown
 
 _FRICTION_RATIO = 0.5  # friction over normal force up to which the law of friction is assumed valid

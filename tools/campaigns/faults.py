@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dart_flight.lab.campaign.fault_flights import FaultFlight
 from dart_flight.lab.campaign.flight_job import JudgedRow
+from tests.faults.fault_flights import FaultFlight
 from tools.campaigns.results import markdown
 
 

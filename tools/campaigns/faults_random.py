@@ -6,8 +6,8 @@ import statistics
 from collections import Counter
 from collections.abc import Sequence
 
-from dart_flight.lab.campaign.fault_flights import FaultFlight
 from dart_flight.lab.campaign.flight_job import JudgedRow
+from tests.faults.fault_flights import FaultFlight
 from tools.campaigns.results import markdown
 
 _HEADS = (

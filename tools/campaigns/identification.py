@@ -17,8 +17,8 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.lab.identify.fit import identify
-from dart_flight.lab.identify.synthetic_trials import MASS_KG, drop_trial, wall_trial
 from dart_flight.lab.identify.trials import Trial
+from tests.doubles.synthetic_trials import MASS_KG, drop_trial, wall_trial
 from tools.campaigns.results import markdown
 
 _SPEEDS = {"3 hits at 1.0 m/s": (1.0, 1.0, 1.0)}

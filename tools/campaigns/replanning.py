@@ -14,10 +14,10 @@ from dart_flight.base.records import AfterImpact, Record, TruthContact, TruthSam
 from dart_flight.config.mission import Mission
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.campaign.watched_flight import WatchedFlight, rule_of
 from dart_flight.lab.statistics import wilson
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.sim.draws import draw_world
+from tests.watched_flight import WatchedFlight, rule_of
 from tools.campaigns.results import markdown
 
 _RISE_M = 0.03  # increase of the distance to the goal that confirms a closest approach

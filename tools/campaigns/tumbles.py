@@ -22,9 +22,9 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.campaign.watched_flight import WatchedFlight
 from dart_flight.lab.statistics import wilson
 from dart_flight.sim.draws import draw_world
+from tests.watched_flight import WatchedFlight
 from tools.campaigns.results import markdown
 
 _ROOMS = 50

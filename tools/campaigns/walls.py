@@ -12,8 +12,8 @@ from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.campaign.watched_flight import WatchedFlight, place_walls
 from dart_flight.sim.draws import DrawnWorld
+from tests.watched_flight import WatchedFlight, place_walls
 from tools.campaigns.results import markdown
 
 _WALL = "acrylic"

@@ -17,7 +17,6 @@ import numpy as np
 
 from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, parse_mission
-from dart_flight.lab.campaign.arrival import arrival_of, planned_there_s
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.lab.search.mission_writer import mission_text
@@ -26,6 +25,7 @@ from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
+from tests.arrival import arrival_of, planned_there_s
 from tools.campaigns.arrivals import WALL_SHIFT_M
 from tools.campaigns.results import ROOT, markdown
 

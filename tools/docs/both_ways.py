@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
-from dart_flight.lab.campaign.arrival import arrival_of
 from dart_flight.lab.figure_style import ESTIMATED, GREY, TRUE, Look, in_style, new_figure, save_figure
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.report.figures.map_drawing import draw_room, draw_vehicle, set_view, view_of
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.report.tracks import angles, lock_mode
 from dart_flight.run.fast import fly_fast
+from tests.arrival import arrival_of
 from tools.campaigns.arrivals import COLLIDING, FREE, USING_COLLISIONS, both_ways
 from tools.docs.animation import shrink
 

@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("-o needs --surface, the name of the entry", key=("output",))
     onset = Onset(arguments.onset) if arguments.onset else None
     done = identification.identify_trials(paths, reading, vehicle, onset=onset)
-    trials, found = done.trials, done.found
+    found = done.found
     if done.flown is not None:
         source = done.flown.source
     print_vehicle(source, arguments, flown=done.flown is not None)
@@ -126,9 +126,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output:
         _write(arguments, found, done.vehicle, poor=found.fit.good is False)
     if arguments.plot:
-        from dart_flight.lab.identify import trial_plot as plots
+        from dart_flight.lab.identify.trial_plot import plot_fit
 
-        plots.plot_fit(arguments.plot, trials, found, done.mass_kg, done.onset)
+        plot_fit(arguments.plot, done)
     return 0
 
 

@@ -75,8 +75,8 @@ class TrialFit(NamedTuple):
     def from_hit(cls, hit: MeasuredImpact) -> TrialFit:
         """Return the result for a trial whose samples are not fitted."""
         return cls(
-            name=hit.name,
-            mode=hit.mode,
+            name=hit.trial.name,
+            mode=hit.trial.mode,
             onset_s=hit.begin_s,
             normal_m_s=-hit.normal_in_m_s,
             tangential_m_s=hit.tangential_in_m_s,

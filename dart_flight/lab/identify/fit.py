@@ -3,7 +3,7 @@
 Every trial is first measured as a whole, without a contact law: incoming and outgoing speed, peak and
 duration. Then `solver` fits the law and computes the intervals:
 
-- to the samples of all trials jointly (`joint_fit`), if enough position samples show the contact;
+- to the samples of all trials jointly (`sample_fit`), if enough position samples show the contact;
 - to the measurements of whole hits (`hit_fit`), if the law misses the samples by several times the noise, or
   if the trials recorded only speeds or only an accelerometer.
 
@@ -12,26 +12,32 @@ A coefficient that the data do not determine is None.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-
-import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate, Identification, TrialFit
-from dart_flight.lab.identify.fit_quality import assess_fit, errors_of, expected_residuals
-from dart_flight.lab.identify.held_out import hold_out
+from dart_flight.lab.identify.fit_quality import assess_fit, expected_residuals, hold_out
 from dart_flight.lab.identify.hit_fit import fit_hits
-from dart_flight.lab.identify.joint_fit import SampleResult, conclude, solve
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
+from dart_flight.lab.identify.problem import LawProblem
+from dart_flight.lab.identify.sample_result import SampleResult, fit_samples
 from dart_flight.lab.identify.speed_ratios import friction, restitution, tangential_ratio
-from dart_flight.lab.identify.systematic_error import widen_intervals
 from dart_flight.lab.identify.trials import Trial, without_derived
 
-_MIN_IN_CONTACT = 4
-_SLOW_SAMPLING_S = 0.006
 _PREDICTS = 0.1  # error of peak and outgoing speed up to which a fit with large residuals is kept
 _COEFFICIENTS = ("k", "f", "mu", "nu")
+_UNKNOWN = {
+    "mu": "(friction) is unknown, because no trial shows friction that slows a motion along the wall",
+    "nu": "(vertical force) is unknown, because no trial shows a contact that changes a vertical motion",
+}
+# Largest change of the guards' sliding speed, relative to the edge's speed at the largest turn rate
+# (docs/results/flight_identification.md).
+_OF_TURNING = 0.75
+_MOST_OF_TURNING = 0.8
+_K_OF_TURNING = 0.03  # rotation loads one guard more than the other, which lowers k by up to 6 %
+_TURNS = 0.1  # ratio from which the rotation is reported
 
 
 def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identification:
@@ -47,105 +53,93 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
     if not trials:
         raise InputError("no trials")
     usable, notes = without_derived(trials)
-    hits = [measure_impact(trial, mass_kg) for trial in usable]
-    notes += [note for hit in hits for note in hit.notes]
-    result = _fit_samples(usable, hits, mass_kg, onset)
+    problem = LawProblem([measure_impact(trial, mass_kg) for trial in usable], mass_kg, onset)
+    notes += [note for hit in problem.hits for note in hit.notes]
+    result = fit_samples(problem)
     notes += result.notes
-    members = {hit.mode: [other for other in hits if other.mode == hit.mode] for hit in hits}
-    held_out = {mode: hold_out(own, mass_kg, onset) for mode, own in members.items()}
+    modes = problem.by_mode()
+    held_out = {mode: hold_out(own) for mode, own in modes.items()}
     notes += [found.sentence for found in held_out.values() if found.hits]
     coefficients = {}
-    for mode, own in members.items():
-        found = _coefficients(mode, result, own, mass_kg, onset, notes)
-        coefficients[mode], more = widen_intervals(
-            found, [trial for trial in usable if trial.mode == mode], own
-        )
+    for mode, own in modes.items():
+        found = _coefficients(mode, result, own, notes)
+        coefficients[mode], more = _widen_intervals(found, own.hits)
         notes += [f"{mode}: {note}" for note in more]
-    whole = [hit for i, hit in enumerate(hits) if i not in result.trials]
-    expected = expected_residuals(trials, hits)
+    whole = problem.of([hit for hit in problem.hits if hit not in result.trials])
+    expected = expected_residuals(trials, problem.hits)
     return Identification(
         coefficients=coefficients,
         plane_m=result.plane_m,
         residuals=result.residuals,
-        trials=[result.trials.get(i) or TrialFit.from_hit(hit) for i, hit in enumerate(hits)],
+        trials=[result.trials.get(hit) or TrialFit.from_hit(hit) for hit in problem.hits],
         vertical_side=result.vertical_side,
         notes=notes,
-        restitution={mode: restitution(own) for mode, own in members.items()},
-        tangential_ratio={mode: tangential_ratio(own) for mode, own in members.items()},
+        restitution={mode: restitution(own) for mode, own in modes.items()},
+        tangential_ratio={mode: tangential_ratio(own) for mode, own in modes.items()},
         held_out=held_out,
-        fit=assess_fit(coefficients, whole, result.residuals, expected, mass_kg, onset),
+        fit=assess_fit(coefficients, whole, result.residuals, expected),
     )
 
 
-def _fit_samples(
-    trials: Sequence[Trial], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
-) -> SampleResult:
-    positions = [i for i, trial in enumerate(trials) if hits[i].turn is not None and trial.position_measured]
-    # With slow sampling the measured extent of the hit, widened to whole samples, decides. With fast sampling
-    # that extent begins too late, so the fit decides.
-    few = {
-        i: max(trials[i].samples_between(hits[i].begin_s, hits[i].end_s) - 2, 0)
-        for i in positions
-        if float(np.median(np.diff(trials[i].normal.time_s))) > _SLOW_SAMPLING_S
-    }
-    few = {i: n for i, n in few.items() if n < _MIN_IN_CONTACT}
-    chosen = [i for i in positions if i not in few]
-    result = SampleResult()
-    while chosen:
-        fit, theta, notes = solve(
-            [trials[i] for i in chosen], [hits[i] for i in chosen], mass_kg, onset, least=_MIN_IN_CONTACT
-        )
-        counts = {i: fit.in_contact(theta, j) for j, i in enumerate(chosen)}
-        less = {i: n for i, n in counts.items() if n < _MIN_IN_CONTACT}
-        if not less:
-            result = conclude(fit, theta, chosen)
-            result.notes[:0] = notes
-            break
-        few |= less
-        chosen = [i for i in chosen if i not in less]
-    for i, n in few.items():
-        result.notes.append(
-            f"{trials[i].name}: {n} sample{'' if n == 1 else 's'} in contact, at least "
-            f"{_MIN_IN_CONTACT} are needed for stiffness: only the trial's speeds are used"
-        )
-    return result
-
-
 def _coefficients(
-    mode: str,
-    result: SampleResult,
-    hits: Sequence[MeasuredImpact],
-    mass_kg: float,
-    onset: Onset,
-    notes: list[str],
+    mode: str, result: SampleResult, problem: LawProblem, notes: list[str]
 ) -> dict[str, Estimate | None]:
     """Return the coefficients of a mode, from the samples if the law fits them, else from whole hits."""
     sampled = result.coefficients.get(mode)
     bad = mode in result.bad
     if bad and sampled is not None:
         # Keep a fit that misses the samples if it predicts peak and outgoing speed well.
-        known = [e for e in errors_of(sampled, hits, mass_kg, onset) if e is not None]
+        known = [e for e in problem.errors_of(sampled) if e is not None]
         bad = not known or max(known) >= _PREDICTS
     found = dict.fromkeys(_COEFFICIENTS) if sampled is None else dict(sampled)
     if sampled is None or bad:
-        whole, more = fit_hits(hits, mass_kg, onset)
+        whole, more = fit_hits(problem)
         notes += [f"{mode}: {note}" for note in more]
         if any(e is not None for e in whole.values()):
             found |= whole
             notes.append(f"{mode}: k and f are from speeds, peaks and durations of whole hits")
         elif not bad:
             notes.append(f"{mode}: neither forces nor enough samples in contact: k and f are unknown")
-        found["mu"] = friction(hits) or found["mu"]
-    for name, what in (
-        (
-            "mu",
-            "mu (friction) is unknown, because no trial shows friction that slows a motion along the wall",
-        ),
-        (
-            "nu",
-            "nu (vertical force) is unknown, because no trial shows a contact that changes a vertical motion",
-        ),
-    ):
-        if found[name] is None:
-            notes.append(f"{mode}: {what}")
+        found["mu"] = friction(problem) or found["mu"]
+    notes += [f"{mode}: {name} {why}" for name, why in _UNKNOWN.items() if found[name] is None]
     return found
+
+
+def _widen_intervals(
+    found: dict[str, Estimate | None], hits: Sequence[MeasuredImpact]
+) -> tuple[dict[str, Estimate | None], list[str]]:
+    """Widen the intervals of one mode by the systematic errors of its recordings; return notes, too.
+
+    More data do not reduce these errors. If a vehicle turns during the contact, its guards slide faster or
+    slower than its centre. In the law the vehicle is a point, so the friction depends on the velocity of the
+    centre. Flights at one speed do not determine the lever arm from the centre to the sliding guard
+    (docs/results/real_data.md). The intervals therefore include the possible effect of the rotation.
+    """
+    shares = {name: max(hit.trial.allowance.get(name, 0.0) for hit in hits) for name in found}
+    notes = []
+    rate_rad_s = share = 0.0  # largest turn rate; largest ratio of guard speed to speed along the wall
+    for hit in hits:
+        trial = hit.trial
+        if trial.flown is not None and trial.turn_rad_s is not None and hit.tangential_in_m_s:
+            sliding = trial.turn_rad_s * trial.flown.config.airframe.contact_distance_m
+            rate_rad_s = max(rate_rad_s, trial.turn_rad_s)
+            share = max(share, sliding / abs(hit.tangential_in_m_s))
+    mu = found["mu"]
+    if share > _TURNS:
+        slides = min(_OF_TURNING * share, _MOST_OF_TURNING)
+        shares["k"] += _K_OF_TURNING
+        if mu is not None:
+            found = found | {"mu": Estimate(mu.value, mu.low / (1.0 + slides), mu.high / (1.0 - slides))}
+        notes.append(
+            f"the vehicle turned at up to {math.degrees(rate_rad_s):.0f} deg/s in these contacts, so the "
+            f"guards slid up to {100.0 * slides:.0f} % slower or faster than the vehicle's centre; the "
+            "contact law ignores rotation, so the interval of mu is widened"
+        )
+    return {name: _widened(e, shares[name]) for name, e in found.items()}, notes
+
+
+def _widened(estimate: Estimate | None, share: float) -> Estimate | None:
+    if estimate is None:
+        return None
+    more = share * abs(estimate.value)
+    return Estimate(estimate.value, max(estimate.low - more, 0.0), estimate.high + more)

@@ -38,42 +38,38 @@ _WEIGHTLESS_M_S2 = 5.0
 _FALLS_S = 0.06  # free fall required before a pulse
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MeasuredImpact:
     """One hit as measured; unknown values are None.
 
     Attributes:
+        trial: the recording of the hit.
         normal_in_m_s: normal speed towards the wall at first touch, positive.
+        begin_s, end_s: start and end of the contact in the recording, rounded outwards to samples.
+        samples_in_contact: position samples in this interval.
         normal_out_m_s: normal speed away from the wall at the release.
         tangential_in_m_s, tangential_out_m_s: velocity along the wall before and after the contact.
         sd_in_m_s, sd_out_m_s, sd_tangential_m_s: standard deviations of these speeds.
-        peak_force_n: largest measured normal force.
+        peak_force_n: largest measured normal force; None, too, if the sensor saturated.
         compression_m: largest displacement into the wall since first touch.
-        acceleration_m_s2: acceleration along the normal without a contact, -9.81 in a drop.
-        begin_s, end_s: start and end of the contact in the recording, rounded outwards to samples.
-        samples_in_contact: position samples in this interval.
-        clipped: whether the sensor saturated, so that the peak is unknown.
         notes: remarks for the reader, in sentences.
         turn: reversal from approach to departure in the recorded positions.
     """
 
-    name: str
-    mode: str
+    trial: Trial
     normal_in_m_s: float
-    normal_out_m_s: float | None
-    tangential_in_m_s: float | None
-    tangential_out_m_s: float | None
-    sd_in_m_s: float
-    sd_out_m_s: float
-    sd_tangential_m_s: float
-    peak_force_n: float | None
-    contact_s: float | None
-    compression_m: float | None
-    acceleration_m_s2: float
     begin_s: float
     end_s: float
     samples_in_contact: int
-    clipped: bool
+    normal_out_m_s: float | None = None
+    tangential_in_m_s: float | None = None
+    tangential_out_m_s: float | None = None
+    sd_in_m_s: float = 0.0
+    sd_out_m_s: float = 0.0
+    sd_tangential_m_s: float = 0.0
+    peak_force_n: float | None = None
+    contact_s: float | None = None
+    compression_m: float | None = None
     notes: tuple[str, ...] = ()
     turn: TrialImpact | None = None
 
@@ -144,14 +140,12 @@ def _measure_motion(trial: Trial) -> MeasuredImpact:
     )
     guard = max(_GUARD_S, 2.0 * step)
     begin, end = impact.turn_s - guard, impact.turn_s + guard
-    flights: tuple[_FreeFlightFit, _FreeFlightFit]
     for _ in range(3):
-        found = _flights(trial.normal, begin, end, spans, bend, bend_sd)
-        if found is None:
+        flights = _flights(trial.normal, begin, end, spans, bend, bend_sd)
+        if flights is None:
             raise InputError("too few samples around the impact", source=trial.name)
-        flights = found
         begin, end = _extent(trial.normal, impact.turn_s, flights, impact.noise_m, step)
-    before, after = flights
+        before, after = flights
     speed_in, sd_in = before.speed(begin)
     speed_out, sd_out = after.speed(end)
     inside = (time > begin) & (time < end)
@@ -164,9 +158,11 @@ def _measure_motion(trial: Trial) -> MeasuredImpact:
     if force.contact_s is not None:
         contact = force.contact_s
     return MeasuredImpact(
-        name=trial.name,
-        mode=trial.mode,
-        normal_in_m_s=max(-speed_in, 1e-3),
+        trial,
+        max(-speed_in, 1e-3),
+        begin,
+        end,
+        count,
         normal_out_m_s=max(speed_out, 0.0),
         tangential_in_m_s=along[0],
         tangential_out_m_s=along[1],
@@ -176,11 +172,6 @@ def _measure_motion(trial: Trial) -> MeasuredImpact:
         peak_force_n=force.peak_n,
         contact_s=contact,
         compression_m=depth if depth is not None and depth > 0.0 else None,
-        acceleration_m_s2=trial.acceleration_m_s2,
-        begin_s=begin,
-        end_s=end,
-        samples_in_contact=count,
-        clipped=force.clipped,
         notes=force.notes,
         turn=impact,
     )
@@ -244,7 +235,6 @@ def _tangential_velocities(
 class _ForcePulse:
     peak_n: float | None = None
     contact_s: float | None = None
-    clipped: bool = False
     notes: tuple[str, ...] = ()
 
 
@@ -298,7 +288,6 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
     return _ForcePulse(
         None if clipped or dominated else peak,
         None if rings or clipped else float(time[last] - time[first]) * 1.05,
-        clipped,
         tuple(notes),
     )
 
@@ -320,7 +309,7 @@ def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
     time, value = trial.series["specific_force_m_s2"]
     if time.size < 50:
         raise InputError(f"{time.size} samples are too few for an impact", source=trial.name)
-    noise = noise_of(Series(time, value))
+    noise = noise_of(value)
     pulse_at = _find_pulse(time, value, noise, trial.name)
     level, noise = _weightless_level(time, value, pulse_at, noise, trial.name)
     reading, largest = value - level, float(value.max())
@@ -338,23 +327,16 @@ def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
         notes.append(f"{trial.name}: the time to the next contact is longer than any rebound takes")
         out = None
     return MeasuredImpact(
-        name=trial.name,
-        mode=trial.mode,
-        normal_in_m_s=speed,
+        trial,
+        speed,
+        float(time[begin_at]),
+        float(time[end_at]),
+        end_at - begin_at + 1,
         normal_out_m_s=out,
-        tangential_in_m_s=None,
-        tangential_out_m_s=None,
         sd_in_m_s=sd,
         sd_out_m_s=0.005 * GRAVITY_M_S2,
-        sd_tangential_m_s=0.0,
         peak_force_n=pulse.peak_n,
         contact_s=pulse.contact_s,
-        compression_m=None,
-        acceleration_m_s2=trial.acceleration_m_s2,
-        begin_s=float(time[begin_at]),
-        end_s=float(time[end_at]),
-        samples_in_contact=end_at - begin_at + 1,
-        clipped=pulse.clipped,
         notes=(*notes, *pulse.notes),
     )
 

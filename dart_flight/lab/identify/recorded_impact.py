@@ -12,7 +12,7 @@ import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.identify.trials import Series, Trial
+from dart_flight.lab.identify.trials import Trial
 
 _LONGEST_STEP_S = 0.03  # sampling interval; the shortest contacts last 0.05 s
 _FASTEST_M_S = 15.0
@@ -91,7 +91,7 @@ def find_impact(trial: Trial) -> TrialImpact:
         if before.sum() < 3 or after.sum() < 3:
             continue
         turn = TrialImpact(
-            at, float(speed[before].min()), float(speed[after].max()), float(value[i]), noise_of(trial.normal)
+            at, float(speed[before].min()), float(speed[after].max()), float(value[i]), noise_of(value)
         )
         quick = (turn.rebound_m_s - turn.approach_m_s) / (2.0 * reach) >= _TURN_M_S2
         if quick and turn.approach_m_s < -_SLOWEST_M_S and turn.rebound_m_s > 0.0:
@@ -146,11 +146,11 @@ def deviation_of(errors: Array) -> float:
     return max(1.4826 * float(np.median(np.abs(errors))), 1e-9)
 
 
-def noise_of(series: Series) -> float:
-    """Return the standard deviation of the white noise in a series; third differences remove the motion."""
-    if series.value.size < 8:
+def noise_of(value: Array) -> float:
+    """Return the standard deviation of the white noise in samples; third differences remove the motion."""
+    if value.size < 8:
         return 1e-3
-    third = np.diff(series.value, 3)
+    third = np.diff(value, 3)
     return max(deviation_of(third - np.median(third)) / math.sqrt(20.0), 1e-7)
 
 

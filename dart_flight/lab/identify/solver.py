@@ -1,16 +1,16 @@
-"""The solver of all fits of the law, and the intervals of its unknowns.
+"""The least-squares solver of all fits of the law, and the intervals of their unknowns.
 
-A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns,
-which hold even if the law is wrong. The statistical interval follows from the information in data and priors,
-and holds if the law is right. The resampled interval follows from the change of the estimate, to first order,
-if the data are resampled. It is used if it is wider than chance explains.
+The intervals hold even if the law is wrong. The statistical interval follows from the information in data and
+priors, and holds if the law is right. The resampled interval follows from the change of the estimate, to
+first order, if the data are resampled. It is used if it is wider than chance explains.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,46 +25,69 @@ _AT_BOUND = 1e-3  # of a logarithm
 _BY_CHANCE = 1.3
 
 
-class LawProblem(Protocol):
-    """A least-squares problem whose unknowns include the law's coefficients."""
+class LawFit(ABC):
+    """A least-squares fit whose unknowns include the law's coefficients.
 
-    robust_from: float  # weighted residual from which a robust loss counts less
+    Attributes:
+        robust_from: weighted residual from which a robust loss counts less.
+        losses: the losses to minimise, one after the other; the data are reweighted between two losses.
+        bounds: limits of the unknowns.
+        theta: the unknowns, after `solve`.
+    """
 
-    def bounds(self) -> tuple[Array, Array]:
-        """Return the limits of the unknowns."""
+    robust_from: float
+    losses: Sequence[str]
+    bounds: tuple[Array, Array]
+    theta: Array
 
+    @abstractmethod
     def residuals(self, theta: Array) -> Array:
         """Return the weighted residuals of the data, then of the priors."""
 
-    def jacobian(self, theta: Array) -> Array:
-        """Return the derivatives of the residuals, one column for each unknown."""
-
+    @abstractmethod
     def reweight(self, theta: Array) -> None:
         """Replace the weights of the data by weights from their residuals."""
 
-    def variance(self, theta: Array) -> float:
-        """Return the actual variance of the data, relative to the variance that the weights assume."""
-
+    @abstractmethod
     def resampling_groups(self) -> Sequence[NDArray[np.intp]]:
         """Return the groups of rows that are resampled together."""
 
+    def jacobian(self, theta: Array) -> Array:
+        """Return the derivatives of the residuals, one column for each unknown."""
+        return np.stack([difference(theta, j, self.residuals) for j in range(theta.size)], axis=1)
 
-def descend(problem: LawProblem, theta: Array, losses: Sequence[str]) -> Array:
-    """Minimise the residuals with each loss in turn; between two losses, reweight the data."""
-    try:
-        from scipy.optimize import least_squares  # noqa: PLC0415
-    except ImportError:
-        raise missing_package("needs SciPy", "identify") from None
-    low, high = problem.bounds()
-    for turn, loss in enumerate(losses, 1):
-        found: Any = least_squares(
-            problem.residuals, np.clip(theta, low, high), jac=problem.jacobian, bounds=(low, high),
-            x_scale="jac", loss=loss, f_scale=problem.robust_from, max_nfev=80,
-        )  # fmt: skip
-        theta = found.x
-        if turn < len(losses):
-            problem.reweight(theta)
-    return theta
+    def variance(self) -> float:
+        """Return the actual variance of the data, relative to the variance that the weights assume."""
+        return 1.0
+
+    def solve(self, start: Array) -> Array:
+        try:
+            from scipy.optimize import least_squares  # noqa: PLC0415
+        except ImportError:
+            raise missing_package("needs SciPy", "identify") from None
+        self.theta = start
+        for turn, loss in enumerate(self.losses):
+            if turn:
+                self.reweight(self.theta)
+            found: Any = least_squares(
+                self.residuals, np.clip(self.theta, *self.bounds), jac=self.jacobian, bounds=self.bounds,
+                x_scale="jac", loss=loss, f_scale=self.robust_from, max_nfev=80,
+            )  # fmt: skip
+            self.theta = found.x
+        return self.theta
+
+    def half_widths(self) -> Array:
+        """Return half the width of each unknown's 95 % interval."""
+        jacobian, residuals = self.jacobian(self.theta), self.residuals(self.theta)
+        inverse = covariance(jacobian)
+        statistical = Z95 * np.sqrt(np.diag(inverse) * self.variance())
+        # Resampling blocks changes the estimate by the sum of their scores times the inverse information.
+        scores = np.stack([jacobian[rows].T @ residuals[rows] for rows in self.resampling_groups()])
+        n = len(scores)
+        moved = (scores - scores.mean(axis=0)) @ inverse
+        drawn = np.sqrt(np.sum(moved**2, axis=0) * n / max(n - 1, 1))
+        half = student_t(max(n - 1, 1)) * drawn
+        return np.where(half > _BY_CHANCE * statistical, half, statistical)
 
 
 def difference(theta: Array, j: int, function: Callable[[Array], Array]) -> Array:
@@ -84,20 +107,6 @@ def covariance(jacobian: Array) -> Array:
     inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-14, hermitian=True)
     result: Array = inverse / np.outer(scale, scale)
     return result
-
-
-def half_widths(problem: LawProblem, theta: Array) -> Array:
-    """Return half the width of each unknown's 95 % interval, for a solved problem."""
-    jacobian, residuals = problem.jacobian(theta), problem.residuals(theta)
-    inverse = covariance(jacobian)
-    statistical = Z95 * np.sqrt(np.diag(inverse) * problem.variance(theta))
-    # Resampling blocks changes the estimate by the sum of their scores times the inverse information.
-    scores = np.stack([jacobian[rows].T @ residuals[rows] for rows in problem.resampling_groups()])
-    n = len(scores)
-    moved = (scores - scores.mean(axis=0)) @ inverse
-    drawn = np.sqrt(np.sum(moved**2, axis=0) * n / max(n - 1, 1))
-    half = student_t(max(n - 1, 1)) * drawn
-    return np.where(half > _BY_CHANCE * statistical, half, statistical)
 
 
 def stiffness_and_damping(

@@ -7,13 +7,12 @@ The uncertainty of the speeds gives a lower limit for the width of the intervals
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.estimates import Estimate
-from dart_flight.lab.identify.measured_impacts import MeasuredImpact
+from dart_flight.lab.identify.problem import LawProblem
 from dart_flight.lab.statistics import Z95, student_t
 
 _MIN_ALONG_M_S = 0.1  # speed along the wall required for a ratio
@@ -39,52 +38,40 @@ def _ratio(
     return Estimate.about(value, half, least, most)
 
 
-def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
+def restitution(problem: LawProblem) -> Estimate | None:
     """Return outgoing over incoming normal speed; in a drop, both at the height of first touch."""
-    known = [(h, h.normal_out_m_s) for h in hits if h.normal_out_m_s is not None]
-    shares = np.array([out / h.normal_in_m_s for h, out in known])
-    sds = np.array(
-        [
-            math.hypot(h.sd_out_m_s, e * h.sd_in_m_s) / h.normal_in_m_s
-            for (h, _), e in zip(known, shares, strict=True)
-        ]
-    )
-    return _ratio(shares, sds, 0.0, 1.0)
+    e = problem.speed_out / problem.speed_in
+    sd = np.hypot(problem.column("sd_out_m_s"), e * problem.column("sd_in_m_s")) / problem.speed_in
+    known = np.isfinite(e)
+    return _ratio(e[known], sd[known], 0.0, 1.0)
 
 
-def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpact, float, float]]:
-    """Yield each hit with motion along the wall, with the velocities along the wall before and after."""
-    for h in hits:
-        before, after = h.tangential_in_m_s, h.tangential_out_m_s
-        if before is None or after is None:
-            continue
-        if abs(before) >= max(_MIN_ALONG_M_S, 5.0 * h.sd_tangential_m_s):
-            yield h, before, after
+def _sliding(problem: LawProblem) -> tuple[LawProblem, Array, Array, Array]:
+    """Return the hits with motion along the wall: the velocities before and after, and their deviation."""
+    before, after = problem.column("tangential_in_m_s"), problem.column("tangential_out_m_s")
+    sd = problem.column("sd_tangential_m_s")
+    slides = (np.abs(before) >= np.maximum(_MIN_ALONG_M_S, 5.0 * sd)) & np.isfinite(after)
+    return problem.only(slides), before[slides], after[slides], sd[slides]
 
 
-def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
+def tangential_ratio(problem: LawProblem) -> Estimate | None:
     """Return outgoing over incoming velocity along the wall; None if no hit has motion along the wall.
 
     The ratio is negative if the vehicle reverses along the wall.
     """
-    pairs = [
-        (after / before, 1.5 * h.sd_tangential_m_s / abs(before)) for h, before, after in _sliding_hits(hits)
-    ]
-    shares, deviations = np.array(pairs).reshape(-1, 2).T
-    return _ratio(shares, deviations)
+    _, before, after, sd = _sliding(problem)
+    return _ratio(after / before, 1.5 * sd / np.abs(before))
 
 
-def friction(hits: Sequence[MeasuredImpact]) -> Estimate | None:
+def friction(problem: LawProblem) -> Estimate | None:
     """Return the paper's mu = ln(v_in / v_out) / dv.
 
     v_in and v_out are the velocities along the wall before and after the hit, and dv is the change of the
     normal velocity.
     """
-    pairs = []
-    for h, before, after in _sliding_hits(hits):
-        if h.normal_out_m_s is not None and after / before > 0.05:
-            change = h.normal_in_m_s + h.normal_out_m_s
-            pairs.append((math.log(before / after) / change, 1.5 * h.sd_tangential_m_s / abs(after) / change))
-    shares, deviations = np.array(pairs).reshape(-1, 2).T
-    estimate = _ratio(shares, deviations, 0.0)
+    hits, before, after, sd = _sliding(problem)
+    change = hits.speed_in + hits.speed_out
+    slowed = (after / before > 0.05) & np.isfinite(change)
+    before, after, sd, change = before[slowed], after[slowed], sd[slowed], change[slowed]
+    estimate = _ratio(np.log(before / after) / change, 1.5 * sd / np.abs(after) / change, 0.0)
     return None if estimate is None or estimate.value <= 0.0 else estimate

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Coefficients
-from dart_flight.contact.law import Onset
 from dart_flight.lab.figure_style import ESTIMATED, GREY, PAGE, TRUE, in_style, panels, save_figure, shade
-from dart_flight.lab.identify.estimates import Identification
-from dart_flight.lab.identify.trials import Trial
+from dart_flight.lab.identify.identify_trials import IdentifyResult
 from dart_flight.lab.predict.path import ContactMotion
 
 _SETTLED_S = 0.5  # plotted duration of a contact that never ends
 
 
 @in_style
-def plot_fit(
-    path: str | Path, trials: Sequence[Trial], found: Identification, mass_kg: float, onset: Onset
-) -> None:
+def plot_fit(path: str | Path, result: IdentifyResult) -> None:
     """Plot recorded positions and the fit into `path`, one panel for each of up to six trials."""
-    fitted = zip(trials, found.trials, strict=True)
+    found = result.found
+    fitted = zip(result.trials, found.trials, strict=True)
     shown = [(trial, fit) for trial, fit in fitted if fit.used == "samples" and found.is_known(fit.mode)][:6]
     if not shown or found.plane_m is None:
         raise InputError(
@@ -34,7 +30,7 @@ def plot_fit(
         c = found.fitted(fit.mode, Coefficients(k=1.0, f=0.0, mu=0.0, nu=0.0))
         before, after = fit.push_m_s2
         push = trial.acceleration_m_s2 + before
-        contact = ContactMotion(c, mass_kg, fit.normal_m_s, onset, acceleration_m_s2=push)
+        contact = ContactMotion(c, result.mass_kg, fit.normal_m_s, result.onset, acceleration_m_s2=push)
         span = contact.end_s if np.isfinite(contact.end_s) else _SETTLED_S
         t = np.linspace(-0.15, span + 0.15, 1200)
         time, value = trial.normal

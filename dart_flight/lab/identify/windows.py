@@ -10,6 +10,7 @@ most a tenth of a contact's samples is set aside, and a note gives their number.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.recorded_impact import deviation_of
-from dart_flight.lab.identify.trials import Series, Trial
+from dart_flight.lab.identify.trials import Trial
 
 Mask = NDArray[np.bool_]
 
@@ -34,8 +35,8 @@ CHANNELS = (
 )  # fmt: skip
 
 
-class TrialWindow(NamedTuple):
-    """The fitted samples of a trial, by channel.
+class Channel(NamedTuple):
+    """The fitted samples of one channel of a trial.
 
     Attributes:
         counts: weight of each residual. Weight 0 ignores the sample, weight 1 assumes the noise of free
@@ -44,28 +45,28 @@ class TrialWindow(NamedTuple):
             `measured_impacts` measured without a law.
     """
 
-    series: dict[str, Series]
-    counts: dict[str, Array]
-    contact: dict[str, Mask]
+    time_s: Array
+    value: Array
+    counts: Array
+    contact: Mask
 
 
-def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
+def cut(trial: Trial, begin: float, end: float) -> dict[str, Channel]:
     """Return the samples of a trial from `begin` to `end`, all with weight 1; refuse too few samples."""
-    series, counts, contact = {}, {}, {}
+    window = {}
     for name in CHANNELS:
         if name in trial.series:
             time, value = trial.series[name]
             inside = (time >= begin) & (time <= end)
-            if name == "normal_m" and inside.sum() < 8:
+            n = int(inside.sum())
+            if name == "normal_m" and n < 8:
                 raise InputError("too few samples around the impact", source=trial.name)
-            if inside.any():
-                series[name] = Series(time[inside], value[inside])
-                counts[name] = np.ones(int(inside.sum()))
-                contact[name] = np.zeros(int(inside.sum()), dtype=bool)
-    return TrialWindow(series, counts, contact)
+            if n:
+                window[name] = Channel(time[inside], value[inside], np.ones(n), np.zeros(n, dtype=bool))
+    return window
 
 
-def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float]:
+def weigh(errors: Sequence[Array], contacts: Sequence[Mask]) -> tuple[list[Array], float]:
     """Return the weights of one channel's residuals per trial, and the standard deviation in free flight.
 
     A sample with this standard deviation has weight 1. `contacts` are masks of the samples in contact.

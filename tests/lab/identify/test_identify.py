@@ -20,9 +20,9 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate, Identification
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.recorded_impact import find_impact
-from dart_flight.lab.identify.synthetic_trials import MASS_KG, drop_trial, wall_trial, write_csv
 from dart_flight.lab.identify.trials import Series, Trial
 from dart_flight.lab.predict.path import ContactMotion
+from tests.doubles.synthetic_trials import MASS_KG, drop_trial, wall_trial, write_csv
 from tests.doubles.ulog_file import write_ulog
 
 pytest.importorskip("scipy")

@@ -16,8 +16,8 @@ from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.flight_trials import trials_at_one
-from dart_flight.lab.identify.synthetic_trials import drop_trial, wall_trial, write_csv
 from dart_flight.recording.reader import read_log
+from tests.doubles.synthetic_trials import drop_trial, wall_trial, write_csv
 from tests.shared_flights import SharedFlights
 
 pytest.importorskip("scipy")

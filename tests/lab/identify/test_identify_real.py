@@ -23,13 +23,14 @@ from dart_flight.contact.contact_map import collide as exact
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
-from dart_flight.lab.identify.held_out import hold_out
-from dart_flight.lab.identify.hit_fit import HitTable, fit_hits, predict
+from dart_flight.lab.identify.fit_quality import hold_out
+from dart_flight.lab.identify.hit_fit import fit_hits
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
-from dart_flight.lab.identify.synthetic_trials import MASS_KG, wall_trial
+from dart_flight.lab.identify.problem import LawProblem
 from dart_flight.lab.identify.trials import Series, Trial
 from dart_flight.lab.identify.windows import MAX_SET_ASIDE, weigh
 from dart_flight.lab.predict.path import ContactMotion
+from tests.doubles.synthetic_trials import MASS_KG, wall_trial
 
 pytest.importorskip("scipy")
 
@@ -247,7 +248,6 @@ def test_an_accelerometer_gives_speeds_and_peak_of_drops(known: bool) -> None:
 
 def test_a_clipped_peak_force_is_unknown() -> None:
     impact = measure_impact(drop_trial(1.0, np.random.default_rng(9), limit_m_s2=700.0), LIGHT_KG)
-    assert impact.clipped
     assert impact.peak_force_n is None
     assert any("cut off" in note for note in impact.notes)
 
@@ -279,27 +279,24 @@ def test_an_accelerometer_trial_needs_a_drop_that_shows_the_release(
 def impact(
     speed: float, out: float | None, peak: float | None, contact: float | None = None, push: float = 0.0
 ) -> MeasuredImpact:
+    trial = Trial("hit", {}, "rigid", push)
     return MeasuredImpact(
-        "hit", "rigid", speed, out, None, None, 0.001, 0.001, 0.0, peak, contact, None, push, 0.0, 0.05, 10,
-        False,
-    )  # fmt: skip
-
-
-def impacts_by_law(
-    k: float, f: float, speeds: list[float], onset: Onset, push: float = 0.0
-) -> list[MeasuredImpact]:
-    law = predict(
-        k, f, HitTable.from_hits([impact(v, None, None, push=push) for v in speeds]), MASS_KG, onset
+        trial, speed, 0.0, 0.05, 10, normal_out_m_s=out, peak_force_n=peak, contact_s=contact
     )
+
+
+def impacts_by_law(k: float, f: float, speeds: list[float], onset: Onset, push: float = 0.0) -> LawProblem:
+    problem = LawProblem([impact(v, None, None, push=push) for v in speeds], MASS_KG, onset)
+    law = problem.predict(k, f)
     rows = zip(speeds, law.normal_out_m_s, law.peak_normal_force_n, law.contact_time_s, strict=True)
-    return [impact(v, float(out), float(peak), float(time), push) for v, out, peak, time in rows]
+    return problem.of([impact(v, float(out), float(peak), float(time), push) for v, out, peak, time in rows])
 
 
 @pytest.mark.parametrize("onset", list(Onset))
 @pytest.mark.parametrize("push", [0.0, -G])
 def test_whole_impacts_give_the_true_coefficients(onset: Onset, push: float) -> None:
-    hits = impacts_by_law(4200.0, 15.0, [0.4, 0.6, 0.9, 1.2, 1.6, 2.0], onset, push)
-    found, notes = fit_hits(hits, MASS_KG, onset)
+    problem = impacts_by_law(4200.0, 15.0, [0.4, 0.6, 0.9, 1.2, 1.6, 2.0], onset, push)
+    found, notes = fit_hits(problem)
     for name, true in (("k", 4200.0), ("f", 15.0)):
         estimate = found[name]
         assert estimate is not None
@@ -311,7 +308,7 @@ def test_whole_impacts_give_the_true_coefficients(onset: Onset, push: float) -> 
 def test_the_law_predicts_held_out_impacts_better_than_the_baselines() -> None:
     # The peak of a soft vehicle's drop includes its weight, so it is not proportional to the speed.
     soft = impacts_by_law(1250.0, 8.5, [0.9, 1.3, 1.8, 2.5], Onset.LCP, -G)
-    compared = hold_out(soft, MASS_KG, Onset.LCP)
+    compared = hold_out(soft)
     assert compared.earned
     assert "better than both baselines" in compared.sentence
     # With the scatter of real drops, the law is no better than the baselines.
@@ -320,7 +317,7 @@ def test_the_law_predicts_held_out_impacts_better_than_the_baselines() -> None:
         impact(v, 0.4 * v * random.uniform(0.7, 1.3), 90.0 * v * random.uniform(0.7, 1.3))
         for v in np.repeat([0.5, 1.0, 1.5], 8)
     ]
-    compared = hold_out(noisy, MASS_KG, Onset.TOUCH)
+    compared = hold_out(LawProblem(noisy, MASS_KG, Onset.TOUCH))
     assert not compared.earned
     assert "no better than the baselines" in compared.sentence
     assert compared.baselines["force-proportional"].outgoing_speed is None
@@ -328,7 +325,7 @@ def test_the_law_predicts_held_out_impacts_better_than_the_baselines() -> None:
 
 def test_two_impacts_are_too_few_for_a_law() -> None:
     two = [impact(1.0, 0.4, 80.0), impact(2.0, 0.8, 160.0)]
-    assert hold_out(two, MASS_KG, Onset.TOUCH).law is None
+    assert hold_out(LawProblem(two, MASS_KG, Onset.TOUCH)).law is None
 
 
 # --- prediction from ratios -----------------------------------------------------------------------------

@@ -12,17 +12,18 @@ from numpy.typing import NDArray
 
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.hit_fit import HitFit, HitTable, fit_hits, predict
+from dart_flight.lab.identify.hit_fit import HitFit, fit_hits
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
+from dart_flight.lab.identify.problem import LawProblem
 from dart_flight.lab.identify.solver import (
     HIGHEST_F,
     HIGHEST_K,
     LOWEST_F,
     LOWEST_K,
-    descend,
-    half_widths,
+    LawFit,
     stiffness_and_damping,
 )
+from dart_flight.lab.identify.trials import Trial
 from dart_flight.lab.statistics import Z95, student_t
 
 pytest.importorskip("scipy")
@@ -30,28 +31,21 @@ pytest.importorskip("scipy")
 K, F, MASS_KG, G = 40_000.0, 80.0, 0.241, 9.80665
 
 
-class Mean:
-    """A `LawProblem` that estimates a mean of numbers with a known standard deviation."""
+class Mean(LawFit):
+    """An estimate of the mean of numbers with a known standard deviation."""
 
     robust_from = 1.5
+    losses = ("linear",)
+    bounds = np.array([-1e6]), np.array([1e6])
 
     def __init__(self, numbers: Array, sd: float, groups: int) -> None:
         self.numbers, self.sd, self.groups = numbers, sd, groups
 
-    def bounds(self) -> tuple[Array, Array]:
-        return np.array([-1e6]), np.array([1e6])
-
     def residuals(self, theta: Array) -> Array:
         return np.asarray((theta[0] - self.numbers) / self.sd)
 
-    def jacobian(self, theta: Array) -> Array:
-        return np.full((self.numbers.size, theta.size), 1.0 / self.sd)
-
     def reweight(self, theta: Array) -> None:
         pass
-
-    def variance(self, theta: Array) -> float:
-        return 1.0
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:
         return np.array_split(np.arange(self.numbers.size), self.groups)
@@ -63,13 +57,13 @@ def test_the_interval_of_a_mean_uses_the_wider_standard_deviation(numbers: list[
     values = np.array(numbers)
     n = values.size
     problem = Mean(values, sd, n)
-    theta = descend(problem, np.array([0.0]), ("linear",))
+    theta = problem.solve(np.array([0.0]))
     assert theta[0] == pytest.approx(values.mean(), abs=1e-6)
     expected, sample = (
         Z95 * sd / math.sqrt(n),
         student_t(n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n),
     )
-    (half,) = half_widths(problem, theta)
+    (half,) = problem.half_widths()
     if sample > 1.31 * expected:
         assert half == pytest.approx(sample, rel=1e-4)
     elif sample < 1.29 * expected:
@@ -78,7 +72,8 @@ def test_the_interval_of_a_mean_uses_the_wider_standard_deviation(numbers: list[
 
 def test_a_single_resampling_group_uses_the_known_standard_deviation() -> None:
     problem = Mean(np.array([0.0, 9.0, 20.0]), 0.5, 1)
-    (half,) = half_widths(problem, np.array([29.0 / 3.0]))
+    problem.solve(np.array([0.0]))
+    (half,) = problem.half_widths()
     assert half == pytest.approx(Z95 * 0.5 / math.sqrt(3.0))
 
 
@@ -100,24 +95,23 @@ def test_an_undetermined_coefficient_is_unknown(
     assert len(notes) == sum(estimate is None for estimate in found.values())
 
 
-def scattered_drops(n: int, sds: tuple[float, float, float], seed: int) -> list[MeasuredImpact]:
+def scattered_drops(n: int, sds: tuple[float, float, float], seed: int) -> LawProblem:
     """Return drops by the law whose outgoing speed, peak and duration have random errors."""
     random = np.random.default_rng((seed, n))
-
-    def hit(speed: float, out: float | None, peak: float | None, contact: float | None) -> MeasuredImpact:
-        return MeasuredImpact(
-            "drop", "rigid", speed, out, None, None, 0.001, 0.001, 0.0, peak, contact, None, -G, 0.0, 0.05,
-            10, False,
-        )  # fmt: skip
-
+    trial = Trial("drop", {}, "rigid", -G)
     speeds = np.resize([3.1, 4.4, 5.4], n) * (1.0 + 0.02 * random.standard_normal(n))
-    true = predict(K, F, HitTable.from_hits([hit(v, None, None, None) for v in speeds]), MASS_KG, Onset.LCP)
+    problem = LawProblem([MeasuredImpact(trial, v, 0.0, 0.05, 10) for v in speeds], MASS_KG, Onset.LCP)
+    true = problem.predict(K, F)
     off = random.standard_normal((3, n)) * np.array(sds)[:, None]
     out = np.maximum(true.normal_out_m_s + speeds * off[0], 0.0)
     peak, contact = true.peak_normal_force_n * np.exp(off[1]), true.contact_time_s * np.exp(off[2])
-    return [
-        hit(*row) for row in zip(speeds.tolist(), out.tolist(), peak.tolist(), contact.tolist(), strict=True)
-    ]
+    rows = zip(speeds.tolist(), out.tolist(), peak.tolist(), contact.tolist(), strict=True)
+    return problem.of(
+        [
+            MeasuredImpact(trial, v, 0.0, 0.05, 10, normal_out_m_s=out, peak_force_n=peak, contact_s=contact)
+            for v, out, peak, contact in rows
+        ]
+    )
 
 
 @pytest.mark.parametrize("n", [pytest.param(3, marks=pytest.mark.rest), 6])
@@ -131,7 +125,7 @@ def scattered_drops(n: int, sds: tuple[float, float, float], seed: int) -> list[
 def test_intervals_of_whole_impacts_cover_the_truth(n: int, sds: tuple[float, float, float]) -> None:
     covered = []
     for seed in range(25):
-        found, _ = fit_hits(scattered_drops(n, sds, seed), MASS_KG, Onset.LCP)
+        found, _ = fit_hits(scattered_drops(n, sds, seed))
         for name, true in (("k", K), ("f", F)):
             estimate = found[name]
             covered.append(estimate is None or estimate.low <= true <= estimate.high)
@@ -140,10 +134,12 @@ def test_intervals_of_whole_impacts_cover_the_truth(n: int, sds: tuple[float, fl
 
 def test_the_reweighted_problem_has_the_robust_solution() -> None:
     for seed in range(5):
-        problem = HitFit(HitTable.from_hits(scattered_drops(6, (0.06, 0.25, 0.2), seed)), MASS_KG, Onset.LCP)
-        robust = descend(problem, np.log([30_000.0, 60.0]), ("huber",))
-        problem.reweight(robust)
-        score = problem.jacobian(robust).T @ problem.residuals(robust)
+        fit = HitFit(scattered_drops(6, (0.06, 0.25, 0.2), seed))
+        fit.losses = ("huber",)
+        robust = fit.solve(np.log([30_000.0, 60.0]))
+        fit.reweight(robust)
+        score = fit.jacobian(robust).T @ fit.residuals(robust)
         assert score == pytest.approx(0.0, abs=1e-3)
-        off = np.abs(problem.solve() - robust)  # both stop when a step gains almost nothing
-        assert (off < 0.02 * half_widths(problem, robust)).all()
+        half = fit.half_widths()
+        fit.losses = HitFit.losses
+        assert (np.abs(fit.solve(fit.start) - robust) < 0.02 * half).all()

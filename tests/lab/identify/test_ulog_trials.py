@@ -20,6 +20,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.fit_quality import assess_fit, expected_residuals
 from dart_flight.lab.identify.measured_impacts import measure_impact
+from dart_flight.lab.identify.problem import LawProblem
 from dart_flight.lab.identify.trial_readers import read_trials
 from dart_flight.lab.identify.trials import TrialReading
 from dart_flight.lab.predict.path import ContactMotion
@@ -111,13 +112,13 @@ def test_coefficients_that_do_not_reproduce_the_drops_are_a_poor_fit(tmp_path: P
     ]
     found = identify(trials, MASS_KG, Onset.LCP)
     assert found.fit.good is True
-    hits = [measure_impact(trial, MASS_KG) for trial in trials]
-    expected = expected_residuals(trials, hits)
+    whole = LawProblem([measure_impact(trial, MASS_KG) for trial in trials], MASS_KG, Onset.LCP)
+    expected = expected_residuals(trials, whole.hits)
     k = found.coefficients["flexible"]["k"]
     assert k is not None
     wrong = {"flexible": found.coefficients["flexible"] | {"k": k._replace(value=3.0 * k.value)}}
-    assessed = assess_fit(wrong, hits, found.residuals, expected, MASS_KG, Onset.LCP)
+    assessed = assess_fit(wrong, whole, found.residuals, expected)
     assert assessed.good is False
     assert any("flexible peak" in line for line in assessed.says)
     unknown = {"flexible": dict.fromkeys(found.coefficients["flexible"])}
-    assert assess_fit(unknown, hits, found.residuals, expected, MASS_KG, Onset.LCP).good is None
+    assert assess_fit(unknown, whole, found.residuals, expected).good is None

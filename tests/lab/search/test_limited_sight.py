@@ -18,12 +18,12 @@ from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.trajectories import Trajectory
-from dart_flight.lab.campaign.arrival import arrival_of
 from dart_flight.lab.commands import plan_command
 from dart_flight.lab.search.limited_sight import safe_speed_m_s
 from dart_flight.lab.search.plan import MotionLimits, Plan, SearchResult
 from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import load_scenario
+from tests.arrival import arrival_of
 from tests.shared_flights import SharedFlights
 from tests.shared_plans import limited_sight_plan
 

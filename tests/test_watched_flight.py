@@ -10,12 +10,12 @@ import pytest
 
 from dart_flight.base.records import Outcome, Record, TruthContact
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.lab.campaign.watched_flight import WatchedFlight, excursion_allowed_m, place_walls, rule_of
 from dart_flight.run.fast import fly_fast
 from dart_flight.sim.draws import DrawnWorld
 from dart_flight.sim.faults.fault_table import Fault, parse_fault
+from tests.watched_flight import WatchedFlight, excursion_allowed_m, place_walls, rule_of
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parent / "data"
 NEAR = load_mission(DATA / "near_wall.yaml")
 
 

@@ -17,12 +17,12 @@ from dart_flight.base.records import Outcome, Record
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.campaign_spec import Point
-from dart_flight.lab.campaign.watched_flight import WatchedFlight
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.writer import FlightLog
 from dart_flight.run.prepare import load_flyable, with_simulated_mocap
 from dart_flight.run.program_fault import fill_disk_of
 from dart_flight.sim.faults.fault_table import KINDS, Fault, FaultSite, parse_fault
+from tests.watched_flight import WatchedFlight
 
 ON_GROUND = "ground"  # phase name: the fault begins with the flight
 PHASES = (ON_GROUND, "take-off", "approach", "contact", "recovery", "goal")
