@@ -11,6 +11,7 @@ import pytest
 import dart_flight
 from dart_flight.config.mission import Mission
 from dart_flight.lab.figure_style import as_svg
+from dart_flight.lab.map_model import room_map
 from dart_flight.lab.report.figures.map_drawing import view_of
 from dart_flight.lab.report.figures.mission_figure import mission_figure, prediction_lines
 from dart_flight.planning.predicted_flight import predict_mission, predicted_segments
@@ -77,7 +78,7 @@ def test_a_wall_far_outside_of_the_bounds_does_not_shrink_the_map() -> None:
         mission_in_room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "far": wall(0.0, 90.0, [0.0, -1.0])}),
     )
     points = np.array([[0.0, 0.0], [1.5, 0.0]])
-    assert view_of(far, points)[1, 1] <= view_of(near, points)[1, 1]
+    assert view_of(room_map(far), points)[1, 1] <= view_of(room_map(near), points)[1, 1]
 
 
 @pytest.mark.rest
