@@ -124,3 +124,20 @@ def test_missions_with_trajectories_claim_no_success_rate_over_draws() -> None:
     words = " ".join(prediction_lines(shuttle, predict_mission(shuttle), []))
     assert "in nine of ten draws" not in words
     assert "This mission has not been flown in simulation" in words
+
+
+@pytest.mark.parametrize("name", ["dual_collision", "ring_guard_250g/single_wall", "find_a_wall"])
+def test_the_legend_names_every_dashed_line(name: str) -> None:
+    mission = dart_flight.load_mission(dart_flight.packaged("missions", f"{name}.yaml"))
+    figure = mission_figure(mission, None if mission.collisions[0].probe else predict_mission(mission))
+    named = {text.get_text() for text in figure.legends[0].get_texts()}
+    for line in [line for axis in figure.axes for line in axis.lines]:
+        assert line.get_linestyle() in ("-", "None") or line.get_label() in named
+
+
+def test_rings_of_a_ring_guard_end_where_the_vehicle_touches_a_wall() -> None:
+    path = dart_flight.packaged("missions", "ring_guard_250g/single_wall.yaml")
+    airframe = dart_flight.load_mission(path).vehicle.airframe
+    assert len(airframe.guards_m) == 4
+    reach = max(x for ring in airframe.guards_m for x, _ in ring)
+    assert reach == pytest.approx(airframe.contact_distance_m)

@@ -187,9 +187,10 @@ def draw_vehicle(axis: Any, airframe: Airframe, at: Vec2 | Vec3, yaw_rad: float,
     Rigid arms are thick and solid, flexible arms thin and dashed, and arms in an unknown state (None) dotted.
     """
     colour = "#777777" if mode is None else "#000000"
-    outline = placed(airframe.outline_m, at, yaw_rad)
-    axis.fill(*outline.T, facecolor="white", edgecolor=colour, linewidth=0.9, alpha=0.55, zorder=3.0)
-    axis.plot(*np.vstack([outline, outline[:1]]).T, color=colour, linewidth=0.9, zorder=3.1)
+    for guard in airframe.guards_m:
+        outline = placed([*guard, guard[0]], at, yaw_rad)
+        axis.fill(*outline.T, facecolor="white", edgecolor=colour, linewidth=0.9, alpha=0.55, zorder=3.0)
+        axis.plot(*outline.T, color=colour, linewidth=0.9, zorder=3.1)
     legend = "vehicle" if mode is None else f"vehicle, {mode.value}"
     for arm in arms_m(airframe):
         ends = placed(list(arm), at, yaw_rad)
@@ -336,8 +337,10 @@ def lines_of(shown: RoomMap) -> list[Array]:
     found += [path.points for path in shown.paths if path.kind is not Kind.DRAW]
     found += [path.points for path in shown.paths if path.kind is Kind.DRAW][::_DRAWS_SHUNNED]
     for body in shown.bodies:
-        outline, at = placed(shown.airframe.outline_m, body.at, body.yaw_rad), np.array(body.at[:2])
-        found += [at + share * (outline - at) for share in (1.0, 0.7, 0.4)]
+        at = np.array(body.at[:2])
+        for guard in shown.airframe.guards_m:
+            outline = placed(guard, body.at, body.yaw_rad)
+            found += [at + share * (outline - at) for share in (1.0, 0.7, 0.4)]
     found += [np.array([arrow.begin, arrow.end]) for arrow in shown.arrows]
     return [along(line) for line in found]
 
