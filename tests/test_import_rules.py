@@ -33,6 +33,7 @@ LAB = (
     "statistics",
     "holes",
     "flight_arrays",
+    "map_model",
     "track",
     "predict",
     "search",

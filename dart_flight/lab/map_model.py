@@ -85,7 +85,7 @@ class Arrow(NamedTuple):
     end: Vec2
 
 
-class Body(NamedTuple):
+class DrawnVehicle(NamedTuple):
     """The vehicle at a place.
 
     Attributes:
@@ -155,7 +155,7 @@ class RoomMap(msgspec.Struct):
     paths: list[Line] = []
     places: list[Place] = []
     arrows: list[Arrow] = []
-    bodies: list[Body] = []
+    bodies: list[DrawnVehicle] = []
     labels: list[Label] = []
     newton_per_m: float = 0.0
 
@@ -167,7 +167,7 @@ class RoomMap(msgspec.Struct):
             tip = (x + along_x / self.newton_per_m, y + along_y / self.newton_per_m)
             self.arrows.append(Arrow(Kind.FORCE, (x, y), tip))
 
-    def add_hit(self, body: Body, setpoint: Vec2 | None) -> None:
+    def add_hit(self, body: DrawnVehicle, setpoint: Vec2 | None) -> None:
         """Add the vehicle at its hit, and a line to the recovery setpoint."""
         self.bodies.append(body)
         if setpoint is not None:

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from dart_flight.base.summary import Z95, student_t
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.hit_fit import HitFit, HitTable, fit_hits, predict
@@ -23,7 +24,6 @@ from dart_flight.lab.identify.solver import (
     half_widths,
     stiffness_and_damping,
 )
-from dart_flight.lab.statistics import Z95, student_t
 
 pytest.importorskip("scipy")
 

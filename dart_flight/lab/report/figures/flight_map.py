@@ -10,7 +10,7 @@ import numpy as np
 
 from dart_flight.lab.figure_style import FORCE, GREY, GUARD, PAGE, Look, in_style, new_figure
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.map_model import Arrow, Body, Kind, Label, Line, Place, RoomMap, room_map
+from dart_flight.lab.map_model import Arrow, DrawnVehicle, Kind, Label, Line, Place, RoomMap, room_map
 from dart_flight.lab.report.figures.map_drawing import draw_map, finish_map, set_view, view_of
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 
@@ -58,7 +58,7 @@ def _add_one(shown: RoomMap, flight: RecordedFlight) -> None:
         (x, y, z), (nx, ny) = hit.onset.position_mission, impact.collision.wall.normal
         yaw = float(np.interp(impact.at_s, heading.time_s, heading.yaw)) if heading.time_s.size else 0.0
         setpoint = None if hit.recovery is None else (hit.recovery[0], hit.recovery[1])
-        shown.add_hit(Body((x, y, z), yaw, hit.lock_mode, hit.index), setpoint)
+        shown.add_hit(DrawnVehicle((x, y, z), yaw, hit.lock_mode, hit.index), setpoint)
         if hit.force is not None:
             forces.append(((x, y), (hit.force[0], hit.force[1])))
             size = f": {math.hypot(*hit.force):.0f} N"

@@ -23,7 +23,7 @@ from dart_flight.lab.figure_style import (
     Look,
 )
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.map_model import THICKNESS_M, Body, DrawnWall, Kind, Line, RoomMap, circle
+from dart_flight.lab.map_model import THICKNESS_M, DrawnVehicle, DrawnWall, Kind, Line, RoomMap, circle
 from dart_flight.lab.report.figures.labels import name_walls, place_labels
 
 _WIDE_IN = 6.0  # figure width from which a legend has three columns
@@ -164,7 +164,7 @@ def draw_side(axis: Any, shown: RoomMap, top_m: float) -> None:
             _plot(axis, Line(Kind.GOAL_ALTITUDE, np.array([[x, 0.0], [x, z]])))
 
 
-def _side_by_side(bodies: Sequence[Body]) -> list[tuple[Vec2, str]]:
+def _side_by_side(bodies: Sequence[DrawnVehicle]) -> list[tuple[Vec2, str]]:
     """Return the position (x, z) and the number of each hit.
 
     Hits that are close together at the same altitude share one position.

@@ -17,7 +17,17 @@ from dart_flight.core.mission.approach import transit_segments
 from dart_flight.core.mission.planned_impact import describe_force
 from dart_flight.lab.figure_style import FORCE, Look, in_style, new_figure, save_figure
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.map_model import Arrow, Body, Kind, Label, Line, Place, RoomMap, at_altitude, room_map
+from dart_flight.lab.map_model import (
+    Arrow,
+    DrawnVehicle,
+    Kind,
+    Label,
+    Line,
+    Place,
+    RoomMap,
+    at_altitude,
+    room_map,
+)
 from dart_flight.lab.report.figures.map_drawing import (
     BELOW_M,
     draw_map,
@@ -227,7 +237,7 @@ def _add_hits(shown: RoomMap, mission: Mission, planned: PredictedFlight) -> Non
             continue
         stops = hit is None or mission.standoff_m is not None
         place = (*at, mission.altitude_at(collision.index - 1))
-        body = Body(place, impact_yaw(mission, collision), collision.mode, collision.index)
+        body = DrawnVehicle(place, impact_yaw(mission, collision), collision.mode, collision.index)
         shown.add_hit(body, None if hit is None or stops else hit.setpoint)
         if hit is None:
             continue

@@ -12,7 +12,7 @@ import numpy as np
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
 from dart_flight.lab.figure_style import Look, in_style, new_figure, save_figure
-from dart_flight.lab.map_model import Body, Kind, Label, Line, Place, RoomMap, room_map
+from dart_flight.lab.map_model import DrawnVehicle, Kind, Label, Line, Place, RoomMap, room_map
 from dart_flight.lab.report.figures.map_drawing import draw_map, finish_map, set_view
 from dart_flight.planning.room import Room, RoomContact, RoomWall
 
@@ -34,7 +34,7 @@ def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *,
         shown.paths.append(Line(Kind.TRUE_WALL, np.array(airframe.wall_surface(true_wall).ends)))
     for k, wall in enumerate(room.walls):
         _add_wall(shown, wall, (room.corners[k - 1], room.corners[k]), f"side {k + 1}")
-    shown.bodies += [Body(touch.place, touch.heading_rad, None) for touch in touches]
+    shown.bodies += [DrawnVehicle(touch.place, touch.heading_rad, None) for touch in touches]
     shown.places += [Place(Kind.CONTACT, touch.place) for touch in touches]
     places = np.array([touch.place for touch in touches] or [mission.start])
     reach = airframe.contact_distance_m + _MARGIN_M
