@@ -32,6 +32,7 @@ LAB = (
     "figure_style",
     "statistics",
     "holes",
+    "csv_text",
     "flight_arrays",
     "map_model",
     "track",

@@ -28,7 +28,7 @@ _BACK_TO_BACK_M = 0.4  # distance of two faces below which a name goes in front,
 _LONGEST_ARROW_M = 0.45  # length of the arrow of the largest force
 
 
-class Kind(StrEnum):
+class MapKind(StrEnum):
     """The kind of a path, place or area; the value is its name in a legend."""
 
     BOUNDS = "bounds_m"
@@ -64,7 +64,7 @@ class Kind(StrEnum):
 class Line(NamedTuple):
     """A line (n, 2) or (n, 3), or the outline of an area; `legend` replaces the name of its kind."""
 
-    kind: Kind
+    kind: MapKind
     points: Array
     legend: str = ""
 
@@ -72,7 +72,7 @@ class Line(NamedTuple):
 class Place(NamedTuple):
     """A point with a symbol."""
 
-    kind: Kind
+    kind: MapKind
     at: Vec2 | Vec3
     legend: str = ""
 
@@ -80,7 +80,7 @@ class Place(NamedTuple):
 class Arrow(NamedTuple):
     """A force, or the direction of a path of the given kind."""
 
-    kind: Kind
+    kind: MapKind
     begin: Vec2
     end: Vec2
 
@@ -165,13 +165,13 @@ class RoomMap(msgspec.Struct):
         self.newton_per_m = max((math.hypot(*n) for _, n in found), default=0.0) / _LONGEST_ARROW_M
         for (x, y), (along_x, along_y) in found if self.newton_per_m else []:
             tip = (x + along_x / self.newton_per_m, y + along_y / self.newton_per_m)
-            self.arrows.append(Arrow(Kind.FORCE, (x, y), tip))
+            self.arrows.append(Arrow(MapKind.FORCE, (x, y), tip))
 
     def add_hit(self, body: DrawnVehicle, setpoint: Vec2 | None) -> None:
         """Add the vehicle at its hit, and a line to the recovery setpoint."""
         self.bodies.append(body)
         if setpoint is not None:
-            self.paths.append(Line(Kind.RECOVERY, np.array([body.at[:2], setpoint])))
+            self.paths.append(Line(MapKind.RECOVERY, np.array([body.at[:2], setpoint])))
 
 
 def room_map(mission: Mission) -> RoomMap:
@@ -183,11 +183,11 @@ def room_map(mission: Mission) -> RoomMap:
         math.radians(mission.frame.heading_deg),
         tuple(_drawn_walls(mission)),
         mission.posts,
-        paths=[Line(Kind.CAPTURE, circle(goal, mission.goal.capture_radius_m))],
+        paths=[Line(MapKind.CAPTURE, circle(goal, mission.goal.capture_radius_m))],
         places=[
-            *(Place(Kind.WAYPOINT, w.position) for w in mission.waypoints if w.position is not None),
-            Place(Kind.START, (*mission.start, mission.altitude_m)),
-            Place(Kind.GOAL, goal),
+            *(Place(MapKind.WAYPOINT, w.position) for w in mission.waypoints if w.position is not None),
+            Place(MapKind.START, (*mission.start, mission.altitude_m)),
+            Place(MapKind.GOAL, goal),
         ],
         labels=[Label(named_material(post), post.centre, colour="#333333") for post in mission.posts],
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from dart_flight.lab.figure_style import FORCE, GREY, GUARD, PAGE, Look, in_style, new_figure
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.map_model import Arrow, DrawnVehicle, Kind, Label, Line, Place, RoomMap, room_map
+from dart_flight.lab.map_model import Arrow, DrawnVehicle, Label, Line, MapKind, Place, RoomMap, room_map
 from dart_flight.lab.report.figures.map_drawing import draw_map, finish_map, set_view, view_of
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 
@@ -49,9 +49,9 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
 def _add_one(shown: RoomMap, flight: RecordedFlight) -> None:
     """Add a flight to a map; its labels are ordered by importance: hits, guard actions, seconds."""
     paths = _paths(flight)
-    shown.paths += [Line(Kind.PLANNED, line) for line in flight.planned_lines()]
+    shown.paths += [Line(MapKind.PLANNED, line) for line in flight.planned_lines()]
     shown.paths += [Line(kind, place) for (_, place), kind in paths]
-    shown.paths += [Line(Kind.REPLANNED, path) for path in flight.planned_trajectories()]
+    shown.paths += [Line(MapKind.REPLANNED, path) for path in flight.planned_trajectories()]
     heading, forces = flight.heading, []
     for impact in flight.impacts:
         hit, size = impact.verdict, ""
@@ -66,7 +66,7 @@ def _add_one(shown: RoomMap, flight: RecordedFlight) -> None:
     shown.add_forces(forces)
     for act in flight.guard_acts():
         if act.place is not None:
-            shown.places.append(Place(Kind.GUARD, act.place))
+            shown.places.append(Place(MapKind.GUARD, act.place))
             shown.labels.append(Label(f"{act.rule}:\n{act.action}", act.place, colour=GUARD))
     if paths:
         (times, place), _ = paths[0]
@@ -74,16 +74,16 @@ def _add_one(shown: RoomMap, flight: RecordedFlight) -> None:
         seconds = _second_labels(times, place)
         whole = np.arange(math.ceil(times[0]), times[-1])
         dots = np.stack([np.interp(whole, times, place[:, i]) for i in (0, 1)], axis=1)
-        shown.places += [Place(Kind.SECOND, (x, y)) for x, y in dots]
-        shown.places += [Place(Kind.LABELLED_SECOND, second.at) for second in seconds]
+        shown.places += [Place(MapKind.SECOND, (x, y)) for x, y in dots]
+        shown.places += [Place(MapKind.LABELLED_SECOND, second.at) for second in seconds]
         shown.labels += seconds
 
 
-def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], Kind]]:
+def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], MapKind]]:
     """Return ((times, places), kind) of each flown path: the true path, then the estimated path."""
     air = flight.airborne
     found = []
-    for motion, kind in ((flight.course.true, Kind.TRUE), (flight.course.estimated, Kind.ESTIMATED)):
+    for motion, kind in ((flight.course.true, MapKind.TRUE), (flight.course.estimated, MapKind.ESTIMATED)):
         if air is None or not motion.time_s.size:
             continue
         inside = (motion.time_s >= air[0]) & (motion.time_s <= air[1])
@@ -97,7 +97,7 @@ def _directions(place: Array) -> Iterator[Arrow]:
     for at in np.arange(0.5 * _ARROW_EVERY_M, distance[-1], _ARROW_EVERY_M):
         i, j = np.searchsorted(distance, at - 0.01), np.searchsorted(distance, at + 0.05)
         if j < distance.size and np.linalg.norm(place[j, :2] - place[i, :2]) > 0.02:
-            yield Arrow(Kind.TRUE, (place[i, 0], place[i, 1]), (place[j, 0], place[j, 1]))
+            yield Arrow(MapKind.TRUE, (place[i, 0], place[i, 1]), (place[j, 0], place[j, 1]))
 
 
 def _second_labels(times: Array, place: Array) -> list[Label]:
@@ -118,7 +118,7 @@ def _second_labels(times: Array, place: Array) -> list[Label]:
 def _add_many(shown: RoomMap, flights: Sequence[RecordedFlight]) -> None:
     for flight in flights:
         for (_, place), kind in _paths(flight)[:1]:
-            shown.paths.append(Line(Kind.ONE_OF_MANY, place, kind))
+            shown.paths.append(Line(MapKind.ONE_OF_MANY, place, kind))
         for hit in flight.impacts:
-            shown.places.append(Place(Kind.HIT, hit.verdict.onset.position_mission))
-    shown.paths += [Line(Kind.PLANNED, line) for line in flights[0].planned_lines()]
+            shown.places.append(Place(MapKind.HIT, hit.verdict.onset.position_mission))
+    shown.paths += [Line(MapKind.PLANNED, line) for line in flights[0].planned_lines()]

@@ -23,7 +23,7 @@ from dart_flight.lab.figure_style import (
     Look,
 )
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.map_model import THICKNESS_M, DrawnVehicle, DrawnWall, Kind, Line, RoomMap, circle
+from dart_flight.lab.map_model import THICKNESS_M, DrawnVehicle, DrawnWall, Line, MapKind, RoomMap, circle
 from dart_flight.lab.report.figures.labels import name_walls, place_labels
 
 _WIDE_IN = 6.0  # figure width from which a legend has three columns
@@ -38,42 +38,42 @@ _DRAWS_SHUNNED = 8  # labels avoid every eighth draw, which stand for all of the
 _SOLID = {"facecolor": "#dcdcdc", "edgecolor": "#777777", "hatch": "////"}
 _DRAWN = "#8db4e2"
 
-_LINES: dict[Kind, dict[str, Any]] = {
-    Kind.BOUNDS: {"color": GREY, "linewidth": 1.0, "linestyle": (0, (1, 2))},
-    Kind.WALL: {"color": "#222222", "linewidth": 1.8, "solid_capstyle": "butt", "zorder": 1.6},
-    Kind.PLANE: {"color": GREY, "linewidth": 0.7, "linestyle": (0, (4, 3)), "zorder": 1.6},
-    Kind.GROUND: {"color": "#222222", "linewidth": 1.4},
-    Kind.GOAL_ALTITUDE: {"color": GREY, "linewidth": 0.8, "linestyle": ":"},
-    Kind.CAPTURE: {"color": "#000000", "linewidth": 0.7},
-    Kind.DRAW: {"color": _DRAWN, "linewidth": 0.5, "alpha": 0.6, "zorder": 1.8},
-    Kind.PREDICTED: PREDICTED,
-    Kind.PLANNED: PREDICTED,
-    Kind.REPLANNED: REPLANNED,
-    Kind.PROBE: {"color": FORCE, "linewidth": 1.2, "linestyle": (0, (5, 3))},
-    Kind.TRUE: {**TRUE, "linewidth": 1.35},
-    Kind.ESTIMATED: {**ESTIMATED, "linewidth": 1.2},
-    Kind.ONE_OF_MANY: {**TRUE, "linewidth": 0.8, "alpha": 0.6},
-    Kind.RECOVERY: {
+_LINES: dict[MapKind, dict[str, Any]] = {
+    MapKind.BOUNDS: {"color": GREY, "linewidth": 1.0, "linestyle": (0, (1, 2))},
+    MapKind.WALL: {"color": "#222222", "linewidth": 1.8, "solid_capstyle": "butt", "zorder": 1.6},
+    MapKind.PLANE: {"color": GREY, "linewidth": 0.7, "linestyle": (0, (4, 3)), "zorder": 1.6},
+    MapKind.GROUND: {"color": "#222222", "linewidth": 1.4},
+    MapKind.GOAL_ALTITUDE: {"color": GREY, "linewidth": 0.8, "linestyle": ":"},
+    MapKind.CAPTURE: {"color": "#000000", "linewidth": 0.7},
+    MapKind.DRAW: {"color": _DRAWN, "linewidth": 0.5, "alpha": 0.6, "zorder": 1.8},
+    MapKind.PREDICTED: PREDICTED,
+    MapKind.PLANNED: PREDICTED,
+    MapKind.REPLANNED: REPLANNED,
+    MapKind.PROBE: {"color": FORCE, "linewidth": 1.2, "linestyle": (0, (5, 3))},
+    MapKind.TRUE: {**TRUE, "linewidth": 1.35},
+    MapKind.ESTIMATED: {**ESTIMATED, "linewidth": 1.2},
+    MapKind.ONE_OF_MANY: {**TRUE, "linewidth": 0.8, "alpha": 0.6},
+    MapKind.RECOVERY: {
         "color": SET_POINT, "linewidth": 1.0, "linestyle": "--", "marker": "x", "markersize": 6,
         "markevery": [-1], "zorder": 4,
     },
-    Kind.TRUE_WALL: {"color": GREY, "linewidth": 3.0, "alpha": 0.5},
-    Kind.MEASURED_WALL: {"color": "#000000", "linewidth": 1.6},
-    Kind.BAND: {"color": _DRAWN, "alpha": 0.5, "linewidth": 0.0},
+    MapKind.TRUE_WALL: {"color": GREY, "linewidth": 3.0, "alpha": 0.5},
+    MapKind.MEASURED_WALL: {"color": "#000000", "linewidth": 1.6},
+    MapKind.BAND: {"color": _DRAWN, "alpha": 0.5, "linewidth": 0.0},
 }  # fmt: skip
-_SYMBOLS: dict[Kind, dict[str, Any]] = {
-    Kind.WAYPOINT: {"marker": "s", "markersize": 5},
+_SYMBOLS: dict[MapKind, dict[str, Any]] = {
+    MapKind.WAYPOINT: {"marker": "s", "markersize": 5},
     # A ring remains visible around a waypoint, the goal or a run-up at the same place.
-    Kind.START: {"marker": "o", "markersize": 11, "markerfacecolor": "none", "zorder": 4.5},
-    Kind.GOAL: {"marker": "*", "markersize": 9},
-    Kind.RUN_UP: {"marker": "s", "markersize": 4, "markerfacecolor": "white", "zorder": 4},
-    Kind.HIT: {"marker": "o", "color": FORCE, "markersize": 2.5, "zorder": 5},
-    Kind.CONTACT: {"marker": ".", "color": FORCE, "markersize": 5, "zorder": 5},
-    Kind.SECOND: {
+    MapKind.START: {"marker": "o", "markersize": 11, "markerfacecolor": "none", "zorder": 4.5},
+    MapKind.GOAL: {"marker": "*", "markersize": 9},
+    MapKind.RUN_UP: {"marker": "s", "markersize": 4, "markerfacecolor": "white", "zorder": 4},
+    MapKind.HIT: {"marker": "o", "color": FORCE, "markersize": 2.5, "zorder": 5},
+    MapKind.CONTACT: {"marker": ".", "color": FORCE, "markersize": 5, "zorder": 5},
+    MapKind.SECOND: {
         "marker": "o", "markersize": 2.6, "markerfacecolor": "white", "markeredgewidth": 0.7, "zorder": 4,
     },
-    Kind.LABELLED_SECOND: {"marker": "o", "markersize": 3.2, "zorder": 4.5},
-    Kind.GUARD: {"marker": "D", "color": GUARD, "markersize": 6, "zorder": 6},
+    MapKind.LABELLED_SECOND: {"marker": "o", "markersize": 3.2, "zorder": 4.5},
+    MapKind.GUARD: {"marker": "D", "color": GUARD, "markersize": 6, "zorder": 6},
 }  # fmt: skip
 _ARMS: dict[Mode | None, dict[str, Any]] = {
     Mode.RIGID: {"linewidth": 2.4, "linestyle": "-"},
@@ -81,14 +81,14 @@ _ARMS: dict[Mode | None, dict[str, Any]] = {
     None: {"linewidth": 1.0, "linestyle": ":"},
 }
 # The side view shows these, because the others are at the altitude of the flight.
-_PATHS_BESIDE = (Kind.PREDICTED, Kind.PROBE)
-_PLACES_BESIDE = (Kind.WAYPOINT, Kind.GOAL)
+_PATHS_BESIDE = (MapKind.PREDICTED, MapKind.PROBE)
+_PLACES_BESIDE = (MapKind.WAYPOINT, MapKind.GOAL)
 
 
 def draw_map(axis: Any, shown: RoomMap) -> None:
     """Draw a map from above, without north, labels and names of walls."""
     (x0, x1), (y0, y1) = shown.bounds.x, shown.bounds.y
-    _plot(axis, Line(Kind.BOUNDS, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])))
+    _plot(axis, Line(MapKind.BOUNDS, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])))
     for wall in shown.walls:
         draw_wall(axis, wall)
     for post in shown.posts:
@@ -101,13 +101,13 @@ def draw_map(axis: Any, shown: RoomMap) -> None:
     for body in shown.bodies:
         draw_vehicle(axis, shown.airframe, body.at, body.yaw_rad, body.mode)
     for kind, begin, end in shown.arrows:
-        if kind is Kind.FORCE:
+        if kind is MapKind.FORCE:
             draw_arrow(axis, begin, end, FORCE)
         else:
-            colour = FORCE if kind is Kind.PROBE else "#000000"
+            colour = FORCE if kind is MapKind.PROBE else "#000000"
             draw_arrow(axis, begin, end, colour, linewidth=0.0, mutation_scale=10)
     if shown.newton_per_m:
-        scale = f"{Kind.FORCE}, 0.1 m: {0.1 * shown.newton_per_m:.0f} N"
+        scale = f"{MapKind.FORCE}, 0.1 m: {0.1 * shown.newton_per_m:.0f} N"
         axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=scale)
     _draw_places(axis, shown, list(_SYMBOLS))
 
@@ -116,7 +116,7 @@ def _plot(axis: Any, path: Line, along: tuple[int, int] = (0, 1)) -> None:
     axis.plot(*path.points[:, along].T, label=path.legend or path.kind, **_LINES[path.kind])
 
 
-def _draw_places(axis: Any, shown: RoomMap, kinds: Sequence[Kind], up: int = 1) -> None:
+def _draw_places(axis: Any, shown: RoomMap, kinds: Sequence[MapKind], up: int = 1) -> None:
     """Draw the symbols of these kinds over x, and over y (1) or z (2)."""
     for kind, at, legend in shown.places:
         if kind in kinds:
@@ -129,8 +129,8 @@ def draw_wall(axis: Any, wall: DrawnWall) -> None:
     surface = np.array(wall.surface.ends)
     back = surface - wall.thickness_m * np.array(wall.surface.normal)
     axis.fill(*np.vstack([surface, back[::-1]]).T, linewidth=0.0, zorder=1.5, **_SOLID)
-    _plot(axis, Line(Kind.WALL, surface))
-    _plot(axis, Line(Kind.PLANE, np.array(wall.plane.ends)))
+    _plot(axis, Line(MapKind.WALL, surface))
+    _plot(axis, Line(MapKind.PLANE, np.array(wall.plane.ends)))
 
 
 def draw_side(axis: Any, shown: RoomMap, top_m: float) -> None:
@@ -147,9 +147,9 @@ def draw_side(axis: Any, shown: RoomMap, top_m: float) -> None:
         style = _SOLID if seen_from_side else {"facecolor": "#f1f1f1"}
         zorder = 1.2 if seen_from_side else 1.0
         axis.fill_between([min(ends), max(ends)], 0.0, top_m, linewidth=0.0, zorder=zorder, **style)
-    axis.axhline(0.0, label=Kind.GROUND, **_LINES[Kind.GROUND])
+    axis.axhline(0.0, label=MapKind.GROUND, **_LINES[MapKind.GROUND])
     for z in shown.bounds.z:
-        axis.axhline(z, label=Kind.BOUNDS, **_LINES[Kind.BOUNDS])
+        axis.axhline(z, label=MapKind.BOUNDS, **_LINES[MapKind.BOUNDS])
     for path in shown.paths:
         if path.kind in _PATHS_BESIDE:
             _plot(axis, path, (0, 2))
@@ -159,9 +159,9 @@ def draw_side(axis: Any, shown: RoomMap, top_m: float) -> None:
         axis.annotate(numbers, (x, z), (0, 7), textcoords="offset points", ha="center", color=FORCE)
     _draw_places(axis, shown, _PLACES_BESIDE, up=2)
     for place in shown.places:
-        if place.kind is Kind.GOAL:
+        if place.kind is MapKind.GOAL:
             x, _, z = place.at
-            _plot(axis, Line(Kind.GOAL_ALTITUDE, np.array([[x, 0.0], [x, z]])))
+            _plot(axis, Line(MapKind.GOAL_ALTITUDE, np.array([[x, 0.0], [x, z]])))
 
 
 def _side_by_side(bodies: Sequence[DrawnVehicle]) -> list[tuple[Vec2, str]]:
@@ -334,8 +334,8 @@ def lines_of(shown: RoomMap) -> list[Array]:
         found += [np.array(wall.plane.ends)]
         found += [np.array(wall.surface.displaced(-s * wall.thickness_m).ends) for s in (0.0, 0.5, 1.0)]
     found += [circle(post.centre, post.radius_m) for post in shown.posts]
-    found += [path.points for path in shown.paths if path.kind is not Kind.DRAW]
-    found += [path.points for path in shown.paths if path.kind is Kind.DRAW][::_DRAWS_SHUNNED]
+    found += [path.points for path in shown.paths if path.kind is not MapKind.DRAW]
+    found += [path.points for path in shown.paths if path.kind is MapKind.DRAW][::_DRAWS_SHUNNED]
     for body in shown.bodies:
         at = np.array(body.at[:2])
         for guard in shown.airframe.guards_m:

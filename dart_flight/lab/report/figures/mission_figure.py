@@ -20,9 +20,9 @@ from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.map_model import (
     Arrow,
     DrawnVehicle,
-    Kind,
     Label,
     Line,
+    MapKind,
     Place,
     RoomMap,
     at_altitude,
@@ -77,7 +77,7 @@ def mission_map(
     """Return a map of a mission with its predicted path and the predictions for varied walls."""
     shown = room_map(mission)
     climb = [(*mission.start, z) for z in (0.0, mission.altitude_m)]
-    shown.paths.append(Line(Kind.PREDICTED, np.array(climb)))
+    shown.paths.append(Line(MapKind.PREDICTED, np.array(climb)))
     _add_draws(shown, mission, drawn)
     _add_probes(shown, mission, labelled=planned is None)
     if planned is not None:
@@ -170,10 +170,10 @@ def _add_probes(shown: RoomMap, mission: Mission, *, labelled: bool) -> None:
             continue
         path = np.array([collision.probe.begin, collision.probe.end])
         z = mission.altitude_at(collision.index - 1)
-        shown.paths.append(Line(Kind.PROBE, at_altitude(path, z)))
+        shown.paths.append(Line(MapKind.PROBE, at_altitude(path, z)))
         (dx, dy), middle = path[1] - path[0], path[0] + 0.6 * (path[1] - path[0])
         (x, y) = collision.probe.end
-        shown.arrows.append(Arrow(Kind.PROBE, (x - 0.06 * dx, y - 0.06 * dy), (x, y)))
+        shown.arrows.append(Arrow(MapKind.PROBE, (x - 0.06 * dx, y - 0.06 * dy), (x, y)))
         if labelled:
             across = (-dy / math.hypot(dx, dy), dx / math.hypot(dx, dy))
             text = f"{collision.index} probe for {collision.wall.name}\n{collision.probe.speed_m_s:g} m/s"
@@ -213,19 +213,19 @@ def _add_draws(shown: RoomMap, mission: Mission, drawn: Sequence[PredictedFlight
     for flight in drawn:
         surfaces = [np.array(mission.vehicle.airframe.wall_surface(wall).ends) for wall in flight.walls]
         legs = [at_altitude(leg, mission.altitude_at(index - 1)) for index, leg in flight.legs.items()]
-        shown.paths += [Line(Kind.DRAW, points, legend) for points in (*legs, *surfaces)]
+        shown.paths += [Line(MapKind.DRAW, points, legend) for points in (*legs, *surfaces)]
 
 
 def _add_trajectory(shown: RoomMap, mission: Mission, planned: PredictedFlight) -> None:
-    shown.paths += [Line(Kind.PREDICTED, path) for path in _from_rest(mission, planned)]
+    shown.paths += [Line(MapKind.PREDICTED, path) for path in _from_rest(mission, planned)]
     for index, line in [*planned.approaches.items(), *_legs(mission, planned).items()]:
-        shown.paths.append(Line(Kind.PREDICTED, at_altitude(line, mission.altitude_at(index - 1))))
+        shown.paths.append(Line(MapKind.PREDICTED, at_altitude(line, mission.altitude_at(index - 1))))
     for index, line in planned.approaches.items():
         begins = 0 if mission.collisions[index - 1].trajectory is not None else -2
-        shown.places.append(Place(Kind.RUN_UP, line[begins]))
+        shown.places.append(Place(MapKind.RUN_UP, line[begins]))
         (ax, ay), (bx, by) = line[-2:]
         middle, tip = ((ax + share * (bx - ax), ay + share * (by - ay)) for share in (0.55, 0.61))
-        shown.arrows.append(Arrow(Kind.PREDICTED, middle, tip))
+        shown.arrows.append(Arrow(MapKind.PREDICTED, middle, tip))
 
 
 def _add_hits(shown: RoomMap, mission: Mission, planned: PredictedFlight) -> None:

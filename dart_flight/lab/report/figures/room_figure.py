@@ -12,7 +12,7 @@ import numpy as np
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
 from dart_flight.lab.figure_style import Look, in_style, new_figure, save_figure
-from dart_flight.lab.map_model import DrawnVehicle, Kind, Label, Line, Place, RoomMap, room_map
+from dart_flight.lab.map_model import DrawnVehicle, Label, Line, MapKind, Place, RoomMap, room_map
 from dart_flight.lab.report.figures.map_drawing import draw_map, finish_map, set_view
 from dart_flight.planning.room import Room, RoomContact, RoomWall
 
@@ -31,11 +31,11 @@ def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *,
     """
     shown, airframe = room_map(mission), mission.vehicle.airframe
     for true_wall in mission.simulated_walls:
-        shown.paths.append(Line(Kind.TRUE_WALL, np.array(airframe.wall_surface(true_wall).ends)))
+        shown.paths.append(Line(MapKind.TRUE_WALL, np.array(airframe.wall_surface(true_wall).ends)))
     for k, wall in enumerate(room.walls):
         _add_wall(shown, wall, (room.corners[k - 1], room.corners[k]), f"side {k + 1}")
     shown.bodies += [DrawnVehicle(touch.place, touch.heading_rad, None) for touch in touches]
-    shown.places += [Place(Kind.CONTACT, touch.place) for touch in touches]
+    shown.places += [Place(MapKind.CONTACT, touch.place) for touch in touches]
     places = np.array([touch.place for touch in touches] or [mission.start])
     reach = airframe.contact_distance_m + _MARGIN_M
     figure, axis = new_figure(look, 5.0)
@@ -62,8 +62,8 @@ def _add_wall(shown: RoomMap, wall: RoomWall, corners: tuple[Vec2 | None, Vec2 |
     beside = (t - touched.mean()) * math.tan(wall.normal_sd_rad)
     open_m = _SURE * np.hypot(wall.offset_sd_m, beside)[:, None]
     band = np.vstack([line + open_m * normal, (line - open_m * normal)[::-1]])
-    shown.areas.append(Line(Kind.BAND, band, f"± {_SURE:g} standard deviations"))
-    shown.paths.append(Line(Kind.MEASURED_WALL, line))
+    shown.areas.append(Line(MapKind.BAND, band, f"± {_SURE:g} standard deviations"))
+    shown.paths.append(Line(MapKind.MEASURED_WALL, line))
     (x, y), (nx, ny) = line[len(line) // 2], wall.normal
     shown.labels.append(Label(name, (float(x), float(y)), (-nx, -ny)))
 
