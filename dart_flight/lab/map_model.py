@@ -61,6 +61,9 @@ class MapKind(StrEnum):
     CONTACT = "contact, the vehicle's centre"
 
 
+FlatLine = Array | Sequence[Vec2]
+
+
 class Line(NamedTuple):
     """A line (n, 2) or (n, 3), or the outline of an area; `legend` replaces the name of its kind."""
 
@@ -218,10 +221,10 @@ def circle(centre: Sequence[float], radius_m: float) -> Array:
     angle = np.linspace(0.0, 2.0 * math.pi, 49)
     around = np.zeros((angle.size, len(centre)))
     around[:, :2] = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return around + np.array(centre)
+    return np.asarray(around + np.array(centre))
 
 
-def at_altitude(line: Array | Sequence[Vec2], z: float) -> Array:
+def at_altitude(line: FlatLine, z: float) -> Array:
     """Return a line (n, 2 or more), of which x and y come first, as (n, 3) at an altitude."""
     points = np.asarray(line, dtype=float)[:, :2]
     return np.column_stack([points, np.full(len(points), z)])

@@ -27,7 +27,7 @@ from dart_flight.core.mission.approach import transit_segments
 from dart_flight.core.mission.planned_impact import expected_hit
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.flight_arrays import Array, FlightArrays
-from dart_flight.lab.map_model import at_altitude
+from dart_flight.lab.map_model import FlatLine, at_altitude
 from dart_flight.lab.predict.path import ContactMotion, HitHistory, trajectory
 from dart_flight.lab.report.tracks import Angles, angles
 from dart_flight.planning.predicted_flight import PredictedFlight, predict_mission
@@ -301,7 +301,7 @@ class RecordedFlight:
         from_rest = [
             np.array([leg.begin, leg.end]) for leg in transit_segments(self.mission) if leg.begin is not None
         ]
-        lines = [*planned.approaches.items(), *planned.legs.items()]
+        lines: list[tuple[int, FlatLine]] = [*planned.approaches.items(), *planned.legs.items()]
         return [*(at_altitude(line, altitude_at(index - 1)) for index, line in lines), *from_rest]
 
 

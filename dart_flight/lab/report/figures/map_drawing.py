@@ -160,7 +160,7 @@ def draw_side(axis: Any, shown: RoomMap, top_m: float) -> None:
     _draw_places(axis, shown, _PLACES_BESIDE, up=2)
     for place in shown.places:
         if place.kind is MapKind.GOAL:
-            x, _, z = place.at
+            x, z = place.at[0], place.at[-1]
             _plot(axis, Line(MapKind.GOAL_ALTITUDE, np.array([[x, 0.0], [x, z]])))
 
 
@@ -170,7 +170,8 @@ def _side_by_side(bodies: Sequence[DrawnVehicle]) -> list[tuple[Vec2, str]]:
     Hits that are close together at the same altitude share one position.
     """
     found: list[tuple[Vec2, str]] = []
-    for (x, _, z), _, _, number in sorted(bodies, key=lambda body: body.at[0]):
+    for body in sorted(bodies, key=lambda body: body.at[0]):
+        x, z, number = body.at[0], body.at[-1], body.number
         if found and x - found[-1][0][0] < _SAME_M and z == found[-1][0][1]:
             found[-1] = (found[-1][0], f"{found[-1][1]}, {number}")
         else:

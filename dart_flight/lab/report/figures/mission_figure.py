@@ -20,6 +20,7 @@ from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.map_model import (
     Arrow,
     DrawnVehicle,
+    FlatLine,
     Label,
     Line,
     MapKind,
@@ -218,7 +219,8 @@ def _add_draws(shown: RoomMap, mission: Mission, drawn: Sequence[PredictedFlight
 
 def _add_trajectory(shown: RoomMap, mission: Mission, planned: PredictedFlight) -> None:
     shown.paths += [Line(MapKind.PREDICTED, path) for path in _from_rest(mission, planned)]
-    for index, line in [*planned.approaches.items(), *_legs(mission, planned).items()]:
+    lines: list[tuple[int, FlatLine]] = [*planned.approaches.items(), *_legs(mission, planned).items()]
+    for index, line in lines:
         shown.paths.append(Line(MapKind.PREDICTED, at_altitude(line, mission.altitude_at(index - 1))))
     for index, line in planned.approaches.items():
         begins = 0 if mission.collisions[index - 1].trajectory is not None else -2
