@@ -262,16 +262,11 @@ def view_of(shown: RoomMap, points: Array, margin_m: float = 0.45) -> Array:
     """
     (x0, x1), (y0, y1) = shown.bounds.x, shown.bounds.y
     surfaces = [along(np.array(wall.surface.ends)) for wall in shown.walls]
-    behind = [THICKNESS_M + _NAME_M] * len(surfaces)
-    surfaces += [circle(post.centre, post.radius_m) for post in shown.posts]
-    room = [np.array([[x0, y0], [x1, y1]]), *surfaces[len(behind) :]]
-    room += [
-        surface - m * np.array(wall.surface.normal)
-        for surface, wall, m in zip(surfaces, shown.walls, behind, strict=False)
-    ]
-    corners = np.vstack(room)
+    posts = [circle(post.centre, post.radius_m) for post in shown.posts]
+    names = [np.array(wall.surface.displaced(-THICKNESS_M - _NAME_M).ends) for wall in shown.walls]
+    corners = np.vstack([[[x0, y0], [x1, y1]], *names, *posts])
     inside = points[np.isfinite(points).all(axis=1), :2]
-    inside = np.vstack([inside, *(_nearest_part(shown, surface, inside) for surface in surfaces)])
+    inside = np.vstack([inside, *(_nearest_part(shown, surface, inside) for surface in (*surfaces, *posts))])
     low = np.maximum(inside.min(axis=0) - margin_m, corners.min(axis=0) - 0.05)
     high = np.minimum(inside.max(axis=0) + margin_m, corners.max(axis=0) + 0.05)
     # Widen a narrow view around its centre.
