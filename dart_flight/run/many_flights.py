@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import signal
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 from dart_flight.base.errors import FlightError
 from dart_flight.base.records import OperatorRequest, Outcome, Record, Request
 from dart_flight.base.signals import StopSignals
+from dart_flight.base.summary import Spread, cause_of, spread
 from dart_flight.config.mission import Mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
@@ -22,24 +23,16 @@ from dart_flight.run.workers import Failure, Interrupt, usable_cores, work
 from dart_flight.sim.draws import AS_COMMANDED, LOCK_TRUE_MODE
 
 
-class RunSpread(msgspec.Struct):
-    """Median and range of a value over many flights."""
-
-    median: float
-    low: float
-    high: float
-
-
 class RunsSummary(msgspec.Struct):
     """Summary of many flights; `unexplained_modes` has the findings of the function of that name by seed."""
 
     runs: int
     completed: int
     reasons: dict[str, int]
-    goal_miss_m: RunSpread | None
-    final_error_m: RunSpread | None
-    max_tilt_deg: RunSpread | None
-    peak_force_error_percent: RunSpread | None
+    goal_miss_m: Spread | None
+    final_error_m: Spread | None
+    max_tilt_deg: Spread | None
+    peak_force_error_percent: Spread | None
     plan_followed: int | None = None  # number of flights, or None if no flight had a plan
     unexplained_modes: dict[str, list[str]] = {}
 
@@ -124,22 +117,18 @@ def fly_one_by_one(
 
 
 def summarise(verdicts: list[Verdict]) -> RunsSummary:
-    reasons: dict[str, int] = {}
-    for v in verdicts:
-        if v.reason is not None:
-            rule = v.reason.split(":")[0]
-            reasons[rule] = reasons.get(rule, 0) + 1
+    followed = [v.plan_followed for v in verdicts if v.plan_followed is not None]
     return RunsSummary(
         runs=len(verdicts),
         completed=sum(v.outcome is Outcome.COMPLETED for v in verdicts),
-        reasons=reasons,
-        goal_miss_m=_spread(v.goal_miss_m for v in verdicts),
-        final_error_m=_spread(v.final_error_m for v in verdicts),
-        max_tilt_deg=_spread(v.max_tilt_deg for v in verdicts),
-        peak_force_error_percent=_spread(
+        reasons=dict(Counter(cause_of(v.reason) for v in verdicts if v.reason is not None)),
+        goal_miss_m=spread(v.goal_miss_m for v in verdicts),
+        final_error_m=spread(v.final_error_m for v in verdicts),
+        max_tilt_deg=spread(v.max_tilt_deg for v in verdicts),
+        peak_force_error_percent=spread(
             100.0 * error for v in verdicts for c in v.collisions if (error := c.force_error) is not None
         ),
-        plan_followed=_count(v.plan_followed for v in verdicts),
+        plan_followed=sum(followed) if followed else None,
         unexplained_modes={str(v.seed): found for v in verdicts if (found := unexplained_modes(v))},
     )
 
@@ -163,15 +152,3 @@ def unexplained_modes(verdict: Verdict) -> list[str]:
                 f"{c.mode}{truly}"
             )
     return found
-
-
-def _count(followed: Iterable[bool | None]) -> int | None:
-    known = [one for one in followed if one is not None]
-    return sum(known) if known else None
-
-
-def _spread(values: Iterable[Any]) -> RunSpread | None:
-    known = sorted(v for v in values if v is not None)
-    if not known:
-        return None
-    return RunSpread(known[len(known) // 2], known[0], known[-1])

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from dart_flight.base.geometry import distance2
 from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, LandedState, SystemStatus
 from dart_flight.config.rotors import MAV_TYPES
-from dart_flight.sim import current_mode, esc_status
+from dart_flight.sim import unlisted_messages
 from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.datagrams import receive_datagram, send_datagram
 from dart_flight.sim.embedded_autopilot import TICK_US, Autopilot
@@ -428,7 +428,7 @@ class MavlinkEndpoint:
         return main << 16 | sub << 24
 
     def _current_mode(self) -> Any:
-        return current_mode.CurrentModeMessage(self._custom_mode())
+        return unlisted_messages.current_mode(self._custom_mode())
 
     def _sys_status(self) -> Any:
         a = self.autopilot
@@ -568,7 +568,7 @@ class MavlinkEndpoint:
         a = self.autopilot
         per_rpm2 = a.vehicle.estimation.esc_thrust_n_per_rpm2 or _ESC_THRUST_N_PER_RPM2
         rpm = [round(math.sqrt(a.vehicle.thrust.force_n(u) / per_rpm2)) for u in a.plant.motor]
-        return esc_status.EscStatusMessages(a.time_us, rpm)
+        return unlisted_messages.EscStatusMessages(a.time_us, rpm)
 
     def _autopilot_version(self) -> Any:
         capabilities = (
@@ -585,7 +585,7 @@ class MavlinkEndpoint:
 # message -> default rate on PX4's onboard link (Hz, 0 for a message on request only) and builder
 MESSAGES: dict[int, tuple[float, Callable[[MavlinkEndpoint], Any]]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: (1.0, MavlinkEndpoint._heartbeat),
-    current_mode.MESSAGE_ID: (0.5, MavlinkEndpoint._current_mode),
+    unlisted_messages.CURRENT_MODE_ID: (0.5, MavlinkEndpoint._current_mode),
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: (5.0, MavlinkEndpoint._sys_status),
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (5.0, MavlinkEndpoint._extended_sys_state),
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (0.5, MavlinkEndpoint._battery_status),
@@ -598,7 +598,7 @@ MESSAGES: dict[int, tuple[float, Callable[[MavlinkEndpoint], Any]]] = {
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: (5.0, MavlinkEndpoint._rc_channels),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: (0.5, MavlinkEndpoint._home_position),
     mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: (0.0, MavlinkEndpoint._actuator_output_status),
-    esc_status.MESSAGE_ID: (0.0, MavlinkEndpoint._esc_status),
+    unlisted_messages.ESC_STATUS_ID: (0.0, MavlinkEndpoint._esc_status),
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (1.0, MavlinkEndpoint._estimator_status),
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (0.0, MavlinkEndpoint._autopilot_version),
 }

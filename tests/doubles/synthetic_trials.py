@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from dart_flight.config.vehicle.airframe import Coefficients
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
+from dart_flight.lab.csv_text import csv_text
 from dart_flight.lab.identify.trials import Series, Trial
 from dart_flight.lab.predict.path import ContactMotion, trajectory
 
@@ -106,9 +106,9 @@ def drop_trial(
 
 def write_csv(trial: Trial, path: Path) -> None:
     """Write a trial as a CSV file for `dart-flight identify`; all series must have the same times."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["time_s", *trial.series])
-        columns = [series.value.tolist() for series in trial.series.values()]
-        for time, *values in zip(trial.normal.time_s.tolist(), *columns, strict=True):
-            writer.writerow([f"{time:.6f}", *(f"{value:.7g}" for value in values)])
+    columns = [series.value.tolist() for series in trial.series.values()]
+    rows = (
+        [f"{time:.6f}", *(f"{value:.7g}" for value in values)]
+        for time, *values in zip(trial.normal.time_s.tolist(), *columns, strict=True)
+    )
+    path.write_text(csv_text([["time_s", *trial.series], *rows]), newline="")

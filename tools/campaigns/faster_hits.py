@@ -21,6 +21,7 @@ import msgspec
 
 from dart_flight.base.geometry import distance2, norm, tilt_of
 from dart_flight.base.records import Mode, Outcome, Phase, PhaseChange, Record, TruthContact, TruthSample
+from dart_flight.base.summary import wilson
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
@@ -36,7 +37,6 @@ from dart_flight.lab.search.optimal_trajectory import (
     solve,
 )
 from dart_flight.lab.search.plan import MotionLimits
-from dart_flight.lab.statistics import wilson
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 from dart_flight.recording.verdict import Verdict

@@ -17,13 +17,13 @@ from typing import NamedTuple
 import msgspec
 
 from dart_flight.base.records import Mode, Phase, PhaseChange, Record, TruthContact, WallEstimate, World
+from dart_flight.base.summary import wilson
 from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.contact.contact_map import collide
 from dart_flight.contact.law import Onset
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.statistics import wilson
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 from dart_flight.recording.verdict import VerdictBuilder

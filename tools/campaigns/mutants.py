@@ -24,9 +24,9 @@ from cosmic_ray.plugins import get_operator
 from cosmic_ray.testing import run_tests
 from cosmic_ray.work_item import TestOutcome
 
+from dart_flight.base.summary import wilson
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.statistics import wilson
 from tools.campaigns.results import ROOT, markdown
 
 _MUTATED = ("dart_flight/core/*/*.py", "dart_flight/core/*.py", "dart_flight/run/core_thread.py")

@@ -11,10 +11,10 @@ import numpy as np
 
 from dart_flight.base.geometry import distance2
 from dart_flight.base.records import AfterImpact, Record, TruthContact, TruthSample
+from dart_flight.base.summary import wilson
 from dart_flight.config.mission import Mission
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.statistics import wilson
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.sim.draws import draw_world
 from tests.watched_flight import WatchedFlight, rule_of

@@ -16,13 +16,13 @@ from typing import Any
 import msgspec
 
 from dart_flight.base.records import Outcome
+from dart_flight.base.summary import wilson
 from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.statistics import wilson
 from dart_flight.sim.draws import draw_world
 from tests.watched_flight import WatchedFlight
 from tools.campaigns.results import markdown

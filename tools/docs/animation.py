@@ -17,7 +17,9 @@ import numpy as np
 from dart_flight.config.mission import load_mission
 from dart_flight.lab.figure_style import FORCE, SET_POINT, Look, in_style, new_figure
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.map_drawing import draw_arrow, draw_room, draw_vehicle, name_walls
+from dart_flight.lab.map_model import room_map
+from dart_flight.lab.report.figures.labels import name_walls
+from dart_flight.lab.report.figures.map_drawing import draw_arrow, draw_map, draw_vehicle
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.report.tracks import angles, in_force, lock_mode, setpoint_series
 from dart_flight.run.fast import fly_fast
@@ -84,7 +86,8 @@ class Scene:
         axis.clear()
         axis.set(xlim=(-0.3, 2.15), ylim=(-1.55, 0.1), aspect="equal")
         axis.set_axis_off()
-        draw_room(axis, flight.mission)
+        room = room_map(flight.mission)
+        draw_map(axis, room)
         true = flight.course.true
         air = (true.time_s >= flight.shown_span[0]) & (true.time_s <= at_s)
         axis.plot(*true.position[air, :2].T, color="#000000", linewidth=1.2, zorder=2)
@@ -103,7 +106,7 @@ class Scene:
         if np.hypot(*force) > 1.0:
             begin = np.array([x, y])
             draw_arrow(axis, begin, begin + _ARROW_M_PER_N * force, FORCE, linewidth=2.2)
-        name_walls(axis, flight.mission, 8.0)
+        name_walls(axis, room.walls, 8.0)
 
     def _draw_strip(self, at_s: float) -> None:
         axis = self._strip

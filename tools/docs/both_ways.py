@@ -21,7 +21,8 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
 from dart_flight.lab.figure_style import ESTIMATED, GREY, TRUE, Look, in_style, new_figure, save_figure
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.map_drawing import draw_room, draw_vehicle, set_view, view_of
+from dart_flight.lab.map_model import room_map
+from dart_flight.lab.report.figures.map_drawing import draw_map, draw_vehicle, set_view, view_of
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.report.tracks import angles, lock_mode
 from dart_flight.run.fast import fly_fast
@@ -89,11 +90,11 @@ class FlownBothWays:
     def view(self) -> Array:
         """The area that the maps show."""
         tracks = [way.flight.course.true.position[way.flown, :2] for way in self.ways]
-        return view_of(self.ways[0].mission, np.vstack(tracks))
+        return view_of(room_map(self.ways[0].mission), np.vstack(tracks))
 
     def draw_map(self, axis: Any, way: FlownVariant, until_s: float) -> None:
         """Draw the room and the path flown so far."""
-        draw_room(axis, way.mission)
+        draw_map(axis, room_map(way.mission))
         for visit in self.scenario.visits:
             axis.plot(*visit.position_m, "D", color=GREY, markersize=4, zorder=2.2)
         track = way.flight.course.true.position[way.flown & (way.time_s <= until_s), :2]

@@ -23,6 +23,7 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import Airframe, Cam
 from dart_flight.contact.law import Onset
 from dart_flight.lab.flight_arrays import FlightArrays
+from dart_flight.lab.map_model import DrawnWall
 from dart_flight.lab.predict.path import trajectory
 from dart_flight.lab.predict.prediction import condition, wall_contact
 from dart_flight.lab.report.figures.map_drawing import draw_arrow, draw_vehicle, draw_wall
@@ -95,7 +96,7 @@ def draw_frames(folder: Path) -> None:
 
     wall = Wall("wall", (0.0, 0.0), (0.0, 1.0), 3.0, "acrylic")
     airframe = _mission("paper_single_wall.yaml").vehicle.airframe
-    draw_wall(right, wall, airframe)
+    draw_wall(right, DrawnWall(wall, airframe.wall_surface(wall)))
     right.text(-1.5, -0.42, "wall", ha="left", va="center")
     impact = (-0.5, 0.0)
     for name, axis_vector in (("X†", (1.0, 0.0, 0.0)), ("Y†", (0.0, 1.0, 0.0))):
@@ -264,7 +265,7 @@ def draw_recovery(folder: Path) -> None:
     assert course.frame is not None
     figure, axis = _figure(6.8, 4.4)
     for wall in mission.walls:
-        draw_wall(axis, wall, mission.vehicle.airframe)
+        draw_wall(axis, DrawnWall(wall, mission.vehicle.airframe.wall_surface(wall)))
         axis.text(*_WALL_LABELS[wall.name], wall.name, ha="center", va="center")
     peaks = course.all(ImpactPeak)
     flown = course.true.time_s > course.time_of(peaks[0].t_us) - 2.5

@@ -56,6 +56,8 @@ class Airframe(Section, frozen=True, kw_only=True):
         yaw_torque_per_thrust_m: drag torque of a propeller over its thrust, N m per N.
         guard_along_m: distance from the middle of a side to each of the side's two guard points, which touch
             a wall first.
+        guard_ring_m: radius of a ring around each propeller, for drawings; null: the guard is drawn as an
+            octagon through the guard points.
         listed: 4 to 8 motors in PX4's order, for an airframe other than a quadrotor in X (arm_x_m and arm_y_m
             are then null); `calibrate airframe` prints this list.
     """
@@ -69,6 +71,7 @@ class Airframe(Section, frozen=True, kw_only=True):
     arm_y_m: Annotated[float, Meta(ge=0.01, le=2.0)] | None = None
     yaw_torque_per_thrust_m: Annotated[float, Meta(gt=0.0, le=0.5)] = 0.016
     guard_along_m: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.13
+    guard_ring_m: Annotated[float, Meta(gt=0.0, le=2.0)] | None = None
     listed: Annotated[tuple[Motor, ...], Meta(min_length=4, max_length=8)] | None = msgspec.field(
         default=None, name="motors"
     )
@@ -98,15 +101,21 @@ class Airframe(Section, frozen=True, kw_only=True):
         )
 
     @property
-    def outline_m(self) -> list[Vec2]:
-        """Corners of the guards seen from above, (forward, left), m, counter-clockwise from the front left.
+    def guards_m(self) -> list[list[Vec2]]:
+        """Outlines of the guards seen from above, (forward, left), m, counter-clockwise.
 
-        Each side has two points that touch a wall first, `guard_along_m` from the side's middle and
-        `contact_distance_m` from the centre of mass.
+        They are a ring around each motor, or one octagon. A side of the octagon ends at the two points that
+        touch a wall first, `guard_along_m` from its middle and `contact_distance_m` from the centre of mass.
         """
+        if self.guard_ring_m is not None:
+            radius_m, turns = self.guard_ring_m, [math.tau * k / 24 for k in range(24)]
+            return [
+                [(m.x_m + radius_m * math.cos(a), radius_m * math.sin(a) - m.y_m) for a in turns]
+                for m in self.motors
+            ]
         out, along = self.contact_distance_m, self.guard_along_m
         half: list[Vec2] = [(out, along), (along, out), (-along, out), (-out, along)]
-        return half + [(-x, -y) for x, y in half]
+        return [half + [(-x, -y) for x, y in half]]
 
     @property
     def corner_m(self) -> float:

@@ -5,7 +5,6 @@ A drawn quantity has a random value in each flight (docs/draws.md).
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -17,6 +16,7 @@ from typing import NamedTuple
 import msgspec
 
 from dart_flight.base.records import Outcome
+from dart_flight.base.summary import Share, Spread, cause_of, share, spread
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import VehicleSource
 from dart_flight.lab.campaign.campaign_folder import TABLE, CampaignFolder
@@ -25,13 +25,11 @@ from dart_flight.lab.campaign.flight_job import ERROR
 from dart_flight.lab.campaign.table import rows_in
 from dart_flight.lab.statistics import (
     Separation,
-    Share,
     bin_edges,
     bin_of,
     rank_correlation,
     rank_correlation_chance,
     separation,
-    share,
 )
 from dart_flight.recording.plan_versus_flight import Deviation
 
@@ -43,19 +41,6 @@ _MAX_OVER = 2  # drawn quantities for one figure
 _MAX_POINTS = 400
 _SIGNIFICANT = 0.05  # p value, corrected for the number of quantities tried
 _OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
-
-
-class FigureSpread(msgspec.Struct, frozen=True):
-    """The distribution of one numerical result of a campaign, without the flights that lack this result.
-
-    Percentiles and `most` count by magnitude, so `most` of the normal velocities is the fastest hit.
-    """
-
-    flights: int
-    median: float
-    low_5: float
-    high_95: float
-    most: float
 
 
 class Bin(msgspec.Struct, frozen=True):
@@ -176,7 +161,8 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         flights, asked: number of rows in the table, and total number of flights.
         errors: number of flights without a verdict, because a program error ended them. The rates leave out
             these flights.
-        figures: distributions by column.
+        figures: distributions by column, ordered by magnitude: the high of the normal velocities is the
+            fastest hit.
         rules: causes of failure.
         drawn: success rate as a function of each drawn quantity; empty if all or no flights completed.
         varied: goal miss and peak forces as functions of the drawn quantities, in the completed flights.
@@ -195,7 +181,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
     errors: int
     completed: Share
     plan_followed: Share
-    figures: dict[str, FigureSpread]
+    figures: dict[str, Spread]
     points: list[GridPoint]
     rules: list[EndCause]
     drawn: list[Drawn]
@@ -245,9 +231,9 @@ def summarise(opened: CampaignFolder) -> CampaignSummary:
         completed=_completed(judged),
         plan_followed=_followed(judged),
         figures={
-            name: spread
+            name: found
             for i, name in enumerate(figures)
-            if (spread := _spread([row.figures[i] for row in judged])) is not None
+            if (found := spread((row.figures[i] for row in judged), abs)) is not None
         },
         points=[_at_point(opened, point, judged) for point in opened.points],
         rules=_end_causes(rows, names),
@@ -276,7 +262,7 @@ def _rows(opened: CampaignFolder, names: Sequence[str], figures: Sequence[str]) 
             Item(point.number, int(row["seed"])),
             point,
             row["outcome"],
-            row["reason"].partition(":")[0],
+            cause_of(row["reason"]),
             row["reason"],
             row["unexplained_modes"],
             {"true": True, "false": False}.get(row["plan_followed"]),
@@ -304,16 +290,6 @@ def _completed(rows: Sequence[_SummaryRow]) -> Share:
 def _followed(rows: Sequence[_SummaryRow]) -> Share:
     known = [row.followed for row in rows if row.followed is not None]
     return share(sum(known), len(known))
-
-
-def _spread(values: Sequence[float | None]) -> FigureSpread | None:
-    known = sorted((v for v in values if v is not None and math.isfinite(v)), key=abs)
-    if not known:
-        return None
-    last = len(known) - 1
-    return FigureSpread(
-        len(known), median(known), known[round(0.05 * last)], known[round(0.95 * last)], known[-1]
-    )
 
 
 def _at_point(opened: CampaignFolder, point: Point, rows: Sequence[_SummaryRow]) -> GridPoint:

@@ -6,8 +6,6 @@ A specification may name the function that flies and the function that judges; t
 
 from __future__ import annotations
 
-import csv
-import io
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
@@ -26,6 +24,7 @@ from dart_flight.lab.campaign.campaign_spec import (
     named_function,
     row_type,
 )
+from dart_flight.lab.csv_text import csv_text
 from dart_flight.recording.found import LOG_NAME
 from dart_flight.recording.plan_versus_flight import out_of_tolerance
 from dart_flight.recording.reader import Log
@@ -171,9 +170,7 @@ def _not_followed(verdict: Verdict) -> str | None:
 
 def line_of(cells: Sequence[Cell]) -> bytes:
     """Return a CSV line with numbers in full precision; an unknown value is empty."""
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerow([_text(cell) for cell in cells])
-    return out.getvalue().encode()
+    return csv_text([map(_text, cells)], end="\n").encode()
 
 
 def _text(cell: Cell) -> str:

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.summary import Z95, student_t
 from dart_flight.config.packages import missing_package
 from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.estimates import Estimate
-from dart_flight.lab.statistics import Z95, student_t
 
 LOWEST_K, HIGHEST_K, LOWEST_F, HIGHEST_F = 10.0, 1e6, 1e-3, 1e4  # search range, N/m and N s/m
 _AT_BOUND = 1e-3  # of a logarithm

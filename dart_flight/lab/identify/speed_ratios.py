@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
+from dart_flight.base.summary import Z95, student_t
 from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.problem import LawProblem
-from dart_flight.lab.statistics import Z95, student_t
 
 _MIN_ALONG_M_S = 0.1  # speed along the wall required for a ratio
 

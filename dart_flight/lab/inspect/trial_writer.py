@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 
 import numpy as np
 
+from dart_flight.lab.csv_text import csv_text
 from dart_flight.lab.inspect.impacts import InspectedFlight
 
 _TRIAL_BEFORE_S, _TRIAL_AFTER_S = 0.5, 0.4
@@ -47,9 +47,7 @@ def write_trials(flight: InspectedFlight, folder: Path) -> list[Path]:
             force = mass * series.force_m_s2[near, :2]
             rows["normal_force_n"], rows["tangential_force_n"] = force @ normal, force @ tangent
         path = folder / f"{Path(flight.log).stem}_impact{number}.csv"
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(rows)
-            writer.writerows(zip(*([f"{v:.6f}" for v in column] for column in rows.values()), strict=True))
+        values = zip(*([f"{v:.6f}" for v in column] for column in rows.values()), strict=True)
+        path.write_text(csv_text([rows, *values]), encoding="utf-8", newline="")
         written.append(path)
     return written

@@ -22,6 +22,7 @@ from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.contact_map import Drop, collide, contact_map, drop
 from dart_flight.contact.law import Onset, coefficients_in_force
+from dart_flight.lab.csv_text import csv_text
 from dart_flight.lab.predict.path import ContactMotion
 
 BATCH_COLUMNS = ("mode", "normal_m_s", "tangential_m_s")
@@ -200,11 +201,9 @@ def predict_batch(
     vehicle: VehicleConfig, surface: str, onset: str | None, incidence_deg: float, *, path: str | Path
 ) -> str:
     """Return the rows of `predict_batch_rows` as CSV text in full double precision."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, (*BATCH_COLUMNS, *WALL_COLUMNS), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(predict_batch_rows(vehicle, surface, onset, incidence_deg, path=path))
-    return out.getvalue()
+    columns = (*BATCH_COLUMNS, *WALL_COLUMNS)
+    rows = predict_batch_rows(vehicle, surface, onset, incidence_deg, path=path)
+    return csv_text([columns, *(map(row.get, columns) for row in rows)], end="\n")
 
 
 def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]:

@@ -28,7 +28,7 @@ def campaign_page(summary: CampaignSummary) -> str:
         for trend in summary.varied
     )
     figures: list[Row] = [
-        [name, s.flights, s.median, s.low_5, s.high_95, s.most] for name, s in summary.figures.items()
+        [name, s.count, s.median, s.low_5, s.high_95, s.high] for name, s in summary.figures.items()
     ]
     return render(
         "campaign.html",

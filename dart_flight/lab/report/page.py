@@ -7,7 +7,7 @@ animation is missing.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from statistics import fmean, stdev
+from statistics import fmean
 from typing import Any
 
 import msgspec
@@ -22,6 +22,7 @@ from dart_flight.base.records import (
     WallEstimate,
     World,
 )
+from dart_flight.base.summary import mean_half_width, spread
 from dart_flight.config.document import InputError, dotted, iterate_leaves
 from dart_flight.lab.holes import describe_missing_parts
 from dart_flight.lab.report.figures import forces, motion
@@ -30,7 +31,6 @@ from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import Impact, RecordedFlight, percentile
 from dart_flight.lab.report.render import Cell, Number, PageTable, Row, asset, picture, render, signed
-from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import Verdict
 
@@ -448,16 +448,11 @@ def _percent(share: float | None) -> float | None:
 
 
 def _spread(name: str, values: Iterable[float | None]) -> list[Cell]:
-    """Return a table row: name, count, mean, half width of the mean's 95 % interval, and further figures.
-
-    The further figures are standard deviation, least and most by magnitude: -0.9 m/s is less than -1.1 m/s.
-    """
-    known = [v for v in values if v is not None]
-    if not known:
+    """Return the row of `_statistics`; least and most are by magnitude: -0.9 m/s is less than -1.1 m/s."""
+    s = spread(values, abs)
+    if s is None:
         return [name, 0, *(None,) * 5]
-    sd = stdev(known) if len(known) > 1 else None
-    half = mean_half_width(known)
-    return [name, len(known), fmean(known), half, sd, min(known, key=abs), max(known, key=abs)]
+    return [name, s.count, s.mean, s.mean_half_width, s.sd, s.low, s.high]
 
 
 def _world(verdict: Verdict) -> str:

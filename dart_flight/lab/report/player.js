@@ -163,12 +163,14 @@
   });
   const planSet = svg("path", plan, {class: "setpoint"});
   const vehicle = svg("g", plan, {class: "vehicle"});
-  svg("path", vehicle, {d: line(D.vehicle.outline.map(([x, y]) => [k * x, -k * y])) + "Z", class: "guards"});
+  const outline = D.vehicle.guards.flat();
+  const guards = D.vehicle.guards.map((guard) => line(guard.map(([x, y]) => [k * x, -k * y])) + "Z");
+  svg("path", vehicle, {d: guards.join(""), class: "guards"});
   for (const [a, b] of D.vehicle.arms) {
     svg("path", vehicle, {d: line([a, b].map(([x, y]) => [k * x, -k * y])), class: "arm"});
     svg("circle", vehicle, {cx: k * b[0], cy: -k * b[1], r: 3.2, class: "motor"});
   }
-  const nose = k * Math.max(...D.vehicle.outline.map((p) => p[0]));
+  const nose = k * Math.max(...outline.map((p) => p[0]));
   svg("path", vehicle, {d: line([[nose - 7, -5], [nose, 0], [nose - 7, 5]]) + "Z", class: "nose"});
   const arrow = svg("path", plan, {class: "force"});
   svg("text", plan, {x: W - 6, y: H - 8, class: "axis", "text-anchor": "end"}, "x →  0.5 m");
@@ -286,7 +288,7 @@
       `translate(${X(x).toFixed(2)} ${Y(y).toFixed(2)}) rotate(${(-yaw * 180 / Math.PI).toFixed(2)})`);
     const [f, l] = axes(yaw, pitch, roll);
     const seen = ([a, b], lift) => [X(x + a * f[0] + b * l[0]), Z(z + a * f[2] + b * l[2] + lift)];
-    const low = D.vehicle.outline.map((p) => seen(p, -25)), high = D.vehicle.outline.map((p) => seen(p, 25));
+    const low = outline.map((p) => seen(p, -25)), high = outline.map((p) => seen(p, 25));
     const order = (points) => [...points].sort((p, q) => p[0] - q[0]);
     const [a, b] = [order(low), order(high)];
     body.setAttribute("d", line([a[0], a[a.length - 1], b[b.length - 1], b[0]]) + "Z");

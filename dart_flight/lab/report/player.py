@@ -46,7 +46,7 @@ def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
     return {
         "truth": bool(course.true.time_s.size),
         "vehicle": {
-            "outline": _mm(mission.vehicle.airframe.outline_m),
+            "guards": [_mm(guard) for guard in mission.vehicle.airframe.guards_m],
             "arms": [_mm(arm) for arm in arms_m(mission.vehicle.airframe)],
         },
         "room": _room(mission),

@@ -27,6 +27,7 @@ from dart_flight.core.mission.approach import transit_segments
 from dart_flight.core.mission.planned_impact import expected_hit
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.flight_arrays import Array, FlightArrays
+from dart_flight.lab.map_model import FlatLine, at_altitude
 from dart_flight.lab.predict.path import ContactMotion, HitHistory, trajectory
 from dart_flight.lab.report.tracks import Angles, angles
 from dart_flight.planning.predicted_flight import PredictedFlight, predict_mission
@@ -285,25 +286,23 @@ class RecordedFlight:
         return (answer.received_us - before[-1]) * 1e-3 if before else None
 
     def planned_trajectories(self) -> list[Array]:
-        """Return the trajectories that were planned in flight and used: (n, 2), mission frame, m."""
+        """Return the trajectories that were planned in flight and used: (n, 3), mission frame, m."""
         found = []
         for _, answer, taken in self.replanned():
             if answer is not None and taken is not None and taken.taken and answer.x_mission:
                 path = Trajectory.from_plan(answer, self.mission.altitude_m)
                 times = np.linspace(0.0, answer.impact_s or answer.duration_s, _PATH_POINTS)
-                found.append(np.array([path.at(float(t)).position[:2] for t in times]))
+                found.append(np.array([path.at(float(t)).position for t in times]))
         return found
 
     def planned_lines(self) -> list[Array]:
-        """Return the planned path, seen from above, as lines: (n, 2), mission frame, m."""
-        planned = self.planned
-        approaches = [np.array(line) for line in planned.approaches.values()]
+        """Return the planned path as lines: (n, 3), mission frame, m."""
+        planned, altitude_at = self.planned, self.mission.altitude_at
         from_rest = [
-            np.array([leg.begin[:2], leg.end[:2]])
-            for leg in transit_segments(self.mission)
-            if leg.begin is not None
+            np.array([leg.begin, leg.end]) for leg in transit_segments(self.mission) if leg.begin is not None
         ]
-        return [*approaches, *(leg[:, :2] for leg in planned.legs.values()), *from_rest]
+        lines: list[tuple[int, FlatLine]] = [*planned.approaches.items(), *planned.legs.items()]
+        return [*(at_altitude(line, altitude_at(index - 1)) for index, line in lines), *from_rest]
 
 
 def _timing(course: FlightArrays) -> Timing:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import msgspec
 
 from dart_flight.base.records import Record
 from dart_flight.config.document import report_write_errors
+from dart_flight.lab.csv_text import csv_text
 from dart_flight.recording.flight_time import find_zero
 from dart_flight.recording.reader import Log
 from dart_flight.recording.schema import schema
@@ -45,27 +45,26 @@ def _write_records(log: Log, folder: Path) -> list[Path]:
     descriptions: list[tuple[str, str, str]] = []
     for kind, rows in kinds.items():
         path = folder / f"{kind.topic.strip('/').replace('/', '_')}.csv"
-        with open(path, "w", newline="", encoding="utf-8") as file:
-            _write_kind(file, rows, first_us)
+        path.write_text(csv_text(_rows(rows, first_us)), encoding="utf-8", newline="")
         for name, value in schema(kind)["properties"].items():
             descriptions.append((path.name, name, value.get("description", "")))
         paths.append(path)
-    with open(folder / "columns.csv", "w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([("file", "column", "meaning"), *descriptions])
-    return [*paths, folder / "columns.csv"]
+    columns = folder / "columns.csv"
+    text = csv_text([("file", "column", "meaning"), *descriptions])
+    columns.write_text(text, encoding="utf-8", newline="")
+    return [*paths, columns]
 
 
-def _write_kind(file: TextIO, rows: list[tuple[int, int, Record]], first_us: int) -> None:
-    spread = [(t_us, number, _spread(record)) for t_us, number, record in rows]
-    names = list(dict.fromkeys(name for *_, values in spread for name in values))
-    writer = csv.writer(file)
-    writer.writerow(["time_s", "number", *names])
-    for t_us, number, values in spread:
-        cells = [values.get(name) for name in names]
-        writer.writerow([f"{(t_us - first_us) * 1e-6:.6f}", number, *("" if c is None else c for c in cells)])
+def _rows(records: list[tuple[int, int, Record]], first_us: int) -> Iterator[list[Any]]:
+    """Yield the header and the rows of the records of one kind."""
+    found = [(t_us, number, _cells(record)) for t_us, number, record in records]
+    names = list(dict.fromkeys(name for *_, values in found for name in values))
+    yield ["time_s", "number", *names]
+    for t_us, number, values in found:
+        yield [f"{(t_us - first_us) * 1e-6:.6f}", number, *map(values.get, names)]
 
 
-def _spread(record: Record) -> dict[str, Any]:
+def _cells(record: Record) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, value in msgspec.structs.asdict(record).items():
         if isinstance(value, tuple):

@@ -258,7 +258,9 @@ def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
             CubePrimitive(pose=pose((0.065, 0.0, 0.0)), size=Vector3(x=0.03, y=0.03, z=0.03), color=GREEN),
         ],
         cylinders=[*propellers, *(_arm(x, y, ARMS[arms]) for x, y in motors)],
-        lines=[line([(x, y, 0.0) for x, y in airframe.outline_m], ARMS[arms], 3.0, closed=True)],
+        lines=[
+            line([(x, y, 0.0) for x, y in guard], ARMS[arms], 3.0, closed=True) for guard in airframe.guards_m
+        ],
     )
 
 

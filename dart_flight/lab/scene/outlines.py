@@ -78,9 +78,10 @@ def room(mission: Mission) -> list[tuple[Iterable[Vec3], Rgb]]:
 
 def vehicle(airframe: Airframe, arms: str) -> list[tuple[Iterable[Vec3], Rgb]]:
     """Return guards and arms in the vehicle's frame, with a green nose."""
-    guards = [(x, y, 0.0) for x, y in airframe.outline_m]
     motors = [(m.x_m, -m.y_m, 0.0) for m in airframe.motors]
-    edges = [*pairwise([*guards, guards[0]]), *(((0.0, 0.0, 0.0), motor) for motor in motors)]
+    edges: list[Segment] = [((0.0, 0.0, 0.0), motor) for motor in motors]
+    for guard in airframe.guards_m:
+        edges += pairwise([(x, y, 0.0) for x, y in (*guard, guard[0])])
     nose = [((0.0, 0.0, 0.0), (airframe.contact_distance_m, 0.0, 0.0))]
     return [(_points(edges, _VEHICLE_STEP_M), ARMS[arms]), (_points(nose, _VEHICLE_STEP_M), GREEN)]
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from dart_flight.base.summary import share
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.campaign_folder import open_campaign
@@ -21,7 +22,7 @@ from dart_flight.lab.campaign.campaign_spec import (
     parse_grid,
     points_of,
 )
-from dart_flight.lab.statistics import bin_edges, bin_of, separation, share
+from dart_flight.lab.statistics import bin_edges, bin_of, separation
 
 SINGLE, DUAL = (
     str(packaged("missions", f"{name}.yaml")) for name in ("paper_single_wall", "paper_dual_collision")

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from dart_flight.base.summary import Z95, student_t
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.hit_fit import HitFit, fit_hits
@@ -24,7 +25,6 @@ from dart_flight.lab.identify.solver import (
     stiffness_and_damping,
 )
 from dart_flight.lab.identify.trials import Trial
-from dart_flight.lab.statistics import Z95, student_t
 
 pytest.importorskip("scipy")
 

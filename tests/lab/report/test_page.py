@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from dart_flight.base.records import GuardEvent, Override, TruthContact, World
+from dart_flight.base.summary import mean_half_width
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
@@ -25,7 +26,6 @@ from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.page import flight_page
 from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import Compared, RecordedFlight
-from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.reader import Log, LogEntry, read_log
 from dart_flight.recording.writer import FlightLog

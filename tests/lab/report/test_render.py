@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dart_flight.base.summary import share
 from dart_flight.config.document import InputError
 from dart_flight.config.packages import install_command
 from dart_flight.config.provenance import VehicleSource
@@ -24,7 +25,6 @@ from dart_flight.lab.report.inspection_page import inspection_page
 from dart_flight.lab.report.page import comparison_page
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.report.render import Cell, Number, PageTable, Row, render, signed, write_number
-from dart_flight.lab.statistics import share
 from dart_flight.recording.reader import Log
 from tests.doubles.ulog_file import write_ulog
 from tests.lab.inspect.test_inspect import topics

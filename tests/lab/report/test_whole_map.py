@@ -11,6 +11,7 @@ import pytest
 import dart_flight
 from dart_flight.config.mission import Mission
 from dart_flight.lab.figure_style import as_svg
+from dart_flight.lab.map_model import room_map
 from dart_flight.lab.report.figures.map_drawing import view_of
 from dart_flight.lab.report.figures.mission_figure import mission_figure, prediction_lines
 from dart_flight.planning.predicted_flight import predict_mission, predicted_segments
@@ -77,7 +78,7 @@ def test_a_wall_far_outside_of_the_bounds_does_not_shrink_the_map() -> None:
         mission_in_room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "far": wall(0.0, 90.0, [0.0, -1.0])}),
     )
     points = np.array([[0.0, 0.0], [1.5, 0.0]])
-    assert view_of(far, points)[1, 1] <= view_of(near, points)[1, 1]
+    assert view_of(room_map(far), points)[1, 1] <= view_of(room_map(near), points)[1, 1]
 
 
 @pytest.mark.rest
@@ -123,3 +124,20 @@ def test_missions_with_trajectories_claim_no_success_rate_over_draws() -> None:
     words = " ".join(prediction_lines(shuttle, predict_mission(shuttle), []))
     assert "in nine of ten draws" not in words
     assert "This mission has not been flown in simulation" in words
+
+
+@pytest.mark.parametrize("name", ["dual_collision", "ring_guard_250g/single_wall", "find_a_wall"])
+def test_the_legend_names_every_dashed_line(name: str) -> None:
+    mission = dart_flight.load_mission(dart_flight.packaged("missions", f"{name}.yaml"))
+    figure = mission_figure(mission, None if mission.collisions[0].probe else predict_mission(mission))
+    named = {text.get_text() for text in figure.legends[0].get_texts()}
+    for line in [line for axis in figure.axes for line in axis.lines]:
+        assert line.get_linestyle() in ("-", "None") or line.get_label() in named
+
+
+def test_rings_of_a_ring_guard_end_where_the_vehicle_touches_a_wall() -> None:
+    path = dart_flight.packaged("missions", "ring_guard_250g/single_wall.yaml")
+    airframe = dart_flight.load_mission(path).vehicle.airframe
+    assert len(airframe.guards_m) == 4
+    reach = max(x for ring in airframe.guards_m for x, _ in ring)
+    assert reach == pytest.approx(airframe.contact_distance_m)

@@ -3,39 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from dart_flight.lab.figure_style import (
-    ESTIMATED,
-    FORCE,
-    GREY,
-    GUARD,
-    PAGE,
-    PREDICTED,
-    REPLANNED,
-    TRUE,
-    Look,
-    in_style,
-    new_figure,
-)
+from dart_flight.lab.figure_style import FORCE, GREY, GUARD, PAGE, Look, in_style, new_figure
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.labels import Label, place_labels
-from dart_flight.lab.report.figures.map_drawing import (
-    LONGEST_ARROW_M,
-    along,
-    draw_arrow,
-    draw_hit,
-    draw_north,
-    draw_room,
-    fit_map,
-    name_hits,
-    name_walls,
-    set_view,
-    view_of,
-)
+from dart_flight.lab.map_model import Arrow, DrawnVehicle, Label, Line, MapKind, Place, RoomMap, room_map
+from dart_flight.lab.report.figures.map_drawing import draw_map, finish_map, set_view, view_of
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 
 _FEW_LABELS = 14
@@ -50,111 +26,78 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
     The map of a single flight also shows the direction, a dot at every second, and the guard's actions. At
     each hit it shows the vehicle, the state of the arms, the peak force and the recovery setpoint.
     """
-    mission = flights[0].mission
-    figure, axis = new_figure(look, 5.0)
-    shown = [np.array([mission.start, mission.goal.position_m])]
+    shown = room_map(flights[0].mission)
+    seen = [np.array([place.at for place in shown.places])]
     for flight in flights:
-        shown += [place for (_, place), _, _ in _paths(flight)]
-        shown += [np.array([hit.verdict.onset.position_mission[:2]]) for hit in flight.impacts]
-        shown += flight.planned_lines()  # includes walls that an aborted flight did not reach
-    set_view(axis, view_of(mission, np.vstack(shown)))
-    draw_room(axis, mission)
-    draw_north(axis, mission)
+        seen += [place for (_, place), _ in _paths(flight)]
+        seen += [np.array([hit.verdict.onset.position_mission]) for hit in flight.impacts]
+        seen += flight.planned_lines()  # includes walls that an aborted flight did not reach
     if len(flights) == 1:
-        labels, lines = _draw_one(axis, flights[0])
+        _add_one(shown, flights[0])
     else:
-        _draw_many(axis, flights)
-    axis.grid(visible=False)
-    axis.set_xlabel("x, m")
-    axis.set_ylabel("y, m")
-    fit_map(figure, axis)
-    names = name_walls(axis, mission, look.small_pt)
-    if len(flights) == 1:
-        place_labels(axis, labels, lines, names, look.small_pt)
+        _add_many(shown, flights)
+    figure, axis = new_figure(look, 5.0)
+    set_view(axis, view_of(shown, np.vstack(seen)))
+    draw_map(axis, shown)
+    finish_map(figure, axis, shown, look)
     return figure
 
 
 # --- one flight ----------------------------------------------------------------------------------------
 
 
-def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Array]]:
-    """Draw everything but the labels; return the labels, and the lines that the labels should not cover.
-
-    The labels are ordered by importance: hits, guard actions, seconds.
-    """
+def _add_one(shown: RoomMap, flight: RecordedFlight) -> None:
+    """Add a flight to a map; its labels are ordered by importance: hits, guard actions, seconds."""
     paths = _paths(flight)
-    for line in flight.planned_lines():
-        axis.plot(line[:, 0], line[:, 1], label="planned", **PREDICTED)
-    for (_, place), style, label in paths:
-        thin = {**style, "linewidth": 0.75 * float(style["linewidth"])}
-        axis.plot(place[:, 0], place[:, 1], label=label, **thin)
-    for path in flight.planned_trajectories():
-        axis.plot(path[:, 0], path[:, 1], label="planned in flight", **REPLANNED)
-    labels: list[Label] = []
-    lines: list[Array] = []
-    forces = [impact.verdict.force for impact in flight.impacts]
-    largest = max((math.hypot(*force) for force in forces if force is not None), default=0.0)
-    heading = flight.heading
-    for impact, force in zip(flight.impacts, forces, strict=True):
+    shown.paths += [Line(MapKind.PLANNED, line) for line in flight.planned_lines()]
+    shown.paths += [Line(kind, place) for (_, place), kind in paths]
+    shown.paths += [Line(MapKind.REPLANNED, path) for path in flight.planned_trajectories()]
+    heading, forces = flight.heading, []
+    for impact in flight.impacts:
         hit, size = impact.verdict, ""
-        (x, y, _), (nx, ny) = hit.onset.position_mission, hit.collision.wall.normal
-        setpoint = None if hit.recovery is None else hit.recovery[:2]
+        (x, y, z), (nx, ny) = hit.onset.position_mission, impact.collision.wall.normal
         yaw = float(np.interp(impact.at_s, heading.time_s, heading.yaw)) if heading.time_s.size else 0.0
-        lines += draw_hit(axis, flight.mission.vehicle.airframe, (x, y), yaw, hit.lock_mode, setpoint)
-        if force is not None:
-            draw_arrow(axis, (x, y), (x, y) + LONGEST_ARROW_M / largest * np.array(force), FORCE)
-            size = f": {math.hypot(*force):.0f} N"
-        labels.append(Label(f"{hit.index}{size}", (x, y), (-nx, -ny), FORCE))
-    if largest > 0.0:
-        name_hits(axis, largest)
+        setpoint = None if hit.recovery is None else (hit.recovery[0], hit.recovery[1])
+        shown.add_hit(DrawnVehicle((x, y, z), yaw, hit.lock_mode, hit.index), setpoint)
+        if hit.force is not None:
+            forces.append(((x, y), (hit.force[0], hit.force[1])))
+            size = f": {math.hypot(*hit.force):.0f} N"
+        shown.labels.append(Label(f"{hit.index}{size}", (x, y), (-nx, -ny), FORCE))
+    shown.add_forces(forces)
     for act in flight.guard_acts():
         if act.place is not None:
-            axis.plot(*act.place, "D", color=GUARD, markersize=6, label="guard", linestyle="none", zorder=6)
-            labels.append(Label(f"{act.rule}:\n{act.action}", act.place, colour=GUARD))
+            shown.places.append(Place(MapKind.GUARD, act.place))
+            shown.labels.append(Label(f"{act.rule}:\n{act.action}", act.place, colour=GUARD))
     if paths:
-        (times, place), _, _ = paths[0]
-        _draw_direction(axis, place)
-        _draw_seconds(axis, (times, place))
-        lines.append(along(place))
+        (times, place), _ = paths[0]
+        shown.arrows += _directions(place)
         seconds = _second_labels(times, place)
-        for second in seconds:
-            axis.plot(*second.at, "o", markersize=3.2, color="black", zorder=4.5)
-        labels += seconds
-    return labels, lines
+        whole = np.arange(math.ceil(times[0]), times[-1])
+        dots = np.stack([np.interp(whole, times, place[:, i]) for i in (0, 1)], axis=1)
+        shown.places += [Place(MapKind.SECOND, (x, y)) for x, y in dots]
+        shown.places += [Place(MapKind.LABELLED_SECOND, second.at) for second in seconds]
+        shown.labels += seconds
 
 
-def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], dict[str, Any], str]]:
-    """Return ((times, places), style, name) of each flown path: the true path, then the estimated path."""
+def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], MapKind]]:
+    """Return ((times, places), kind) of each flown path: the true path, then the estimated path."""
     air = flight.airborne
     found = []
-    for motion, style, label in (
-        (flight.course.true, TRUE, "flown (true)"),
-        (flight.course.estimated, ESTIMATED, "flown (estimated)"),
-    ):
+    for motion, kind in ((flight.course.true, MapKind.TRUE), (flight.course.estimated, MapKind.ESTIMATED)):
         if air is None or not motion.time_s.size:
             continue
         inside = (motion.time_s >= air[0]) & (motion.time_s <= air[1])
         if inside.any():
-            found.append(((motion.time_s[inside], motion.position[inside, :2]), style, label))
+            found.append(((motion.time_s[inside], motion.position[inside]), kind))
     return found
 
 
-def _draw_direction(axis: Any, place: Array) -> None:
-    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
+def _directions(place: Array) -> Iterator[Arrow]:
+    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place[:, :2], axis=0), axis=1))])
     for at in np.arange(0.5 * _ARROW_EVERY_M, distance[-1], _ARROW_EVERY_M):
         i, j = np.searchsorted(distance, at - 0.01), np.searchsorted(distance, at + 0.05)
-        if j < distance.size and np.linalg.norm(place[j] - place[i]) > 0.02:
-            draw_arrow(axis, place[i], place[j], "#000000", linewidth=0.0, mutation_scale=10)
-
-
-def _draw_seconds(axis: Any, path: tuple[Array, Array]) -> None:
-    times, place = path
-    whole = np.arange(math.ceil(times[0]), times[-1])
-    dots = np.stack([np.interp(whole, times, place[:, i]) for i in (0, 1)], axis=1)
-    axis.plot(
-        dots[:, 0], dots[:, 1], "o", markersize=2.6, color="black", markerfacecolor="white",
-        markeredgewidth=0.7, label="every second", linestyle="none", zorder=4,
-    )  # fmt: skip
+        if j < distance.size and np.linalg.norm(place[j, :2] - place[i, :2]) > 0.02:
+            yield Arrow(MapKind.TRUE, (place[i, 0], place[i, 1]), (place[j, 0], place[j, 1]))
 
 
 def _second_labels(times: Array, place: Array) -> list[Label]:
@@ -172,15 +115,10 @@ def _second_labels(times: Array, place: Array) -> list[Label]:
 # --- several -------------------------------------------------------------------------------------------
 
 
-def _draw_many(axis: Any, flights: Sequence[RecordedFlight]) -> None:
+def _add_many(shown: RoomMap, flights: Sequence[RecordedFlight]) -> None:
     for flight in flights:
-        paths = _paths(flight)
-        if paths:
-            (_, place), style, label = paths[0]
-            thin = {**style, "linewidth": 0.8, "alpha": 0.6}
-            axis.plot(place[:, 0], place[:, 1], label=label, **thin)
+        for (_, place), kind in _paths(flight)[:1]:
+            shown.paths.append(Line(MapKind.ONE_OF_MANY, place, kind))
         for hit in flight.impacts:
-            x, y, _ = hit.verdict.onset.position_mission
-            axis.plot(x, y, "o", color=FORCE, markersize=2.5, label="hit", linestyle="none", zorder=5)
-    for line in flights[0].planned_lines():
-        axis.plot(line[:, 0], line[:, 1], label="planned", **PREDICTED)
+            shown.places.append(Place(MapKind.HIT, hit.verdict.onset.position_mission))
+    shown.paths += [Line(MapKind.PLANNED, line) for line in flights[0].planned_lines()]

@@ -1,4 +1,4 @@
-"""Placement of labels near their points; labels should cover neither other labels nor points."""
+"""Names of walls, and labels near their points; they should cover neither other texts nor lines."""
 
 from __future__ import annotations
 
@@ -9,25 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.map_drawing import points_per_unit
+from dart_flight.lab.map_model import THICKNESS_M, DrawnWall, Label
 
 _DIRECTIONS = 16
 _REACHES_PT = (13.0, 21.0, 31.0, 43.0, 57.0, 75.0, 95.0)
 _PER_LETTER, _LINE = 0.6, 1.25  # width of a letter and height of a line, in font sizes
 _PAD_PT = 1.5
-
-
-class Label(NamedTuple):
-    """A text at a point in data coordinates.
-
-    Attributes:
-        away: preferred direction from the point to the label, in data coordinates. (0, 0): no preference.
-    """
-
-    text: str
-    at: tuple[float, float]
-    away: tuple[float, float] = (0.0, 0.0)
-    colour: str = "#000000"
 
 
 class _Box(NamedTuple):
@@ -44,6 +31,56 @@ class _Box(NamedTuple):
     def holds(self, points: Array) -> int:
         x, y = points[:, 0], points[:, 1]
         return int(((x > self.left) & (x < self.right) & (y > self.low) & (y < self.high)).sum())
+
+
+def points_per_unit(axis: Any) -> float:
+    """Return the scale of an axis with equal aspect in the current layout: typographic points per metre."""
+    figure = axis.figure
+    figure.get_layout_engine().execute(figure)
+    axis.apply_aspect()
+    width = axis.get_xlim()[1] - axis.get_xlim()[0]
+    return float(axis.get_window_extent().width / width * 72.0 / figure.dpi)
+
+
+def name_walls(
+    axis: Any, walls: Sequence[DrawnWall], font_pt: float, lines: Sequence[Array] = ()
+) -> list[Array]:
+    """Write names and materials behind the visible parts of walls, or in front of thin partitions.
+
+    A name is in the middle of the visible part, or at the nearest place where it covers none of the lines.
+
+    Returns:
+        The areas of the names, each [[low x, low y], [high x, high y]] in metres.
+    """
+    (x0, x1), (y0, y1) = axis.get_xlim(), axis.get_ylim()
+    unit = points_per_unit(axis)
+    covered = []
+    shunned = np.vstack([np.empty((0, 2)), *lines])
+    for wall in walls:
+        tangent, normal = np.array(wall.plane.tangent), np.array(wall.plane.normal)
+        line, away = np.array(wall.surface.point) - THICKNESS_M * normal, -normal
+        if wall.name_in_front:
+            line, away = np.array(wall.plane.point), normal
+        along = np.linspace(-0.5 * wall.plane.length_m, 0.5 * wall.plane.length_m, 201)
+        place = line + along[:, None] * tangent + 0.75 * font_pt / unit * away
+        visible = (place[:, 0] > x0) & (place[:, 0] < x1) & (place[:, 1] > y0) & (place[:, 1] < y1)
+        if not visible.any():
+            continue
+        slope = math.degrees(math.atan2(tangent[1], tangent[0]))
+        half = 0.5 * font_pt / unit * (np.abs(tangent) * 0.6 * len(wall.name) + np.abs(normal) * 1.2)
+        middle = min(
+            place[visible],
+            key=lambda at: (
+                int((np.abs(shunned - at) < half).all(axis=1).sum()),
+                float(np.linalg.norm(at - place[visible].mean(axis=0))),
+            ),
+        )
+        axis.annotate(
+            wall.name, middle, ha="center", va="center", color="#333333", fontsize=font_pt,
+            rotation=(slope + 90.0) % 180.0 - 90.0, rotation_mode="anchor",
+        )  # fmt: skip
+        covered.append(np.stack([middle - half, middle + half]))
+    return covered
 
 
 def place_labels(

@@ -1,0 +1,230 @@
+"""What a map shows, as data: the room of a mission, and the paths, places and vehicles in it.
+
+`lab/report/figures/map_drawing.py` draws a map from above and from the side. Points are in the mission frame,
+metres, (x, y, z), z up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from enum import StrEnum
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from dart_flight.base.geometry import Vec2, Vec3
+from dart_flight.base.records import Mode
+from dart_flight.base.walls import Post, Wall
+from dart_flight.config.mission import Mission
+from dart_flight.config.mission_file import BoundsSpec
+from dart_flight.config.vehicle import Airframe
+from dart_flight.lab.flight_arrays import Array
+
+THICKNESS_M = 0.12  # drawn thickness of a wall; the true one is unknown
+_OPPOSED, _SAME_PLANE_M = -0.9, 0.01  # cosine between opposite normals; distance of faces in one plane
+_BACK_TO_BACK_M = 0.4  # distance of two faces below which a name goes in front, not behind
+_LONGEST_ARROW_M = 0.45  # length of the arrow of the largest force
+
+
+class MapKind(StrEnum):
+    """The kind of a path, place or area; the value is its name in a legend."""
+
+    BOUNDS = "bounds_m"
+    WALL = "wall"
+    PLANE = "vehicle's centre at first contact"
+    CAPTURE = "capture radius"
+    START = "start"
+    GOAL = "goal"
+    GOAL_ALTITUDE = "altitude of the goal"
+    GROUND = "ground"
+    WAYPOINT = "waypoint"
+    RUN_UP = "run-up begins"
+    PROBE = "probe"
+    PREDICTED = "predicted trajectory"
+    DRAW = "draw of the walls"
+    PLANNED = "planned"
+    REPLANNED = "planned in flight"
+    TRUE = "flown (true)"
+    ESTIMATED = "flown (estimated)"
+    ONE_OF_MANY = "flown"
+    HIT = "hit"
+    SECOND = "every second"
+    LABELLED_SECOND = "labelled second"
+    GUARD = "guard"
+    RECOVERY = "recovery setpoint"
+    FORCE = "peak force"
+    TRUE_WALL = "true wall (simulation)"
+    MEASURED_WALL = "measured wall"
+    BAND = "uncertainty of the wall"
+    CONTACT = "contact, the vehicle's centre"
+
+
+FlatLine = Array | Sequence[Vec2]
+
+
+class Line(NamedTuple):
+    """A line (n, 2) or (n, 3), or the outline of an area; `legend` replaces the name of its kind."""
+
+    kind: MapKind
+    points: Array
+    legend: str = ""
+
+
+class Place(NamedTuple):
+    """A point with a symbol."""
+
+    kind: MapKind
+    at: Vec2 | Vec3
+    legend: str = ""
+
+
+class Arrow(NamedTuple):
+    """A force, or the direction of a path of the given kind."""
+
+    kind: MapKind
+    begin: Vec2
+    end: Vec2
+
+
+class DrawnVehicle(NamedTuple):
+    """The vehicle at a place.
+
+    Attributes:
+        mode: mode of the arms; None: unknown.
+        number: number of the hit, if it is one.
+    """
+
+    at: Vec2 | Vec3
+    yaw_rad: float
+    mode: Mode | None
+    number: int | None = None
+
+
+class Label(NamedTuple):
+    """A text at a point.
+
+    Attributes:
+        away: preferred direction from the point to the label. (0, 0): no preference.
+    """
+
+    text: str
+    at: Vec2
+    away: Vec2 = (0.0, 0.0)
+    colour: str = "#000000"
+
+
+class DrawnWall(NamedTuple):
+    """A wall as drawn.
+
+    Attributes:
+        plane: the plane of first touch, where the vehicle's centre is.
+        surface: the surface, which the vehicle's side touches.
+        thickness_m: drawn thickness behind the surface: at most half of a partition.
+        name_in_front: whether the name is in front of the wall, because the space behind it is too narrow.
+    """
+
+    plane: Wall
+    surface: Wall
+    thickness_m: float = THICKNESS_M
+    name_in_front: bool = False
+
+    @property
+    def name(self) -> str:
+        """The wall's name, with its material unless the two are equal."""
+        return named_material(self.plane)
+
+
+def named_material(thing: Wall | Post) -> str:
+    """Return the name of a wall or post, with its material unless the two are equal."""
+    return thing.name if thing.name == thing.material else f"{thing.name} ({thing.material})"
+
+
+class RoomMap(msgspec.Struct):
+    """What a map shows.
+
+    Attributes:
+        north_rad: direction of north, counter-clockwise from x.
+        newton_per_m: scale of the arrows of forces.
+    """
+
+    airframe: Airframe
+    bounds: BoundsSpec
+    north_rad: float
+    walls: tuple[DrawnWall, ...]
+    posts: tuple[Post, ...]
+    areas: list[Line] = []
+    paths: list[Line] = []
+    places: list[Place] = []
+    arrows: list[Arrow] = []
+    bodies: list[DrawnVehicle] = []
+    labels: list[Label] = []
+    newton_per_m: float = 0.0
+
+    def add_forces(self, forces: Iterable[tuple[Vec2, Vec2]]) -> None:
+        """Add an arrow for each force (place, newtons along x and y), to a common scale."""
+        found = list(forces)
+        self.newton_per_m = max((math.hypot(*n) for _, n in found), default=0.0) / _LONGEST_ARROW_M
+        for (x, y), (along_x, along_y) in found if self.newton_per_m else []:
+            tip = (x + along_x / self.newton_per_m, y + along_y / self.newton_per_m)
+            self.arrows.append(Arrow(MapKind.FORCE, (x, y), tip))
+
+    def add_hit(self, body: DrawnVehicle, setpoint: Vec2 | None) -> None:
+        """Add the vehicle at its hit, and a line to the recovery setpoint."""
+        self.bodies.append(body)
+        if setpoint is not None:
+            self.paths.append(Line(MapKind.RECOVERY, np.array([body.at[:2], setpoint])))
+
+
+def room_map(mission: Mission) -> RoomMap:
+    """Return a map of the mission's bounds, walls, posts, waypoints, start and goal."""
+    goal = (*mission.goal.position_m, mission.altitude_at(len(mission.collisions)))
+    return RoomMap(
+        mission.vehicle.airframe,
+        mission.bounds,
+        math.radians(mission.frame.heading_deg),
+        tuple(_drawn_walls(mission)),
+        mission.posts,
+        paths=[Line(MapKind.CAPTURE, circle(goal, mission.goal.capture_radius_m))],
+        places=[
+            *(Place(MapKind.WAYPOINT, w.position) for w in mission.waypoints if w.position is not None),
+            Place(MapKind.START, (*mission.start, mission.altitude_m)),
+            Place(MapKind.GOAL, goal),
+        ],
+        labels=[Label(named_material(post), post.centre, colour="#333333") for post in mission.posts],
+    )
+
+
+def _drawn_walls(mission: Mission) -> Iterator[DrawnWall]:
+    surfaces = [mission.vehicle.airframe.wall_surface(wall) for wall in mission.flat_walls]
+    for wall, surface in zip(mission.flat_walls, surfaces, strict=True):
+        gap_m = _gap_behind_m(surface, surfaces)
+        yield DrawnWall(wall, surface, min(THICKNESS_M, 0.5 * gap_m), gap_m < _BACK_TO_BACK_M)
+
+
+def _gap_behind_m(own: Wall, surfaces: Sequence[Wall]) -> float:
+    """Return the distance from a surface to the nearest opposite surface behind it, or infinity."""
+    gaps = [math.inf]
+    for face in surfaces:
+        opposed = own.normal[0] * face.normal[0] + own.normal[1] * face.normal[1] < _OPPOSED
+        # Surfaces that do not overlap along the wall are not back to back.
+        beside_m = abs(own.along(face.point)) - 0.5 * (own.length_m + face.length_m)
+        if opposed and beside_m < 0.0:
+            gap_m = -own.signed_distance(face.point)
+            gaps += [gap_m] if gap_m > -_SAME_PLANE_M else []
+    return max(0.0, min(gaps))
+
+
+def circle(centre: Sequence[float], radius_m: float) -> Array:
+    """Return points on a horizontal circle, of the dimension of its centre."""
+    angle = np.linspace(0.0, 2.0 * math.pi, 49)
+    around = np.zeros((angle.size, len(centre)))
+    around[:, :2] = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(around + np.array(centre))
+
+
+def at_altitude(line: FlatLine, z: float) -> Array:
+    """Return a line (n, 2 or more), of which x and y come first, as (n, 3) at an altitude."""
+    points = np.asarray(line, dtype=float)[:, :2]
+    return np.column_stack([points, np.full(len(points), z)])
