@@ -16,6 +16,7 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.course import Course
+from dart_flight.core.mission.lock_commands import LockCommandState
 from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
@@ -279,3 +280,23 @@ def test_a_position_with_one_free_axis_commands_rest_along_the_other(along: tupl
     found = make_setpoint(FRAME, TRIGGER, Reference((1.0, 2.0, 1.0), None), 0.2, free)
     x, y = along
     assert has_parts(found, (0.5 if x else 1.0, 0.7 if y else 2.0, 1.0), (0.3 * x, -0.4 * y, 0.0))
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, 1.0), (-0.6, 0.8)])
+@pytest.mark.parametrize(("share", "pushed"), [(0.9, True), (1.1, False)])
+def test_after_a_contact_a_vehicle_slower_than_its_trajectory_is_accelerated_along_it(
+    direction: tuple[float, float], share: float, pushed: bool
+) -> None:
+    """A vehicle that already leans off the wall is as fast as the trajectory, in whichever direction."""
+    mission = load_mission(packaged("missions", "shuttle.yaml"))
+    following = next(c for c in mission.collisions if c.trajectory is not None and c.approach_m_s is None)
+    trajectory = Trajectory.from_mission(known(following.trajectory), mission.altitude_m)
+    progress, state, after_us = MissionState(mission, {}), FlightState(), 50_000
+    progress.index = mission.collisions.index(following)
+    progress.phase, progress.lock = Phase.RECOVERY, LockCommandState(contact_end_us=1_000_000)
+    speed = share * math.hypot(*trajectory.at(1e-6 * after_us).velocity[:2])
+    state.now_us, state.velocity = 1_000_000 + after_us, (speed * direction[0], speed * direction[1], 0.0)
+    sample = OdometrySample(state.now_us, state.now_us, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    setpoint, _ = SetpointSelection(mission).setpoint(sample, progress, state, FRAME, None)
+    _, _, acceleration = parts(known(setpoint))
+    assert (acceleration is not None and math.hypot(*acceleration) > 0.1) is pushed
