@@ -21,7 +21,7 @@ from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
 
 Momenta = deque[tuple[int, float, float, float]]
 
-_STEP_US: Final = 50_000  # slower than the IMU, faster than the estimate oscillates
+_STEP_US: Final = 50_000  # longer than an IMU tick, shorter than the estimate's oscillations
 _NEAR, _FAR = 6, 12  # steps: the acceleration is the mean from 0.6 s to 0.3 s ago
 _HIGH_PASS_S: Final = 0.5
 _MEMORY_S: Final = 4.0  # time constant of the sums: one manoeuvre

@@ -25,7 +25,7 @@ from dart_flight.base.linear_algebra import Rows, solve
 
 _MAX_BINS: Final = 13
 _STEPS: Final = 8
-# Error of the model itself, relative to the top, so that a quiet sensor does not get too much weight.
+# The model's own error, relative to the top; without it, a quiet sensor would get too much weight.
 _MODEL_ERROR: Final = 0.01
 _PRIOR_LOG_OMEGA: Final = 0.25
 _PRIOR_LOG_KAPPA: Final = 1.0
