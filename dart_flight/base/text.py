@@ -1,8 +1,8 @@
 """Text for terminals, JSON and files: a battery's figures, and escapes for external text.
 
 External text consists of paths, names and messages from elsewhere. If a file name has bytes that are not
-UTF-8, Python decodes these bytes to surrogates, which no encoder accepts. Such bytes are printed as `\\xff`. A
-character that the output's encoding lacks is printed as ASCII or as an escape.
+UTF-8, Python decodes these bytes to surrogates, which no encoder accepts. Such bytes are printed as `\\xff`.
+A character that the output's encoding lacks is printed as ASCII or as an escape.
 """
 
 from __future__ import annotations

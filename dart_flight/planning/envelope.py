@@ -70,8 +70,8 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
     where = f"{_name(collision)} will peak at {force:.0f} N"
     if force > LOST_SHARE * full_n:
         return (
-            f"{where}, {force / full_n:.1f} times the accelerometer's full scale ({full_n:.0f} N): PX4 loses "
-            "its position by more than a metre (docs/px4.md)"
+            f"{where}, {force / full_n:.1f} times the accelerometer's full scale ({full_n:.0f} N): PX4's "
+            "position will be wrong by more than a metre (docs/px4.md)"
         )
     return (
         f"{where}, at or beyond the accelerometer's full scale ({full_n:.0f} N): the measured force will be "

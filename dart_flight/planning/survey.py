@@ -22,13 +22,8 @@ from dart_flight.core.mission.wall_uncertainty import position_margin_m
 _SPEED_M_S = 0.5  # slow, but well above the detection threshold in either mode
 _RUN_UP_M = 0.5  # distance of the run-up point from the nearest possible position of the wall
 _BACK_M = 0.5
-_ALONG = (
-    0.0,
-    0.2,
-    -0.2,
-    0.35,
-    -0.35,
-)  # contacts to try: offset from the wall's middle, as a share of its length
+# Contacts to try, in this order: offset from the wall's middle, as a share of the wall's length.
+_ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)
 _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 
 

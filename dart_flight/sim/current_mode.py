@@ -8,7 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 MESSAGE_ID = 436
-# Checksum of the name and the fields below in wire order (MAVLink's guide, "CRC_EXTRA calculation").
+# Checksum of the message's name and fields in wire order (MAVLink's guide, "CRC_EXTRA calculation").
 _CRC_EXTRA = 193
 _FIELDS = struct.Struct("<IIB")
 

@@ -8,12 +8,12 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 MESSAGE_ID = 291
-# Checksum of the name and the fields below in wire order (MAVLink's guide, "CRC_EXTRA calculation").
+# Checksum of the message's name and fields in wire order (MAVLink's guide, "CRC_EXTRA calculation").
 _CRC_EXTRA = 10
 _FIELDS = struct.Struct("<Q4i4f4fB")
 
 
-_MOTORS = 4  # per message
+_MOTORS = 4  # motors per message
 
 
 class EscStatusMessages:

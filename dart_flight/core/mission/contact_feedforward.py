@@ -20,7 +20,7 @@ from dart_flight.core.sense.senses import Sensed
 
 _FADED_M_S2: Final = 0.02
 _LARGEST_M_S2: Final = 5.0  # limit of the feed-forward, which also bounds the effect of a stale setpoint
-# After this time in contact, no setpoints are sent: PX4 keeps the last setpoint, which leads off the wall.
+# Longest time from the onset in which the motion is commanded, because PX4 keeps following an old setpoint.
 LONGEST_S: Final = 0.25
 
 

@@ -45,7 +45,7 @@ class SetpointSelection:
         self._underway = _UNDERWAY | {Phase.RECOVERY} if rehearsed else _UNDERWAY
         # Missions along trajectories leave no time to come to rest between impacts.
         self._control = None if mission.goal_trajectory is None else HeadingControl(vehicle)
-        # Trajectories after contacts, by the collision that they lead to; the key None is the goal.
+        # Trajectories after contacts, by the collision that they lead to; None is the goal.
         self._written = {
             index: Trajectory.from_mission(pieces, mission.altitude_m)
             for index, pieces in (

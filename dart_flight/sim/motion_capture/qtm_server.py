@@ -17,8 +17,8 @@ from xml.sax.saxutils import escape
 from dart_flight.base.geometry import Quaternion, Vec3, rotate
 
 _LOOPBACK: Final = "127.0.0.1"
-_ERROR, _COMMAND, _XML, _DATA = 0, 1, 2, 3  # types of a packet
-_SIX_DOF: Final = 5  # type of a component
+_ERROR, _COMMAND, _XML, _DATA = 0, 1, 2, 3  # packet types
+_SIX_DOF: Final = 5  # component type
 _HEADER: Final = struct.Struct("<II")
 _BODY: Final = struct.Struct("<3f9f")
 _MAX_COMMAND: Final = 65536
