@@ -171,7 +171,7 @@ def integrate_rate(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float) 
     w, x, y, z = advanced = advance_attitude(q_frd_to_ned, rate_frd_rad_s, dt_s)
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not 0.0 < length < math.inf:
-        return quaternion_normalise(advanced)  # raises
+        return quaternion_normalise(advanced)  # raises the error
     return (w / length, x / length, y / length, z / length)
 
 

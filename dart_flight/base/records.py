@@ -78,7 +78,7 @@ class World(StrEnum):
     PX4 = "px4"  # a real PX4 on our plant
     HITL = "hitl"  # a flight controller in hardware-in-the-loop mode, on our plant
     EMBEDDED = "embedded"  # our small autopilot, through MAVSDK
-    FAST = "fast"  # in process, simulated time
+    FAST = "fast"  # in this process, in simulated time
 
 
 class Outcome(StrEnum):

@@ -186,7 +186,7 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
         return np.exp(rate * np.arctan(s.w / y))
 
     c = mu_speed * s.scale
-    # Without damping the equation is quadratic; `late_decay` adds the damping to the guess where c is small.
+    # The first guess solves the undamped equation, a quadratic; `late_decay` adds the damping for small c.
     # 1e-150 keeps y above 0 without damping and friction.
     near = 0.5 * c
     guess = c * (s.late_decay + near) / (1.0 + near)

@@ -34,7 +34,7 @@ class PropellerGuard(NamedTuple):
     """One guard point, body FRD, metres from the centre of mass."""
 
     at: Vec3
-    friction_at: Vec3  # point of action of its friction: the same point with a reduced horizontal lever
+    friction_at: Vec3  # point at which its friction acts: `at` with a reduced horizontal lever
 
 
 class Plane(NamedTuple):

@@ -75,7 +75,7 @@ _LEVER_SD: Final = 0.3  # prior standard deviation of b: a contact may also have
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
 _TORQUE_ERROR: Final = 0.05  # errors of successive ticks are correlated
-_SURE_SIGMA: Final = 5.0  # standard deviations of the sum of the readings; a smaller sum is no contact
+_SURE_SIGMA: Final = 5.0  # if the readings' sum is fewer standard deviations, there was no contact
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
 # Angles of incidence from which the fits start.

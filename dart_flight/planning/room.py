@@ -155,7 +155,7 @@ class RoomFit:
         if n < 3:
             return Room([], [], [2.0 * math.pi * k / 8 for k in range(8)])
         best: tuple[float, list[list[int]]] = (math.inf, [])
-        for first in range(min(n, 6)):  # starting contact of the circular sequence
+        for first in range(min(n, 6)):  # contact at which the circular sequence begins
             order = [(first + k) % n for k in range(n)]
             found = self._partition(order)
             best = min(best, found, key=lambda one: one[0])

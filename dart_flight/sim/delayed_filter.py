@@ -83,7 +83,7 @@ class DelayedFilter:
         self._accelerometer_bias: Vec3 = (0.0, 0.0, 0.0)  # FRD
         self._covariance: _Matrix = np.diag(_START_SD**2)
         self._steps: deque[tuple[float, Vec3, Vec3]] = deque()  # end, mean specific force and mean rate
-        self._outputs: deque[tuple[Vec3, Vec3, Quaternion]] = deque()  # at the ends of these steps
+        self._outputs: deque[tuple[Vec3, Vec3, Quaternion]] = deque()  # outputs at these steps' ends
         self._poses: deque[tuple[float, Vec3, Quaternion | None]] = deque()  # with assumed times
         self._ticks: list[tuple[Vec3, Vec3]] = []
         self._turn: Vec3 = (0.0, 0.0, 0.0)  # rate that corrects the output's attitude, rad/s

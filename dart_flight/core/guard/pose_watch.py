@@ -36,7 +36,7 @@ JUMP_M: Final = 0.15
 _JUMP_M_S: Final = 2.0
 _JUMP_S: Final = 0.05  # PX4's innovation gate handles a glitch of a few frames
 _JUMP_GAP_S: Final = 0.1  # after a longer gap only PX4's estimate can be compared
-# Limits between a pose and PX4's estimate. Differences by latency in a fast rotation last less than these.
+# Limits between a pose and PX4's estimate. In a fast rotation, latency exceeds them only for shorter times.
 TURNED_DEG: Final = 30.0
 _TURNED_S: Final = 0.1
 APART_M: Final = 0.3

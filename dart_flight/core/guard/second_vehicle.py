@@ -15,7 +15,7 @@ from dart_flight.base.geometry import norm
 from dart_flight.base.records import OdometrySample
 from dart_flight.core.guard.stream_watch import SAMPLED, STAMP_TOLERANCE_S, Stamped
 
-POSITION_JUMP_M: Final = 0.3  # between two samples, beyond the motion; no estimator corrects by as much
+POSITION_JUMP_M: Final = 0.3  # step between two samples beyond the motion; no estimator corrects as much
 _TURNS: Final = 3  # alternations within the window
 _WINDOW_US: Final = 2_000_000  # host time
 _FASTEST: Final = 20  # speed of the fastest simulation, simulated seconds per second

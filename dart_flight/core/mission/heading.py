@@ -17,7 +17,7 @@ from dart_flight.base.geometry import wrap_angle
 from dart_flight.config.vehicle import VehicleConfig
 
 _MOST_TORQUE: Final = 0.15  # normalised torque that PX4 reserves for yaw when motors saturate
-# Shares of the torque: one is available in any flight, one brakes; the rest covers errors and delay.
+# Shares of the torque: `_SURE` is available in any flight, `_BRAKING` is used to brake; the rest is margin.
 _SURE: Final = 0.85
 _BRAKING: Final = 0.5
 _STEP_S: Final = 0.02

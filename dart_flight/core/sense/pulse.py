@@ -332,7 +332,7 @@ def fit_friction(
 
     log_kappa, here = middle, cost(middle)
     for _ in range(_STEPS):
-        # Newton's method in one dimension, with derivatives by differences; `cost` optimises the speed.
+        # Newton's method in one dimension, with derivatives by differences; `cost` finds the best speed.
         low, high = cost(log_kappa - h), cost(log_kappa + h)
         slope, curve = (high - low) / (2.0 * h), (high - 2.0 * here + low) / (h * h)
         step = -slope / curve if curve > 0.0 else -math.copysign(0.4, slope)

@@ -33,7 +33,7 @@ _MAX_REASONS: Final = 6
 _LEAP_US: Final = 1_000_000
 _FURTHEST_M: Final = 1e5  # larger positions in PX4's local frame are implausible
 _FASTEST_M_S: Final = 1e3
-_FASTEST: Final = 20  # simulated seconds per second
+_FASTEST: Final = 20  # speed of the fastest simulation, simulated seconds per second
 _LEAPS_ACCEPTED: Final = 25
 _VELOCITIES_KEPT_US: Final = 1_000_000
 

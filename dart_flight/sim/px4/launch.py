@@ -83,7 +83,7 @@ def find_install(directory: str | Path | None) -> Install:
     named = directory or os.environ.get(ENVIRONMENT)
     if not named:
         raise InputError(f"no PX4: give --px4 DIR or set {ENVIRONMENT} (see docs/px4.md)")
-    root = Path(os.path.realpath(os.path.expanduser(named)))  # the methods of Path can raise
+    root = Path(os.path.realpath(os.path.expanduser(named)))  # Path's own methods can raise
     for base in (root, root / "build" / "px4_sitl_default"):
         program, etc = base / "bin" / "px4", base / "etc"
         if not program.is_file():
