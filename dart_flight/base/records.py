@@ -57,7 +57,7 @@ class LandedState(StrEnum):
 
 
 class SystemStatus(StrEnum):
-    """MAV_STATE of the autopilot's heartbeat; during a failsafe PX4 reports the value critical."""
+    """MAV_STATE in the autopilot's heartbeat; during a failsafe PX4 reports the value critical."""
 
     UNKNOWN = "unknown"
     UNINIT = "uninit"

@@ -353,7 +353,7 @@ def contact_map(
     rows: Rows | None = None,
     acceleration_m_s2: ArrayLike | None = None,
 ) -> WallHit[Array]:
-    """Predict wall hits (paper, Sec. IV-B) in closed form; the results have the broadcast shape, without NaN.
+    """Predict wall hits (paper, Sec. IV-B) in closed form; the results have the broadcast shape and no NaN.
 
     Args:
         coefficients: one set, or one set per collision (any shape that broadcasts with the velocities). With

@@ -13,8 +13,8 @@ parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at
 arm. The sliding velocity is computed at the same point, so friction only removes energy.
 
 Unlocked arms fold: each arm rotates in the horizontal plane about a bearing in the vehicle's middle. Its
-guard thereby yields by a share of the penetration (`fold_angles`). The law already accounts for this yield by
-a smaller k, so the fold angles are only used to displace the arms' motors.
+guard thereby moves back by a share of the penetration (`fold_angles`). The law already contains this movement
+as a smaller k, so the fold angles are only used to displace the arms' motors.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The lock's state machine: its known state, and the commands that it permits.
 
 This file performs no I/O and reads no clock. Every input carries its time, an integer in microseconds on the
-core's time base. Only `_transition` changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the
-table as a diagram.
+core's time base. Only `_transition` changes the phase, and only as the table `TRANSITIONS` allows.
+`docs/lock.md` shows the table as a diagram.
 
 The servo has no position feedback. `settled` means three things: the driver accepted the command, the travel
 time with its margin is over, and a later reading still shows the commanded pulse. Only a limit switch sets
@@ -257,7 +257,7 @@ class LockStateMachine:
     def _read_travelling(self, t_us: int, reading: DriverReading) -> None:
         target, due_us = self._target, self.due_us
         if target is None or self._sent_us is None or due_us is None or t_us < self._sent_us:
-            return  # read before the driver had the command
+            return  # this reading is older than the command
         if self._fault_has_lasted(t_us, not self._pulses_off and reading.pulse_us is None):
             self._transition(
                 t_us, LockEvent.DISPLACED, reason=self._fault_reason("the controller lost the pulse", reading)

@@ -2,8 +2,8 @@
 
 The limits of speed and force come from the flights in docs/px4.md. These flights are a sweep (acrylic and
 wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come
-from the flights in docs/results/body.md and docs/results/tumbles.md. A warning is None if there is nothing to
-warn about; its `velocity` is the predicted (normal, tangential) velocity if the mission does not specify one.
+from the flights in docs/results/body.md and docs/results/tumbles.md. A function returns None if there is no
+warning. Its `velocity` is the predicted (normal, tangential) velocity, used if the mission specifies none.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def speed_warning(collision: Collision, velocity: tuple[float, float] | None = N
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None
     return (
-        f"{_name(collision)} at {-velocity[0]:.3g} m/s exceeds {FLOWN_UP_TO_M_S:g} m/s, the fastest impact "
+        f"{_name(collision)} at {-velocity[0]:.3g} m/s exceeds {FLOWN_UP_TO_M_S:g} m/s, the highest speed "
         "from which a vehicle with guards reliably recovered on PX4 (docs/px4.md)"
     )
 
@@ -139,7 +139,7 @@ def heights_flown_m(normal_m_s: float, mode: Mode) -> tuple[float, float]:
 def is_leaned(mission: Mission, collision: Collision) -> bool:
     """Return whether the vehicle leans to compensate the guards' height, which an earlier touch measured.
 
-    It does so before an impact at the end of a trajectory of the mission (docs/replanning.md).
+    The vehicle leans only before an impact at the end of a mission's trajectory (docs/replanning.md).
     """
     touched = any(c.index < collision.index for c in mission.collisions)
     return touched and collision.trajectory is not None and mission.after_impact is AfterImpact.REPLAN

@@ -1,4 +1,4 @@
-"""Gains of the embedded autopilot's estimator with GPS: a small Kalman filter."""
+"""A small Kalman filter, which gives the embedded autopilot's estimator its gains with GPS."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The process of every simulated world: it serves the app over a pipe, keeps a pace, and ends with the app.
 
-The app's commands arrive on standard input. The truth leaves on standard output, one JSON object per line.
+The app's commands arrive on standard input. The truth goes to standard output, one JSON object per line.
 """
 
 from __future__ import annotations

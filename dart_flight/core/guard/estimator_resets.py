@@ -20,7 +20,7 @@ _STEPS: Final = 16  # odometry samples kept, which cover more than `REACH_US`
 
 
 class EstimatorReset:
-    """One reset, with the largest steps within 0.1 s of the change of the counter.
+    """One reset, with the largest steps within 0.1 s of the counter's change.
 
     Attributes:
         t_us: autopilot time at which the counter rose.

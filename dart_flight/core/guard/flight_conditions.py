@@ -164,7 +164,7 @@ class FlightConditions:
 
     @property
     def just_after_impact(self) -> bool:
-        """Whether an impact is recent, so that its effects on estimator and altitude are not faults."""
+        """Whether an impact was recent; its effects on estimator and altitude are then not faults."""
         impact = self.impact
         return impact is not None and self.state.now_us - impact.t_us < self._impact_window_us
 

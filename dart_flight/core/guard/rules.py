@@ -81,7 +81,7 @@ def _disarmed(v: FlightConditions) -> str | None:
         return None  # the guard itself has stopped the motors
     falling_s = v.duration_s(v.falling_since_us)
     if falling_s > _FALL_S and v.was_armed and not v.state.on_ground:
-        return f"PX4 stopped the motors in the air, the vehicle has been falling for {falling_s * 1e3:.0f} ms"
+        return f"PX4 stopped the motors in the air; the vehicle has been falling for {falling_s * 1e3:.0f} ms"
     if v.state.status.armed or not v.was_armed or v.state.on_ground or v.land_asked:
         return None
     # The reported state may be another vehicle's.
@@ -94,20 +94,20 @@ def _disarmed(v: FlightConditions) -> str | None:
 def _stamps_backwards(v: FlightConditions) -> str | None:
     for name, count in v.streams.stale.items():
         if count >= _STALE_SAMPLES:
-            return f"{name}: {count} samples in a row more than {STAMP_TOLERANCE_S:g} s in the past"
+            return f"{name}: {count} samples in a row have stamps over {STAMP_TOLERANCE_S:g} s in the past"
     return None
 
 
 @condition("the IMU repeats one reading", f"{IMU_STUCK_S:g} s")
 def _imu_stuck(v: FlightConditions) -> str | None:
     lasting = v.duration_s(v.stuck_since_us)
-    return f"the IMU repeats one reading for {lasting * 1e3:.0f} ms" if lasting > IMU_STUCK_S else None
+    return f"the IMU has repeated one reading for {lasting * 1e3:.0f} ms" if lasting > IMU_STUCK_S else None
 
 
 @condition("the IMU stays at full scale longer than any contact lasts", f"{IMU_CLIPPED_S:g} s")
 def _imu_clipped(v: FlightConditions) -> str | None:
     lasting = v.duration_s(v.clipped_since_us)
-    return f"the IMU is at full scale for {lasting * 1e3:.0f} ms" if lasting > IMU_CLIPPED_S else None
+    return f"the IMU has been at full scale for {lasting * 1e3:.0f} ms" if lasting > IMU_CLIPPED_S else None
 
 
 @condition("the standard deviation of PX4's position is too large for a collision", "guard.position_sd_m")

@@ -16,8 +16,8 @@ ARRIVED_M_S: Final = 0.1
 ARRIVED_S: Final = 0.3  # time for which position and speed must be within their limits
 MEAN_SPEED_S: Final = 0.3  # averaging time: PX4's velocity contains vibration (docs/results/real_data.md)
 _ARRIVED_YAW_RAD: Final = 0.05
-# Factors on distance, speed and heading of an arrival if PX4's position drifts: the vehicle does not come to
-# rest, and waiting for the last degrees ages the contacts by seconds.
+# Factors on an arrival's limits of distance, speed and heading if PX4's position drifts. The vehicle then
+# does not come to rest, and waiting for the last degrees would age the contacts by seconds.
 _DRIFTING_NEAR: Final = 2.5
 _DRIFTING_SLOW: Final = 4.0
 _DRIFTING_TURNED: Final = 2.0

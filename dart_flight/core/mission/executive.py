@@ -60,12 +60,12 @@ from dart_flight.core.sense.state import FlightState
 
 _TRAJECTORY_WAIT_S: Final = 1.5  # after a contact; a running planner answers twice within this time
 _NEAR_S: Final = 0.3  # an impact planned within this time is near
-_NOTHING_MET_S: Final = 0.3  # from the end of a probe's line, because PX4 follows its setpoints late
+_NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows its setpoints late
 _RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
 _LEFT_SHARE: Final = 0.5  # largest remaining share of a probe's retreat when the next leg begins
-_RETRY_US: Final = 1_000_000  # telemetry of mode and arming lags by up to a second
+_RETRY_US: Final = 1_000_000  # between retries: telemetry of mode and arming lags by up to a second
 _EVENTS: Final = frozenset({PlanAnswer, OperatorRequest})
 
 

@@ -1,4 +1,4 @@
-"""Selection of a phase's heading and setpoint: on a trajectory, coasting, in contact, or a step."""
+"""Selection of a phase's heading and setpoint: along a trajectory, coasting, in contact, or as a step."""
 
 from __future__ import annotations
 

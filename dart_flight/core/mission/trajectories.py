@@ -36,8 +36,8 @@ class TrajectoryPoint(msgspec.Struct, frozen=True, gc=False):
 class AfterEnd(StrEnum):
     """Motion after the end of a trajectory."""
 
-    HOLD = "hold"  # at rest at the end
-    CONTINUE = "continue"  # straight on at the final velocity, as through a wall
+    HOLD = "hold"  # the vehicle rests at the end
+    CONTINUE = "continue"  # the vehicle flies straight on at the final velocity, as if through a wall
 
 
 def transit_time_s(

@@ -27,7 +27,7 @@ _NOISE_TIME_S: Final = 0.5
 _MIN_NOISE2: Final = 1e-4  # m2/s4
 _SCALE_STEP: Final = 0.25
 _LEARNT: Final = 0.4  # output of a low-pass, as a share of its final value, after half a time constant
-_BASELINE_DELAY: Final = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
+_BASELINE_DELAY: Final = 10  # samples: within 40 ms even a slow contact reaches the threshold
 _BASELINE_STEP_N: Final = 2.0  # the baseline does not follow larger differences faster
 
 

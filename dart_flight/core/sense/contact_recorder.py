@@ -30,7 +30,7 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Events, ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-ANSWER_WITHIN_US: Final = 300_000  # of a contact's end, before the next approach from rest is planned
+ANSWER_WITHIN_US: Final = 300_000  # longest wait for a fit; the next approach from rest is planned later
 _BEFORE: Final = 4  # samples kept from before the first one above the noise
 _MAX: Final = 160  # most samples kept of a contact
 # Standard deviation of a plane located by the onset alone: detection is late, and the body is no circle.

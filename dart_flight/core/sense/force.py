@@ -108,7 +108,7 @@ class ForceEstimator:
         fx, fy, fz = f
         w, x, y, z = q
         c, s = self._heading
-        # R from body FRD to NED, written out; then NED to mission.
+        # Rotate from body FRD to NED (R, written out), then from NED to mission.
         bx, by, bz = m * (fx - hover.bias_x), m * (fy - hover.bias_y), m * fz + thrust_n
         down_n, down_e, down_d = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
         n = (1.0 - 2.0 * (y * y + z * z)) * bx + 2.0 * (x * y - w * z) * by + down_n * bz

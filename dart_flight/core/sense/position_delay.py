@@ -29,7 +29,7 @@ _JUMP_M_S: Final = 0.15  # a larger change in one step is an estimator reset, wh
 # A pose acts on the output through two filters, so the regression yields this share of the delay.
 _SHARE: Final = 0.75
 # Required acceleration in memory, (m/s2)^2 s, and required correlation. Poses correct the effect of
-# accelerometer noise late. This resembles an estimate that is behind, with correlations of up to 0.7
+# accelerometer noise late, which looks like an estimate that lags, with correlations of up to 0.7
 # (docs/results/px4_versions.md).
 _LITTLE_MOTION, _LITTLE_AHEAD = 0.1, 0.75
 _MOTION, _AHEAD, _BEHIND = 0.2, 0.6, 0.8

@@ -59,7 +59,7 @@ class FlightState:
         self.pose: PoseSample | None = None  # from motion capture, if this program forwards poses
         self.status = StatusSample(t_us=0, received_us=0)
         self.in_offboard = self.on_ground = False  # as reported by PX4
-        self.position_sd_m: float | None = None  # of the horizontal position, as reported by PX4
+        self.position_sd_m: float | None = None  # horizontal, as reported by PX4
         self.position_ahead_s: float | None = None  # lead over the IMU; negative if behind, None if not known
         self.lock = LockState(t_us=0, phase=LockPhase.UNKNOWN, mode=None)
         if not has_lock:
@@ -300,7 +300,7 @@ class FlightState:
             return f"{here}; PX4 reports: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
         answer = self._refused.get(command or "")
         answered = f"{here}; PX4 answers: {answer}" if answer else here
-        if also:  # not necessarily the reason, but an older PX4 reports nothing else
+        if also:  # perhaps not the reason, but an older PX4 reports nothing else
             return f"{answered}; PX4 gives no reason, but reports: " + ", ".join(also)
         return answered
 

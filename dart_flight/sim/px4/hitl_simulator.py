@@ -92,8 +92,8 @@ class HitlSimulator:
             self.advance()
             if time.monotonic() > end_s:
                 raise Px4LostError(
-                    f"no actuator outputs on {self._hitl.url} within {_FIRST_S:g} s: the flight controller "
-                    "must have been restarted with SYS_HITL 1, and the port must be its USB port"
+                    f"no actuator outputs on {self._hitl.url} within {_FIRST_S:g} s: set SYS_HITL to 1, "
+                    "restart the flight controller, and connect to its USB port"
                 )
         self._report("the flight controller answers")
         end_s = time.monotonic() + _ALIGN_S[self._hitl.position_from]
