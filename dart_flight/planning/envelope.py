@@ -2,8 +2,9 @@
 
 The limits of speed and force come from the flights in docs/px4.md. These flights are a sweep (acrylic and
 wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come
-from the flights in docs/results/body.md and docs/results/tumbles.md. A function returns None if there is no
-warning. Its `velocity` is the predicted (normal, tangential) velocity, used if the mission specifies none.
+from the flights in docs/results/body.md and docs/results/tumbles.md. A `_warning` function returns None if
+there is nothing to warn about. Its `velocity` is the predicted (normal, tangential) velocity, used if the
+mission specifies none.
 """
 
 from __future__ import annotations

@@ -301,8 +301,10 @@ class Executive:
         if waypoint is not None:
             waypoint = update_waypoint(waypoint, self.progress.walls)
         if waypoint is not None and waypoint.position is None:
-            waits = f"waiting up to {waypoint.hold_s:g} s for the operator to continue (Enter or SIGUSR1); "
-            waits += "lands if nobody does"
+            waits = (
+                f"waiting up to {waypoint.hold_s:g} s for the operator to continue (Enter or SIGUSR1); "
+                "lands if nobody does"
+            )
             self._transition(PhaseTrigger.NEXT_PAUSE, state, p, waits)
         elif waypoint is not None and waypoint.position is not None:
             self._transition(PhaseTrigger.NEXT_WAYPOINT, state, p, waypoint.name)
