@@ -31,7 +31,7 @@ $(FULL): pyproject.toml constraints.txt | $(VENV)/bin/python
 
 dry-run: $(FLYING)  # installs only what a dry-run needs
 	$(BIN)/dart-flight dry-run $(MISSION)
-	@test -e $(FULL) || echo "next: \`make install\` adds what report, plan, export --foxglove and identify need"
+	@test -e $(FULL) || echo "next: \`make install\` adds the packages for report, plan, export --foxglove and identify"
 
 install: $(FULL)
 
@@ -40,7 +40,7 @@ test test-rest: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(BIN)/python -m tools.run_tests
 
-test-rest: $(STAMP)  # tests of real time, PX4, campaigns, recipes and pages with flights
+test-rest: $(STAMP)  # tests with real time, PX4, campaigns, recipes and pages with flights
 	$(BIN)/python -m tools.run_tests --rest
 
 test-all:  # runs the rest even if `make test` fails

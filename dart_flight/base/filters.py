@@ -8,7 +8,7 @@ from typing import Final
 from dart_flight.base.geometry import Vec3
 
 _MAX_STEP_S: Final = 0.05  # maximum weight of one sample after a gap in the stream
-_OUTLIER: Final = 9.0  # maximum weight of a square, relative to the present variance
+_OUTLIER: Final = 9.0  # a square counts as at most this many times the present variance
 
 
 def decay_factor(dt_s: float, time_s: float) -> float:

@@ -24,9 +24,9 @@ Quaternion = tuple[float, float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 GRAVITY_M_S2: Final = 9.81
-_HALF_TURN_X: Final[Quaternion] = (0.0, 1.0, 0.0, 0.0)  # x forward, z up to x forward, z down
-_Y_UP_TO_Z_UP: Final[Quaternion] = (0.5, 0.5, 0.5, 0.5)  # z forward, y up to x forward, z up
-_SMALL_RAD: Final = 1e-9  # below it the sine is the angle
+_HALF_TURN_X: Final[Quaternion] = (0.0, 1.0, 0.0, 0.0)  # from axes x forward, z up to axes x forward, z down
+_Y_UP_TO_Z_UP: Final[Quaternion] = (0.5, 0.5, 0.5, 0.5)  # from axes z forward, y up to axes x forward, z up
+_SMALL_RAD: Final = 1e-9  # a smaller angle equals its sine
 
 
 # --- vectors ---------------------------------------------------------------------------------------
@@ -171,7 +171,7 @@ def integrate_rate(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float) 
     w, x, y, z = advanced = advance_attitude(q_frd_to_ned, rate_frd_rad_s, dt_s)
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not 0.0 < length < math.inf:
-        return quaternion_normalise(advanced)  # raises
+        return quaternion_normalise(advanced)  # raises the error
     return (w / length, x / length, y / length, z / length)
 
 

@@ -1,6 +1,6 @@
 """Cholesky solution of symmetric, positive definite systems of a few unknowns, in scalar arithmetic.
 
-A matrix H is given by its lower triangle: row i holds at least the first i + 1 numbers of H's row i. If H is
+The lower triangle of H is sufficient: row i has at least the first i + 1 numbers of H's row i. If H is
 not positive definite, both functions raise ValueError.
 """
 

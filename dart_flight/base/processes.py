@@ -22,8 +22,8 @@ LATE_S = 0.05  # a larger scheduling latency endangers a flight in real time
 def use_idle_priority() -> None:
     """Run this process and its later threads only while a processor is idle.
 
-    With only a higher nice value, the process would still receive time slices of milliseconds. A process of
-    the idle class (sched(7)) yields at once.
+    A process with a high nice value would still receive time slices of milliseconds. A process in the idle
+    class (sched(7)) yields immediately.
     """
     with contextlib.suppress(OSError):
         os.nice(_WATCHING_NICE)
@@ -44,8 +44,8 @@ def measure_lateness_s() -> float:
 def exit_within(status: int, patience_s: float) -> NoReturn:
     """Exit with a status; end the process after `patience_s` if anything keeps it from exiting.
 
-    Threads, exit functions and the threads and destructors of libraries such as MAVSDK may block. Until the
-    interpreter is gone, a thread ends the process; one second later, SIGALRM does.
+    Exit functions, and the threads and destructors of libraries such as MAVSDK, may block. A thread ends the
+    process if the interpreter still runs; otherwise SIGALRM ends the process one second later.
     """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
@@ -122,7 +122,7 @@ class ChildProcess(subprocess.Popen[bytes]):
         except subprocess.TimeoutExpired:
             self.kill()
             self.wait()
-        self.listener.join(patience_s)  # output written before the exit still counts
+        self.listener.join(patience_s)  # read the output that the process wrote before its exit
 
     def _listen(self) -> None:
         assert self.stdout is not None

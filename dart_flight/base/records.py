@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.base.geometry import Quaternion, Vec2, Vec3
 from dart_flight.base.walls import Wall
 
-MIN_LEAD_M: Final = 0.002  # if the lead is smaller, both guards touch at once
+MIN_LEAD_M: Final = 0.002  # with a smaller lead, both guards count as touching at once
 
 # PX4's default PWM_<bank>_MIN and _MAX: pulse widths at throttle 0 and 1.
 MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
@@ -57,7 +57,7 @@ class LandedState(StrEnum):
 
 
 class SystemStatus(StrEnum):
-    """MAV_STATE of the autopilot's heartbeat; during a failsafe PX4 reports the value critical."""
+    """MAV_STATE in the autopilot's heartbeat; during a failsafe PX4 reports the value critical."""
 
     UNKNOWN = "unknown"
     UNINIT = "uninit"
@@ -76,9 +76,9 @@ class World(StrEnum):
 
     DRONE = "drone"
     PX4 = "px4"  # a real PX4 on our plant
-    HITL = "hitl"  # a flight controller in hardware in the loop, on our plant
+    HITL = "hitl"  # a flight controller in hardware-in-the-loop mode, on our plant
     EMBEDDED = "embedded"  # our small autopilot, through MAVSDK
-    FAST = "fast"  # in process, simulated time
+    FAST = "fast"  # in this process, in simulated time
 
 
 class Outcome(StrEnum):
@@ -93,13 +93,13 @@ class AfterImpact(StrEnum):
     """Response to an impact."""
 
     SETPOINT = "setpoint"  # the paper's recovery setpoint
-    REPLAN = "replan"  # the same, until a trajectory planned from the measured impact begins
+    REPLAN = "replan"  # the paper's setpoint, until a trajectory planned from the measured impact begins
 
 
 class Request(StrEnum):
     """Request of an operator, or of the shell itself, during a flight."""
 
-    LAND = "land"  # leave the wall, land
+    LAND = "land"  # fly away from the wall, then land
     CONTINUE = "continue"  # end the pause
     RELEASE = "release"
     WORLD_DIED = "world_died"  # from the shell: the simulated vehicle has terminated
@@ -108,14 +108,14 @@ class Request(StrEnum):
 class ModeMismatch(StrEnum):
     """Response if a contact indicates one mode of the arms, but the lock reports the other mode."""
 
-    NOTE_ONLY = "go_on"  # recorded in the log and the verdict
+    NOTE_ONLY = "go_on"  # continue; only record the mismatch in the log and the verdict
     LAND = "land"
 
 
 class Phase(StrEnum):
     """Phase of the mission; `core/mission/phases.py` lists the transitions."""
 
-    READYING = "readying"  # waiting for telemetry, lock in the transit mode
+    READYING = "readying"  # waiting for telemetry, and for the lock in the transit mode
     OFFBOARD = "offboard"  # requesting offboard mode from PX4
     ARMING = "arming"
     CLIMB = "climb"
@@ -141,7 +141,7 @@ class Override(StrEnum):
     HOLD = "hold"  # stop at the current position, then land
     LAND = "land"
     KILL = "kill"  # motors off, whatever state PX4 assumes
-    RELEASE = "release"  # silence: the pilot or PX4 flies
+    RELEASE = "release"  # send nothing more: the pilot or PX4 flies
 
     @property
     def rank(self) -> int:
@@ -229,7 +229,7 @@ class StatusSample(Record, frozen=True, gc=False):
     armed: bool = False
     flight_mode: FlightMode = FlightMode.UNKNOWN
     landed: LandedState = LandedState.UNKNOWN
-    local_position_ok: bool = False  # odometry has arrived, and ESTIMATOR_STATUS, if sent, is healthy
+    local_position_ok: bool = False  # odometry arrives, and ESTIMATOR_STATUS, if sent, reports no problem
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
     system_status: SystemStatus = SystemStatus.UNKNOWN  # MAV_STATE in the heartbeat
@@ -267,7 +267,7 @@ class HealthReport(Record, frozen=True, gc=False):
     t_us: int
     received_us: int
     can_arm: bool  # whether PX4 can arm in the current flight mode
-    blocking: tuple[str, ...]  # problems in the current mode, warnings and worse
+    blocking: tuple[str, ...]  # problems in the current mode, at least warnings
     others: tuple[str, ...]  # problems in other modes
 
 
@@ -489,7 +489,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     velocity_mission: Vec3
     acceleration_mission: Vec3  # acceleration by thrust and drag
     setpoint_mission: Vec3  # setpoint that is valid until `begin_us`, m
-    lock_ready_us: int | None  # earliest time, lock settled and vehicle square to the wall; None: never
+    lock_ready_us: int | None  # when lock and heading are ready for the wall; None: never
     under_way: bool = False  # whether the vehicle follows a trajectory instead of a setpoint
     contact_height_m: float | None = None  # height of the wall's force above the centre of mass
     coasts: bool = False  # whether the vehicle keeps speed and thrust, without a setpoint, until `begin_us`
@@ -569,7 +569,7 @@ class ImpactOnset(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/event/onset"
     t_us: int  # sample that crossed the threshold
-    first_us: int  # first sample in contact, traced back to where the force rises out of the noise
+    first_us: int  # first sample in contact, at which the force rises out of the noise
     received_us: int
     force_mission: Vec3
     velocity_mission: Vec3  # last velocity before the contact
@@ -638,7 +638,7 @@ class WallEstimate(Record, frozen=True, gc=False):
     """
 
     topic: ClassVar[str] = "/estimate/wall"
-    t_us: int  # newest sample used
+    t_us: int  # stamp of the newest sample used
     first_us: int  # first sample in contact, as in the `ImpactOnset`
     wall: str  # name of the wall
     mode_reported: Mode | None  # mode reported by the lock at the onset, or None if not settled
@@ -733,11 +733,11 @@ class PlanTaken(Record, frozen=True, gc=False):
 
 
 class ProbeEnd(Record, frozen=True, gc=False):
-    """End of a probe without contact, or the skip of a leg whose condition on a probe is not met."""
+    """End of a probe without contact, or omission of a leg whose condition on a probe is not met."""
 
     topic: ClassVar[str] = "/event/probe"
     t_us: int
-    what: str  # description of what ended or was omitted
+    what: str  # description of the probe that ended or the leg that was omitted
 
 
 class FrameAnchor(Record, frozen=True, gc=False):

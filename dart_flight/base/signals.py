@@ -31,8 +31,8 @@ class StopSignals:
     then its group, and both the shell and the kernel report a closed terminal. A different signal counts at
     once. A SIGHUP that is ignored (`nohup`, `trap '' HUP`) stays ignored.
 
-    `handle` receives every signal that counts, between two steps of the program; `repeated` every repeat. The
-    context has an effect only in the main thread.
+    `handle` receives every signal that counts, between two steps of the program, and `repeated` receives the
+    repeats. The context has an effect only in the main thread.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """Text for terminals, JSON and files: a battery's figures, and escapes for external text.
 
-External text means paths, names and messages. If a file name has bytes that are not UTF-8, Python decodes
-these bytes to surrogates, which no encoder accepts. Such bytes are printed as `\\xff`. A character that the
-output's encoding lacks is printed as ASCII or as an escape.
+External text consists of paths, names and messages from elsewhere. If a file name has bytes that are not
+UTF-8, Python decodes these bytes to surrogates, which no encoder accepts. Such bytes are printed as `\\xff`.
+A character that the output's encoding lacks is printed as ASCII or as an escape.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ _FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF  # surrogates that represent single byt
 
 
 def battery_figures(remaining: float | None, voltage_v: float | None) -> list[str]:
-    """Return texts such as ["95 %", "16.2 V"], without unknown values."""
+    """Return strings such as ["95 %", "16.2 V"], without unknown values."""
     charge = None if remaining is None else f"{100.0 * remaining:.0f} %"
     voltage = None if voltage_v is None else f"{voltage_v:.1f} V"
     return [figure for figure in (charge, voltage) if figure is not None]
 
 
 def printable(text: str) -> str:
-    """Replace characters that UTF-8 cannot encode by escapes."""
+    """Replace characters that UTF-8 cannot encode with escapes."""
     return text if text.isascii() else text.encode("utf-8", ESCAPED).decode()
 
 

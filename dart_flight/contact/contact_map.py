@@ -59,7 +59,7 @@ T = TypeVar("T")
 # Collisions per chunk: the temporaries of one chunk fit in the second-level cache.
 _CHUNK = 4096
 _NEWTON_STEPS = 60
-_NEAR_CRITICAL = 1e-8  # of 1 - zeta^2
+_NEAR_CRITICAL = 1e-8  # limit of |1 - zeta^2|
 
 
 class WallHit(NamedTuple, Generic[T]):
@@ -124,7 +124,7 @@ class _Shape(NamedTuple):
     zeta: Array
     w: Array  # 1 at and above (nearly) critical damping, where other formulas hold
     late_decay: Array  # exp(-zeta tau) at the force peak of the lcp solution
-    scale: Array  # `touch` is the `lcp` solution entered late, at a speed higher by this factor
+    scale: Array  # a `touch` contact is an `lcp` contact at a speed higher by this factor, entered late
     entry: Array  # the largest possible r = phi'/phi, at the onset (infinite for lcp)
 
 
@@ -139,7 +139,7 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
         peak = late_decay
         scale, entry = np.ones_like(zeta), np.full_like(zeta, math.inf)
     else:
-        light = zeta < 0.5  # if not, the force falls from the onset
+        light = zeta < 0.5  # otherwise the force falls from the onset on
         time = 2.0 * quarter
         depth = late_decay
         scale = np.exp(zeta * np.where(light, half - time, 0.0))
@@ -186,7 +186,7 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
         return np.exp(rate * np.arctan(s.w / y))
 
     c = mu_speed * s.scale
-    # Without damping the equation is quadratic; `late_decay` adds the damping to the guess where c is small.
+    # The first guess solves the undamped equation, a quadratic; `late_decay` adds the damping for small c.
     # 1e-150 keeps y above 0 without damping and friction.
     near = 0.5 * c
     guess = c * (s.late_decay + near) / (1.0 + near)
@@ -321,7 +321,7 @@ class _Batch:
         self.mass = np.broadcast_to(mass, own).reshape(-1)
         self.rows = None if rows is None else np.broadcast_to(rows, self.shape).reshape(-1)
         self.inputs = [np.broadcast_to(v, self.shape).reshape(-1) for v in inputs]
-        if rows is None and self.mass.size != 1:  # one set per collision
+        if rows is None and self.mass.size != 1:  # each collision has its own set
             self.table = CoefficientArrays(*(np.broadcast_to(v, self.shape).reshape(-1) for v in c))
             self.mass = np.broadcast_to(mass, self.shape).reshape(-1)
 
@@ -353,7 +353,7 @@ def contact_map(
     rows: Rows | None = None,
     acceleration_m_s2: ArrayLike | None = None,
 ) -> WallHit[Array]:
-    """Predict wall hits (paper, Sec. IV-B) in closed form; the results have the broadcast shape, without NaN.
+    """Predict wall hits (paper, Sec. IV-B) in closed form; the results have the broadcast shape and no NaN.
 
     Args:
         coefficients: one set, or one set per collision (any shape that broadcasts with the velocities). With

@@ -347,7 +347,7 @@ class WallWithEnds:
             edge.settle(near, force)
             if force > 0.0:
                 points.append(edge_point)
-                pressed |= numbers  # one edge per bar: at a narrower wall the first edge carries it
+                pressed |= numbers  # a bar rests on one edge: on the first if the wall is narrower
                 loaded.append((near, force))
         self.bearing = pressed
         for near, force in loaded:

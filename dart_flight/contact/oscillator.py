@@ -32,7 +32,7 @@ def oscillator(c: CoefficientArrays, mass: Array) -> tuple[Array, Array, Array]:
 def quarter_time(zeta: Array, w2: Array) -> Array:
     """Return A = acos(zeta)/sqrt(1 - zeta^2), or acosh(zeta)/sqrt(zeta^2 - 1) above critical damping."""
     w = np.sqrt(np.abs(w2))
-    near = w < 1e-5  # there A = 1 + w^2/6 + ... up to the sign, 1e-11 from 1 at most
+    near = w < 1e-5  # there A = 1 +- w^2/6 + ..., which differs from 1 by at most 1e-11
     safe = np.where(near, 1.0, w)
     angle = np.where(w2 < 0.0, np.arcsinh(safe), np.arctan2(safe, zeta))
     return np.where(near, 1.0 + w2 / 6.0, angle / safe)
@@ -174,7 +174,7 @@ def find_contact_times(c: Oscillation) -> ContactTimes:
     falls = (c.slope0 < 0.0) | ((c.slope0 == 0.0) & (c.phi0 > 0.0))
     peak = np.where(falls, 0.0, first_zero(c, c.slope0, curve0))
     phi, slope, _ = motion(c, peak)
-    slope = np.where(falls, slope, 0.0)  # rounding must not decide the side of the peak
+    slope = np.where(falls, slope, 0.0)  # rounding must not move the peak to the other side of the onset
     turn = peak + first_zero(c, phi, slope)
     half = np.where(c.w2 > 0.0, math.pi / np.sqrt(np.where(c.w2 > 0.0, c.w2, 1.0)), math.inf)
     trough = peak + np.where(falls, first_zero(c, slope, -(2.0 * c.zeta * slope + phi)), half)

@@ -13,8 +13,8 @@ parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at
 arm. The sliding velocity is computed at the same point, so friction only removes energy.
 
 Unlocked arms fold: each arm rotates in the horizontal plane about a bearing in the vehicle's middle. Its
-guard thereby yields by a share of the penetration (`fold_angles`). The law already accounts for this yield by
-a smaller k, so the fold angles are only used to displace the arms' motors.
+guard thereby moves back by a share of the penetration (`fold_angles`). The law already contains this movement
+as a smaller k, so the fold angles are only used to displace the arms' motors.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class PropellerGuard(NamedTuple):
     """One guard point, body FRD, metres from the centre of mass."""
 
     at: Vec3
-    friction_at: Vec3  # point of action of its friction: the same point with a reduced horizontal lever
+    friction_at: Vec3  # point at which its friction acts: `at` with a reduced horizontal lever
 
 
 class Plane(NamedTuple):
@@ -60,7 +60,7 @@ class BodyMotion(NamedTuple):
     """Position and motion of the vehicle.
 
     Attributes:
-        position, velocity: of the centre of mass, world frame (NED or other), m and m/s.
+        position, velocity: motion of the centre of mass, world frame (NED or other), m and m/s.
         q: attitude, body FRD to world.
         rate_frd: angular velocity, rad/s.
     """
@@ -107,7 +107,7 @@ UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, (0.0, 0.0, 0.0))
 def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
     """Return the eight guards of a four-fold symmetric vehicle: front, right, back, left, two each.
 
-    A point model has two guards in the centre of mass; their forces add up to the point law's force.
+    A point model has two guards at the centre of mass; their forces add up to the point law's force.
     """
     if body.body is BodyModel.POINT:
         return (PropellerGuard(_CENTRE, _CENTRE),) * 2
@@ -207,7 +207,7 @@ def fold_angles(
     along = max(body.guard_along_m, _MIN_ARM_M)
     for i, (guard, depth) in enumerate(zip(propeller_guards(body), depths, strict=True)):
         if depth > 0.0:
-            # When a side is pressed, the arm of its first guard swings clockwise, the other one counter.
+            # When a side is pressed, its first guard's arm swings clockwise, the other counter-clockwise.
             turn = math.atan2(share * depth, along)
             angles[arm_of(guard.at[0], guard.at[1])] += turn if i % 2 == 0 else -turn
     return (angles[0], angles[1], angles[2], angles[3])
@@ -219,4 +219,4 @@ def arm_of(x: float, y: float) -> int:
 
 
 _CENTRE = (0.0, 0.0, 0.0)
-_MIN_ARM_M: Final = 0.05  # smaller levers would give unlimited angles
+_MIN_ARM_M: Final = 0.05  # shorter levers would give unlimited angles

@@ -1,4 +1,4 @@
-"""The flight core: a synchronous step from one input to its outputs, without I/O and clock.
+"""The flight core: a synchronous step from one input to its outputs, without I/O or a clock.
 
     core = FlightCore(mission)
     for output in core.step(sample): ...
@@ -33,7 +33,7 @@ _NOTHING: Final = Sensed()
 class FlightCore:
     """Core that estimates the force, detects impacts, flies one mission and applies the guard's rules.
 
-    `rules` are those of the guard; tests may use another table. If there is no room for an approach of the
+    `rules` is the guard's table; tests may pass another one. If there is no room for an approach of the
     mission, the constructor raises NoApproachError (`core.mission.approach`).
     """
 
@@ -42,7 +42,7 @@ class FlightCore:
         self._senses = Senses(mission)
         self._executive = Executive(mission) if mission.standoff_m is None else Rehearsal(mission)
         self._guard = Guard(mission, rules)
-        self._expected = ExpectedContact()  # from the mission, for the detector at the next step
+        self._expected = ExpectedContact()  # set by the mission; the detector uses it in the next step
         self.end: MissionEnd | None = None
 
     @property
@@ -63,7 +63,7 @@ class FlightCore:
         """Pace at which the shell should pass the next inputs."""
         senses, phase = self._senses, self._executive.progress.phase
         if self._guard.telemetry_late:
-            return Pace.BATCHED  # old samples are not stepped one by one, so the backlog empties sooner
+            return Pace.BATCHED  # a backlog of old samples empties sooner in batches
         if senses.detector.in_contact:
             return Pace.IMMEDIATE
         return pace_near_walls(self.mission, senses.state, phase)
@@ -109,12 +109,12 @@ class FlightCore:
         return known
 
     def _follow_guard(self, mission_end: MissionEnd | None) -> list[Output]:
-        """Record an override of the guard and the end of the flight; return the records."""
+        """Record an override by the guard and the end of the flight; return the records."""
         guard, executive, state = self._guard, self._executive, self._senses.state
         kept: list[Output] = []
         if guard.overrules:
             kept += executive.record_override(state.now_us, guard.reason or "")
-            # While the guard holds or backs off, a wall is an impact; the ground at the end is not.
+            # While the guard holds or backs off, a contact with a wall is an impact; a touchdown is not.
             if guard.landing:
                 self._expected = ExpectedContact()
         if guard.end is not None:
@@ -127,5 +127,5 @@ class FlightCore:
 
 
 def _active_exception() -> str:
-    """Return the active exception with its place in the code, in one line."""
+    """Return the active exception with its location in the code, on one line."""
     return traceback.format_exc(limit=-2).strip().replace("\n", " | ")

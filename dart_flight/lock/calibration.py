@@ -1,4 +1,4 @@
-"""Calibration of the two end stops by hand, in small steps. A function of the caller moves the servo.
+"""Calibration of the two end stops by hand, in small steps. The caller's function moves the servo.
 
 The cam's angles at the two ends are known: theta_0 (flexible) and theta_0 + 90 degrees (rigid). The operator
 therefore calibrates only the pulse width of each end. The direction follows from the two pulse widths.
@@ -15,7 +15,7 @@ from dart_flight.base.records import Mode
 from dart_flight.config.document import Key
 from dart_flight.config.vehicle import LockConfig
 
-# A servo with a range of a full circle needs 5.5 us per degree; a common servo needs 10.
+# A servo with a range of 360 degrees needs 5.5 us per degree; a common servo needs 10.
 _LEAST_US_PER_DEG = 5.0
 STEP_US = 10.0  # about one degree, so that a jammed rod takes no damage
 HELP = (
@@ -32,7 +32,7 @@ class Calibration:
     """Moves the horn in small steps and stores the pulse widths of the two ends.
 
     Args:
-        config: servo range, and the checks of the result.
+        config: servo range, and limits for the result.
         start_us: present pulse width.
         move: outputs a pulse width in us and waits for a small step to finish; may raise any exception.
     """
@@ -51,7 +51,7 @@ class Calibration:
         return next((mode for mode in self.ORDER if mode not in self.found), None)
 
     def execute(self, line: str) -> None:
-        """Execute one line of the operator: any command of `HELP` except quit.
+        """Execute one line from the operator: any command in `HELP` except quit.
 
         Raises:
             CalibrationError: the line is invalid, or the two ends are not a valid calibration.

@@ -19,10 +19,8 @@ class LockSession:
     """Steps the state machine of a lock and executes the actions with the driver.
 
     `clock_us` returns the core's time in microseconds. `on_change` receives every new lock state, in order.
-    The
-    commands return a `CommandRefused` if the state machine refuses them. No method raises `DriverError`: if
-    the
-    driver fails, the phase of the lock becomes `fault`.
+    The commands return a `CommandRefused` if the state machine refuses them. No method raises `DriverError`:
+    if the driver fails, the phase of the lock becomes `fault`.
     """
 
     def __init__(

@@ -37,7 +37,7 @@ class ServoFaults(msgspec.Struct, frozen=True):
 
     def __post_init__(self) -> None:
         if not self.slow > 0.0:
-            raise ValueError(f"slow {self.slow:g} must be above 0")
+            raise ValueError(f"slow is {self.slow:g}, but must be above 0")
 
 
 NO_FAULTS = ServoFaults()

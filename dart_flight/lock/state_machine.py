@@ -1,8 +1,8 @@
 """The lock's state machine: its known state, and the commands that it permits.
 
 This file performs no I/O and reads no clock. Every input carries its time, an integer in microseconds on the
-core's time base. Only `_transition` changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the
-table as a diagram.
+core's time base. Only `_transition` changes the phase, and only as the table `TRANSITIONS` allows.
+`docs/lock.md` shows the table as a diagram.
 
 The servo has no position feedback. `settled` means three things: the driver accepted the command, the travel
 time with its margin is over, and a later reading still shows the commanded pulse. Only a limit switch sets
@@ -127,7 +127,7 @@ def status_text(state: LockState) -> str:
 
 
 def _run_start(before_us: int | None, t_us: int) -> int:
-    """Return when the present run of readings began: at `t_us` if no run had begun."""
+    """Return when the present run of readings began; `t_us` if it begins now."""
     return t_us if before_us is None else before_us
 
 
@@ -141,7 +141,7 @@ class LockStateMachine:
         self.config = config
         self._state = LockState(t_us=t_us, phase=LockPhase.UNKNOWN, mode=None)
         self._permitted = False
-        self._target: Mode | None = None  # commanded or found; kept in a fault to compare readings
+        self._target: Mode | None = None  # the commanded or found mode; kept in a fault to compare readings
         self._pulses_off = False  # whether readings without pulses are expected
         self._begun_us = t_us  # start of the present travel
         self._sent_us: int | None = None  # start of the target's pulse at the driver's output
@@ -167,12 +167,10 @@ class LockStateMachine:
         """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
         The lock adopts the end whose limit switch is closed. If no switch is closed but the hardware outputs
-        the
-        pulse of an end, the lock adopts that end. The lock then waits for the travel time from `t_us`,
-        because the
-        servo may still move. Without such a switch or pulse, or if the inputs contradict each other, the lock
-        stays
-        `unknown`. A command stored by the last run does not prove the position of the horn.
+        the pulse of an end, the lock adopts that end. The lock then waits for the travel time from `t_us`,
+        because the servo may still move. Without such a switch or pulse, or if the inputs contradict each
+        other, the lock stays `unknown`. A command stored by the last run does not prove the position of the
+        horn.
         """
         if self.config.startup is LockStartup.HOME:
             return self.command(t_us, self.config.home_mode)
@@ -212,11 +210,10 @@ class LockStateMachine:
         return [PulsesOff()]
 
     def permit(self, t_us: int, permitted: bool) -> list[Action]:
-        """Set whether locking is permitted: the arms have no contact and have returned to their place.
+        """Set whether locking is permitted: the arms are not in contact and have sprung back.
 
         Initially locking is not permitted. If the permission ends while the lock moves to rigid, the machine
-        unlocks
-        again, because the rods must not move into the slots during a contact.
+        unlocks again, because the rods must not move into the slots during a contact.
         """
         self._permitted = permitted
         locking = self._state.phase is LockPhase.TRAVELLING and self._target is Mode.RIGID
@@ -260,7 +257,7 @@ class LockStateMachine:
     def _read_travelling(self, t_us: int, reading: DriverReading) -> None:
         target, due_us = self._target, self.due_us
         if target is None or self._sent_us is None or due_us is None or t_us < self._sent_us:
-            return  # read before the driver had the command
+            return  # this reading is older than the command
         if self._fault_has_lasted(t_us, not self._pulses_off and reading.pulse_us is None):
             self._transition(
                 t_us, LockEvent.DISPLACED, reason=self._fault_reason("the controller lost the pulse", reading)
@@ -368,7 +365,7 @@ class LockStateMachine:
         feedback: bool = False,
         commanded_us: int | None = None,
     ) -> None:
-        """Change the phase by the table, as no other method does; an event without an entry has no effect."""
+        """Change the phase by the table (no other method does); an event without an entry has no effect."""
         after = TRANSITIONS[self._state.phase].get(event)
         if after is None:
             return

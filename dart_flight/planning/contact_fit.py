@@ -55,15 +55,15 @@ from dart_flight.core.sense.contact_recorder import undecided
 Array = NDArray[np.float64]
 
 FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/felt.md)
-CONTACT_SCATTER: Final = 0.05  # of k, f, mu and nu between contacts with the same wall, relative
+CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall
 SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong (docs/felt.md)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
-_PLACE_M: Final = 0.1  # least deviation of a wall's place from the plan; wide: the force determines it
+_PLACE_M: Final = 0.1  # least deviation of a wall's position; wide, because the force determines the position
 _WALL_RAD: Final = math.radians(4.0)  # least deviation of a planned wall's direction and of the attitude
-_UNPLANNED_RAD: Final = math.radians(15.0)  # of an unplanned wall, whose normal is the force's direction
-_UNKNOWN_SPREAD: Final = 0.8  # of the coefficients of a wall of unknown material, relative
+_UNPLANNED_RAD: Final = math.radians(15.0)  # the same for an unplanned wall: its normal is the force's
+_UNKNOWN_SPREAD: Final = 0.8  # relative deviation of the coefficients if the material is unknown
 _KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations above which the material is not in the table
 _MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which the law does not fit
 _VELOCITY_M_S: Final = 0.04  # standard deviation of PX4's velocity at rest
@@ -74,21 +74,21 @@ _LEVER_SD: Final = 0.3  # prior standard deviation of b: a contact may also have
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
-_TORQUE_ERROR: Final = 0.05  # correlated between ticks
-_SURE_SIGMA: Final = 5.0  # standard deviations of the sum of the readings; a smaller sum is no contact
+_TORQUE_ERROR: Final = 0.05  # errors of successive ticks are correlated
+_SURE_SIGMA: Final = 5.0  # if the readings' sum is fewer standard deviations, there was no contact
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
-# Incidences at which a fit begins.
+# Angles of incidence from which the fits start.
 _STARTS_RAD = np.radians([-19, -14, -10, -7, -4, -1.5, 0, 1.5, 4, 7, 10, 14, 19])
-_SCREENED: Final = 3  # steps, after which only the best starts are kept
+_SCREENED: Final = 3  # after this many steps, only the best starts are kept
 _KEPT: Final = 4
 _STEPS: Final = 10
 _SETTLED: Final = 1e-2  # a smaller reduction of the cost ends the search
-_DAMPINGS = np.array([1.0, 10.0, 100.0])  # tried together at every step
-_DIFFERENCE: Final = 1e-5  # of a parameter, for the derivatives
-_SUBSTEPS: Final = 2  # of a tick
-_FINE: Final = 4  # of a tick, for the torque's peak
-_MAX_TICKS: Final = 36  # more are merged
+_DAMPINGS = np.array([1.0, 10.0, 100.0])  # all are tried at every step
+_DIFFERENCE: Final = 1e-5  # step of a parameter for the numerical derivatives
+_SUBSTEPS: Final = 2  # integration steps per tick
+_FINE: Final = 4  # integration steps per tick for the torque's peak
+_MAX_TICKS: Final = 36  # if there are more, neighbouring ticks are merged
 _QUADRATIC = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35.0
 _NEAR_TOP: Final = 0.6  # share of the torque's top above which samples determine its size
 _SURE_TORQUE: Final = 4.0  # a fitted torque below this many times the noise does not give the peak's shape
@@ -164,7 +164,7 @@ class Contact(NamedTuple):
         velocity: PX4's velocity at the touch along the planned wall's axes, m/s.
         incidence_rad: angle of incidence to the planned wall at the touch.
         noise_n, noise_nm: standard deviation of a force reading and of a torque reading.
-        place_sd, angle_sd: prior standard deviation of the wall's place (m) and direction (rad).
+        place_sd, angle_sd: prior standard deviation of the wall's position (m) and direction (rad).
     """
 
     ticks: Ticks
@@ -439,7 +439,7 @@ class ContactFitter:
     def answer(self, request: ContactRequest, received_us: int) -> ContactAnswer:
         """Return the fit of a contact, or an answer with a `problem` if the fit fails.
 
-        An exception of the fit also becomes a `problem`, so that it does not end the flight.
+        An exception in the fit also becomes a `problem`, so that it does not end the flight.
         """
         answer = ContactAnswer(received_us, request.number)
         try:
@@ -456,7 +456,7 @@ class ContactFitter:
         if not all(math.isfinite(h.evidence) for h in fits):
             raise ValueError("no solution")
         odds, felt = 0.0, None
-        if len(fits) == len(Mode):  # otherwise the vehicle has only one mode
+        if len(fits) == len(Mode):  # a vehicle without a lock has one mode and no odds
             misfit = min(h.misfit for h in fits)
             odds = (fits[0].evidence - fits[1].evidence) / max(1.0, misfit)
             if abs(odds) >= SURE_LOG_ODDS and misfit <= _MAX_MISFIT:
@@ -479,7 +479,7 @@ class ContactFitter:
         )
         if wall is None:
             return body, None
-        # Otherwise the readings weakly contradict the mode that the lock reports.
+        # If the readings weakly contradict the lock's mode, do not learn from them.
         if mode is likely:
             self._beliefs[wall.name, mode] = found.belief
         c = fit.contact
@@ -534,7 +534,7 @@ class ContactFitter:
         return ContactFit(contact, before, self._vehicle), begin_us
 
     def _ticks(self, request: ContactRequest) -> Ticks:
-        """Return the readings; only those for the flexible mode are without the arms' vibration."""
+        """Return the readings; the arms' vibration is removed only from the flexible mode's readings."""
         arms, mass = self._vehicle.estimation.arm_vibration, self._vehicle.airframe.mass_kg
         tick_s, (nx, ny) = self._vehicle.imu.tick_s, request.normal
         t_us, force = np.array(request.sample_us), np.array(request.force_mission)

@@ -198,7 +198,7 @@ class ContactStage:
         flat = c.reshape(-1, 1)
         slip = np.exp(-flat * self._depths)  # u at the nodes per unit of u at the onset
         slip_end = np.exp(-flat * self._depth_end)
-        kept = np.exp(-flat * (self._depth_end - self._depths))  # remaining share at T of a push at the nodes
+        kept = np.exp(-flat * (self._depth_end - self._depths))  # share at T of a push at the nodes
         values = slip @ self._by_speed.T
         push = kept @ self._push
         push_v = np.einsum("nj,nj->n", kept, slip @ self._push_speed.T)

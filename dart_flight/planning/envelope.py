@@ -2,8 +2,9 @@
 
 The limits of speed and force come from the flights in docs/px4.md. These flights are a sweep (acrylic and
 wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come
-from the flights in docs/results/body.md and docs/results/tumbles.md. A warning is None if there is nothing to
-warn about; its `velocity` is the predicted (normal, tangential) velocity if the mission does not specify one.
+from the flights in docs/results/body.md and docs/results/tumbles.md. A `_warning` function returns None if
+there is nothing to warn about. Its `velocity` is the predicted (normal, tangential) velocity, used if the
+mission specifies none.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import BodyModel, VehicleConfig
 from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
 
-# Largest normal speed without a warning; at 3.5 m/s a body with guards tilts by more than 60 degrees
+# Largest normal speed without a warning; a body with guards tilts by more than 60 degrees at 3.5 m/s
 # (docs/px4.md).
 FLOWN_UP_TO_M_S = 3.0
-# Flights recovered from every impact up to this incidence: in both modes up to 2 m/s, rigid also at 3 m/s.
+# Flights recovered from all impacts up to this incidence: in both modes up to 2 m/s, rigid up to 3 m/s.
 INCIDENCE_FLOWN_DEG = 30.0
-# Columns: normal speed (m/s); largest distances (m) of the guards below the centre of mass with rigid and
-# with flexible arms, and above it, with which the tilt stays below 60 degrees (docs/results/tumbles.md).
-# Guards below are worse: the vehicle tips in the direction in which the setpoint already leans the vehicle.
+# Largest distances (m) of the guards from the centre of mass at which the tilt stays below 60 degrees
+# (docs/results/tumbles.md). Columns: normal speed (m/s), below with rigid arms, below with flexible arms,
+# above. Guards below are worse, because the impact tips the vehicle the way that the setpoint leans it.
 HEIGHTS_FLOWN_M = (
     (0.5, 0.060, 0.060, 0.05),
     (1.0, 0.060, 0.060, 0.05),
@@ -34,8 +35,9 @@ HEIGHTS_FLOWN_M = (
     (3.0, 0.005, 0.0, 0.03),
 )
 HEIGHT_SURE_SD = 2.0  # standard deviations of the guards' height that `check` allows for
-CLIP_SHARE = 0.95  # of full scale; the rest is a margin for tilt, noise and friction
-# Share of full scale. At 254 N (1.25) PX4's position was wrong by 0.16 to 0.26 m, at 296 N (1.45) by 1.3 m.
+CLIP_SHARE = 0.95  # usable share of full scale; the rest is a margin for tilt, noise and friction
+# Share of full scale above which PX4 loses its position. The position was wrong by 0.16 to 0.26 m at 254 N
+# (1.25), and by 1.3 m at 296 N (1.45).
 LOST_SHARE = 1.3
 
 
@@ -69,8 +71,8 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
     where = f"{_name(collision)} will peak at {force:.0f} N"
     if force > LOST_SHARE * full_n:
         return (
-            f"{where}, {force / full_n:.1f} times the accelerometer's full scale ({full_n:.0f} N): PX4 loses "
-            "its position by more than a metre (docs/px4.md)"
+            f"{where}, {force / full_n:.1f} times the accelerometer's full scale ({full_n:.0f} N): PX4's "
+            "position will be wrong by more than a metre (docs/px4.md)"
         )
     return (
         f"{where}, at or beyond the accelerometer's full scale ({full_n:.0f} N): the measured force will be "
@@ -84,7 +86,7 @@ def speed_warning(collision: Collision, velocity: tuple[float, float] | None = N
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None
     return (
-        f"{_name(collision)} at {-velocity[0]:.3g} m/s exceeds {FLOWN_UP_TO_M_S:g} m/s, the fastest impact "
+        f"{_name(collision)} at {-velocity[0]:.3g} m/s exceeds {FLOWN_UP_TO_M_S:g} m/s, the highest speed "
         "from which a vehicle with guards reliably recovered on PX4 (docs/px4.md)"
     )
 
@@ -138,7 +140,7 @@ def heights_flown_m(normal_m_s: float, mode: Mode) -> tuple[float, float]:
 def is_leaned(mission: Mission, collision: Collision) -> bool:
     """Return whether the vehicle leans to compensate the guards' height, which an earlier touch measured.
 
-    It does so before an impact at the end of a trajectory of the mission (docs/replanning.md).
+    The vehicle leans only before an impact at the end of a mission's trajectory (docs/replanning.md).
     """
     touched = any(c.index < collision.index for c in mission.collisions)
     return touched and collision.trajectory is not None and mission.after_impact is AfterImpact.REPLAN
@@ -162,7 +164,7 @@ def height_warning(
     return (
         f"{_name(collision)} at {-velocity[0]:.2f} m/s with guards {where} the centre of mass{allowed} may "
         f"turn the vehicle over: flights recovered from {below:.3f} m below to {above:.3f} m above it. "
-        "Hit more slowly, or touch a wall first and let `plan` choose the trajectory"
+        "Hit the wall more slowly, or touch a wall first and let `plan` choose the trajectory"
     )
 
 

@@ -32,7 +32,7 @@ Rows = NDArray[np.intp]
 
 GRID_S = 0.05
 WINDOW = 20  # grid steps evaluated together; most events are within the first second
-_ORDER = 11  # at one grid step and the fastest mode (about 9 1/s) the next term is 1e-13 of the position
+_ORDER = 11  # one grid step away, the fastest mode's (9 1/s) next term is 1e-13 of the position
 _NEWTON_STEPS = 6
 _SINGLE_M = 1e-4  # well above the rounding of single precision
 
@@ -90,7 +90,7 @@ class _Axis:
     def __init__(self, matrix: Array, count: int) -> None:
         self.matrix = matrix
         powers = np.stack((np.eye(4), expm(matrix * GRID_S)))
-        while len(powers) <= count:  # multiplying all by the last power doubles the table
+        while len(powers) <= count:  # multiply all powers by the last one, which doubles the table
             powers = np.concatenate((powers, powers[1:] @ powers[-1]))
         self.at_grid = powers[: count + 1]  # (count + 1, 4, 4)
         self.position = np.ascontiguousarray(self.at_grid[:, 0, :].T, dtype=np.float32)  # (4, count + 1)

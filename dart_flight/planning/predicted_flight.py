@@ -1,7 +1,7 @@
 """The predicted path of a mission: the planner's flight model from start to goal, for `check` and the report.
 
-A mission file contains the approach and the gains, not the path. The path is computed from the approach and
-the gains. The model is the one that `plan` uses to choose an approach and gains (`planning.rollout`).
+A mission file contains the approach and the gains, but not the path. This module computes the path with the
+model that `plan` uses to choose an approach and gains (`planning.rollout`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dart_flight.planning.rollout import (
 )
 from dart_flight.planning.task import MissionTask, make_task
 
-_POINTS = 60  # per leg
+_POINTS = 60  # points per leg
 
 
 class PredictedImpact(NamedTuple):

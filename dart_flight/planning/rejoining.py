@@ -28,12 +28,12 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 _SAMPLES = 24
-_STEP_S = 0.03  # between the possible starting times on the planned trajectory
+_STEP_S = 0.03  # step between the possible starting times on the planned trajectory
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
 _LEAST_S = 0.2  # shortest trajectory
 _SAME_S = 1e-6  # shorter pieces are dropped
-SETTLED_S = 0.2  # duration of the part before a wall that equals the planned trajectory: the attitude's lag
-_SETTLED_SHARE = 0.3  # largest share of this part in a trajectory
+SETTLED_S = 0.2  # the last part before a wall follows the plan for this time, the attitude's lag
+_SETTLED_SHARE = 0.3  # largest share of a trajectory that this part takes
 
 
 class RejoiningTrajectories(NamedTuple):

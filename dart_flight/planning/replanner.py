@@ -3,8 +3,8 @@
 The replanner uses the contact stages and constraints of `plan` (`contact_stage`, `constraints`). It chooses a
 trajectory: one fifth-order polynomial per axis. The trajectory begins in the state that the vehicle will have
 when the core receives the answer. It ends at the next wall with the planned velocity, or at rest at the goal.
-The replanner tries durations and places along the wall and discards the trajectories that violate a
-constraint. It prefers trajectories that are quick, gentle and near the planned place. If the mission has a
+The replanner tries durations and impact points along the wall and discards the trajectories that violate a
+constraint. It prefers trajectories that are quick, gentle and near the planned point. If the mission has a
 trajectory of its own (`trajectory`, `goal_trajectory`), the replanner first tries to return to this
 trajectory. For this return, the replanner adds a polynomial to the mission's trajectory
 (`planning.rejoining`).
@@ -48,27 +48,27 @@ from dart_flight.planning.rejoining import SETTLED_S, RejoiningTrajectories, can
 from dart_flight.planning.task import MissionTask, drag_along
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
-_ALONG_M = np.arange(-0.8, 0.81, 0.05)  # places along the wall, about the planned one
-_SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the planned velocity, tried in this order
-# Flight at constant velocity before the plane, so that the attitude settles; shorter if space is limited.
+_ALONG_M = np.arange(-0.8, 0.81, 0.05)  # impact points along the wall, relative to the planned point
+_SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # shares of the planned velocity, tried in this order
+# Durations at constant velocity before the wall, so that the attitude settles; the second for small rooms.
 _STRAIGHT_S = (0.3, 0.1)
-_SAMPLES = 24  # of a trajectory, for the constraints
+_SAMPLES = 24  # samples of a trajectory at which the constraints are checked
 _LAST = 3  # number of a trajectory's last samples
-_PUSH_SAMPLES = 12  # for acceleration and jerk, which are checked first
-# Of PX4's tilt limit; the rest is for wind, errors and the position loop's corrections.
+_PUSH_SAMPLES = 12  # samples at which acceleration and jerk are checked, before the other constraints
+# Usable share of PX4's tilt limit; the rest is for wind, errors and the position loop's corrections.
 _TILT_SHARE = 0.6
-_JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
+_JERK_M_S3 = 25.0  # about 150 degrees of tilt per second, which the attitude loop can follow
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
-_GENTLE_REJOINING_S = 0.05  # the same for rejoining, where the joined trajectory is within limits
+_GENTLE_REJOINING_S = 0.05  # the same for rejoining, because the joined trajectory is within limits
 _REJOINING_ALLOWANCE = 1.25  # factor on the limit, because the planned trajectory may already reach the limit
 _SPEED_TOLERANCE = 1.01  # largest ratio of planned to flown speed
 # Two errors turn the vehicle in a contact (docs/results/faster_hits.md). One is too much lean off the wall in
 # plans for rigid arms. The other is a lean into the wall that begins so late that the lag removes the lean.
-_THRUST_OFF_SHARE = 0.5  # of the plan's final thrust off a rigid wall; the lag removes the rest
+_THRUST_OFF_SHARE = 0.5  # rigid arms: share of the plan's final thrust off the wall; the lag removes the rest
 _LEANS_IN_M_S3 = 8.0  # jerk into the wall at the end above which another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
-_COMPRESSED_M = 0.15  # greatest depth from compressed arms and the error of a wall's place
-_OFF_PLACE_S = 1.0  # cost of a contact as far from the planned place as the mission tolerates
+_COMPRESSED_M = 0.15  # greatest depth behind a wall, from compressed arms and its position error
+_OFF_PLACE_S = 1.0  # cost of a contact as far from the planned point as the mission tolerates
 
 
 class _EndStates(NamedTuple):
@@ -106,7 +106,7 @@ class Replanner:
         drift_m_s = mission.vehicle.estimation.position_drift_m_s
         self._anchors = FrameAnchors(drift_m_s) if mission.is_anchored else None
         self._survey = EstimatedWalls(self._anchors)
-        # By the collision that the trajectory leads to; None: to the goal.
+        # Trajectories by the collision that they lead to; the key None is the goal.
         self._trajectories: dict[int | None, Trajectory] = {
             led_to: Trajectory.from_mission(pieces, mission.altitude_at(len(mission.collisions)))
             for led_to, pieces in (
@@ -118,7 +118,7 @@ class Replanner:
         self._matrices = [loop_matrix(loop, b) for b in mission.vehicle.airframe.drag_per_s[:2]]
         tilt = math.radians(mission.vehicle.px4.mpc_tiltmax_air)
         self._most_m_s2 = _TILT_SHARE * GRAVITY_M_S2 * math.tan(tilt)
-        # A new trajectory keeps to the mission's limits; rejoining the mission's trajectory may need more.
+        # A new trajectory stays within the mission's limits; rejoining the mission's own may need more.
         limits = mission.limits
         self._planned_m_s2 = min(self._most_m_s2, limits.acceleration_m_s2 or math.inf)
         self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
@@ -141,7 +141,7 @@ class Replanner:
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
         """Return the trajectory from a request's state. If none is found, the answer has a `problem`.
 
-        An exception of the planner also becomes a `problem`, so that it does not end the flight.
+        An exception in the planner also becomes a `problem`, so that it does not end the flight.
         """
         found = PlanAnswer(received_us, request.number, request.begin_us, collision=request.collision)
         try:
@@ -155,7 +155,7 @@ class Replanner:
             if to_goal is None and request.under_way:
                 return _no_plan(found, "no feasible trajectory leads back to the mission's trajectory")
             to_goal = to_goal or self._choose(found, request, self._to_goal(), None)
-            return to_goal or _no_plan(found, "no trajectory to the goal within the limits")
+            return to_goal or _no_plan(found, "no trajectory to the goal is within the limits")
         collision = self._mission.collisions[request.collision - 1]
         if request.lock_ready_us is None:
             return _no_plan(found, "lock fault")
@@ -178,7 +178,7 @@ class Replanner:
             best = self._choose(found, request, ends, collision)
             if best is not None:
                 return self._with_hit(best, collision, wanted, straight_s)
-        return _no_plan(found, f"no trajectory to wall {collision.wall.name} within the limits")
+        return _no_plan(found, f"no trajectory to wall {collision.wall.name} is within the limits")
 
     def _rejoined(
         self, answer: PlanAnswer, request: PlanRequest, collision: Collision | None
@@ -210,8 +210,8 @@ class Replanner:
         push = np.hypot(rejoining.acceleration[0], rejoining.acceleration[1]).max(axis=1, initial=0.0)
         jerk = np.hypot(rejoining.jerk[0], rejoining.jerk[1]).max(axis=1, initial=0.0)
         fine = (push <= self._most_m_s2) & (jerk <= _JERK_M_S3)
-        # Prefer the mission's limit of acceleration plus an allowance. Jerk has only the attitude loop's
-        # limit, because the mission's limit would make a leg up to a tenth slower than planned.
+        # Prefer the mission's acceleration limit plus an allowance. Only the attitude loop limits the jerk,
+        # because the mission's jerk limit would make a leg up to a tenth slower than planned.
         over = push > _REJOINING_ALLOWANCE * self._planned_m_s2
         rejoining, over = rejoining.select(np.flatnonzero(fine)), over[fine]
         push = push[fine] / self._most_m_s2
@@ -222,7 +222,7 @@ class Replanner:
             walls = self._obstacles(self._start(request), request.t_us)
             clear = self._constraints.path(window, until, wall, begins=True, walls=walls) == 0
             rejoining, push, over = rejoining.select(np.flatnonzero(clear)), push[clear], over[clear]
-        # Prefer the planned impact speed: a slower impact is another impact than planned.
+        # Prefer the planned impact speed, because a slower impact differs from the plan.
         slow = (rejoining.slower > _SPEED_TOLERANCE) & (collision is not None)
         if request.under_way:  # a slower trajectory does not improve on the trajectory in progress
             rejoining, push = rejoining.select(np.flatnonzero(~slow)), push[~slow]
@@ -371,8 +371,8 @@ class Replanner:
         """Return the known walls; `start` is (position, velocity, acceleration) of the vehicle in x and y.
 
         The vehicle may start slightly behind the plane of the wall that it has just left, because flexible
-        arms release while still compressed, and because a wall's place is uncertain. The plane of such a wall
-        is shifted back to the vehicle.
+        arms release while still compressed, and because a wall's position is uncertain. The plane of such a
+        wall is shifted back to the vehicle.
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []

@@ -108,7 +108,7 @@ class _Impacts(NamedTuple):
     """Candidates at their impact on one wall; arrays (n,). The velocity is in the wall's frame."""
 
     wall: Wall
-    number: int  # of the wall in the sequence, from 1
+    number: int  # number of the wall in the sequence, from 1
     rows: Rows
     modes: Rows
     t_s: Array
@@ -125,8 +125,8 @@ class _Released(NamedTuple):
 
     rows: Rows
     modes: Rows  # index of the mode sequence so far, as in `itertools.product`
-    t_s: Array  # release
-    since_peak_s: Array  # from the recovery setpoint to the release
+    t_s: Array  # time of the release
+    since_peak_s: Array  # time from the recovery setpoint to the release
     force_n: Array
     leg: SetpointResponse
     hits: tuple[Hits, ...]
@@ -164,7 +164,7 @@ def _concatenate_legs(legs: list[SetpointResponse]) -> SetpointResponse:
 class UncertaintyDraw(NamedTuple):
     """Random values of the uncertain quantities: coefficients, approach velocity, setpoint delay, walls."""
 
-    factors: dict[tuple[str, Mode], tuple[float, float, float]]  # of k, f, mu
+    factors: dict[tuple[str, Mode], tuple[float, float, float]]  # factors on k, f and mu
     normal_m_s: float
     tangential_m_s: float
     delay_s: float
@@ -239,8 +239,8 @@ class Rollout:
         Args:
             stages: contact stages of this draw.
             normal, tangential: planned velocities; arrays that broadcast with each other.
-            grid: result of `approach` for these velocities, of this rollout or of one in which the walls are
-                elsewhere: a vehicle hits the wall where it is, and approaches it where it was planned.
+            grid: result of `approach` for these velocities, from this rollout or from one with other wall
+                positions. A vehicle plans its approach to the assumed wall and hits the true wall.
             draw: random values, or None for the nominal values. Only the offsets of the approach velocity are
                 used here, because stages and walls already contain the other values.
         """

@@ -1,7 +1,7 @@
 """A room measured by touch: a star of probes from the start, and the outline that their contacts form.
 
 The body that touches a wall is an octagon of known size at a known heading. The distance h between the body's
-centre and the touched wall depends on the wall's direction. Contacts at places c_i are therefore on one wall
+centre and the touched wall depends on the wall's direction. Contacts at points c_i are therefore on one wall
 with the normal n if
 
     c_i . n - h_i(n) = offset        for all these contacts
@@ -25,13 +25,13 @@ from dart_flight.base.geometry import Vec2, wrap_angle
 from dart_flight.config.mission import Mission
 
 _SPEED_M_S = 0.6
-_ON_WALL_M = 0.02  # standard deviation of a contact's place
+_ON_WALL_M = 0.02  # standard deviation of a contact's position
 _MOST_OFF_M = 0.05
 _BACK_M = 0.5
-_INSIDE_M = 0.1  # distance of a probe's end from the bounds, inside
-_STEEPEST_RAD = math.radians(65.0)  # largest angle of a contacted wall against the probe
+_INSIDE_M = 0.1  # distance inside the bounds at which a probe ends
+_STEEPEST_RAD = math.radians(65.0)  # largest angle between a contacted wall's normal and the probe
 _OBLIQUE_RAD = math.radians(12.0)  # below this obliqueness a single contact measures a wall's direction
-_STEP_RAD = math.radians(7.0)  # offset of further probes beside a single contact
+_STEP_RAD = math.radians(7.0)  # angle between a single contact and the further probes beside it
 _GROUP_COST = 12.0  # cost of an additional wall, in squared deviations
 
 Array = NDArray[Any]
@@ -155,7 +155,7 @@ class RoomFit:
         if n < 3:
             return Room([], [], [2.0 * math.pi * k / 8 for k in range(8)])
         best: tuple[float, list[list[int]]] = (math.inf, [])
-        for first in range(min(n, 6)):  # starting contact of the circular sequence
+        for first in range(min(n, 6)):  # contact at which the circular sequence begins
             order = [(first + k) % n for k in range(n)]
             found = self._partition(order)
             best = min(best, found, key=lambda one: one[0])
@@ -192,7 +192,7 @@ class RoomFit:
         squares = (off * off).sum(axis=0) / _ON_WALL_M**2
         squares[np.isnan(squares)] = np.inf
         squares[np.abs(off).max(axis=0) > _MOST_OFF_M] = np.inf
-        for k in group:  # directions measured by single contacts, with less weight if oblique
+        for k in group:  # the direction from a single contact, which counts less if it is oblique
             one = self._touches[k]
             if one.normal_rad is None:
                 continue

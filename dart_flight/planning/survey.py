@@ -20,9 +20,10 @@ from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
 _SPEED_M_S = 0.5  # slow, but well above the detection threshold in either mode
-_RUN_UP_M = 0.5  # in front of the nearest possible position of the wall
+_RUN_UP_M = 0.5  # distance of the run-up point from the nearest possible position of the wall
 _BACK_M = 0.5
-_ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)  # possible contacts, in shares of the wall's length from its middle
+# Contacts to try, in this order: offset from the wall's middle, as a share of the wall's length.
+_ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)
 _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 
 
@@ -93,7 +94,7 @@ def _figures(mission: Mission) -> dict[str, float]:
 
 
 class _SurveyLeg(NamedTuple):
-    """A straight leg to a wall: its beginning, largest length, and the place to wait afterwards."""
+    """A straight leg to a wall: its beginning, largest length, and the point at which to wait afterwards."""
 
     begin: Vec2
     length_m: float
@@ -101,7 +102,7 @@ class _SurveyLeg(NamedTuple):
 
 
 def _probe_leg(mission: Mission, wall: Wall, here: Vec2) -> _SurveyLeg | None:
-    """Return a leg along a wall's normal that begins at a reachable place, or None if none is possible."""
+    """Return a leg along a wall's normal that begins at a reachable point, or None if none is possible."""
     (px, py), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     for share in _ALONG:
         along = share * wall.length_m
@@ -161,8 +162,8 @@ def surveyed_collisions(
 ) -> list[dict[str, Any]]:
     """Return the mission file's keys for each collision, expressed relative to the measured walls.
 
-    Gains along the mission's axes, and places in the mission frame, would be wrong for a wall that was found
-    at another place. The collisions `written` are those in the mission's file.
+    Gains along the mission's axes, and points in the mission frame, would be wrong for a wall that was found
+    elsewhere. `written` has the collisions as in the mission file.
     """
     found = []
     for keys, collision in zip(written, mission.collisions, strict=True):

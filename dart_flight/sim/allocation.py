@@ -9,7 +9,7 @@ from dart_flight.sim.pseudo_inverse import scaled_mix
 
 
 class Allocation:
-    """Shares of the thrust of each motor; the motors must control every axis."""
+    """Shares of each motor's thrust; together the motors must control every axis."""
 
     def __init__(self, motors: Sequence[Motor]) -> None:
         self._largest, self._rows = scaled_mix(motors)

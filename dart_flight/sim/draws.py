@@ -24,22 +24,22 @@ from dart_flight.lock.servo import ServoFaults
 
 Drawn = dict[str, float | str]
 
-_RINGING_M_S2 = (2.0, 3.0)  # of one sample in hover, per axis, in recordings (docs/results/real_data.md)
-_RINGING_WHITE_M_S2 = 0.8  # white part, from means over 32 ms of those recordings
+_RINGING_M_S2 = (2.0, 3.0)  # range of one sample's deviation in recorded hover (docs/results/real_data.md)
+_RINGING_WHITE_M_S2 = 0.8  # white part of the deviation, from 32 ms means of the same recordings
 _MIN_FACTOR = 0.1  # lower limit of a factor on a nominal value
 # Default spreads: standard deviations, relative if there is no unit.
 SPREADS: Final[Mapping[str, float]] = {
     "contact": 0.2,  # friction on wood varied in 2 of 5 flights of the paper
-    "contact_scatter": 0.05,  # between impacts on the same wall
+    "contact_scatter": 0.05,  # scatter between impacts on the same wall
     "lock_true_mode": 0.01,  # probability that the lock is stuck or half engaged, regardless of its report
-    "wall_offset_m": 0.03,  # a tape measure and a moved panel
+    "wall_offset_m": 0.03,  # error of a tape measure, and of a panel that was moved
     "wall_yaw_deg": 4.0,
-    "guard_height_m": 0.02,  # without a vehicle's own guard_height_sd_m
+    "guard_height_m": 0.02,  # for a vehicle without its own guard_height_sd_m
     "mass": 0.03,
-    "wind_m_s": 0.5,  # a room with an open door, and the vehicle's own wash; gusts have half of it
-    "servo": 0.2,  # 0.15 to 0.19 s over 60 degrees without load, longer with load (manufacturer)
+    "wind_m_s": 0.5,  # a room with an open door, and the vehicle's own wash; gusts are half as large
+    "servo": 0.2,  # travel of 60 degrees: 0.15 to 0.19 s without load, longer with load (manufacturer)
     "battery": 0.05,
-    "imu": 0.02,  # metres: a flight controller beside the battery
+    "imu": 0.02,  # metres: the flight controller may lie beside the battery
     "replan_latency_s": 0.02,  # 15 to 25 ms on one core (docs/replanning.md)
 }
 NAMES = tuple(SPREADS)

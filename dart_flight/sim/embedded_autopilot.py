@@ -32,7 +32,7 @@ from dart_flight.sim.sensors import GPS_QUALITIES, GpsReceiver, ImuSensor, PoseS
 TICK_S: Final = 0.004
 TICK_US: Final = 4000
 _STEPS_PER_TICK: Final = 4
-_POSITION_EVERY: Final = 2  # ticks: PX4's position controller runs with its estimator, at about 125 Hz
+_POSITION_EVERY: Final = 2  # ticks; PX4's position controller runs with its estimator, at about 125 Hz
 _FAILSAFE_HOLD_S: Final = 5.0
 _IDLE: Final = 0.05
 _KILL_DISARM_S: Final = 5.0  # PX4's COM_KILL_DISARM
@@ -86,7 +86,7 @@ class Autopilot:
         self.fuses_own_pose = True  # False if poses arrive by `fuse_external_pose`
         self.imu = ImuReading(0, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0))
         self.failsafe: str | None = None
-        self.imu_stuck = False  # fault: the reported IMU repeats its sample, the estimator's does not
+        self.imu_stuck = False  # fault: the reported IMU sample repeats; the estimator still gets true ones
         self.battery_left: float | None = None
         self._offboard: TrajectorySetpoint | None = None
         self._offboard_at_s = -math.inf
@@ -280,7 +280,7 @@ class Autopilot:
     def _hold_here(self) -> None:
         """Hold the present heading, and the position at which the vehicle would stop."""
         e = self.estimator
-        # PX4 brakes before it holds; with the gains 0.95 1/s and 1.8 1/s that takes about 0.5 s of flight.
+        # PX4 brakes before it holds, which takes about 0.5 s with the gains 0.95 1/s and 1.8 1/s.
         ahead = 0.5 if self.armed and self.landed is not LandedState.ON_GROUND else 0.0
         self._hold = TrajectorySetpoint(
             (
@@ -350,7 +350,7 @@ def default_parameters(
     parameters |= rotor_parameters(vehicle.airframe.motors)
     parameters["SYS_AUTOSTART"] = 4001
     parameters["MAV_SYS_ID"] = 1
-    # The values that `check` wants, including GPS parameters: a missing parameter is requested repeatedly.
+    # The values that `check` wants; GPS parameters too, because missing parameters are requested repeatedly.
     for source in (PositionSource.RTK, PositionSource.MOCAP, position_from):
         parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
     parameters |= vehicle.mocap.measured_parameters()

@@ -1,7 +1,7 @@
-"""The embedded autopilot's state estimator: it integrates the IMU and corrects by poses or GPS fixes.
+"""The embedded autopilot's state estimator: it integrates the IMU and is corrected by poses or GPS fixes.
 
 It uses fixed gains for motion capture, and for GPS a small Kalman filter with noise values from PX4's
-parameters. It is no copy of the EKF2, but has the same kinds of error. Poses and fixes are noisy and late,
+parameters. It is not a copy of EKF2, but has the same kinds of error. Poses and fixes are noisy and late,
 and a clipped accelerometer causes a velocity error. With GPS, the receiver's slowly varying position error
 enters the estimate, and a wrong measured velocity makes the estimate drift.
 """
@@ -29,7 +29,7 @@ from dart_flight.base.geometry import (
 from dart_flight.sim.delayed_filter import DelayedFilter
 from dart_flight.sim.gps_filter import GpsFilter, GpsWeights
 
-# Per pose at 100 Hz; the time constants are about 0.1 s for position and 0.2 s for velocity.
+# Gains per pose at 100 Hz; the time constants are about 0.1 s for position and 0.2 s for velocity.
 _POSITION_GAIN: Final = 0.12
 _VELOCITY_GAIN: Final = 0.8
 _ATTITUDE_GAIN: Final = 0.05
@@ -110,7 +110,7 @@ class Estimator:
         self._delayed = DelayedFilter(self, self._updates > 0, now_s, delay_s)
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion | None) -> None:
-        """Correct by a pose measured at `t_s`, which may be in the past; `q` is None without attitude."""
+        """Correct the estimate with a pose measured at `t_s`, which may be past; `q` may be None."""
         if self._delayed is not None:
             self._delayed.correct(t_s, position_ned, q)
             return
@@ -126,7 +126,7 @@ class Estimator:
         self.ok = self._updates > 50
 
     def correct_attitude(self, t_s: float, q: Quaternion) -> None:
-        """Correct by an attitude, which replaces measurements of gravity and of the magnetic field.
+        """Correct the attitude; this replaces measurements of gravity and of the magnetic field.
 
         Keep the predictions before `t_s`: the next GPS fix may be older.
         """
@@ -137,7 +137,7 @@ class Estimator:
             self.q = q
 
     def correct_gps(self, t_s: float, position_ned: Vec3, velocity_ned: Vec3, weights: GpsWeights) -> None:
-        """Correct by a fix measured at `t_s`, which may be in the past, with the assumed noise and bias."""
+        """Correct the estimate with a fix measured at `t_s`, which may be past; `weights` has the noise."""
         self._updates += 1
         if self._gps is None or not self._history:
             self._gps, self._bias = GpsFilter(weights), weights.standing_bias_ned
@@ -152,7 +152,7 @@ class Estimator:
         self.ok = self._updates > 5
 
     def _at(self, t_s: float) -> tuple[float, Vec3, Vec3, Quaternion]:
-        """Return the prediction nearest to a time; discard older ones: measurements arrive in order."""
+        """Return the prediction nearest to a time, and discard older ones: measurements arrive in order."""
         history = self._history
         while len(history) > 1 and abs(history[1][0] - t_s) < abs(history[0][0] - t_s):
             history.popleft()
@@ -169,7 +169,7 @@ class Estimator:
         self.position = add(self.position, by_ned)
         self.velocity = add(self.velocity, faster_ned)
         if self._gps is None:
-            faster_ned = (0.0, 0.0, 0.0)  # the fixed gains at 100 Hz already allow for the velocity
+            faster_ned = (0.0, 0.0, 0.0)  # the gains at 100 Hz already account for the change of velocity
         (n, e, d), (vn, ve, vd) = by_ned, faster_ned
         # Written out, because every pose corrects every stored prediction.
         self._history = deque(

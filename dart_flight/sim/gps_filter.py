@@ -1,4 +1,4 @@
-"""Gains of the embedded autopilot's estimator with GPS: a small Kalman filter."""
+"""A small Kalman filter, which gives the embedded autopilot's estimator its gains with GPS."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class GpsWeights(NamedTuple):
 class GpsFilter:
     """Covariance and gains of position, velocity and accelerometer bias; the same for every axis."""
 
-    _ACCELERATION_M_S2: Final = 0.35  # PX4's EKF2_ACC_NOISE, of samples at 100 Hz
+    _ACCELERATION_M_S2: Final = 0.35  # PX4's EKF2_ACC_NOISE, for samples at 100 Hz
     _BIAS_M_S3: Final = 0.003  # EKF2_ACC_B_NOISE
     _SAMPLE_S: Final = 0.01
 

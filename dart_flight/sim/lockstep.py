@@ -11,7 +11,7 @@ A busy computer therefore makes a simulated flight slower but never different.
 
 If a datagram is lost, time waits for `_LOST_S` and then advances by one tick. The next message replaces the
 lost message: if the core has processed a message, all older messages of the same stream count as processed.
-A setpoint or a pose of the application that does not arrive also counts as lost, because MAVSDK repeats
+A setpoint or pose from the application that does not arrive also counts as lost, because MAVSDK repeats
 setpoints only in offboard mode.
 
 Whenever time waits for `_LOST_S`, the world's log names what is missing.
@@ -29,11 +29,11 @@ from dart_flight.base.errors import FlightError
 from dart_flight.sim.embedded_autopilot import TICK_US
 from dart_flight.sim.pipe import Stepped
 
-_SILENT_S: Final = 10.0  # host time without an answer until the flight ends
-_LOST_S: Final = 1.0  # host time until an unanswered message is considered lost and the log names it
+_SILENT_S: Final = 10.0  # the flight ends after this host time without an answer
+_LOST_S: Final = 1.0  # after this host time, an unanswered message counts as lost and the log names it
 _POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
-_STEP_MAX_S: Final = 0.2  # longest counted host time between two polls; beyond it, this process did not run
-_SENDER_S: Final = 0.2  # host time for a sender to catch up
+_STEP_MAX_S: Final = 0.2  # longest host time counted between two polls; in the rest this process did not run
+_SENDER_S: Final = 0.2  # host time in which a sender catches up
 _SENDER: Final = "the autopilot to send its telemetry"
 _TELEMETRY: Final = "the application to process its telemetry"
 _SENT: Final = {kind: f"a {kind} of the application" for kind in ("setpoint", "pose")}
@@ -84,7 +84,7 @@ class Lockstep:
         self._autopilot, self._answers_at_rest = autopilot, answers_at_rest
         self._waits_at_first, self._sender_lag_us = waits_at_first, sender_lag_us
         self._log, self._named = log, False
-        self._lost: dict[str, tuple[float | None, ...]] = {}  # values that time no longer waits for
+        self._lost: dict[str, tuple[float | None, ...]] = {}  # values whose arrival is no longer awaited
         self._report: Stepped | None = None
         self._unanswered_s = 0.0  # host time waited since the last report
         self._from_us: dict[str, int] = {}
@@ -123,7 +123,7 @@ class Lockstep:
             return None
         if report.commands and self._answers_at_rest:
             return "the result of a command"
-        # The application's clock is the newest stamp, so a message with the due time must be sent first.
+        # The application's clock is the newest stamp, so it needs a message with the due time first.
         if report.plan_due_us is not None and next_us > report.plan_due_us + TICK_US + self._sender_lag_us:
             return "the planner"
         # MAVSDK may hold a setpoint back until a command has its result.

@@ -101,7 +101,7 @@ class MavlinkEndpoint:
     """The MAVLink endpoint of one autopilot.
 
     Args:
-        autopilot: the caller advances it by one tick before every `exchange`.
+        autopilot: the autopilot, which the caller advances by one tick before every `exchange`.
         ports: remote UDP ports on this host, one for each link.
         local_port: local port of the first link; 0 selects any port.
         system: MAVLink system id; messages to another system are ignored.
@@ -215,7 +215,7 @@ class MavlinkEndpoint:
         link.to_app.push(self.autopilot.now_s, packed)
 
     def _receive(self, link: Link) -> None:
-        for _ in range(100):  # limited, so that a flood of messages does not stop the flight
+        for _ in range(100):  # a limit, so that a flood of messages does not stop the flight
             arrived = receive_datagram(link.socket)
             if arrived is None:
                 break
@@ -461,7 +461,7 @@ class MavlinkEndpoint:
 
     def _battery_status(self) -> Any:
         a = self.autopilot
-        # For unknown cells, the first value is the total voltage and the second the part above its range.
+        # Without cell voltages, the first value is the total voltage, and the second the part out of range.
         volts = round(a.vehicle.simulation.battery_v * 1000)
         cells = [min(volts, 65534), volts - 65534 if volts > 65534 else 65535] + [65535] * 8
         return mavlink.MAVLink_battery_status_message(

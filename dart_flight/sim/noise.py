@@ -24,7 +24,7 @@ class GaussianNoise:
     def one(self, sigma: float) -> float:
         if self._has_kept:
             self._has_kept = False
-            # As in `gauss`: the sum with 0.0 has no negative zero.
+            # Adding 0.0 turns -0.0 into 0.0, as `gauss` does.
             return 0.0 + self._kept * sigma
         angle = self._uniform() * math.tau
         radius = math.sqrt(-2.0 * math.log(1.0 - self._uniform()))

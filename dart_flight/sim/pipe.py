@@ -22,7 +22,7 @@ from dart_flight.config.parameter_file import Parameter, PositionSource
 from dart_flight.config.vehicle import Motor
 from dart_flight.sim.faults.fault_table import Fault
 
-FULL_SPEED = 1e6  # simulated seconds per second; in practice no limit
+FULL_SPEED = 1e6  # simulated seconds per second: a limit that no computer reaches
 
 
 class Px4SimulatorSpec(msgspec.Struct):
@@ -47,7 +47,7 @@ class HitlSpec(msgspec.Struct):
     Attributes:
         url: URL of the flight controller's port, `serial:///dev/ttyACM0:921600` or UDP.
         motors: motors in the flight controller's parameters, or None for the motors of the configuration.
-        position_from: source of PX4's position, a simulated motion capture or GPS receiver.
+        position_from: source of PX4's position, simulated motion capture or a simulated GPS receiver.
     """
 
     url: str

@@ -69,21 +69,21 @@ from dart_flight.contact.propeller_guards import (
 
 STEP_S: Final = 0.001
 CONTACT_STEPS: Final = 10  # steps of 0.1 ms in one step of 1 ms
-_END_STEPS: Final = 40  # the same near a wall's end, where a force may jump as a guard leaves the surface
+_END_STEPS: Final = 40  # steps near a wall's end, where a force may jump as a guard leaves the surface
 _NEAR_WALL_M: Final = 0.08  # below 5 m/s no contact begins at a greater distance
-_NEAR_END_M: Final = 0.03  # ... and no guard reaches an edge (1 cm) from a greater distance in one step
+_NEAR_END_M: Final = 0.03  # no guard reaches an edge (1 cm) from a greater distance in one step
 _BEHIND_M: Final = -0.6  # a vehicle further behind a plane is on the wall's other side
 _REBOUND_S: Final = 0.01  # a guard that returns within this time belongs to the same contact
 _HALF_ENGAGED: Final = 0.5  # freedom of the arms with half-engaged rods, relative to unlocked arms
-_GROUND_M: Final = 0.01  # above it the landing gear touches nothing
+_GROUND_M: Final = 0.01  # at a greater height the landing gear touches nothing
 _UNTOUCHED: Final = UNTOUCHED
 _NO_FORCE = (0.0, 0.0, 0.0)
-_AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its rate in m/s
+_AT_REST = (0.0, 0.0, 0.0, 0.0)  # the arms' displacement north and east (m) and its rate (m/s)
 _GAIN_M_S: Final = 0.5  # upper limit of the speed gained by thrust within a tick
 _QUARTER = 0.5 * math.pi  # the vehicle is four-fold symmetric
 GROUND_FRICTION: Final = 0.6  # rubber feet on a hall floor
-_GROUND_STEPS: Final = 2  # per millisecond if only the landing gear touches; no measurement needs more
-_GROUND_SPEED_M_S: Final = 0.05  # regularisation of the ground's friction
+_GROUND_STEPS: Final = 2  # steps per millisecond if only the landing gear touches; more change nothing
+_GROUND_SPEED_M_S: Final = 0.05  # regularisation: the ground's friction falls below this speed
 
 
 class _WallPlane:
@@ -203,8 +203,8 @@ class Plant:
         self.ground_down = start_ned[2]
         self.mode = vehicle.modes[-1]  # arms with a lock are initially unlocked
         self.wind_ned: Vec3 = (0.0, 0.0, 0.0)
-        self.contact_force_ned: Vec3 = (0.0, 0.0, 0.0)  # from walls, at the end of the last step
-        self.contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # from walls, about the centre of mass
+        self.contact_force_ned: Vec3 = (0.0, 0.0, 0.0)  # walls' force at the end of the last step
+        self.contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # walls' torque about the centre of mass
         self.body = vehicle.simulation.contact
         if self.body.body is BodyModel.POINT:
             self.body = msgspec.structs.replace(
@@ -226,10 +226,10 @@ class Plant:
         self.finished: list[TruthContact] = []
         self.time_offset_us = 0
         self._open: dict[str, _OpenContact] = {}
-        self._faces: tuple[WallWithEnds, ...] = ()  # of the walls near the vehicle
+        self._faces: tuple[WallWithEnds, ...] = ()  # surfaces of the walls near the vehicle
         vibration = vehicle.simulation.arm_vibration
         self._arm = _AT_REST
-        # Cache the constants of every step: a nested attribute costs as much as a product.
+        # Copy the constants that every step uses: reading a nested attribute takes as long as a product.
         self._arm_spring = self._arm_damper = self._arm_share = 0.0
         if vibration is not None:
             omega = 2.0 * math.pi * vibration.frequency_hz
@@ -241,7 +241,7 @@ class Plant:
         self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
         lever = vehicle.simulation.imu_position_m
         self._imu_lever: Vec3 | None = lever if any(lever) else None
-        # First-order low-pass: remaining share of a difference after a step, and its mean over the step.
+        # First-order low-pass: share of a difference that remains after a step, and its mean over the step.
         steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
         self._antialias_decay = math.exp(-steps_per_lag)
         self._antialias_mean = (1.0 - self._antialias_decay) / steps_per_lag
@@ -496,7 +496,7 @@ class Plant:
         obstacles: list[tuple[_Obstacle, Coefficients]],
         near_ground: bool,
     ) -> tuple[Vec3, Vec3, list[Touch]]:
-        """Return acceleration (NED), angular acceleration (FRD), and the `Touch` of each obstacle."""
+        """Return acceleration (NED), angular acceleration (FRD), and each obstacle's `Touch`."""
         force = turned = _NO_FORCE
         touches = []
         for obstacle, c in obstacles:
@@ -573,7 +573,7 @@ class Plant:
         yaw = self.frame.yaw_from_ned(yaw_ned_of(self.q))
         c = self._coefficients(plane, wall.incidence(yaw))
         if not plane.near_end:
-            plane.ends.bearing.clear()  # `touch` of the surface alone does not update it
+            plane.ends.bearing.clear()  # `touch` on the plain surface does not update `bearing`
         else:
             for edge, nearest in plane.ends.nearest(self.q, self.position):
                 self._coefficients_of_cylinder(plane, edge, nearest)
@@ -804,7 +804,7 @@ def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[Prope
         point[2] - out_m * normal[2],
     )
     surface = Plane(on_surface, normal, tangent, down, 0.5 * wall.length_m)
-    edge_m = max(0.0, min(EDGE_RADIUS_M, wall.behind_m - out_m))  # round across a thin partition
+    edge_m = max(0.0, min(EDGE_RADIUS_M, wall.behind_m - out_m))  # a thin partition has a rounded end
     return _WallPlane(wall, point, normal, tangent, WallWithEnds(surface, guards, edge_m))
 
 

@@ -23,7 +23,7 @@ from dart_flight.config.vehicle import ImuRinging, VehicleConfig
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
 
-# Standard deviations per axis of a Pixhawk's sensors and of a motion capture with millimetre accuracy.
+# Standard deviations per axis: a Pixhawk's sensors, and motion capture with millimetre accuracy.
 IMU_BIAS_M_S2: Final = 0.05
 GYRO_NOISE_RAD_S: Final = 0.01
 POSE_NOISE_M: Final = 0.001
@@ -102,14 +102,14 @@ def _saturate(true: float, noisy: float, scale: float) -> float:
 
 
 class PoseSensor:
-    """A motion capture: position and attitude at a fixed rate, with noise and delay."""
+    """Motion capture: position and attitude at a fixed rate, with noise and delay."""
 
     def __init__(self, vehicle: VehicleConfig, noise: GaussianNoise) -> None:
         s = vehicle.simulation
         self._noise = noise
         self._period_s = 1.0 / s.pose_rate_hz
         self._delay_s = s.pose_delay_s
-        self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # offset of the origin, moved by a fault
+        self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # offset of the origin, which a fault may set
         self._next_s = 0.0
         self._pending: deque[tuple[float, Vec3, Quaternion]] = deque()
 

@@ -1,6 +1,6 @@
 """The process of every simulated world: it serves the app over a pipe, keeps a pace, and ends with the app.
 
-The app's commands arrive on standard input. The truth leaves on standard output, one JSON object per line.
+The app's commands arrive on standard input. The truth goes to standard output, one JSON object per line.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dart_flight.sim.pipe import (
 )
 from dart_flight.sim.plant import Plant
 
-_TRUTH_EVERY = 2  # ticks
+_TRUTH_EVERY = 2  # ticks between two records of the truth
 STALL_S = 0.25  # after a longer stall the world pauses and does not catch up
 
 
@@ -84,8 +84,8 @@ class ServedWorld(Protocol):
 def speed_limit(speed: float, lockstep: Lockstep | None, *, connected: bool) -> float:
     """Return the highest number of simulated seconds per second at present.
 
-    A world in lockstep is faster than real time only while the app holds it back. Otherwise its telemetry
-    would run ahead of the app: before the app's first report, and while a request to PX4 is open.
+    A world in lockstep may be faster than real time only while it waits for the app. Before the app's first
+    report, and while a request to PX4 is open, its telemetry would otherwise run ahead of the app.
     """
     held = lockstep is None or (connected and lockstep.limits_pace)
     return speed if held else min(speed, 1.0)
@@ -103,7 +103,7 @@ def serve(
 
     Args:
         speed: highest number of simulated seconds per second of host time.
-        lockstep: decides whether time may advance; None: time does not wait for the app.
+        lockstep: decides whether time may advance; if None, time does not wait for the app.
         wake: descriptors of the world that become readable when data has arrived.
 
     Raises:
@@ -131,7 +131,7 @@ def serve(
         if lockstep is not None and not reader.closed:
             lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), process_lines)
         process_lines()
-        # After the telemetry of the same time, so that the order does not depend on the computer.
+        # Send the pose after the telemetry of the same time, so that the order is always the same.
         frame = world.publish_pose()
         if frame is not None and lockstep is not None and not reader.closed:
             lockstep.publish("pose", frame)

@@ -18,15 +18,15 @@ class LockServo:
 
     def __init__(self, plant: Plant, config: Servo) -> None:
         self._plant, self._config = plant, config
-        # Without pulses the arms are unlocked: the servo rests at the flexible end.
+        # Before the first pulse the servo rests at the flexible end, so the arms are unlocked.
         self._model = ServoModel(config, config.flexible_pulse_us)
-        self._horn_us = math.nan  # last position
+        self._horn_us = math.nan  # the horn's last position
         self._wanted = Mode.FLEXIBLE
 
     def set_horn(self, pulse_us: float) -> None:
-        if pulse_us != self._horn_us:  # the horn is usually at rest
+        if pulse_us != self._horn_us:  # the usual case is a horn at rest
             self._horn_us = pulse_us
-            # Between the ends the rods do not hold all four arms: not rigid means flexible.
+            # Between the ends the rods do not hold all four arms, so every position but rigid is flexible.
             rigid = mode_of(self._config, pulse_us) is Mode.RIGID
             self._wanted = Mode.RIGID if rigid else Mode.FLEXIBLE
         self._plant.set_mode(self._wanted)

@@ -29,5 +29,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    # Not sys.exit: the interpreter aborts while a thread waits for the next line of stdin.
+    # With sys.exit the interpreter would abort while a thread waits for the next line of stdin.
     os._exit(main())

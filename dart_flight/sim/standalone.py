@@ -21,8 +21,8 @@ from dart_flight.sim.served_world import ticks_in_real_time
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name, owner_of_udp_port, udp_port_is_free
 
-_OWN_PORT = 40  # offset of PX4's own port, 14580, from the port that it sends to, 14540
-_LISTEN_S = 0.4  # a vehicle sends dozens of messages per second
+_OWN_PORT = 40  # PX4's own port (14580) minus the port that PX4 sends to (14540)
+_LISTEN_S = 0.4  # a vehicle sends dozens of messages in this time
 
 
 class VehiclePortLease:
@@ -49,7 +49,7 @@ class VehiclePortLease:
         try:
             if not udp_port_is_free(self.own_port):
                 owner = owner_of_udp_port(self.own_port)
-                raise self._taken_error(f", {owner}, from UDP port {self.own_port}; choose another --port")
+                raise self._taken_error(f" from UDP port {self.own_port} ({owner}); choose another --port")
             traffic = _listen(port)
             if traffic is not None:
                 raise self._taken_error(f", {traffic}; choose another --port")

@@ -190,20 +190,20 @@ def second_vehicle(c: HandFedCore) -> None:
     alternate_vehicles(c, -238_000_000, 0.0, 0.1)
 
 
-@cause(f"attitude: {_STALE_SAMPLES} samples in a row more than {STAMP_TOLERANCE_S:g} s in the past")
+@cause(f"attitude: {_STALE_SAMPLES} samples in a row have stamps over {STAMP_TOLERANCE_S:g} s in the past")
 def stamps_backwards(c: HandFedCore) -> None:
     for i in range(_STALE_SAMPLES):
         c.feed(AttitudeSample(c.t_us - round(2e6 * STAMP_TOLERANCE_S) + 8000 * i, c.t_us, c.q))
     c.feed(Tick(c.t_us + 20_000))
 
 
-@cause(f"the IMU repeats one reading for {1e3 * (IMU_STUCK_S + 0.016):.0f} ms")
+@cause(f"the IMU has repeated one reading for {1e3 * (IMU_STUCK_S + 0.016):.0f} ms")
 def imu_stuck(c: HandFedCore) -> None:
     c.noise_m_s2 = 0.0
     c.run(IMU_STUCK_S + 0.05)
 
 
-@cause(f"the IMU is at full scale for {1e3 * (IMU_CLIPPED_S + 0.006):.0f} ms")
+@cause(f"the IMU has been at full scale for {1e3 * (IMU_CLIPPED_S + 0.006):.0f} ms")
 def imu_clipped(c: HandFedCore) -> None:
     c.force_ned = (250.0, 0.0, 0.0)
     c.run(IMU_CLIPPED_S + 0.05)

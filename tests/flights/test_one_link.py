@@ -134,7 +134,8 @@ def test_simulate_detects_a_px4_simulator_while_a_program_receives_from_it(
         px4.bind(("0.0.0.0", port + 40))
         status, error = commands.run("simulate", "--port", str(port))
     assert status == 2
-    assert f"process {os.getpid()}, from UDP port {port + 40}" in error
+    assert f"sends to this port from UDP port {port + 40} (" in error
+    assert f"process {os.getpid()})" in error
 
 
 @pytest.mark.realtime

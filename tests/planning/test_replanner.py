@@ -502,7 +502,7 @@ def test_no_trajectory_leads_into_a_post(place: Vec2, velocity: Vec2, share: flo
         assert aware == unaware
     else:
         assert (
-            aware.problem == "no trajectory to the goal within the limits"
+            aware.problem == "no trajectory to the goal is within the limits"
             or nearest_m(aware) > reach_m - 0.02
         )
 

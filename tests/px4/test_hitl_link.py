@@ -177,7 +177,7 @@ def test_an_unplugged_port_ends_the_flight_with_its_cause() -> None:
     port = PtyLink()
     link = HitlLink(open_port(f"serial://{port.device}:921600"))
     port.close()
-    with pytest.raises(Px4LostError, match="port to the flight controller is gone"):
+    with pytest.raises(Px4LostError, match="lost the port to the flight controller"):
         link.exchange(sensor())
     link.close()
 

@@ -1,12 +1,12 @@
 """The vehicle's motion after a wrong reset of PX4's heading, from the IMU alone.
 
 PX4 rotates the accelerometer by its heading. While the heading is wrong, PX4's velocity and position follow
-accelerations of a wrong direction, and motion capture corrects them only seconds later. The IMU, integrated
+accelerations in a wrong direction, and motion capture corrects them only seconds later. The IMU, integrated
 from the state before the reset, is accurate for that time:
 
     v' = R(q) f + g,    p' = v,    q = D gyro(t)
 
-D is the rotation of `heading_step` before the reset, f the specific force.
+D is the rotation of `heading_step` before the reset; f is the specific force.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
 
 WRONG_RAD = math.radians(HEADING_STEP_DEG)
 _DETECTED_S: Final = 0.2  # a step of the heading is detected within this time after the reset
-# PX4 subtracts its estimate of the biases from the IMU, and a wrong heading disturbs this estimate: on PX4
-# the velocity is wrong by up to 0.5 m/s after 2 s.
+# PX4 subtracts its estimated biases from the IMU's readings. A wrong heading disturbs these estimates, so
+# PX4's velocity is wrong by up to 0.5 m/s after 2 s.
 _LONGEST_S: Final = 2.5
 _RESET_M: Final = 0.1
-_SAME_M, _SAME_M_S = 0.2, 0.3  # agreement at which PX4's estimate has recovered
+_SAME_M, _SAME_M_S = 0.2, 0.3  # PX4's estimate has recovered if it agrees this closely
 
 
 class DeadReckoning:
@@ -61,8 +61,8 @@ class DeadReckoning:
     def is_finished(self, odometry: OdometrySample, error_rad: float, step_m: float) -> bool:
         """Return whether the guard can use PX4's estimate again.
 
-        After a large error PX4's heading recovers first. Then PX4's motion approaches the integral, or motion
-        capture resets PX4's position, by `step_m` in this sample.
+        After a large error PX4's heading recovers first. Then PX4's motion approaches the integral, or PX4
+        resets its position to motion capture. In this sample PX4's position stepped by `step_m`.
         """
         since_s = (self._t_us - self._since_us) * 1e-6
         if abs(error_rad) > WRONG_RAD:
@@ -77,6 +77,6 @@ class DeadReckoning:
 
 
 def horizontal_ned(vector: Vec3, by_rad: float) -> Vec3:
-    """Return the horizontal part of a NED vector, turned clockwise seen from above."""
+    """Return the horizontal part of a NED vector, rotated clockwise as seen from above."""
     c, s = math.cos(by_rad), math.sin(by_rad)
     return (c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], 0.0)

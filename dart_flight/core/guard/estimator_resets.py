@@ -14,13 +14,13 @@ from dart_flight.base.records import AttitudeSample, ImuSample, OdometrySample
 from dart_flight.core.guard.dead_reckoning import WRONG_RAD, DeadReckoning
 from dart_flight.core.guard.heading_step import HeadingStep
 
-REACH_US: Final = 100_000  # a step this close to the counter's step belongs to the reset
+REACH_US: Final = 100_000  # a step this close to the counter's change belongs to the reset
 _JUMP_REACH_US: Final = 100_000  # no jump is detected across a longer gap between odometry samples
-_STEPS: Final = 16  # odometry samples, covering more than `REACH_US`
+_STEPS: Final = 16  # odometry samples kept, which cover more than `REACH_US`
 
 
 class EstimatorReset:
-    """One reset, with the largest steps within 0.1 s of the change of the counter.
+    """One reset, with the largest steps within 0.1 s of the counter's change.
 
     Attributes:
         t_us: autopilot time at which the counter rose.
@@ -47,8 +47,8 @@ class EstimatorResets:
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
         self._heading = HeadingStep()
         self._before: Quaternion | None = None  # `HeadingStep.before` at the newest reset
-        self._rotation: Quaternion | None = None  # the same at the reset from which the error is measured
-        self._reckoned: DeadReckoning | None = None  # since that reset
+        self._rotation: Quaternion | None = None  # `before` at the reset from which the error counts
+        self._reckoned: DeadReckoning | None = None  # the motion since that reset
 
     def add_imu(self, item: ImuSample) -> None:
         self._heading.add_imu(item)
@@ -68,7 +68,7 @@ class EstimatorResets:
         away_m = math.dist(item.position_ned, _extrapolate(before, item))
         if self._reckoned is not None and self._reckoned.is_finished(item, self.heading_error_rad, away_m):
             if not self._reckoned.heading_was_wrong:
-                self._rotation = None  # later, the gyro's drift would look like an error of the heading
+                self._rotation = None  # after a long time, gyro drift would look like a heading error
             self._reckoned = None
         faster_m_s = math.dist(item.velocity_ned, before.velocity_ned)
         self._steps.append((item.t_us, away_m, faster_m_s))
@@ -101,8 +101,8 @@ class EstimatorResets:
     def heading_error_rad(self) -> float:
         """Estimated heading minus the heading that the gyro continues from before a reset.
 
-        The error is 0 if the heading did not step in the reset, or if the integral of the gyro was
-        interrupted since then.
+        The error is 0 if the heading did not step at the reset, or if the integral of the gyro has
+        been interrupted since then.
         """
         return 0.0 if self._rotation is None else self._heading.step_since(self._rotation)
 
@@ -118,7 +118,7 @@ class EstimatorResets:
             reset.velocity_m_s = max(reset.velocity_m_s, velocity_m_s)
 
     def _measure_heading(self, now_us: int) -> None:
-        if self._heading.before is None:  # a gap in the rates has no integral
+        if self._heading.before is None:  # a gap in the rates interrupted the integral
             self._before = self._rotation = self._reckoned = None
             return
         reset, before = self.newest, self._before

@@ -21,8 +21,8 @@ from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.mission.phases import ON_GROUND
 
-VELOCITY_JUMP_M_S: Final = 1.5  # between two samples: only a contact is that fast
-# A reset with smaller steps concerns the heading alone, as when PX4 aligns it in flight.
+VELOCITY_JUMP_M_S: Final = 1.5  # between two samples; only a contact changes the velocity as much
+# A reset with smaller steps changes only the heading, for example when PX4 aligns it in flight.
 RESET_POSITION_M: Final = 0.05
 RESET_VELOCITY_M_S: Final = 0.2
 ESTIMATOR_BAD_S: Final = 0.3  # PX4's position is invalid for a moment when it switches sources
@@ -31,9 +31,9 @@ _ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
 
 
 class EstimatorWatch:
-    """Monitor of PX4's estimator in one flight. Its methods describe a problem as text, or return None.
+    """Monitor of PX4's estimator in one flight. Its methods return a description of a problem, or None.
 
-    `jump` is the problem of this step's odometry, as text; empty if none.
+    `jump` describes the problem with this step's odometry; it is empty if there is none.
     """
 
     def __init__(self) -> None:
@@ -41,7 +41,7 @@ class EstimatorWatch:
         self._now_us = 0
         self._excused = False
         self.resets = EstimatorResets()
-        self._reset_phase = Phase.READYING  # at the newest reset
+        self._reset_phase = Phase.READYING  # the phase at the newest reset
         self._unhealthy = False
         self._invalid_since_us: int | None = None
         self._recovers_us: int | None = None  # last time at which PX4's motion was wrong after a heading step
@@ -86,7 +86,7 @@ class EstimatorWatch:
 
     @property
     def _recovers(self) -> bool:
-        """Whether PX4 returns from a wrong heading; a jump back to the true motion is no further fault."""
+        """Whether PX4 is recovering from a wrong heading; a jump to the true motion is then not a fault."""
         return self._recovers_us is not None and self._now_us - self._recovers_us <= 2 * REACH_US
 
     def reset_step(self) -> str | None:
@@ -126,7 +126,7 @@ ESTIMATOR_RULES: tuple[Rule, ...] = (
         "PX4 reset its estimator, and the heading stepped by more than 5 degrees relative to the gyro", "",
         lambda v: v.estimator.heading_step())),
     Rule("estimator_flags", Override.LAND, Scope.AIR, RuleCondition(
-        "PX4's estimator reports an invalid position, and no impact is recent",
+        "PX4's estimator reports an invalid position, and there was no recent impact",
         f"{ESTIMATOR_BAD_S:g} s",
         lambda v: v.estimator.invalid_estimate())),
 )

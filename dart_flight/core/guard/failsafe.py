@@ -31,9 +31,9 @@ class FailsafeEvidence:
         self._termination, self._terminated_us = "", 0
 
     def add_text(self, item: StatusText, now_us: int) -> None:
-        """Remember a text or event of PX4 if it announces a failsafe or a termination.
+        """Remember a PX4 text or event if it announces a failsafe or a termination.
 
-        If a generic text follows a text that names the cause, the text with the cause is kept.
+        A generic text does not replace an earlier text that names the cause.
         """
         words = "; ".join(line.strip() for line in item.text.splitlines() if line.strip())
         text = item.text.strip().lower()
@@ -44,7 +44,7 @@ class FailsafeEvidence:
             self._rank, self._words, self._text_us = rank, words, now_us
 
     def is_mentioned(self, now_us: int) -> bool:
-        """Return whether PX4 has mentioned a failsafe; if so, PX4 itself changes the mode, not a pilot."""
+        """Return whether PX4 has mentioned a failsafe; a mode change is then PX4's, not a pilot's."""
         return self._rank_at(now_us) >= _MENTIONED
 
     def announcement(self, now_us: int) -> str | None:

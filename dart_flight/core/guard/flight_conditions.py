@@ -41,16 +41,16 @@ from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from dart_flight.core.sense.state import FlightState
 
-_DOUBT_US: Final = 100_000  # host time; the first sample of another vehicle follows its mode within this time
+_DOUBT_US: Final = 100_000  # host time; another vehicle's first sample follows its heartbeat within this time
 _CLIP_SHARE: Final = 0.99
-# A vehicle that flies cannot keep such a tilt near the ground; PX4 does not detect a landing on the side.
+# No flying vehicle keeps such a tilt near the ground; PX4 does not detect that a vehicle lies on its side.
 LYING_TILT_DEG: Final = 60.0
-_FALLING_M_S2: Final = 4.9  # half of hover
-_LYING_BELOW_M: Final = 0.5  # above the place of take-off; a fall disturbs the height estimate
-# Not the rates: PX4's rate loop shakes a vehicle that lies on its side at up to 2.5 rad/s.
+_FALLING_M_S2: Final = 4.9  # half of the specific force in hover
+_LYING_BELOW_M: Final = 0.5  # above the take-off point; a fall disturbs the height estimate
+# The body rates are not tested: PX4's rate loop shakes a vehicle that lies on its side at up to 2.5 rad/s.
 _STILL_M_S: Final = 0.5
 _ATTITUDE_OLD_US: Final = 100_000
-_SURELY_DOWN: Final = 3.0  # factor on the time of descent from the top of the flight space
+_SURELY_DOWN: Final = 3.0  # a landing takes at most this many times the descent from the flight space's top
 _PAUSE_US: Final = 40_000  # a longer gap between the ticks, 20 ms of host time, is a pause of this program
 _PAUSE_MEMORY_US: Final = 3_000_000
 
@@ -63,30 +63,30 @@ class FlightConditions:
         self.config = mission.vehicle.guard
         self.phase = Phase.READYING
         self.state = FlightState()  # replaced by the core's state at the first step
-        self.force: ForceEstimate | None = None  # of this step
-        self.request: OperatorRequest | None = None  # of this step
-        self.thrust_ratio: float | None = None  # over the last seconds of free flight
+        self.force: ForceEstimate | None = None  # this step's estimate
+        self.request: OperatorRequest | None = None  # this step's request
+        self.thrust_ratio: float | None = None  # over the last few seconds of free flight
         self.land_asked = False
         self.kill_asked = False
         self.was_offboard = False
         self.was_armed = False
         self.was_inside = False  # whether the vehicle has been above the floor of the flight space
-        self.impact: ImpactOnset | None = None  # the newest
+        self.impact: ImpactOnset | None = None  # the newest impact
         self._impact_window_us = IMPACT_WINDOW_S * 1e6
         self.stuck_since_us: int | None = None
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
-        self.falling_since_us: int | None = None  # motors stopped and close to free fall
-        self.lying_since_us: int | None = None  # tilted and still at the height of the ground
+        self.falling_since_us: int | None = None  # since when the motors stand still and the vehicle falls
+        self.lying_since_us: int | None = None  # since when it lies tilted and still at ground height
         self._ground_m: float | None = None  # height before take-off
-        # In land mode and armed: autopilot time and host time.
+        # Since when the vehicle is armed in land mode: autopilot time and host time.
         self._landing_since_us: tuple[int, int] | None = None
         self.streams = StreamWatch(self.config)
         self.estimator = EstimatorWatch()
         self.others = OtherVehicles()
         mocap = mission.vehicle.mocap
         self.poses = None if mocap.url is None else PoseWatch(mocap)
-        self._left_since_us: int | None = None  # host time since which the mode is not offboard
+        self._left_since_us: int | None = None  # host time at which PX4 left offboard mode
         self._failsafe = FailsafeEvidence()
         self._stepped_us = 0  # host time at the previous step
         self._pause_us = self._paused_us = 0  # longest recent pause of this program, and its end
@@ -104,7 +104,7 @@ class FlightConditions:
         self.thrust_ratio = sensed.thrust_ratio or self.thrust_ratio
         for event in sensed.impacts:
             if type(event) is ImpactOnset:
-                # for a while the contact explains the behaviour of estimator and altitude
+                # A contact disturbs the estimator and the altitude for a while.
                 self.impact = event
         self.estimator.begin(state.now_us, self.just_after_impact)
         host_us = state.host_us
@@ -149,7 +149,7 @@ class FlightConditions:
 
     @property
     def circumstances(self) -> str:
-        """Possible causes of a stream's failure, as text to append: another vehicle, a pause, or nothing."""
+        """Possible cause of a stream's failure, as text to append (another vehicle, or a pause), or empty."""
         other = self.others.other_system
         known = f"; {other}" if other is not None else ""
         if self.has_paused:
@@ -164,13 +164,13 @@ class FlightConditions:
 
     @property
     def just_after_impact(self) -> bool:
-        """Whether an impact is recent, so that its effects on estimator and altitude are not faults."""
+        """Whether an impact was recent; its effects on estimator and altitude are then not faults."""
         impact = self.impact
         return impact is not None and self.state.now_us - impact.t_us < self._impact_window_us
 
     @property
     def failsafe_reported(self) -> bool:
-        """Whether PX4 reports a failsafe, or has mentioned one within the last seconds."""
+        """Whether PX4 reports a failsafe, or has mentioned one in the last few seconds."""
         return in_failsafe(self.state.status.system_status) or self._failsafe.is_mentioned(self.state.now_us)
 
     @property
@@ -190,8 +190,9 @@ class FlightConditions:
 
     @property
     def termination(self) -> str | None:
-        """PX4's termination of the flight, as text; None also on the ground, where a landing ends with a
-        kill.
+        """Message that PX4 has terminated the flight, or None.
+
+        On the ground it is always None, because a landing ends with a kill.
         """
         if not self.was_armed or self.state.on_ground:
             return None
@@ -205,7 +206,7 @@ class FlightConditions:
     def unrequested_mode(self) -> FlightMode | None:
         """The present flight mode if PX4 has certainly left offboard without a request; otherwise None."""
         mode = self._mode_left_to
-        # Another vehicle's mode may alternate with this one's; after sticks, nothing is sent in any case.
+        # The mode may be another vehicle's. In manual mode the pilot flies, and nothing is sent in any case.
         if (
             mode is not None
             and mode is not FlightMode.MANUAL
@@ -258,7 +259,7 @@ class FlightConditions:
     def landing_s(self) -> float:
         """Time in land mode while armed: the smaller of autopilot time and host time.
 
-        Otherwise a jump of the stamps could make the guard stop the motors in the air.
+        If only autopilot time counted, a jump of the stamps could make the guard stop the motors in the air.
         """
         if self._landing_since_us is None:
             return 0.0
@@ -277,7 +278,7 @@ class FlightConditions:
         self.others.add_sample(name, item)
 
     def _record_pause(self, host_us: int) -> None:
-        """Record that this program has paused since the previous step: no tick arrived."""
+        """Record a pause of this program: no tick has arrived since the previous step."""
         pause_us = host_us - self._stepped_us
         if pause_us > self._pause_us or host_us - self._paused_us > _PAUSE_MEMORY_US:
             self._pause_us, self._paused_us = pause_us, host_us
@@ -313,7 +314,7 @@ class FlightConditions:
 
     def _handle_odometry(self, item: OdometrySample) -> None:
         state = self.state
-        if not state.is_plausible(item):  # differences to it would be meaningless
+        if not state.is_plausible(item):  # differences from this sample mean nothing
             self.estimator.reject_odometry(item)
             return
         self._handle_stamp("odometry", item, state.odometry)

@@ -44,18 +44,18 @@ from dart_flight.core.mission.wall_uncertainty import early_m, position_margin_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-Causes = list[tuple[Rule, int, Cause]]  # with the rank of the rule's action
+Causes = list[tuple[Rule, int, Cause]]  # rule, rank of its action, cause function
 
 _NO_CAUSES: Final[Causes] = []
 _COMMANDS: Final = (Setpoint, VehicleCommand)
 _COMMANDS_AND_LOCK: Final = (Setpoint, VehicleCommand, LockCommand)
-_EVALUATION_US: Final = 20_000  # host time: at every tick, or by itself if ticks are missing
+_EVALUATION_US: Final = 20_000  # host time: the period of the ticks; it also applies if ticks are missing
 _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 _STOPPED_M_S: Final = 0.3
 _ELSEWHERE_M: Final = 0.3
-_MOST_M_S2: Final = 5.0  # a lean of 27 degrees while PX4's heading is wrong
-# PX4 disarms by itself after landing; this command is the fallback
+_MOST_M_S2: Final = 5.0  # largest acceleration, a lean of 27 degrees, while PX4's heading is wrong
+# PX4 disarms by itself after landing; if it has not disarmed by now, the guard does.
 _DISARM_AFTER_US: Final = 15_000_000
 _UNSURE_US: Final = 15_000_000
 _LANDING_US: Final = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
@@ -78,19 +78,19 @@ class Guard:
         self._rules_by_phase = {phase: _rules_in(phase, rules) for phase in Phase}
         self._evaluated_us = 0  # host time of the last complete evaluation
         self._watch = FlightConditions(mission)
-        # The wait for a landing lasts until the motors would have been stopped.
+        # Wait for a landing for longer than until the guard stops the motors.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.landing_timeout_s or 0.0)))
         self.action = Override.NONE
         self.overrules = False  # whether a rule has fired, so that the mission is ignored
         self._rank = self.action.rank
         self.reason: str | None = None
-        self._rule: Rule | None = None  # in force
-        self._cause = ""  # rule of the reason: the first that decided, or one that explains it
+        self._rule: Rule | None = None  # the rule in force
+        self._cause = ""  # rule that gives the reason: the first that fired, or one that explains it
         self._noted: set[str] = set()  # rules recorded while an equally strong action was active
         self.end: MissionEnd | None = None
         self._since_us = 0
         self._sent_us: int | None = None
-        self._down_us: int | None = None  # time since which it is landed and disarmed
+        self._down_us: int | None = None  # time since which the vehicle is landed and disarmed
         self._hold: Vec3 | None = None
         self._held_impact: ImpactOnset | None = None  # the impact from which the guard keeps its distance
         self._yaw_ned = 0.0
@@ -124,7 +124,7 @@ class Guard:
             outputs = proposal.outputs
             if not outputs:  # the usual case
                 return events
-            if self._watch.mode_change_unexplained:  # a pilot may already fly
+            if self._watch.mode_change_unexplained:  # a pilot may already be flying
                 outputs = [o for o in outputs if not isinstance(o, _COMMANDS)]
             self._track_outputs(outputs)
             return outputs + events
@@ -134,9 +134,9 @@ class Guard:
         return kept
 
     def land_after_fault(self, item: Input, state: FlightState, detail: str) -> list[Output]:
-        """Land after an exception in `review`, without the rules that may have raised it.
+        """Land after an exception in `review`, without evaluating the rules, which may have raised it.
 
-        If the exception recurs in every step, this continues the landing. `detail` names the exception.
+        If every step raises the exception, this method continues the landing. `detail` names the exception.
         """
         outputs: list[Output] = []
         self._fire("mission_fault", detail, state, outputs)
@@ -212,7 +212,7 @@ class Guard:
         if rule is None:
             if name not in RULES_BY_NAME:
                 raise KeyError(name)
-            return  # removed from this guard's table
+            return  # this guard's table does not have the rule
         if noted:
             events.append(GuardEvent(state.now_us, rule.name, Override.NONE, detail))
             return
@@ -229,7 +229,7 @@ class Guard:
         self._apply_reason(rule, detail)
         self.action, self._rule, self._rank = rule.action, rule, rule.action.rank
         self.overrules = True
-        self._hold = None  # the new action selects another place
+        self._hold = None  # the new action selects another point
         self._since_us = state.now_us
         self._sent_us = None
 
@@ -267,8 +267,8 @@ class Guard:
             return
         if isinstance(item, OdometrySample) and state.frame is not None:
             impact = self._watch.impact
-            again = impact is not self._held_impact  # after another impact, keep away from that one
-            # After a jump of the estimate, hold the place of the new estimate.
+            again = impact is not self._held_impact  # after a new impact, keep away from its wall
+            # After a jump of the estimate, hold position at the new estimate.
             jumped = bool(self._watch.estimator.jump) and "estimator_jump" in self._rules
             if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
                 self._hold, self._held_impact = self._hold_point(state), impact
@@ -284,8 +284,8 @@ class Guard:
         """Return the setpoint that holds the vehicle at `hold`, with its true heading.
 
         After a wrong reset of the heading, PX4 rotates every horizontal acceleration by the error of its
-        heading, and its position and velocity are wrong. Until they have recovered, the axes are free, and an
-        acceleration that is rotated back leads to `hold`.
+        heading, and its position and velocity are wrong. Until PX4's estimate has recovered, the guard leaves
+        the axes free and commands an acceleration towards `hold`, rotated back by the heading error.
         """
         resets, trigger = self._watch.estimator.resets, SetpointTrigger(item.t_us, item.received_us)
         error_rad, reckoned = resets.heading_error_rad, resets.reckoned
@@ -313,7 +313,7 @@ class Guard:
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
         """Return whether a vehicle that broke off rests far from `hold`, for example because it tilted.
 
-        The guard then holds the vehicle at its resting place. On the way back to `hold`, PX4's integrator
+        The guard then holds position where the vehicle rests. On the way back to `hold`, PX4's integrator
         would push the vehicle past `hold`, towards the wall.
         """
         position, velocity = self._motion(state)
@@ -335,9 +335,9 @@ class Guard:
         return state.now_us - self._down_us >= DOWN_US
 
     def _hold_point(self, state: FlightState) -> Vec3:
-        """Return the present place at the mission's altitude.
+        """Return the point to hold: the present position, at the mission's altitude.
 
-        After breaking off, the point keeps the retreat distance from the mission's walls, and from an unknown
+        After a break-off, the point keeps the retreat distance from the mission's walls, and from an unknown
         wall that was just touched.
         """
         (x, y, z), velocity = self._motion(state)
@@ -348,7 +348,7 @@ class Guard:
                 away_m = self._config.retreat_m + position_margin_m(wall, (x, y))
                 nx, ny = wall.normal
                 closing = max(0.0, -(velocity[0] * nx + velocity[1] * ny))
-                # Keep the retreat distance, and if approaching brake harder than by holding still.
+                # Keep the retreat distance; a point beyond it brakes an approaching vehicle harder.
                 push = max(away_m - distance, STOP_TIME_S * closing)
                 behind_m = min(away_m, wall.behind_m)
                 if wall.spans((x, y)) and -behind_m < distance < 1.0 and push > 0.0:

@@ -24,7 +24,7 @@ from dart_flight.base.geometry import (
 )
 from dart_flight.base.records import AttitudeSample, ImuSample
 
-# [ours] PX4's heading from motion capture is within 2 degrees during and after impacts.
+# [ours] With motion capture, PX4's heading stays within 2 degrees during and after impacts.
 HEADING_STEP_DEG: Final = 5.0
 _BEFORE_US: Final = 100_000
 _GAP_US: Final = 20_000  # a longer gap between rates invalidates the integral
@@ -37,11 +37,11 @@ class HeadingStep:
         self.gyro: Quaternion = IDENTITY
         self._imu_us: int | None = None
         self._rate: Vec3 = (0.0, 0.0, 0.0)
-        self._waiting: AttitudeSample | None = None  # until a rate with its stamp or a later one arrives
+        self._waiting: AttitudeSample | None = None  # waits for a rate with its stamp or a later one
         self._turns: deque[tuple[int, Quaternion]] = deque()  # stamp, D; the last 0.1 s
 
     def add_imu(self, item: ImuSample) -> None:
-        """Integrate a rate, which is the mean over the tick before the stamp of `item`."""
+        """Integrate the rate of `item`, which is the mean over the tick before its stamp."""
         before_us, self._imu_us, self._rate = self._imu_us, item.t_us, item.rate_frd
         if before_us is None or not 0 < item.t_us - before_us <= _GAP_US:
             self._turns.clear()
@@ -54,7 +54,7 @@ class HeadingStep:
             self._waiting = None
 
     def add_attitude(self, item: AttitudeSample) -> None:
-        """Compare an attitude with the gyro's integrated rate, after IMU samples have reached its stamp."""
+        """Compare an attitude with the gyro's integral, once the IMU samples have reached its stamp."""
         if self._imu_us is None:
             return
         if item.t_us > self._imu_us:
@@ -70,7 +70,7 @@ class HeadingStep:
     def step_since(self, before: Quaternion) -> float:
         """Return the step of the heading since an earlier value of `before`, positive clockwise from above.
 
-        At present `before` must not be None.
+        `self.before` must not be None.
         """
         w, _, _, z = quaternion_multiply(self._turns[-1][1], quaternion_conjugate(before))
         return wrap_angle(2.0 * math.atan2(z, w))

@@ -29,28 +29,28 @@ from dart_flight.core.sense.state import FlightState
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
 LOST_LAND_S: Final = 1.5  # dead reckoning is then off by 0.2 m, too much to fly back
-_GROUND_LOST_S: Final = 2.0  # no hazard on the ground
-_FIRST_S: Final = 5.0  # from the first input to the first pose
-# Step between two poses that PX4's velocity does not explain; that velocity may be off by 2 m/s in a contact.
+_GROUND_LOST_S: Final = 2.0  # on the ground, a loss of poses is no hazard
+_FIRST_S: Final = 5.0  # longest wait from the first input to the first pose
+# Limit of a step between poses beyond PX4's velocity, which may be wrong by 2 m/s in a contact.
 JUMP_M: Final = 0.15
 _JUMP_M_S: Final = 2.0
-_JUMP_S: Final = 0.05  # a glitch of a few frames stays within PX4's gate
+_JUMP_S: Final = 0.05  # PX4's innovation gate handles a glitch of a few frames
 _JUMP_GAP_S: Final = 0.1  # after a longer gap only PX4's estimate can be compared
-# Difference between a pose and PX4's estimate; latency in a fast rotation lasts less than these times.
+# Limits between a pose and PX4's estimate. In a fast rotation, latency exceeds them only for shorter times.
 TURNED_DEG: Final = 30.0
 _TURNED_S: Final = 0.1
 APART_M: Final = 0.3
 _APART_S: Final = 0.5
 _APART_LATENCY_S: Final = 0.1
 _GROUND_APART_S: Final = 3.0  # PX4 aligns its estimate with the first poses
-RATE_SHARE: Final = 0.5  # of the configured rate, below which poses are too slow
-_INTERVALS: Final = 9  # the median of this many gives the rate, so that a single gap does not count
+RATE_SHARE: Final = 0.5  # share of the configured rate below which poses are too slow
+_INTERVALS: Final = 9  # the rate is the median of this many intervals, so a single gap does not count
 LATER_S: Final = 0.04  # PX4's estimate oscillates by centimetres if EKF2_EV_DELAY is off by this much
 _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
-_RECENT_US: Final = 5_000_000  # PX4's estimate follows poses within this time
+_RECENT_US: Final = 5_000_000  # PX4's estimate follows wrong poses within this time
 _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
-_RECOVERED_S: Final = 0.5  # in a recovery; from then on the vehicle flies to the next wall or to the goal
+_RECOVERED_S: Final = 0.5  # after this part of a recovery, the vehicle flies to the next wall or to the goal
 
 
 class PoseWatch:
@@ -64,13 +64,13 @@ class PoseWatch:
         self._tracked_us = 0  # host time of the newest tracked pose, or 0 if there is none
         # Receipt and position (NED) of the newest plausible pose.
         self._plausible: tuple[int, Vec3] | None = None
-        self._settling_us: int | None = None  # since a start or a gap, until two poses agree
-        self._jumped_us: int | None = None  # host time since which poses have been a jump away from it
+        self._settling_us: int | None = None  # start or end of a gap; None once two poses agree
+        self._jumped_us: int | None = None  # host time since which poses have been far from that position
         self._jump = ""
         self._wrong = self._turned_wrong = ""  # why poses are withheld, and why only their attitudes are
         self._withheld_us = 0
         self._not_recovering_us = 0  # host time of the newest pose in another phase than the recovery
-        self._recent, self._recent_us = "", -_RECENT_US  # newest fault
+        self._recent, self._recent_us = "", -_RECENT_US  # newest fault and its time
         self._apart_us: int | None = None
         self._turned_us: int | None = None
         self._apart_m = self._turned_deg = 0.0
@@ -266,7 +266,7 @@ def _blind(v: Any) -> str | None:
     return watch.blind(bool(v.estimator.jump or v.estimator.reset_step()), v.phase)
 
 
-# PX4's own faults that follow from missing poses.
+# Faults in PX4's estimate that follow from missing poses.
 _DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "odometry_silent"})
 
 # fmt: off

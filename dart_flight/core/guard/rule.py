@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from dart_flight.base.records import Override, Phase
 from dart_flight.core.mission.phases import ON_GROUND
 
-# Describes the present problem from the flight's conditions (`flight_conditions`), or None.
+# A function that describes the present problem from the flight's conditions, or returns None.
 Cause = Callable[[Any], str | None]
 
 
@@ -56,7 +56,7 @@ class Rule(NamedTuple):
     Attributes:
         name: as in the log and in the verdict.
         at_once: inputs after which the rule is evaluated immediately. Modes, arming and requests are urgent;
-            some other conditions hold during a single sample only.
+            some other conditions last for a single sample only.
         by_person: whether the rule means that a person took over. The flight then counts as released, not as
             aborted.
         explains: rules that may fire earlier for the same cause. If one of them is the reason, this rule
@@ -83,7 +83,7 @@ def in_scope(rule: Rule, phase: Phase) -> bool:
         return False
     if rule.scope is Scope.ALWAYS:
         return True
-    # On the ground the mission's timeouts apply otherwise.
+    # On the ground, the mission's timeouts cover most other faults.
     if rule.scope is Scope.GROUND or phase in ON_GROUND:
         return rule.scope is Scope.GROUND and phase in ON_GROUND
     if rule.scope is Scope.AIR or phase is Phase.LANDING:

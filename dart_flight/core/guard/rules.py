@@ -43,10 +43,10 @@ BATTERY_LOW_S: Final = 1.0  # longer than a burst of thrust lasts
 ALTITUDE_TOLERANCE_M: Final = 0.25  # the vertical contact force moves the vehicle by about 0.15 m
 FORCE_MARGIN: Final = 1.15  # margin for the noise of one sample; `peak_force` checks the peak itself
 _SPEED_TOLERANCE: Final = 1.1
-_STALE_SAMPLES: Final = 5  # in a row; a single late datagram is no restart of the clock
+_STALE_SAMPLES: Final = 5  # consecutive samples; one late datagram does not mean that the clock restarted
 _FALL_S: Final = 0.1
 _ALTITUDE_SLACK_M: Final = 0.05
-_GUARD_STRAYS_M: Final = 0.2  # allowed out of bounds, for a break-off from a wall at their edge
+_GUARD_STRAYS_M: Final = 0.2  # a break-off from a wall at the edge of the bounds may leave them this far
 _AFTER_CLIMB: Final = frozenset({Phase.WAYPOINT, Phase.PAUSE, Phase.TRANSIT, Phase.PREPARE})
 
 
@@ -68,7 +68,7 @@ def _px4_failsafe(v: FlightConditions) -> str | None:
 
 
 def _by_px4(v: FlightConditions) -> bool:
-    # A mode flown by stick is the pilot's choice unless PX4 announced it. A gap may hide the announcement.
+    # A stick mode is the pilot's choice unless PX4 announced it. A telemetry gap may hide the announcement.
     if v.unrequested_mode is FlightMode.MANUAL:
         return v.failsafe_hands_to_sticks
     return v.failsafe_reported or v.streams.was_cut_off
@@ -78,13 +78,13 @@ def _by_px4(v: FlightConditions) -> bool:
 def _disarmed(v: FlightConditions) -> str | None:
     # A kill switch stops the motors at once; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
     if v.kill_asked:
-        return None  # the guard has stopped the motors
+        return None  # the guard itself has stopped the motors
     falling_s = v.duration_s(v.falling_since_us)
     if falling_s > _FALL_S and v.was_armed and not v.state.on_ground:
-        return f"PX4 stopped the motors in the air, the vehicle has been falling for {falling_s * 1e3:.0f} ms"
+        return f"PX4 stopped the motors in the air; the vehicle has been falling for {falling_s * 1e3:.0f} ms"
     if v.state.status.armed or not v.was_armed or v.state.on_ground or v.land_asked:
         return None
-    # The state may be another vehicle's.
+    # The reported state may be another vehicle's.
     return None if v.status_unreliable else "PX4 disarmed in the air"
 
 
@@ -94,20 +94,20 @@ def _disarmed(v: FlightConditions) -> str | None:
 def _stamps_backwards(v: FlightConditions) -> str | None:
     for name, count in v.streams.stale.items():
         if count >= _STALE_SAMPLES:
-            return f"{name}: {count} samples in a row more than {STAMP_TOLERANCE_S:g} s in the past"
+            return f"{name}: {count} samples in a row have stamps over {STAMP_TOLERANCE_S:g} s in the past"
     return None
 
 
 @condition("the IMU repeats one reading", f"{IMU_STUCK_S:g} s")
 def _imu_stuck(v: FlightConditions) -> str | None:
     lasting = v.duration_s(v.stuck_since_us)
-    return f"the IMU repeats one reading for {lasting * 1e3:.0f} ms" if lasting > IMU_STUCK_S else None
+    return f"the IMU has repeated one reading for {lasting * 1e3:.0f} ms" if lasting > IMU_STUCK_S else None
 
 
 @condition("the IMU stays at full scale longer than any contact lasts", f"{IMU_CLIPPED_S:g} s")
 def _imu_clipped(v: FlightConditions) -> str | None:
     lasting = v.duration_s(v.clipped_since_us)
-    return f"the IMU is at full scale for {lasting * 1e3:.0f} ms" if lasting > IMU_CLIPPED_S else None
+    return f"the IMU has been at full scale for {lasting * 1e3:.0f} ms" if lasting > IMU_CLIPPED_S else None
 
 
 @condition("the standard deviation of PX4's position is too large for a collision", "guard.position_sd_m")
@@ -299,7 +299,7 @@ RULES: tuple[Rule, ...] = (
     Rule("stamps_backwards", _LAND, _AIR, _stamps_backwards, of_streams=True),
     Rule("imu_stuck", _LAND, _AIR, _imu_stuck),
     Rule("imu_clipped", _LAND, _AIR, _imu_clipped),
-    *POSE_RULES,  # before the estimator's, which follow from them
+    *POSE_RULES,  # before the estimator's rules, because wrong poses cause estimator faults
     *ESTIMATOR_RULES,
     Rule("position_uncertain", _LAND, _GUIDED, _position_uncertain, noted=True),
     Rule("position_delayed", _BREAK_OFF, _FLYING, _position_delayed),
@@ -307,7 +307,7 @@ RULES: tuple[Rule, ...] = (
     Rule("still_armed", _KILL, _AIR, _still_armed),
     Rule("lying", _KILL, _AIR, _lying),
     Rule("hover_thrust", _BREAK_OFF, _FLYING, _hover_thrust),
-    # Break off before landing, as for `mode_felt`: PX4's land mode reduces the tilt slowly and flies away.
+    # Break off before landing, as for `mode_felt`: in land mode PX4 levels slowly, and the vehicle drifts.
     Rule("tilt", _BREAK_OFF, _AIR, _tilt, (AttitudeSample,), noted=True),
     Rule("altitude", _LAND, _GUIDED, _altitude, _POSITION, noted=True),
     Rule("bounds", _HOLD, _GUIDED, _bounds, _POSITION, noted=True),
@@ -319,7 +319,7 @@ RULES: tuple[Rule, ...] = (
     Rule("world_died", _RELEASE, _ALWAYS, _world_died, _REQUEST),
     _found("peak_force", _BREAK_OFF, "the peak force of an impact exceeded the limit", "limits.peak_force_n"),
     _found("wall_not_met", _BREAK_OFF,
-           "no contact with the wall at the planned place or time",
+           "no contact with the wall at the planned position or time",
            "guard.wall_overrun_m, guard.wall_late_s, limits.collision_timeout_s"),
     _found("wall_met_early", _BREAK_OFF,
            "a contact occurred far before the planned wall", "guard.wall_early_m"),
@@ -327,7 +327,7 @@ RULES: tuple[Rule, ...] = (
            "the planned impact is below the detection limit at the measured vibration level",
            "detection.noise_sigma"),
     _found("unplanned_hit", _BREAK_OFF,
-           "an impact is unplanned; a second impact at the same wall within 1 s is noted without an action"),
+           "an impact is not planned; a second impact at the same wall within 1 s is only noted"),
     _found("no_peak", _BREAK_OFF, "the contact force does not decay", "detection.peak_wait_s"),
     _found("lock_not_settled", _BREAK_OFF,
            "the lock is not in the planned mode during the approach or at the impact"),
@@ -336,8 +336,8 @@ RULES: tuple[Rule, ...] = (
            "difference is noted without an action",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
-           "the lock is not in the planned mode at the last moment to stop before the wall; exception: the "
-           "lock will settle at least 0.05 s before an impact that is acceptable in either mode"),
+           "the lock is not in the planned mode when the vehicle can last stop before the wall, unless the "
+           "lock will settle at least 0.05 s before the impact and either mode is acceptable"),
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,

@@ -15,10 +15,10 @@ from dart_flight.base.geometry import norm
 from dart_flight.base.records import OdometrySample
 from dart_flight.core.guard.stream_watch import SAMPLED, STAMP_TOLERANCE_S, Stamped
 
-POSITION_JUMP_M: Final = 0.3  # between two samples, beyond the motion: no estimator corrects that much
+POSITION_JUMP_M: Final = 0.3  # step between two samples beyond the motion; no estimator corrects as much
 _TURNS: Final = 3  # alternations within the window
 _WINDOW_US: Final = 2_000_000  # host time
-_FASTEST: Final = 20  # simulated seconds per second
+_FASTEST: Final = 20  # speed of the fastest simulation, simulated seconds per second
 _REACH_US: Final = 1_000_000  # longest gap between samples of one source
 _SUSPECT_US: Final = 250_000  # a second vehicle is detected for certain within this time
 
@@ -47,7 +47,7 @@ class SecondClockDetector:
                 goes_on = t_us - newest < _REACH_US + _FASTEST * elapsed_us
             if self._was_behind and goes_on:
                 self._turns.append(received_us)
-            elif not goes_on:  # the newest clock may be the other one from now on
+            elif not goes_on:  # this stamp may come from the other clock
                 self._behind_us, self.odd_us = newest, received_us
             self._newest_us, self._received_us, self._was_behind = t_us, received_us, False
             return
@@ -55,7 +55,7 @@ class SecondClockDetector:
             return
         before = self._behind_us
         if before is not None and not 0 < t_us - before < _REACH_US:
-            self._turns.clear()  # it jumps back repeatedly or stands still: no second clock
+            self._turns.clear()  # one clock that jumps back repeatedly or stands still
         if not self._was_behind:
             self.odd_us = received_us
         self._behind_us, self._was_behind = t_us, True
@@ -83,7 +83,7 @@ class SecondPositionDetector:
         self._turns: deque[int] = deque(maxlen=_TURNS)  # receipts, host time
 
     def update(self, sample: OdometrySample) -> None:
-        """Process a sample, whatever its stamp is."""
+        """Process a sample, even if its stamp is old."""
         here, other = self._here, self._other
         self._here = sample
         if here is None or sample.received_us - here.received_us > _REACH_US:
@@ -114,7 +114,7 @@ class SecondPositionDetector:
 class OtherVehicles:
     """Other vehicles on the link: those with another system id, and one that shares the vehicle's id.
 
-    `same_system` is evidence of a second vehicle with the same system id, as text; it is never cleared.
+    `same_system` describes the evidence of a second vehicle with the same system id; it is never cleared.
     """
 
     def __init__(self) -> None:
@@ -151,7 +151,7 @@ class OtherVehicles:
 
     @property
     def any_system(self) -> str | None:
-        """Another vehicle on the link, with any system id, as text, or None."""
+        """Description of another vehicle on the link, with any system id, or None."""
         return self.other_system or self.same_system
 
     def is_suspected(self, host_us: int) -> bool:

@@ -26,22 +26,22 @@ from dart_flight.core.sense.state import FlightState
 
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
-LINK_LOST_S: Final = 5.0  # PX4's own failsafe for a lost link has acted by then
-ACTUATOR_TIMEOUT_S: Final = 0.3  # longest time without outputs in which force and thrust can be separated
+LINK_LOST_S: Final = 5.0  # by then, PX4's own failsafe for a lost link has acted
+ACTUATOR_TIMEOUT_S: Final = 0.3  # without motor outputs for longer, thrust and force cannot be separated
 STATUS_TIMEOUT_S: Final = 3.0  # three heartbeats
 STAMP_TOLERANCE_S: Final = 0.5  # largest delay of a datagram
-_OTHERS_SINCE: Final = 12  # samples of other streams, which take about a tenth of a second of one stream
+_OTHERS_SINCE: Final = 12  # samples of all other streams together; they arrive in less than 0.1 s
 _GAP_US: Final = 500_000  # silence in which an announcement of PX4 may have been lost
 _GAP_MEMORY_US: Final = 3_000_000  # a gap explains a mode change for this long
 _RATE_WINDOW_US: Final = 1_000_000
 _LEAP_US: Final = 1_000_000
-_SHARE: Final = 0.15  # of the last second or so; a batch after a pause counts as no time
+_SHARE: Final = 0.15  # limit for the share of late samples; a batch after a pause counts as no time
 _SHARE_US: Final = 1_000_000
 _FORGOTTEN: Final = 0.01  # share below which earlier late samples no longer matter
 _STEP_MAX_US: Final = 20_000  # a sample stands for the time since the previous one, up to this limit
 _DRIFT: Final = 2e-4  # largest drift of two clocks, seconds per second
-_LAST: Final = 3  # number of round trips; the shortest counts if the clocks cannot be compared
-_AGE_MAX_S: Final = 999.0  # limit for a stream that never arrived
+_LAST: Final = 3  # round trips kept; the shortest counts if the clocks cannot be compared
+_AGE_MAX_S: Final = 999.0  # age reported for a stream that never arrived
 
 
 class TelemetryDelay:
@@ -57,7 +57,7 @@ class TelemetryDelay:
         self._limit_us = limit_s * 1e6
         self._offset_us: float | None = None  # autopilot's time minus the host's
         self._error_us = 0.0  # largest error of the offset
-        self._measured_us = 0  # host time
+        self._measured_us = 0  # host time of the offset's measurement
         self._last: deque[int] = deque(maxlen=_LAST)
         self._received_us = 0
         self._share = 0.0
@@ -74,7 +74,7 @@ class TelemetryDelay:
         error_us = 0.5 * took_us
         if self._offset_us is not None:
             drifted_us = self._error_us + _DRIFT * (trip.received_us - self._measured_us)
-            # Larger than both errors together: the autopilot's clock has jumped.
+            # If the offset changes by more than both errors, the autopilot's clock has jumped.
             jumped = abs(offset_us - self._offset_us) > drifted_us + error_us
             if error_us > drifted_us and not jumped:
                 return
@@ -139,7 +139,7 @@ class StreamWatch:
         if lag_us > STAMP_TOLERANCE_S * 1e6:
             self.stale[name] = self.stale.get(name, 0) + 1
             return
-        if -lag_us > _LEAP_US:  # not accepted yet: another vehicle's, or after a clock jump
+        if -lag_us > _LEAP_US:  # not accepted yet: from another vehicle, or after a clock jump
             return
         if self.stale:
             self.stale.pop(name, None)
@@ -152,7 +152,7 @@ class StreamWatch:
 
     @property
     def was_cut_off(self) -> bool:
-        """Whether telemetry has returned within the last seconds after a gap."""
+        """Whether telemetry has returned after a gap in the last few seconds."""
         return self._gap_us is not None and self.state.now_us - self._gap_us < _GAP_MEMORY_US
 
     @property
@@ -208,7 +208,7 @@ def _late(v: Any) -> str | None:
 SAMPLED: Final = ("imu", "attitude", "odometry", "actuator")
 _LINK: Final = ("status", "imu", "attitude", "odometry")
 _AIR, _LAND = Scope.AIR, Override.LAND
-_SLOWING: Final = frozenset({"stream_rate"})  # the rate of a stream that ends falls first
+_SLOWING: Final = frozenset({"stream_rate"})  # when a stream ends, its rate falls first
 
 # fmt: off
 STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule in (

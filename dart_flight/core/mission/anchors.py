@@ -1,13 +1,13 @@
 """Accuracy of the mission frame when PX4's position drifts, and the frame's correction by contacts.
 
-A contact is an *anchor*: it measures the place of its wall, along the wall's normal only, with an error of 1
+A contact is an *anchor*: it measures its wall's position, along the wall's normal only, with an error of 1
 to 2 cm. Afterwards PX4 integrates its velocity, so the position drifts. The velocity error is nearly
 constant, so the standard deviation of the drift grows in proportion to the age of the contact
 (docs/anchors.md).
 
     information = sum over anchors n n' / (s^2 + (drift age)^2),    sd along n = sqrt(n' information^-1 n)
 
-Here n is a wall's normal, s is the standard deviation of the place measured by the contact, and drift is the
+Here n is a wall's normal, s is the standard deviation of the measured wall position, and drift is the
 standard deviation of the velocity error. The start is an anchor in every direction, because the vehicle was
 placed there.
 """
@@ -22,7 +22,7 @@ from dart_flight.base.records import FrameAnchor, WallEstimate
 from dart_flight.base.walls import Wall
 
 START_SD_M: Final = 0.3  # accuracy of the vehicle's placement at the mission's start
-WALL_SD_M: Final = 0.02  # of a surveyed wall without a configured deviation
+WALL_SD_M: Final = 0.02  # for a surveyed wall without a configured deviation
 _SAME_NORMAL: Final = 0.98  # cosine: an anchor in nearly the same direction replaces the previous one
 
 
@@ -90,7 +90,7 @@ class FrameAnchors:
         return None
 
     def sd_m(self, normal: Vec2, now_us: int) -> float:
-        """Return the standard deviation of the frame's place along a normal."""
+        """Return the standard deviation of the frame's position along a normal."""
         start = 1.0 / self._variance(START_SD_M, self._start_us, now_us)
         xx = yy = start
         xy = 0.0

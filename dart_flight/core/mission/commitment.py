@@ -1,7 +1,7 @@
 """The last moment for stopping: whether to fly on towards a wall while the lock is still moving.
 
-While a hold would still stop the vehicle before the wall, an approach continues. Later, when a hold would be
-too late, the approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the
+An approach continues while holding position would still stop the vehicle before the wall. After that moment,
+the approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the
 impact, and the impact must be acceptable in *either* mode. If a servo without feedback is stuck, the impact
 occurs in the mode that was not planned. Executive, planner and `check` use this rule.
 """
@@ -22,11 +22,11 @@ from dart_flight.contact.law import Onset
 from dart_flight.core.mission.position_loop import PlaneImpact
 from dart_flight.core.sense.state import FlightState
 
-# Margin of the predicted stop before the wall; small, because breaking off brakes harder.
+# Margin of the predicted stop before the wall; small, because a break-off brakes harder than a hold.
 STOP_MARGIN_M = 0.02
 # Margin before the predicted impact, for its timing error and one poll of the lock.
 SETTLED_BEFORE_S = 0.05
-# The paper's plan has a setpoint 0.5 m outside the bounds; one far outside pulls the vehicle off course.
+# The paper's plan has a setpoint 0.5 m outside the bounds; a more distant one pulls the vehicle off course.
 SETPOINT_OUTSIDE_M = 2.0
 
 

@@ -20,14 +20,14 @@ from dart_flight.core.sense.senses import Sensed
 
 _FADED_M_S2: Final = 0.02
 _LARGEST_M_S2: Final = 5.0  # limit of the feed-forward, which also bounds the effect of a stale setpoint
-# Limit from the onset: if this program hangs, PX4 keeps the last setpoint, and this setpoint leads away.
+# Longest time from the onset in which the motion is commanded, because PX4 keeps following an old setpoint.
 LONGEST_S: Final = 0.25
 
 
 # Share of the lean that would balance a vehicle that does not rotate (docs/results/faster_hits.md).
 _BALANCED: Final = 0.9
-_MOST_LEAN: Final = 0.3  # tangent of the angle
-_AGAINST_PLAN: Final = 1.3  # factor on a lean into the wall if the plan leans off it
+_MOST_LEAN: Final = 0.3  # largest lean, as the tangent of its angle
+_AGAINST_PLAN: Final = 1.3  # factor on a lean into the wall if the plan leans the vehicle off the wall
 
 
 def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:
@@ -61,7 +61,7 @@ class ContactFeedforward:
         self._last_us: int | None = None
 
     def update(self, sensed: Sensed) -> None:
-        """Filter the force estimate of one input, which must have one."""
+        """Filter one input's force estimate, which must not be None."""
         estimate = sensed.estimate
         assert estimate is not None
         last, self._last_us = self._last_us, estimate.t_us

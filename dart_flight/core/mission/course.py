@@ -11,13 +11,13 @@ from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
-ARRIVED_M: Final = 0.12  # above the error of PX4's position loop in hover
+ARRIVED_M: Final = 0.12  # larger than the error of PX4's position loop in hover
 ARRIVED_M_S: Final = 0.1
-ARRIVED_S: Final = 0.3  # required duration of place and speed
-MEAN_SPEED_S: Final = 0.3  # PX4's velocity contains accelerometer vibration (docs/results/real_data.md)
+ARRIVED_S: Final = 0.3  # time for which position and speed must be within their limits
+MEAN_SPEED_S: Final = 0.3  # averaging time: PX4's velocity contains vibration (docs/results/real_data.md)
 _ARRIVED_YAW_RAD: Final = 0.05
-# Factors on distance, speed and heading of an arrival if PX4's position drifts: the vehicle does not come to
-# rest, and waiting for the last degrees ages the contacts by seconds.
+# Factors on an arrival's limits of distance, speed and heading if PX4's position drifts. The vehicle then
+# does not come to rest, and waiting for the last degrees would age the contacts by seconds.
 _DRIFTING_NEAR: Final = 2.5
 _DRIFTING_SLOW: Final = 4.0
 _DRIFTING_TURNED: Final = 2.0
@@ -40,7 +40,7 @@ class Course(NamedTuple):
         return Course((point[0], point[1], self.altitude_m), self.altitude_m)
 
     def move_frame(self, by: Vec2) -> Course:
-        """Keep the target's real place when the mission frame's origin moves by `by`, in frame axes."""
+        """Keep the target's real position when the mission frame's origin moves by `by`, in frame axes."""
         x, y, z = self.target
         return self._replace(target=(x - by[0], y - by[1], z))
 

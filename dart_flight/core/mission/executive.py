@@ -58,14 +58,14 @@ from dart_flight.core.mission.wall_uncertainty import late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_TRAJECTORY_WAIT_S: Final = 1.5  # after a contact; a running planner answers within this time, even twice
-_NEAR_S: Final = 0.3  # before an impact
-_NOTHING_MET_S: Final = 0.3  # after the end of a probe: PX4 follows its setpoints with a delay
+_TRAJECTORY_WAIT_S: Final = 1.5  # after a contact; a running planner answers twice within this time
+_NEAR_S: Final = 0.3  # an impact planned within this time is near
+_NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows its setpoints late
 _RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
 _LEFT_SHARE: Final = 0.5  # largest remaining share of a probe's retreat when the next leg begins
-_RETRY_US: Final = 1_000_000  # telemetry of mode and arming lags by up to a second
+_RETRY_US: Final = 1_000_000  # between retries: telemetry of mode and arming lags by up to a second
 _EVENTS: Final = frozenset({PlanAnswer, OperatorRequest})
 
 
@@ -121,7 +121,7 @@ class Executive:
             p.outputs.append(permission)
         step = self._steps.get(progress.phase)
         if step is not None and not (p.frame is not None and progress.anchors is not None and sensed.wall):
-            step(state, sensed, p)  # a correction of the frame has not reached the state yet
+            step(state, sensed, p)  # skipped after a frame correction, which the state does not contain yet
         p.expected = progress.expected = self._impacts.expected(progress, state)
         p.altitude_m = progress.course.altitude_m
         if type(item) is OdometrySample:
@@ -301,7 +301,10 @@ class Executive:
         if waypoint is not None:
             waypoint = update_waypoint(waypoint, self.progress.walls)
         if waypoint is not None and waypoint.position is None:
-            waits = f"waiting {waypoint.hold_s:g} s for the operator (Enter or SIGUSR1), then landing"
+            waits = (
+                f"waiting up to {waypoint.hold_s:g} s for the operator to continue (Enter or SIGUSR1); "
+                "lands if nobody does"
+            )
             self._transition(PhaseTrigger.NEXT_PAUSE, state, p, waits)
         elif waypoint is not None and waypoint.position is not None:
             self._transition(PhaseTrigger.NEXT_WAYPOINT, state, p, waypoint.name)
@@ -369,7 +372,7 @@ class Executive:
         self.progress.course = self.progress.course.fly_to(begin[:2], self._flying)
 
     def _replan_approach(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """Plan the approach to a wall's estimated position; if a probe has no `from_here`, keep its line."""
+        """Plan the approach to a wall's estimated position; a probe without `from_here` keeps its line."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
@@ -440,7 +443,7 @@ class Executive:
                 self._end_probe(collision, state, p)
             return
         since_s = self.progress.elapsed_us(state) * 1e-6 - self.progress.course.duration_s
-        # A trajectory may begin behind the plane, beside its wall.
+        # A trajectory may begin beside its wall, behind the wall's plane.
         if since_s > -_NEAR_S or collision.trajectory is None:
             self._check_contact_due(collision, state, sensed, p)
         if since_s <= 0.0:  # the timeout begins at the planned impact
@@ -497,7 +500,7 @@ class Executive:
         if rests or (following is not None and following.approach_m_s is not None):
             elapsed_us = self.progress.elapsed_us(state)
             rested = elapsed_us > _REST_AFTER_US and self._arrival.is_slow(state)
-            if probe is not None:  # PX4's integrators may still lean after a slow contact
+            if probe is not None:  # PX4's integrators may still lean the vehicle after a slow contact
                 left_m = distance2(state.position, self.progress.course.target)
                 rested = rested and left_m < _LEFT_SHARE * probe.back_m
             if rested or elapsed_us > _REST_TIMEOUT_US:
@@ -515,9 +518,9 @@ class Executive:
                 p.add_finding("wall_not_met", detail)
 
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
-        """Return the mode of the lock after a contact: that of the following collision.
+        """Return the mode of the lock after a contact: the mode of the following collision.
 
-        If the vehicle flies to waypoints or the goal, it is the transit mode.
+        If the vehicle flies to waypoints or the goal next, it is the transit mode.
         """
         return self.mission.transit_mode if following is None or stops else following.mode
 
@@ -563,12 +566,12 @@ class Executive:
             progress.least_miss_m = math.inf
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
-        if self.progress.lock.contact_end_us is None:  # the detector bounds the wait for it
+        if self.progress.lock.contact_end_us is None:  # still in contact; the detector limits this time
             return
         miss = distance2(state.position, self.mission.goal.position_m)
         self.progress.least_miss_m = min(self.progress.least_miss_m, miss)
         if self.progress.replan.trajectory is not None:
-            passed = self.progress.replan.is_over(state.now_us)  # it may lead away from the goal at first
+            passed = self.progress.replan.is_over(state.now_us)  # a trajectory may first lead away
         else:
             rising = miss > self.progress.least_miss_m + PASSED_RISE_M
             # A trajectory is expected, so wait longer.

@@ -26,7 +26,7 @@ class GroundPhases:
 
     def ready(self, progress: MissionState, state: FlightState) -> Change:
         """Wait for telemetry, the lock and a sufficiently accurate position."""
-        # Without a report the accuracy is not checked.
+        # If PX4 does not report the accuracy, it is not checked.
         mode, sd = self._mission.transit_mode, state.position_sd_m or 0.0
         judged = self._mission.collisions and progress.anchors is None
         limit = self._mission.vehicle.guard.position_sd_m if judged else math.inf
@@ -44,7 +44,7 @@ class GroundPhases:
         finding = None
         if progress.is_late(state):
             missing = [name for name, yes in there.items() if not yes]
-            # PX4 gives no reasons for the lock or for its uncertainty.
+            # PX4's texts explain neither an unready lock nor an uncertain position.
             why = "" if {*missing} <= {self._lock_name, sure} else state.reasons()
             finding = MissionFinding("not_ready", ", ".join(missing) + why)
         return Change(mode=mode, finding=finding)

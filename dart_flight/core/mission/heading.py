@@ -1,4 +1,4 @@
-"""The return to the wanted heading after a contact, as fast as PX4's yaw control permits, and its duration.
+"""The return to the wanted heading after a contact, as fast as PX4's yaw control permits.
 
 An oblique wall rotates the vehicle. The motors correct the yaw slowly, because only their drag torque acts
 about the vertical axis. If the heading command is a large step, PX4 overshoots, because its integrator winds
@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 from dart_flight.base.geometry import wrap_angle
 from dart_flight.config.vehicle import VehicleConfig
 
-_MOST_TORQUE: Final = 0.15  # normalised: PX4's reserve for yaw when motors saturate
-# Shares of the torque: available in any flight, and used for braking; the rest covers errors and delay.
+_MOST_TORQUE: Final = 0.15  # normalised torque that PX4 reserves for yaw when motors saturate
+# Shares of the torque: `_SURE` is available in any flight, `_BRAKING` is used to brake; the rest is margin.
 _SURE: Final = 0.85
 _BRAKING: Final = 0.5
 _STEP_S: Final = 0.02
@@ -73,7 +73,7 @@ class HeadingControl:
         return heading._replace(asked=asked, integral=integral, integral_us=now_us)
 
     def time_to_s(self, off: float, rate: float, within: float) -> float:
-        """Return the time after which the heading stays `within` a tolerance.
+        """Return the time after which the heading error stays below `within`, rad.
 
         `off` is the heading minus the wanted heading, rad; `rate` is in rad/s.
         """

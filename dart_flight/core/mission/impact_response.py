@@ -26,7 +26,7 @@ from dart_flight.core.mission.wall_uncertainty import early_m
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-_BOUNCES_US: Final = 1_000_000  # after an impact PX4 may lean on the wall again for this long
+_BOUNCES_US: Final = 1_000_000  # for this long after an impact, PX4 may lean the vehicle into the wall again
 _ANY_WALL: Final = ExpectedContact(watching=True)
 _NO_WALL: Final = ExpectedContact()
 
@@ -106,7 +106,7 @@ class ImpactResponse:
         return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
     def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
-        """Report a finding if vibration would hide the planned impact: PX4 would push into the wall."""
+        """Report a finding if vibration would hide the planned impact: PX4 would then push into the wall."""
         collision, vehicle = progress.collision, self._mission.vehicle
         if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
             return NO_CHANGE

@@ -27,7 +27,7 @@ def skip_reason(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None:
 
 
 def update_collision(collision: Collision, walls: EstimatedWalls, now_us: int, here: Vec2) -> Collision:
-    """Return a collision at its wall's estimated position; the impact point keeps its place along the wall.
+    """Return a collision at its wall's estimated position; the impact point keeps its position along it.
 
     `here` is the resting position, mission frame, at which a probe with `from_here` starts.
     """
@@ -42,7 +42,7 @@ def update_collision(collision: Collision, walls: EstimatedWalls, now_us: int, h
 
 
 def update_waypoint(waypoint: Waypoint, walls: EstimatedWalls) -> Waypoint:
-    """Return a waypoint with its place computed from the wall's estimated position."""
+    """Return a waypoint with its position relative to the wall's estimate."""
     if waypoint.at_wall is None or waypoint.wall_at is None or waypoint.position is None:
         return waypoint
     place = resolve_place(walls.known_wall(waypoint.wall_at), waypoint.at_wall)

@@ -13,14 +13,14 @@ from dart_flight.config.vehicle import LockConfig
 from dart_flight.core.sense.state import FlightState
 
 RETRY_US: Final = 1_000_000
-_OVERDUE_US: Final = 50_000  # two polls of the lock
+_OVERDUE_US: Final = 50_000  # tolerance: two polls of the lock
 
 
 class LockCommandState(NamedTuple):
     """State of the commands to the lock; the lock's own state is separate. Times are autopilot time.
 
     Attributes:
-        contact_begin_us, contact_end_us: of the last contact; the end is None during a contact.
+        contact_begin_us, contact_end_us: times of the last contact; the end is None during a contact.
         permitted: whether the lock may move; None if not decided yet.
         commanded, commanded_us: the last commanded mode, and the time of the command in this phase.
     """

@@ -19,7 +19,7 @@ from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-_SLOWEST: Final = 3.0  # host time over vehicle time
+_SLOWEST: Final = 3.0  # host seconds per vehicle second in the slowest simulation
 
 
 class MissionState:
@@ -36,7 +36,7 @@ class MissionState:
         walls: walls as estimated from contacts.
         anchors: contacts that corrected the mission frame; None if PX4's position does not drift.
         contact_height_m: height above the centre of mass at which the walls' force acts; None if unknown.
-        arrived_us, reached_us, captured_us: times of arrival: at the target, at the waypoint, at the goal.
+        arrived_us, reached_us, captured_us: times of arrival at the target, at the waypoint and at the goal.
         least_miss_m: smallest distance to the goal after the last contact.
         final_error_m: distance from the goal after the goal has been held; None before.
         stood_at_ned: position of the vehicle when the mission frame was set.

@@ -25,8 +25,8 @@ class PhaseTrigger(StrEnum):
     NO_LOCK = "arrived, no lock to move"
     ONSET = "force over threshold"
     PEAK = "peak of normal force"
-    STOOD_OFF = "stopped before the wall"  # a rehearsal
-    NOT_MET = "nothing met"  # a probe
+    STOOD_OFF = "stopped before the wall"  # in a rehearsal
+    NOT_MET = "nothing met"  # after a probe
     RESTED = "rested, next approach"
     PASSED = "goal passed"
     TIMED_OUT = "goal not passed in time"

@@ -23,7 +23,7 @@ from dart_flight.core.mission.wall_uncertainty import position_margin_m
 ATTITUDE_LAG_S = 0.15
 
 
-STOP_TIME_S = 0.5  # the loop stops within a distance of about half a second times speed
+STOP_TIME_S = 0.5  # the loop's stopping distance is about half a second times the speed
 _STEP_S = 0.01
 _BEHIND_M = 0.3  # beyond this distance behind the plane the vehicle is on the other side of the wall
 
@@ -82,7 +82,7 @@ def predict_impact(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> PlaneImpact | None:
-    """Predict the impact with a plane on the way to a setpoint; None: there is none within `horizon_s`.
+    """Predict the impact with a plane on the way to a setpoint, or None if none occurs in `horizon_s`.
 
     The arguments are those of `least_distance_m`.
     """
@@ -107,7 +107,7 @@ def least_distance_m(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> float:
-    """Predict the smallest signed distance between a plane and the vehicle, which flies to a setpoint.
+    """Predict the smallest signed distance from a plane of a vehicle that flies to a setpoint.
 
     If the distance only increases, this is the present distance. `target_distance_m` is the distance of the
     setpoint from the plane; speed and acceleration are positive towards the plane.

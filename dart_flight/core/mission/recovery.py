@@ -13,8 +13,8 @@ from typing import Final
 
 from dart_flight.base.geometry import Vec2, Vec3
 
-# Both the flight and the planner count the goal as passed if the distance has risen by more than its noise;
-# the first moments after a contact do not yet show the direction.
+# Flight and planner count the goal as passed once the distance to it has risen by more than its noise. The
+# first moments after a contact do not count, because the direction of the motion is not yet clear.
 PASSED_RISE_M: Final = 0.03
 PASSED_AFTER_S: Final = 0.25
 

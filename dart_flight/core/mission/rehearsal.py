@@ -33,7 +33,7 @@ class Rehearsal(Executive):
             p.add_finding("transit_timeout", "the standoff point was not reached in time")
 
     def _stand_off(self, state: FlightState) -> None:
-        """Hold the point before the wall, and advance to the next collision or the goal."""
+        """Hold position at the standoff point, and advance to the next collision or the goal."""
         progress = self.progress
         progress.lock = progress.lock.contact_ends(state.now_us)
         progress.course = progress.course.hold(progress.course.target)

@@ -20,7 +20,7 @@ class Replan(NamedTuple):
         request: the request that an answer must match.
         answer: accepted answer that is not flown yet.
         from_rest: whether the request was for an approach from rest.
-        trajectory, begin_us: the active trajectory and its beginning.
+        trajectory, begin_us: the active trajectory and its start time.
         ends_leaning: whether the trajectory ends with the lean that the impact needs, like the mission's own
             trajectories.
         must_not_be_later: whether to reject a new trajectory that ends much later than the active trajectory.
@@ -50,7 +50,7 @@ class Replan(NamedTuple):
 
     @property
     def since_us(self) -> int | None:
-        """Beginning of the active trajectory, or None if only a position setpoint is active."""
+        """Start time of the active trajectory, or None if only a position setpoint is active."""
         return None if self.trajectory is None else self.begin_us
 
     @property

@@ -24,8 +24,8 @@ from dart_flight.core.mission.wall_uncertainty import late_s
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_FELT_WITHIN_US = 150_000  # after a contact's end: three times the latency of a fit (docs/felt.md)
-# Along a trajectory: shortest time after the previous request, and before the trajectory's end.
+_FELT_WITHIN_US = 150_000  # longest wait for a fit: three times its latency (docs/felt.md)
+# A request along a trajectory keeps these times from the previous request and from the trajectory's end.
 _AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000
 _HELD_TO_M = 0.2
 _TRIES = 6  # requests for a trajectory after one contact
@@ -85,7 +85,7 @@ class ReplanRequests:
             setpoint_mission=progress.course.target,
             lock_ready_us=None if ready_us is None else max(ready_us, square_us),
             under_way=again and replan.trajectory is not None and not turned,
-            # needed for the lean into a wall at the end of a mission's trajectory
+            # The planner needs the height for the lean at the end of a mission's trajectory.
             contact_height_m=sensed.height_m if along else None,
             coasts=coasts or turned,
         )
@@ -102,8 +102,8 @@ class ReplanRequests:
     def _should_wait_for_wall(self, progress: MissionState, replan: Replan, state: FlightState) -> bool:
         """Return whether the estimate of the last wall is worth waiting for.
 
-        It is if the vehicle hits that wall again next. It is also if contacts correct the frame, because a
-        trajectory in the old frame would begin in the wrong place.
+        The wait is worthwhile if the vehicle hits that wall again next. It is also worthwhile if contacts
+        correct the frame, because a trajectory in the old frame would begin at the wrong point.
         """
         following = progress.collision
         returns = following is not None and following.wall.name == progress.last_collision.wall.name
@@ -217,7 +217,7 @@ def _is_consistent(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> b
 def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> str:
     """Return the reason not to fly an answer's trajectory from the present state, or ""."""
     if _active_is_faster(replan, trajectory, answer, state):
-        return "the trajectory flown is quicker"
+        return "the active trajectory ends sooner"
     at = trajectory.at((state.now_us - answer.begin_us) * 1e-6)
     beside_m = math.dist(at.position[:2], state.position[:2])
     beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])

@@ -1,4 +1,4 @@
-"""Selection of a phase's heading and setpoint: on a trajectory, coasting, in contact, or a step."""
+"""Selection of a phase's heading and setpoint: along a trajectory, coasting, in contact, or as a step."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, Setpoi
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
-_COASTING_S: Final = 0.25  # before an impact: response time of the attitude
-_COASTS_US: Final = 500_000  # after a contact: time for an answer, even to a second request
+_COASTING_S: Final = 0.25  # longest coasting before an impact: the response time of the attitude
+_COASTS_US: Final = 500_000  # coasting after a contact: time for an answer, even to a second request
 _SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s rotates the vehicle little
 _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
-# Phases in which a trajectory leads to the target from the beginning; in a rehearsal also the recovery.
+# Phases that begin with a trajectory to the target; a rehearsal adds the recovery.
 _UNDERWAY: Final = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
-_OFF_TIME_S: Final = 0.1  # largest difference between the own and the planned time of an impact
+_OFF_TIME_S: Final = 0.1  # largest correction for an impact that comes sooner or later than planned
 _CLOSES_M_S: Final = 0.3
-# [ours] Share of the attitude's delay that the jerk does not lead; chosen on six seeds with PX4
+# [ours] Share of the attitude's delay that the jerk term leaves out; chosen on six seeds with PX4.
 _STRAIGHT_SHARE: Final = 0.5
 _NONE: Final[Vec3] = (0.0, 0.0, 0.0)
 
@@ -45,7 +45,7 @@ class SetpointSelection:
         self._underway = _UNDERWAY | {Phase.RECOVERY} if rehearsed else _UNDERWAY
         # Missions along trajectories leave no time to come to rest between impacts.
         self._control = None if mission.goal_trajectory is None else HeadingControl(vehicle)
-        # Trajectories after contacts, by the collision that they lead to; None: to the goal.
+        # Trajectories after contacts, by the collision that they lead to; None is the goal.
         self._written = {
             index: Trajectory.from_mission(pieces, mission.altitude_m)
             for index, pieces in (
@@ -230,7 +230,7 @@ class SetpointSelection:
         tilted = flown if tilted_s == flown_s else trajectory.at(tilted_s)
         v, a, b = flown.velocity, tilted.acceleration, self._airframe.drag_per_s
         d, lead = 1.0 + self._kd, ATTITUDE_LAG_S - (_STRAIGHT_SHARE if straight_on else 1.0) * self._dead_s
-        # The jerk of a rest-to-rest flight is discontinuous at both ends, so it is not led.
+        # The jerk of a rest-to-rest flight is discontinuous at both ends, so it is not fed forward.
         j = tilted.jerk if trajectory.after is AfterEnd.CONTINUE else _NONE
         push = (
             (d + lead * b[0]) * a[0] + b[0] * v[0] + lead * j[0],

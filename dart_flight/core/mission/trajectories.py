@@ -19,8 +19,8 @@ from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import Flying
 
 _MIN_TRANSIT_S = 0.1
-_AT_REST_M_S, _LEVEL_M_S2 = 0.01, 0.01  # at the end of a trajectory; larger than rounding errors
-# Rest to rest over a distance of 1 in a time of 1, constant term first.
+_AT_REST_M_S, _LEVEL_M_S2 = 0.01, 0.01  # a trajectory ends at rest or level below these
+# Coefficients from rest to rest over a distance of 1 in a time of 1, constant term first.
 _REST_TO_REST = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
 
 
@@ -36,8 +36,8 @@ class TrajectoryPoint(msgspec.Struct, frozen=True, gc=False):
 class AfterEnd(StrEnum):
     """Motion after the end of a trajectory."""
 
-    HOLD = "hold"  # at rest at the end
-    CONTINUE = "continue"  # straight on at the final velocity, as through a wall
+    HOLD = "hold"  # the vehicle rests at the end
+    CONTINUE = "continue"  # the vehicle flies straight on at the final velocity, as if through a wall
 
 
 def transit_time_s(

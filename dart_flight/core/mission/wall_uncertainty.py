@@ -1,6 +1,6 @@
 """The possible positions of a wall, and their consequences for a flight to it (docs/walls.md).
 
-A wall may have standard deviations of its place and direction. An approach allows for three standard
+A wall may have standard deviations of its position and direction. An approach allows for three standard
 deviations, in addition to the tolerances of `guard:`. The tolerances also apply to walls without standard
 deviations.
 """
@@ -19,7 +19,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle.flying import GuardThresholds
 from dart_flight.core.mission.anchors import FrameAnchors
 
-SURE_SD = 3.0  # number of standard deviations that are allowed for
+SURE_SD = 3.0  # number of standard deviations that approaches allow for
 _MIN_CLOSING_M_S = 0.1
 _SURE_DIRECTION_RAD = 0.05  # a direction estimated less accurately does not change the heading
 
@@ -124,16 +124,16 @@ def _updated_wall(before: Wall, written: Wall, estimate: WallEstimate) -> Wall:
         estimate.plane_normal_mission,
     )
     figures = written.position_sd_m is not None or written.yaw_sd_rad is not None
-    if place is None or normal is None:  # relative to the assumed position
+    if place is None or normal is None:  # the contact gives an offset from the assumed plane
         sd_m = None if written.position_sd_m is None else min(written.position_sd_m, sure_m)
         return msgspec.structs.replace(before.displaced(estimate.plane_offset_m), position_sd_m=sd_m)
-    if not (figures or written.sought):  # relative to the mission's plane, whose direction is assumed exact
+    if not (figures or written.sought):  # shift the mission's plane, whose direction is assumed exact
         return written.displaced(written.signed_distance(place))
     sure_rad = estimate.plane_normal_sigma_rad
-    if written.yaw_sd_rad is None:  # direction assumed exact
+    if written.yaw_sd_rad is None:  # the wall's direction is assumed exact
         normal, sure_rad = written.normal, None
     found = msgspec.structs.replace(before, normal=normal, sought=False)
-    if before.sought:  # the contact becomes its middle
+    if before.sought:  # a probe found the wall: the contact becomes its middle
         middle = place
     else:
         along, (tx, ty) = before.along(place), found.tangent

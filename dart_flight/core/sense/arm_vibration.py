@@ -42,7 +42,9 @@ class ArmFilter:
         self._x = self._vx = self._y = self._vy = 0.0
 
     def add(self, ax: float, ay: float) -> tuple[float, float]:
-        """Return the IMU reading, m/s2, if a contact accelerates the centre of mass; inverts `remove`."""
+        """Return the IMU reading, m/s2, when a contact accelerates the centre of mass by (ax, ay).
+
+        This is the inverse of `remove`."""
         swing = self._share / self._tick_s
         out = (
             ax / self._gain - swing * (self._f21 * self._x + (self._f22 - 1.0) * self._vx),

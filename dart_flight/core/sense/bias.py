@@ -21,14 +21,14 @@ HOVER_SPEED_M_S: Final = 0.4
 HOVER_RATE_RAD_S: Final = 0.3  # sum of the body rates' magnitudes
 LEARNING_S: Final = 2.0  # time constant of bias and thrust scale, longer than any contact
 BIAS_LIMIT_M_S2: Final = 0.4  # per axis; PX4 has already removed most of the bias
-THRUST_SCALE_LIMIT: Final = 0.25  # 4.3 standard deviations for 3 % spread of mass and 5 % of battery
-BASELINE_S: Final = 0.25  # wind and thrust error are slower, a contact is shorter
+THRUST_SCALE_LIMIT: Final = 0.25  # 4.3 standard deviations if the mass spreads by 3 % and the battery by 5 %
+BASELINE_S: Final = 0.25  # time constant: wind and thrust errors are slower, and contacts are shorter
 _NOISE_TIME_S: Final = 0.5
 _MIN_NOISE2: Final = 1e-4  # m2/s4
 _SCALE_STEP: Final = 0.25
 _LEARNT: Final = 0.4  # output of a low-pass, as a share of its final value, after half a time constant
-_BASELINE_DELAY: Final = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
-_BASELINE_STEP_N: Final = 2.0  # the baseline follows larger differences no faster
+_BASELINE_DELAY: Final = 10  # samples: within 40 ms even a slow contact reaches the threshold
+_BASELINE_STEP_N: Final = 2.0  # the baseline does not follow larger differences faster
 
 
 class HoverBias:

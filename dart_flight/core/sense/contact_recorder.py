@@ -30,9 +30,9 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Events, ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-ANSWER_WITHIN_US: Final = 300_000  # after a contact's end: before the next approach from rest is planned
+ANSWER_WITHIN_US: Final = 300_000  # longest wait for a fit; the next approach from rest is planned later
 _BEFORE: Final = 4  # samples kept from before the first one above the noise
-_MAX: Final = 160  # samples of a contact
+_MAX: Final = 160  # most samples kept of a contact
 # Standard deviation of a plane located by the onset alone: detection is late, and the body is no circle.
 _MET_SD_M: Final = 0.03
 
@@ -137,7 +137,7 @@ def undecided(request: ContactRequest, wall: Wall, vehicle: VehicleConfig, probl
     """Return a wall estimate without a fit.
 
     The estimate has the coefficients of the configuration and the known plane. If the plane is uncertain, or
-    a probe searches for the wall, the plane of the estimate passes through the place of the contact.
+    a probe searches for the wall, the plane of the estimate passes through the point of contact.
     """
     onset, mode = request.onset, request.mode_reported or vehicle.modes[-1]
     c, sd = vehicle.materials[wall.material].coefficients(mode), vehicle.estimation.walls.spread

@@ -28,27 +28,27 @@ from dart_flight.core.sense.pulse import NormalPulse, PulsePrior, TickReading, f
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 
-RELEASE_FRACTION: Final = 0.4  # of the threshold: a contact ends below it
-PEAK_DROP_FRACTION: Final = 0.12  # of the top: a drop of the force that ends the search for the peak
-CONTACT_END_S: Final = 0.012  # below the release level: three samples, so that noise alone ends no contact
+RELEASE_FRACTION: Final = 0.4  # a contact ends below this share of the threshold
+PEAK_DROP_FRACTION: Final = 0.12  # a drop by this share of the top ends the search for the peak
+CONTACT_END_S: Final = 0.012  # time below the release level; three samples, because one may be noise
 SURE_SIGMA: Final = 2.5  # one sample this many deviations over the threshold is sufficient
 SHORT_WINDOW_S: Final = 0.032  # rigid contacts of 46 to 54 ms keep 85 % of their peak in this mean
 LONG_WINDOW_S: Final = 0.1  # flexible contacts of 145 to 183 ms keep 83 % of their peak in this mean
 PULSE_MISFIT: Final = 3.0  # mean square of the normalised residuals above which the model does not fit
-_RISE_SHARE: Final = 0.3  # of the threshold: above it a sample before the crossing belongs to the contact
-_PEAK_DROP_SHARE: Final = 0.25  # of the threshold: a smaller drop is noise
-_DROP_SIGMA: Final = 2.5  # ... as is a drop within this many standard deviations of the smoothed force
+_RISE_SHARE: Final = 0.3  # earlier samples above this share of the threshold belong to the contact
+_PEAK_DROP_SHARE: Final = 0.25  # a drop by less than this share of the threshold is noise
+_DROP_SIGMA: Final = 2.5  # so is a drop by less than this many standard deviations of the smoothed force
 _SMOOTH_SHARE: Final = 0.02  # samples are averaged until their noise is this share of the top
 _MAX_SMOOTH: Final = 5
 _TOP_SHARE: Final = 0.7  # samples above this share of the maximum are the top of the pulse
-_TOP_REACH: Final = 4  # samples on either side, at most
+_TOP_REACH: Final = 4  # the top has at most this many samples on either side of the maximum
 _BEFORE: Final = 8  # samples kept from before the crossing
-_FAR_SIGMA: Final = 4.6  # threshold over the noise of one sample above which two samples in a row suffice
-# Added for one and for two samples: noise crosses a threshold there more often than in a long mean.
+_FAR_SIGMA: Final = 4.6  # if the threshold is this many times the noise, two samples in a row suffice
+# Added to the thresholds of one and two samples, which noise crosses more often than those of long means.
 _SHORT_SIGMA: Final = 1.0
 _MARGIN_SIGMA: Final = 1.0  # margin over the threshold from which detection is guaranteed
-_NOISY_BASELINE: Final = 0.4  # of its usual rate: a faster baseline would follow the vibration
-_LONGEST_CONTACT_S: Final = 0.5  # noise may hide the end of a contact
+_NOISY_BASELINE: Final = 0.4  # share of the usual rate; a faster baseline would follow the vibration
+_LONGEST_CONTACT_S: Final = 0.5  # a contact then counts as ended, because noise may hide its end
 _INTO_WALL: Final = 0.1  # share of the force that may point into the expected wall at the onset
 
 
@@ -59,7 +59,7 @@ class ExpectedContact(NamedTuple):
         watching: whether a contact counts as an impact; False on the ground, in the climb and on landing.
         normal: outward normal of the next planned wall, mission frame, or None if no wall is expected.
         material: key of the materials table; the coefficients are the prior of the pulse fit.
-        wall: that wall, with its name and plane. The contact's wall estimate gets the same name.
+        wall: the next planned wall, with its name and plane. The contact's wall estimate gets the same name.
     """
 
     watching: bool = False
@@ -117,8 +117,8 @@ class ImpactDetector:
         self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
         # A window holds the samples that are younger than its length.
         self._held = [max(1, math.ceil(s / tick_s - 1e-9)) for s in lengths]
-        self._detecting_window: WindowMean | None = None  # that detected the current contact, if any
-        self._threshold = self._config.force_threshold_n  # the threshold that detected it
+        self._detecting_window: WindowMean | None = None  # the window that detected the contact
+        self._threshold = self._config.force_threshold_n  # the threshold that detected the contact
         most = max(_BEFORE, round(LONG_WINDOW_S / tick_s) + _BEFORE)
         self._before: deque[_Sample] = deque(maxlen=most)
         self._samples: list[_Sample] = []

@@ -25,7 +25,7 @@ from dart_flight.base.linear_algebra import Rows, solve
 
 _MAX_BINS: Final = 13
 _STEPS: Final = 8
-# Error of the model itself, relative to the top, so that a quiet sensor does not get too much weight.
+# The model's own error, relative to the top; without it, a quiet sensor would get too much weight.
 _MODEL_ERROR: Final = 0.01
 _PRIOR_LOG_OMEGA: Final = 0.25
 _PRIOR_LOG_KAPPA: Final = 1.0
@@ -332,7 +332,7 @@ def fit_friction(
 
     log_kappa, here = middle, cost(middle)
     for _ in range(_STEPS):
-        # Newton's method in one dimension, with derivatives by differences; `cost` optimises the speed.
+        # Newton's method in one dimension, with derivatives by differences; `cost` finds the best speed.
         low, high = cost(log_kappa - h), cost(log_kappa + h)
         slope, curve = (high - low) / (2.0 * h), (high - 2.0 * here + low) / (h * h)
         step = -slope / curve if curve > 0.0 else -math.copysign(0.4, slope)

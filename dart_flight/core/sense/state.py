@@ -28,12 +28,12 @@ from dart_flight.base.records import (
 )
 
 _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
-_TEXT_AGE_US: Final = 15_000_000  # older texts of PX4 are not given as reasons
+_TEXT_AGE_US: Final = 15_000_000  # PX4's older texts are not given as reasons
 _MAX_REASONS: Final = 6
 _LEAP_US: Final = 1_000_000
 _FURTHEST_M: Final = 1e5  # larger positions in PX4's local frame are implausible
 _FASTEST_M_S: Final = 1e3
-_FASTEST: Final = 20  # simulated seconds per second
+_FASTEST: Final = 20  # speed of the fastest simulation, simulated seconds per second
 _LEAPS_ACCEPTED: Final = 25
 _VELOCITIES_KEPT_US: Final = 1_000_000
 
@@ -56,17 +56,17 @@ class FlightState:
         self.attitude: AttitudeSample | None = None
         self.odometry: OdometrySample | None = None
         self.actuator: ActuatorSample | None = None
-        self.pose: PoseSample | None = None  # of the motion capture, if this program forwards it
+        self.pose: PoseSample | None = None  # from motion capture, if this program forwards poses
         self.status = StatusSample(t_us=0, received_us=0)
         self.in_offboard = self.on_ground = False  # as reported by PX4
-        self.position_sd_m: float | None = None  # of the horizontal position, as reported by PX4
+        self.position_sd_m: float | None = None  # horizontal, as reported by PX4
         self.position_ahead_s: float | None = None  # lead over the IMU; negative if behind, None if not known
         self.lock = LockState(t_us=0, phase=LockPhase.UNKNOWN, mode=None)
         if not has_lock:
             self.lock = LockState(t_us=0, phase=LockPhase.SETTLED, mode=Mode.RIGID)
         self.position: Vec3 = (0.0, 0.0, 0.0)
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
-        self.acceleration: Vec3 = (0.0, 0.0, 0.0)  # of the odometry's velocity, lightly filtered
+        self.acceleration: Vec3 = (0.0, 0.0, 0.0)  # lightly filtered change of the odometry's velocity
         self.yaw = 0.0
         self.tilt_rad = 0.0
         self._velocities: deque[tuple[int, Vec3]] = deque()
@@ -175,7 +175,7 @@ class FlightState:
         self.host_us = max(self.host_us, tick.host_us)
         if self.clock_offset_us is not None:
             now_us = self.host_us + self.clock_offset_us
-            if self._stamp_us:  # limit it, because the clock offset may be that of another vehicle
+            if self._stamp_us:  # limit the advance, because the offset may be another vehicle's
                 now_us = min(now_us, self._stamp_us + self.host_us - self._stamped_us + _LEAP_US)
             self.now_us = max(self.now_us, now_us)
 
@@ -285,7 +285,7 @@ class FlightState:
     def reasons(self, command: str | None = None) -> str:
         """Return the reasons why PX4 does not act, from faults found on the link and PX4's own texts.
 
-        The text is to be appended, such as "; PX4 reports: No offboard signal", or empty. If there is no
+        The result is empty, or text to append such as "; PX4 reports: No offboard signal". If there is no
         other reason, it is PX4's answer to the refused `command`.
         """
         own = self._recent(self._found_on_link)
@@ -300,7 +300,7 @@ class FlightState:
             return f"{here}; PX4 reports: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
         answer = self._refused.get(command or "")
         answered = f"{here}; PX4 answers: {answer}" if answer else here
-        if also:  # not necessarily the reason, but an older PX4 reports nothing else
+        if also:  # perhaps not the reason, but an older PX4 reports nothing else
             return f"{answered}; PX4 gives no reason, but reports: " + ", ".join(also)
         return answered
 

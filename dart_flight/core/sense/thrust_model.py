@@ -44,7 +44,7 @@ class LaggedCommands:
             return
         self.newest_us = t_us
         if self._target is None:
-            # Assume that the first command has been in effect for long.
+            # Assume that the first command has been in effect for a long time.
             self._target = self.value = values
         else:
             self._pending.append((t_us, values))

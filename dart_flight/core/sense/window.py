@@ -15,12 +15,12 @@ from typing import Final
 from dart_flight.base.filters import VarianceEstimate
 from dart_flight.base.geometry import Vec2
 
-# Time constants of two variances, of which the larger counts: noise counts at once and decays slowly.
+# Time constants of two variances. The larger variance counts, so that noise counts at once and decays slowly.
 _QUICK_S: Final = 0.5
 _SLOW_S: Final = 5.0
 _MIN_N2: Final = 1e-4
 _ASSUMED: Final = 5  # weight of the initial noise, in samples
-_DELAY: Final = 10  # samples: the start of a contact is discarded at its onset
+_DELAY: Final = 10  # samples before a mean is learnt, so that an onset can discard a contact's start
 
 
 class WindowMean:

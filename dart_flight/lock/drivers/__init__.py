@@ -1,9 +1,9 @@
 """Drivers of the lock's servo: one interface, one file per driver, and a table of the drivers.
 
 Calls may block for some tens of milliseconds, so the caller makes them in a separate thread. A driver raises
-only `DriverError`, for any failure of the hardware. The driver stays usable afterwards: the next call tries
-to reach the hardware again, so a cable may be unplugged and reconnected. docs/extending.md describes how to
-add a driver.
+only `DriverError`, for any failure of the hardware. The driver stays usable after an error: the next call
+tries to reach the hardware again, so a cable may be unplugged and reconnected. docs/extending.md explains how
+to add a driver.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def make_driver(
     """Return a driver of the lock's servo, for simulated time; for real hardware, use `owned_driver`.
 
     Args:
-        kind: by default the configured kind.
+        kind: kind of driver; by default the configured kind.
         clock_us: time base of the mock, microseconds; only the mock needs it.
         link: connection to PX4; only the px4 driver needs it.
         faults: initial faults of the mock's servo.

@@ -42,7 +42,7 @@ SERIAL_ERRORS = 0b0011_1111  # errors after which a command may be lost
 
 _ATTEMPTS = 3
 _MAX_POSITION = 4095 * QUARTERS_PER_US  # longest servo pulse
-_MAX_RAMP_BETWEEN = 16 * QUARTERS_PER_US  # change of a moving position between two queries
+_MAX_RAMP_BETWEEN = 16 * QUARTERS_PER_US  # largest change of a moving position between two queries
 
 
 def error_names(bits: int) -> tuple[str, ...]:
@@ -84,7 +84,7 @@ class MaestroDriver:
                 exclusive=True,
             )
         except (OSError, ValueError, termios.error) as error:
-            # pyserial's SerialException is an OSError; its texts name the port themselves.
+            # pyserial's SerialException is an OSError; its message already names the port.
             raise DriverError(f"cannot open {name}: {_short_message(error)}", key) from None
         self._query_errors()  # clears old errors and verifies that a Maestro answers
         speed = round(self._config.speed_limit_us_s / SPEED_UNIT_US_S)

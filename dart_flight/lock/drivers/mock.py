@@ -23,7 +23,7 @@ class MockFaults(msgspec.Struct, frozen=True):
     Attributes:
         servo: faults of the servo itself: stuck, slow or stalled.
         unplugged: the controller does not answer; the servo keeps the last pulse.
-        brown_out: `BROWN_OUT_S` after the start of every travel, the controller restarts, and outputs no
+        brown_out: the controller restarts `BROWN_OUT_S` after the start of every travel, and then outputs no
             pulses until the next command.
         switch_silent: the limit switches never close.
     """
@@ -37,7 +37,7 @@ class MockFaults(msgspec.Struct, frozen=True):
 class MockDriver:
     """Model of the configured servo, with the configured limit switches."""
 
-    BROWN_OUT_S = 0.06  # after the start of a travel: the starting current drains the supply's capacitors
+    BROWN_OUT_S = 0.06  # time from the start of a travel until the starting current drains the capacitors
 
     def __init__(
         self,

@@ -39,7 +39,7 @@ _BOARDS: Final[Mapping[str, _BoardPwm]] = {  # by device, as pwmchipN/device nam
     "fe20c000.pwm": _BoardPwm("Raspberry Pi 4", 0),
     "3f20c000.pwm": _BoardPwm("Raspberry Pi 3", 0),
 }
-_APPEAR_S = 1.0  # udev needs a moment to give the new files to their group
+_APPEAR_S = 1.0  # longest wait for udev to give the new files to their group
 
 
 def write_attribute(path: Path, text: str) -> None:

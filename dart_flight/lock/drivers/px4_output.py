@@ -1,4 +1,4 @@
-"""PX4's own servo output: MAV_CMD_DO_SET_ACTUATOR through a callable of the shell.
+"""PX4's own servo output: MAV_CMD_DO_SET_ACTUATOR through a function of the shell.
 
 PX4 acknowledges the command whether or not a servo is connected. Before arming, PX4 moves the output only if
 COM_PREARM_MODE permits this. `required_parameters` lists the parameters and values that the servo needs.
@@ -130,7 +130,7 @@ class Px4Driver:
             value = actuator_value(self._config, pulse_us)
             self._link.set_actuator(self._config.px4.actuator_index, value)
         except Exception as error:
-            # The shell's callable may raise anything; after any exception the lock has not moved.
+            # The shell's function may raise any exception; the lock has then not moved.
             expected = isinstance(error, FlightError | OSError | ValueError)
             what = str(error) if expected else f"the command was not sent: {type(error).__name__}: {error}"
             raise DriverError(f"PX4 actuator {self._config.px4.actuator_index}: {what}") from error

@@ -28,7 +28,7 @@ from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
 _GUST_S = 0.6
-_INTRUDER_EVERY = 12  # ticks; a second ground station sends at 20 Hz, like this program
+_INTRUDER_EVERY = 12  # ticks: a second ground station sends at 20 Hz, like this program
 
 
 class FaultSite(StrEnum):
@@ -140,7 +140,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "wall-nearer", _P.PLANT, "the walls are nearer than planned by this distance", "m", 0.3, -1.0, 1.0
     ),
-    FaultKind("other-material", _P.PLANT, "each wall is of the stiffest material that differs from its own"),
+    FaultKind("other-material", _P.PLANT, "each wall has the stiffest material other than its own"),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
     FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
     FaultKind(
@@ -356,7 +356,7 @@ class VehicleFault:
         here = plant.frame.point_from_ned(plant.position)
         for plane in plant.planes:
             if -1.0 < plane.wall.signed_distance(here) < d + 0.1:
-                continue  # skip a wall that would move into the vehicle: the fault is a wrong survey
+                continue  # skip a wall that would move into the vehicle, because no survey is that wrong
             plane.move(d)
 
     def _begin_other_material(self) -> None:

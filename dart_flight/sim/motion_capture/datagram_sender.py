@@ -11,7 +11,7 @@ _LOOPBACK: Final = "127.0.0.1"
 
 
 class DatagramSender:
-    """A sender of datagrams to a receiver that may not listen yet; `scheme` is the pose source's."""
+    """A sender of datagrams to a receiver that may not listen yet; `scheme` is the URL's scheme."""
 
     def __init__(self, scheme: str, body: str) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -16,7 +16,7 @@ from dart_flight.base.geometry import Quaternion, Vec3
 
 _CONNECT, _SERVER_INFO, _REQUEST_MODEL, _MODEL, _FRAME, _DISCONNECT, _KEEP_ALIVE = 0, 1, 4, 5, 7, 9, 10
 _LOOPBACK: Final = "127.0.0.1"
-_TICKS_PER_S: Final = 10_000_000  # of the performance counter of Windows
+_TICKS_PER_S: Final = 10_000_000  # frequency of Windows' performance counter
 _OTHER_ID, _BODY_ID = 1, 7
 _RIGID_BODY: Final = 1  # type of a data description
 _POLL_S: Final = 0.2
@@ -67,7 +67,7 @@ class NatNetServer:
                     self._socket.sendto(answer(), client)
             elif kind == _KEEP_ALIVE and client not in self._clients:
                 link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-                link.connect(client)  # so that a client that is gone is noticed
+                link.connect(client)  # connect, so that a lost client raises an error
                 with self._lock:
                     self._clients[client] = link
             elif kind == _DISCONNECT:

@@ -17,13 +17,13 @@ from xml.sax.saxutils import escape
 from dart_flight.base.geometry import Quaternion, Vec3, rotate
 
 _LOOPBACK: Final = "127.0.0.1"
-_ERROR, _COMMAND, _XML, _DATA = 0, 1, 2, 3  # types of a packet
-_SIX_DOF: Final = 5  # type of a component
+_ERROR, _COMMAND, _XML, _DATA = 0, 1, 2, 3  # packet types
+_SIX_DOF: Final = 5  # component type
 _HEADER: Final = struct.Struct("<II")
 _BODY: Final = struct.Struct("<3f9f")
 _MAX_COMMAND: Final = 65536
 _POLL_S: Final = 0.2
-_SEND_S: Final = 2.0  # a client that reads nothing for so long is dropped
+_SEND_S: Final = 2.0  # a client that reads nothing for this long is dropped
 
 
 def _packet(kind: int, payload: bytes) -> bytes:

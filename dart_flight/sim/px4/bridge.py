@@ -43,12 +43,12 @@ from dart_flight.sim.wind import Wind
 
 _PX4_G_M_S2 = 9.80665  # PX4's CONSTANTS_ONE_G, which differs from our gravity
 
-# PX4 stores the simulated accelerometer as 16-bit counts of 1/2048 g without saturation: one count more wraps
-# around to the other sign. It truncates the fraction and counts only +32767 as clipped, hence the 0.4.
+# PX4 stores the simulated accelerometer as 16-bit counts of 1/2048 g without saturation, so a larger reading
+# changes its sign. PX4 truncates the fraction and counts only +32767 as clipped, hence the 0.4.
 ACCELEROMETER_LIMIT_M_S2 = 32767.4 / 2048.0 * _PX4_G_M_S2
 GYRO_LIMIT_RAD_S = math.radians(2000.0 * 32767.0 / 32768.0)
 
-# PX4's position: near Zurich, with the magnetic field of its own world model there.
+# PX4's home position near Zurich, with the magnetic field of PX4's world model there.
 HOME_LAT_DEG, HOME_LON_DEG, HOME_ALTITUDE_M = 47.397742, 8.545594, 488.0
 HOME_FIELD_GAUSS: Vec3 = (0.21475, 0.00797, 0.42817)
 _EARTH_RADIUS_M = 6371000.0  # PX4's projection uses the same sphere
@@ -196,7 +196,7 @@ class Px4Vehicle:
         self._motors, self._servo_channel = len(self.plant.motors), servo_channel(self.vehicle)
         self._ticks = self._slow_tick = 0
         self.clipped = 0  # ticks with a saturated accelerometer axis
-        self._unreported: list[tuple[Vec3, Vec3]] = []  # specific force and rate of ticks not yet sent
+        self._unreported: list[tuple[Vec3, Vec3]] = []  # specific force and rate of each unsent tick
         self._others: list[Any] = []
         self._last_sensor: Any = None
 
@@ -221,7 +221,7 @@ class Px4Vehicle:
         controls = self._link.controls
         m = controls.values
         if self._lock_by_px4 is not None and self._servo is not None:
-            # While disarmed PX4 sets all simulated outputs to zero, which is no servo command.
+            # A disarmed PX4 sets all simulated outputs to zero, which is not a servo command.
             pulse = actuator_pulse_us(self._lock_by_px4, m[self._servo_channel]) if controls.armed else None
             self._servo.track_pulse(self.time_us, pulse)
         self._wind.step(self.plant)
@@ -273,7 +273,7 @@ class Px4Vehicle:
 
 
 def servo_channel(vehicle: VehicleConfig) -> int:
-    """Return the servo's channel in HIL_ACTUATOR_CONTROLS, from 0; a quadrotor's is 4, PX4's PWM_MAIN 5."""
+    """Return the servo's channel in HIL_ACTUATOR_CONTROLS, from 0; for a quadrotor 4, which is PWM_MAIN 5."""
     return len(vehicle.airframe.motors)
 
 
@@ -291,7 +291,7 @@ def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> 
 
 
 def odometry_message(time_us: int, position_ned: Vec3, q: Quaternion, vehicle: Any) -> Any:
-    """Return the ODOMETRY of a motion-capture system: pose in local NED, no velocity."""
+    """Return a motion-capture system's ODOMETRY: a pose in local NED without velocity."""
     nan = math.nan
     covariance = [nan] * 21
     covariance[0] = covariance[6] = covariance[11] = POSE_NOISE_M**2
@@ -311,7 +311,7 @@ def odometry_message(time_us: int, position_ned: Vec3, q: Quaternion, vehicle: A
         covariance,
         [nan] * 21,
         0,
-        mavlink.MAV_ESTIMATOR_TYPE_VISION,  # PX4's EKF uses this type; it routes "mocap" elsewhere
+        mavlink.MAV_ESTIMATOR_TYPE_VISION,  # PX4's EKF fuses this type, but not the type for mocap
         100,
     )
 

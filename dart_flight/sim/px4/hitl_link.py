@@ -1,4 +1,4 @@
-"""The plant's side of a flight controller in hardware-in-the-loop mode: HIL messages over USB or UDP.
+"""The plant's end of the link to a flight controller in hardware-in-the-loop mode: HIL over USB or UDP.
 
 There is no lockstep. PX4 uses its own clock and stamps every HIL_SENSOR, ODOMETRY and HIL_GPS on arrival
 (v1.14 to v1.18), because this link does not answer PX4's TIMESYNC. The time of sending therefore acts as the
@@ -36,15 +36,13 @@ from dart_flight.config.document import InputError
 from dart_flight.config.link_url import LinkAddress, parse_link
 from dart_flight.sim.px4.bridge import ARMED, Controls, Px4LostError
 
-SILENCE_S = 1.0  # without actuator outputs, which arrive at 200 Hz, the flight controller counts as lost
-GAP_S = 0.07  # between two samples of PX4 in flight: it tolerates 50 ms, but not 75 ms
+SILENCE_S = 1.0  # a flight controller without outputs (at 200 Hz) for this time counts as lost
+GAP_S = 0.07  # limit of the gap between two samples in flight: PX4 tolerates 50 ms, but not 75 ms
 _READ = 65536
-_SYSTEM, _COMPONENT = (
-    1,
-    191,
-)  # a companion computer, because the loss of a ground station would trigger a failsafe
-_HEARTBEAT_S = 1.0  # it also makes a board start MAVLink on its USB port
-_CONTROLS_US = 4000  # one answer per HIL_SENSOR; PX4's own request is 200 Hz
+# A companion computer's ids, because the loss of a ground station would trigger a failsafe.
+_SYSTEM, _COMPONENT = 1, 191
+_HEARTBEAT_S = 1.0  # heartbeats also make a board start MAVLink on its USB port
+_CONTROLS_US = 4000  # interval of the outputs: one per HIL_SENSOR, instead of PX4's 200 Hz
 _QUERY_OUTPUTS_S = 1.0
 _FORCE = 21196.0  # magic value: disarm even in the air
 _SHELL, _SHELL_FLAGS = 10, 2 | 4 | 16  # SERIAL_CONTROL: device, and respond, exclusive, multi
@@ -257,14 +255,14 @@ class HitlLink:
                 self.sent += bool(accepted)
                 self.dropped += not accepted
         except OSError as error:
-            raise Px4LostError(f"port to the flight controller is gone ({error.strerror})") from None
+            raise Px4LostError(f"lost the port to the flight controller ({error.strerror})") from None
 
     def receive(self) -> None:
         """Process the received data; raise Px4LostError as `exchange` does."""
         try:
             data = self._port.read()
         except OSError as error:
-            raise Px4LostError(f"port to the flight controller is gone ({error.strerror})") from None
+            raise Px4LostError(f"lost the port to the flight controller ({error.strerror})") from None
         with contextlib.suppress(mavlink.MAVError, struct.error):
             for message in (self._parser.parse_buffer(data) or []) if data else []:
                 kind = message.get_type()

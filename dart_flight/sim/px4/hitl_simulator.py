@@ -26,10 +26,10 @@ from dart_flight.sim.px4.bridge import Px4LostError, Px4Vehicle, with_motors
 from dart_flight.sim.px4.hitl_link import HitlLink, open_port
 from dart_flight.sim.served_world import STALL_S, TerminatedError, WorldLog, raise_terminated, serve
 
-_FIRST_S = 10.0  # wait for the first actuator outputs
-# Time for PX4's estimator to align and its bias to settle, as arming requires.
+_FIRST_S = 10.0  # longest wait for the first actuator outputs
+# Time for PX4's estimator to align and its biases to settle, which arming requires.
 _ALIGN_S = {source: 10.0 if source is PositionSource.MOCAP else 20.0 for source in PositionSource}
-_ORPHAN_S = 25.0  # after the end of the app: time for PX4's failsafe
+_ORPHAN_S = 25.0  # time for PX4's failsafe after the end of the app
 _SILENT_S = 0.1  # the plant pauses after this time without outputs, which arrive at 200 Hz
 _STALL_TICKS = round(STALL_S / TICK_S)
 
@@ -92,19 +92,19 @@ class HitlSimulator:
             self.advance()
             if time.monotonic() > end_s:
                 raise Px4LostError(
-                    f"no actuator outputs on {self._hitl.url} within {_FIRST_S:g} s: the flight controller "
-                    "must have been restarted with SYS_HITL 1, and the port must be its USB port"
+                    f"no actuator outputs on {self._hitl.url} within {_FIRST_S:g} s: set SYS_HITL to 1, "
+                    "restart the flight controller, and connect to its USB port"
                 )
         self._report("the flight controller answers")
         end_s = time.monotonic() + _ALIGN_S[self._hitl.position_from]
         plant, ahead_us = self._vehicle.plant, 0
         while time.monotonic() < end_s:
             self.advance()
-            # The truth uses PX4's clock; the outputs with the smallest delay show it best.
+            # The truth uses PX4's clock, which is estimated from the outputs with the smallest delay.
             ahead_us = max(ahead_us, link.controls.time_us - self._vehicle.time_us)
         plant.time_offset_us = ahead_us
         writer.put(Ready(self._vehicle.time_us))
-        serve(self, writer, commands, math.inf)  # ticks wait by themselves, and a second pace would drift
+        serve(self, writer, commands, math.inf)  # `advance` waits for each tick; a second pace would drift
 
     # -- as `ServedWorld` --
 

@@ -4,7 +4,7 @@ PX4 runs in a new working folder and in a separate session. PX4 gets the first f
 defines the ports. PX4's own client sets the parameters while PX4 waits for its simulator. Every version since
 v1.14 waits at the same point of its start: after the airframe's defaults are applied, and before estimator
 and controllers start. Functions that talk to PX4 raise Px4Error if it ends or does not answer. docs/px4.md
-tells the user where to get PX4.
+describes where to get PX4.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ _BOOTED = "Startup script returned successfully"
 _CLIENT, _VERSION = "px4-param", "px4-ver"
 _ANSWER_S = 5.0
 MOTOR_1 = 101  # output function "Motor 1"
-_CELL_V = 3.9  # of a simulated battery in flight
-_DIGITS = 5.1e-5  # `px4-param show` writes four decimals
+_CELL_V = 3.9  # cell voltage of a simulated battery in flight
+_DIGITS = 5.1e-5  # tolerance: `px4-param show` writes four decimals
 _SET_PDEATHSIG = 1
 
 
@@ -83,7 +83,7 @@ def find_install(directory: str | Path | None) -> Install:
     named = directory or os.environ.get(ENVIRONMENT)
     if not named:
         raise InputError(f"no PX4: give --px4 DIR or set {ENVIRONMENT} (see docs/px4.md)")
-    root = Path(os.path.realpath(os.path.expanduser(named)))  # the methods of Path can raise
+    root = Path(os.path.realpath(os.path.expanduser(named)))  # Path's own methods can raise
     for base in (root, root / "build" / "px4_sitl_default"):
         program, etc = base / "bin" / "px4", base / "etc"
         if not program.is_file():
@@ -96,7 +96,7 @@ def find_install(directory: str | Path | None) -> Install:
                 (etc / "init.d-posix" / "rcS").is_file(),
                 "has bin/px4 but no etc/init.d-posix/rcS: not a SITL build",
             ),
-            (any(airframes), f"has no airframe {MODEL}: wrong version of PX4"),
+            (any(airframes), f"has no airframe {MODEL}: unsupported version of PX4"),
         ):
             if not present:
                 raise InputError(text, source=str(base))
@@ -131,9 +131,8 @@ def flight_parameters(
     for file in files:
         for name, parameter in file.items():
             before = parameters.get(name)
-            if (
-                before is not None and not parameter.absent
-            ):  # keep the version information of the packaged file
+            # A user's file does not remove the packaged file's information about versions.
+            if before is not None and not parameter.absent:
                 parameter = msgspec.structs.replace(parameter, absent=before.absent, renamed=before.renamed)
             parameters[name] = parameter
     return parameters
@@ -190,7 +189,7 @@ def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
     for field in msgspec.structs.fields(Px4Parameters):
         parameters[field.encode_name] = float(getattr(vehicle.px4, field.name))
     if vehicle.lock is not None and vehicle.lock.driver is LockDriver.PX4:
-        # In SITL every output is a simulated MAIN output, whatever the vehicle's pin.
+        # In SITL the servo is on a simulated MAIN output, regardless of the vehicle's pin.
         function = ACTUATOR_SET_1 + vehicle.lock.px4.actuator_index - 1
         parameters[f"PWM_MAIN_FUNC{servo_channel(vehicle) + 1}"] = function
         parameters["COM_PREARM_MODE"] = PREARM_ALWAYS
@@ -248,7 +247,7 @@ class Instance:
 def claim_instance() -> Instance:
     """Claim the first PX4 instance whose ports are free; raise Px4Error if all ten are in use."""
     for number in _INSTANCES:
-        # The port that PX4 sends to is leased here by the sender, and in the app by the receiver.
+        # The sender leases the port that PX4 sends to here; the receiver leases it in the app.
         lease = LinkLease(feed_name(ONBOARD_PORT + number), "dry-run --px4")
         try:
             lease.acquire()
@@ -268,7 +267,7 @@ def _free_simulator_port(number: int) -> socket.socket | None:
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         with socket.create_server(("127.0.0.1", SIMULATOR_PORT + number)):
-            pass  # nothing listens there; two sockets that only bind would not conflict
+            pass  # nothing listens on the port; binding alone would not show this
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(("127.0.0.1", SIMULATOR_PORT + number))
     except OSError as error:
@@ -441,7 +440,7 @@ class Px4:
             self._process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_TERM_WAIT_S)
-        # Its start-up script may still run, and before the first sensor message PX4 handles no other signal.
+        # PX4's start-up script may still run; before the first sensor message PX4 handles no other signal.
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)
         self._process.wait()

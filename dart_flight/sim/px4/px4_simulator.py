@@ -40,11 +40,11 @@ from dart_flight.sim.px4.launch import (
 from dart_flight.sim.px4.relay import Relay
 from dart_flight.sim.served_world import TerminatedError, WorldLog, raise_terminated, serve
 
-SENDER_LAG_US = 16_000  # PX4's MAVLink sender sleeps in simulated time, in a separate thread
+SENDER_LAG_US = 16_000  # PX4 sends MAVLink in a separate thread, which sleeps in simulated time
 _BOOT_TIMEOUT_S = 15.0
-# Simulated time for the EKF to align after booting, as fast as the computer allows.
+# Simulated time for the EKF to align after booting; it passes as fast as the computer allows.
 _WARM_UP_S = {source: 6.0 if source is PositionSource.MOCAP else 15.0 for source in PositionSource}
-_ORPHAN_S = 25.0  # after the end of the app, host time; with the end of PX4 it stays within 30 s
+_ORPHAN_S = 25.0  # host time for the failsafe after the app's end; with PX4's end it stays within 30 s
 _LANDED_S = 1.0  # host time after disarming for PX4 to write its log
 
 
@@ -71,7 +71,7 @@ class Px4Simulator:
         writer: LineWriter | None = None
         try:
             instance = claim_instance()
-            # Start PX4 before any thread: the kernel ties its life to the thread that starts it.
+            # Start PX4 before any thread: the kernel kills PX4 when the thread that started it ends.
             px4 = Px4(find_install(self._px4_spec.directory), instance.number, Path(self._px4_spec.folder))
             self._report(f"PX4 instance {instance.number}, process {px4.pid}")
             self._prepare(px4)
@@ -194,7 +194,7 @@ class Px4Simulator:
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:
-        """Begin a fault of the motion capture, the only faults of a real PX4."""
+        """Begin a motion-capture fault; a real PX4 has no other faults."""
         if self._mocap is not None:
             self._report(f"fault {fault.name} {fault.value:g}")
             self._mocap.feed.begin_fault(fault, self._vehicle.plant.time_s)
@@ -219,7 +219,7 @@ class Px4Simulator:
         if not alone_s and self._armed:
             self._report("app disconnected; PX4 continues until its failsafe acts")
         if alone_s > _ORPHAN_S:
-            self._report(f"PX4 has not landed within {_ORPHAN_S:g} s")
+            self._report(f"PX4 has not landed within {_ORPHAN_S:g} s of the app's end")
             return True
         down_s = math.inf if self._disarmed_at_s is None else time.monotonic() - self._disarmed_at_s
         return not self._armed and down_s > _LANDED_S

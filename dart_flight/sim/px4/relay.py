@@ -19,14 +19,14 @@ from dart_flight.base.errors import FlightError
 from dart_flight.sim.datagrams import receive_datagram, send_datagram
 
 _HEARTBEAT = 0
-# message id -> stream, format of the stamp at the payload's start, and its unit in microseconds
+# message id -> stream, format of the stamp at the payload's start, and the stamp's unit in microseconds
 _STREAMS: Final = {
     105: ("imu", struct.Struct("<Q"), 1),
     31: ("attitude", struct.Struct("<I"), 1000),
     331: ("odometry", struct.Struct("<Q"), 1),
     375: ("actuator", struct.Struct("<Q"), 1),
 }
-# message id -> name in lockstep, format of the payload's beginning; the stamp is not compared
+# message id -> name in lockstep, format of the payload's start (stamp and values; only values are compared)
 _SENT: Final = {84: ("setpoint", struct.Struct("<I9f")), 331: ("pose", struct.Struct("<Q3f"))}
 _HEARTBEAT_S: Final = 1.0
 _HEADER: Final = 10  # bytes before the payload in a MAVLink 2 frame; two bytes of checksum follow it
