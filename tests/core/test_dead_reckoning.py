@@ -9,6 +9,7 @@ import pytest
 
 from dart_flight.base.geometry import (
     GRAVITY_M_S2,
+    IDENTITY,
     Vec2,
     quaternion_conjugate,
     quaternion_from_euler,
@@ -29,6 +30,15 @@ from dart_flight.base.records import (
     Setpoint,
     Tick,
     VehicleCommand,
+)
+from dart_flight.core.guard.dead_reckoning import (
+    _DETECTED_S,
+    _LONGEST_S,
+    _RESET_M,
+    _SAME_M,
+    _SAME_M_S,
+    WRONG_RAD,
+    DeadReckoning,
 )
 from dart_flight.core.guard.estimator_resets import EstimatorResets
 from tests.core.conftest import HandFedCore, of_kind
@@ -191,3 +201,35 @@ def test_the_drift_of_the_gyro_after_a_harmless_reset_is_no_error_of_the_heading
             assert resets.update_counter(1, t_us)
     assert resets.heading_error_rad == 0.0
     assert resets.reckoned is None
+
+
+@pytest.mark.parametrize(
+    ("after_s", "was_wrong_rad", "error_rad", "away_m", "away_m_s", "step_m", "finished"),
+    [
+        (0.5 * _DETECTED_S, 0.0, 0.0, 0.0, 0.0, 0.0, False),  # a step of the heading may still be detected
+        (1.5 * _DETECTED_S, 0.0, 0.0, 9.0, 9.0, 0.0, True),  # the reset left the heading right
+        (1.0, 0.0, 2.0 * WRONG_RAD, 0.0, 0.0, 0.0, False),  # the heading is wrong
+        (1.0, 2.0 * WRONG_RAD, 0.0, 2.0 * _SAME_M, 0.0, 0.0, False),  # the position is still off
+        (1.0, 2.0 * WRONG_RAD, 0.0, 0.0, 2.0 * _SAME_M_S, 0.0, False),  # the velocity is still off
+        (1.0, 2.0 * WRONG_RAD, 0.0, 0.5 * _SAME_M, 0.5 * _SAME_M_S, 0.0, True),  # PX4 has recovered
+        (1.0, 2.0 * WRONG_RAD, 0.0, 2.0 * _SAME_M, 0.0, 2.0 * _RESET_M, True),  # PX4 has reset its position
+        (1.1 * _LONGEST_S, 2.0 * WRONG_RAD, 0.0, 9.0, 9.0, 0.0, True),
+        (1.1 * _LONGEST_S, 0.0, 2.0 * WRONG_RAD, 9.0, 9.0, 0.0, True),
+    ],
+)
+def test_the_guard_trusts_px4_again_once_its_heading_and_its_motion_are_right(
+    after_s: float,
+    was_wrong_rad: float,
+    error_rad: float,
+    away_m: float,
+    away_m_s: float,
+    step_m: float,
+    finished: bool,
+) -> None:
+    """`was_wrong_rad` is the error of an earlier sample, `error_rad` that of the present one."""
+    reckoning = DeadReckoning(OdometrySample(0, 0, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)), IDENTITY)
+    reckoning.is_finished(OdometrySample(1, 1, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)), was_wrong_rad, 0.0)
+    t_us = round(1e6 * after_s)
+    reckoning.add_imu(ImuSample(t_us, t_us, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0)), IDENTITY)
+    sample = OdometrySample(t_us, t_us, (away_m, 0.0, -1.0), (0.0, away_m_s, 0.0))
+    assert reckoning.is_finished(sample, error_rad, step_m) is finished
