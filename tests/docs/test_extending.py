@@ -128,6 +128,9 @@ def test_the_recipes_work_as_written(tmp_path: Path) -> None:
     copy_project(tmp_path)
     for change in (change for recipe in RECIPES for change in recipe.changes):
         apply(change, tmp_path)
+    for arguments in (["check"], ["format", "--check"]):
+        status, output = python(tmp_path, "-m", "ruff", *arguments, "--no-cache")
+        assert status == 0, output
     checks = [recipe.check for recipe in RECIPES if recipe.is_tested]
     files = dict.fromkeys(word for check in checks for word in check if word.endswith(".py"))
     words = ["-vv", "-p", "no:cacheprovider", "-p", "no:xdist", "-k", " or ".join(map(selection, checks))]
