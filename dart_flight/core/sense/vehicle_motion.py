@@ -20,9 +20,9 @@ from dart_flight.core.sense.bias import HoverBias
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust_model import ThrustModel
 
-_ATTITUDE_REACH_US: Final = 60_000  # the gyro extrapolates no older attitude
+_ATTITUDE_REACH_US: Final = 60_000  # older attitudes are not extrapolated
 _HISTORY: Final = 32
-_MOMENTA: Final = 40  # 0.16 s
+_MOMENTA: Final = 40  # momenta kept: 0.16 s
 _MOMENTUM_GAP_S: Final = 0.05
 
 
@@ -99,7 +99,7 @@ class VehicleMotion:
         fx, fy, fz = f
         w, x, y, z = q
         c, s = self._heading
-        # R from body FRD to NED, written out; then NED to mission.
+        # Rotate from body FRD to NED (R, written out), then from NED to mission.
         bx, by, bz = m * (fx - hover.bias_x), m * (fy - hover.bias_y), m * fz + thrust_n
         down_n, down_e, down_d = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
         n = (1.0 - 2.0 * (y * y + z * z)) * bx + 2.0 * (x * y - w * z) * by + down_n * bz
