@@ -1,4 +1,4 @@
-"""Text for terminals, JSON and files: a battery's figures, and escapes for external text.
+"""Text for terminals, JSON and files: figures of a battery, alternatives, and escapes for external text.
 
 External text consists of paths, names and messages from elsewhere. If a file name has bytes that are not
 UTF-8, Python decodes these bytes to surrogates, which no encoder accepts. Such bytes are printed as `\\xff`.
@@ -8,6 +8,7 @@ A character that the output's encoding lacks is printed as ASCII or as an escape
 from __future__ import annotations
 
 import codecs
+from collections.abc import Iterable
 
 ESCAPED = "dart_flight.escaped"  # error handler for `str.encode` and `open`
 _ASCII = {"\N{NO-BREAK SPACE}": " ", "±": "+/-", "→": "->", "°": " deg", "…": "...", "–": "-", "−": "-"}
@@ -19,6 +20,12 @@ def battery_figures(remaining: float | None, voltage_v: float | None) -> list[st
     charge = None if remaining is None else f"{100.0 * remaining:.0f} %"
     voltage = None if voltage_v is None else f"{voltage_v:.1f} V"
     return [figure for figure in (charge, voltage) if figure is not None]
+
+
+def alternatives(names: Iterable[str]) -> str:
+    """Return names as text, such as `maestro, pwm or px4`."""
+    *first, last = names
+    return f"{', '.join(first)} or {last}" if first else last
 
 
 def printable(text: str) -> str:

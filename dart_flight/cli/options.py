@@ -15,6 +15,7 @@ from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.config.vehicle.autopilot import ConnectionConfig
 from dart_flight.lock.drivers import DRIVERS
 from dart_flight.sim.motion_capture import KINDS
+from dart_flight.vehicle.motion_capture.source import URLS
 
 
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
@@ -93,8 +94,8 @@ def add_mocap_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mocap",
         metavar="URL",
-        help="motion capture whose poses are forwarded to PX4, such as optitrack://192.168.1.10/dart; "
-        "none: forward no poses, as with `simulate` (default: mocap.url; docs/motion_capture.md)",
+        help=f"motion capture whose poses are forwarded to PX4: {URLS}; none: forward no poses, as with "
+        "`simulate` (default: mocap.url; docs/motion_capture.md)",
     )
 
 

@@ -39,7 +39,7 @@ class FlightCore:
 
     def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:
         self.mission = mission
-        self._senses = Senses(mission)
+        self._senses = Senses(mission.vehicle)
         self._executive = Executive(mission) if mission.standoff_m is None else Rehearsal(mission)
         self._guard = Guard(mission, rules)
         self._expected = ExpectedContact()  # set by the mission; the detector uses it in the next step

@@ -139,7 +139,7 @@ class SteppedSimulation:
         mission = self.mission
         self._vehicle = SimulatedVehicle(mission, self._seed, LockDriver.MOCK)
         self._autopilot = self._vehicle.autopilot
-        self._senses = Senses(mission)
+        self._senses = Senses(mission.vehicle)
         self._sender = TelemetrySender(self._vehicle)
         self._senses.update(ClockOffset(self._autopilot.time_us, 0), _NO_CONTACT)
         self._frame = self._autopilot.plant.frame

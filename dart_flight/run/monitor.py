@@ -127,7 +127,7 @@ class TelemetryMonitor:
     ) -> None:
         self._queued: deque[Input] = deque()  # not yet processed
         self._viewer = viewer
-        self._senses = Senses(mission)
+        self._senses = Senses(mission.vehicle)
         self._placed = frame_known
         # Without a mission, the frame with heading 0: north, west, up.
         self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if frame_known else MissionFrame())
@@ -223,8 +223,8 @@ class TelemetryMonitor:
         self.process_queued()
         now, state, e = host_us(), self._senses.state, self._estimate
         newest = state.imu.t_us if state.imu else 0
-        source = self._senses.estimator.thrust.source
-        hover = self._senses.estimator.hover
+        source = self._senses.motion.thrust.source
+        hover = self._senses.motion.hover
         return MonitorView(
             time_s=(now - self._began_us) * 1e-6,
             frame="mission" if self._placed else "north, west, up",

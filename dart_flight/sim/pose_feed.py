@@ -81,7 +81,7 @@ class EmulatedMotionCapture:
     """An emulated server that sends the poses of a world in a separate process.
 
     Args:
-        kind: element of `motion_capture.KINDS`.
+        kind: key of `motion_capture.KINDS`.
         plant: the tracked body.
 
     Attributes:

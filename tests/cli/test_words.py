@@ -16,7 +16,7 @@ from dart_flight.check.vehicle_check import evaluate_autopilot
 from dart_flight.cli import main
 from dart_flight.config.link_url import link_problem
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.lab.commands.export_command import _files
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.reader import read_log
@@ -213,10 +213,8 @@ def test_a_wrong_word_for_no_driver_is_answered_with_the_allowed_drivers(
     path = tmp_path / "dart.yaml"
     path.write_text(Path(CONFIG).read_text().replace("driver: mock", f"driver: {driver}"))
     output = refusal_of("lock", "status", "--config", str(path))
-    assert (
-        f"lock.driver: {given!r} is not allowed, only: maestro, pwm, px4, mock, or none for a vehicle"
-        in output
-    )
+    drivers = ", ".join(LockDriver)
+    assert f"lock.driver: {given!r} is not allowed, only: {drivers}, or none for a vehicle" in output
 
 
 @pytest.mark.parametrize("command", ["inspect", "identify", "report", "replay"])

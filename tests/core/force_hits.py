@@ -29,6 +29,7 @@ from dart_flight.base.records import (
     ImpactOnset,
     ImpactPeak,
     ImuSample,
+    Input,
     LandedState,
     LockPhase,
     LockState,
@@ -39,9 +40,8 @@ from dart_flight.base.records import (
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
-from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.detector import ExpectedContact
+from dart_flight.core.sense.senses import Senses
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.sensors import ImuSensor
@@ -170,38 +170,13 @@ def _record(plant: Plant, wall: Wall, hit: Hit, command: float, threshold_n: flo
     return Flown(hit, command, ticks, wall.normal, peak_n, cross_us, reached, friction)
 
 
-class SenseChain:
-    """Force estimator and impact detector, run on samples as the core runs them.
-
-    Args:
-        vehicle: configuration in the core.
-        planned: outward normal and material that the plan announces, or None.
-    """
-
-    def __init__(self, state: FlightState, vehicle: VehicleConfig, planned: tuple[Vec2, str] | None) -> None:
-        self.state, self.vehicle = state, vehicle
-        self.estimator = ForceEstimator(vehicle)
-        self.detector = ImpactDetector(vehicle)
-        self.expected = ExpectedContact(True, *(planned or (None, None)))
-
-    def step(self, imu: ImuSample) -> list[object]:
-        """Process an IMU sample; return the detector's events."""
-        if not self.state.update_imu(imu):
-            return []
-        estimate = self.estimator.estimate(imu, self.state, self.detector.in_contact)
-        if estimate is None:
-            return []
-        return list(self.detector.update(estimate, imu.received_us, self.state, self.expected))
-
-
 def estimate_hit(
-    vehicle: VehicleConfig, state: FlightState, flown: Flown, sigma: float, seed: int
+    vehicle: VehicleConfig, flown: Flown, sigma: float, seed: int
 ) -> tuple[list[ImpactOnset], ImpactPeak | None]:
     """Estimate a flown hit under IMU noise of `sigma` m/s2 per sample.
 
     Args:
         vehicle: configuration of the plant and its IMU.
-        state: a new flight state.
         flown: the hit.
         sigma: noise.
         seed: seed of the noise.
@@ -209,20 +184,21 @@ def estimate_hit(
     noise = GaussianNoise(random.Random(seed))
     noisy = msgspec.structs.replace(vehicle.simulation, imu_noise_m_s2=sigma)
     imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=noisy), noise)
-    state.frame = FRAME
-    state.lock = LockState(_START_US, LockPhase.SETTLED, flown.hit.mode)
-    state.status = StatusSample(_START_US, _START_US, landed=LandedState.IN_AIR)
+    senses, expected = Senses(vehicle), ExpectedContact(False, flown.normal, flown.hit.material)
+    senses.state.anchor(FRAME)
+    senses.update(LockState(_START_US, LockPhase.SETTLED, flown.hit.mode), expected)
+    senses.update(StatusSample(_START_US, _START_US, landed=LandedState.IN_AIR), expected)
     hover = vehicle.thrust.command_for(vehicle.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
-    chain = SenseChain(state, vehicle, (flown.normal, flown.hit.material))
     onsets: list[ImpactOnset] = []
     peak: ImpactPeak | None = None
     for i, tick in enumerate([*_hover(flown), *flown.ticks]):
         t = tick.t_us
         if i % 2 == 0:
-            _odometry(chain, tick, flown.command if t > _START_US else hover, noise)
-        chain.expected = chain.expected._replace(watching=t > _START_US)
+            for sample in _samples_of(tick, flown.command if t > _START_US else hover, noise):
+                senses.update(sample, expected)
+        expected = expected._replace(watching=t > _START_US)
         measured, rate = imu.measure(tick.specific_force, (0.0, 0.0, 0.0))
-        for event in chain.step(ImuSample(t, t + 1000, measured, rate)):
+        for event in senses.update(ImuSample(t, t + 1000, measured, rate), expected).impacts:
             if isinstance(event, ImpactOnset):
                 onsets.append(event)
             elif isinstance(event, ImpactPeak) and peak is None:
@@ -248,15 +224,13 @@ def _hover(flown: Flown) -> list[Tick]:
     ]
 
 
-def _odometry(chain: SenseChain, tick: Tick, command: float, noise: GaussianNoise) -> None:
+def _samples_of(tick: Tick, command: float, noise: GaussianNoise) -> Iterator[Input]:
     t, s = tick.t_us, _ATTITUDE_SIGMA_RAD
     twist = quaternion_from_rotation_vector(noise.three(s))
-    attitude = AttitudeSample(t // 1000 * 1000, t + 1000, quaternion_multiply(tick.q, twist))
-    if chain.state.update_attitude(attitude):
-        chain.estimator.add_attitude(attitude)
+    yield AttitudeSample(t // 1000 * 1000, t + 1000, quaternion_multiply(tick.q, twist))
     velocity = add(tick.velocity, noise.three(_VELOCITY_SIGMA_M_S))
-    chain.state.update_odometry(OdometrySample(t, t + 1000, tick.position, velocity))
-    chain.estimator.thrust.add_commands(ActuatorSample(t, t + 1000, (command,) * 4))
+    yield OdometrySample(t, t + 1000, tick.position, velocity)
+    yield ActuatorSample(t, t + 1000, (command,) * 4)
 
 
 def grid(
@@ -309,7 +283,7 @@ class HitFigures(msgspec.Struct):
 def figures_of(mission: Mission, hit: Hit, sigma: float, seed: int) -> HitFigures:
     """Fly one hit and return the figures of its estimate under IMU noise."""
     flown = fly_hit(mission.vehicle, hit)
-    onsets, peak = estimate_hit(mission.vehicle, FlightState(), flown, sigma, seed)
+    onsets, peak = estimate_hit(mission.vehicle, flown, sigma, seed)
     delay = None
     if onsets and flown.cross_us is not None:
         delay = (onsets[0].t_us - flown.cross_us) // TICK_US

@@ -19,6 +19,7 @@ from dart_flight.base.records import (
     FlightMode,
     ImpactOnset,
     ImuSample,
+    Input,
     LandedState,
     LockPhase,
     LockState,
@@ -29,11 +30,10 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import ExpectedContact
-from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.senses import Senses
 from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.embedded_autopilot import Autopilot
 from dart_flight.sim.plant import Plant
-from tests.core.force_hits import SenseChain
 
 _NAN = math.nan
 
@@ -125,12 +125,11 @@ class _Flight:
         vehicle = mission.vehicle
         plant = Plant(_plant_vehicle(vehicle, sigma, self.rng), (), MissionFrame())
         self.autopilot = Autopilot(plant, seed)
-        self.state = FlightState()
-        self.state.frame = MissionFrame()
+        self.senses, self.expected = Senses(vehicle), ExpectedContact()
+        self.senses.state.anchor(MissionFrame())
         mode = self.rng.choice(list(Mode))
         plant.set_mode(mode)
-        self.state.lock = LockState(0, LockPhase.SETTLED, mode)
-        self.chain = SenseChain(self.state, vehicle, None)
+        self._sense(LockState(0, LockPhase.SETTLED, mode))
         self.pilot, self.weather = _Pilot(self.rng), _Weather(self.rng)
         self.late: list[tuple[int, ImuSample]] = []
         self.freeze = 0
@@ -142,18 +141,16 @@ class _Flight:
         a.plant.wind_ned = self.weather.at(a.now_s)
         a.step()
         t, e = a.time_us, a.estimator
-        self.max_tilt = max(self.max_tilt, self.state.tilt_rad)
+        self.max_tilt = max(self.max_tilt, self.senses.state.tilt_rad)
         if (t // 4000) % 2 == 0 and self.rng.random() > 0.02 and self.freeze <= 0:
-            attitude = AttitudeSample(t // 1000 * 1000, t + 1000, e.q)
-            if self.state.update_attitude(attitude):
-                self.chain.estimator.add_attitude(attitude)
-            self.state.update_odometry(OdometrySample(t, t + 1000, e.position, e.velocity))
-            self.chain.estimator.thrust.add_commands(ActuatorSample(t + 1500, t + 1500, a.motors))
+            self._sense(AttitudeSample(t // 1000 * 1000, t + 1000, e.q))
+            self._sense(OdometrySample(t, t + 1000, e.position, e.velocity))
+            self._sense(ActuatorSample(t + 1500, t + 1500, a.motors))
         self.freeze -= 1
         if self.freeze < -500 and self.rng.random() < 0.002:
             self.freeze = self.rng.randrange(3, 12)  # all streams but the IMU pause for up to 50 ms
         if (t // 4000) % 25 == 0:
-            self.state.status = StatusSample(t, t, a.armed, a.mode, a.landed, e.ok)
+            self._sense(StatusSample(t, t, a.armed, a.mode, a.landed, e.ok))
         return self._imu(t)
 
     def _imu(self, t: int) -> list[object]:
@@ -166,10 +163,13 @@ class _Flight:
         if fate < 0.02:
             self.late.append((t, sample))
             return []
-        events = self.chain.step(sample)
+        events = self._sense(sample)
         while self.late:
-            events += self.chain.step(self.late.pop(0)[1])
+            events += self._sense(self.late.pop(0)[1])
         return events
+
+    def _sense(self, item: Input) -> list[object]:
+        return list(self.senses.update(item, self.expected).impacts)
 
 
 def fly_quiet(mission: Mission, seconds: float, sigma: float, seed: int) -> QuietFlight:
@@ -180,12 +180,12 @@ def fly_quiet(mission: Mission, seconds: float, sigma: float, seed: int) -> Quie
     for _ in range(round(seconds / 0.004)):
         _fly(f)
         # Like the executive, expect no contact on the ground or in the first half metre of the climb.
-        in_air = f.state.status.landed is LandedState.IN_AIR and a.mode is FlightMode.OFFBOARD
-        f.chain.expected = ExpectedContact(in_air and a.estimator.position[2] < -0.5)
+        in_air = f.senses.state.status.landed is LandedState.IN_AIR and a.mode is FlightMode.OFFBOARD
+        f.expected = ExpectedContact(in_air and a.estimator.position[2] < -0.5)
         for event in f.tick():
             if isinstance(event, ImpactOnset):
                 force = math.hypot(event.force_mission[0], event.force_mission[1])
-                tilt_deg = math.degrees(f.state.tilt_rad)
+                tilt_deg = math.degrees(f.senses.state.tilt_rad)
                 out.false_hits.append(f"{a.now_s:.2f} s: {force:.1f} N, tilt {tilt_deg:.0f} deg")
         b, w = a.vehicle.airframe.drag_per_s, a.plant.wind_ned
         force = mission.vehicle.airframe.mass_kg * math.hypot(b[0] * w[0], b[1] * w[1])

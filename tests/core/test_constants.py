@@ -36,6 +36,7 @@ from dart_flight.core.sense import (
     position_delay,
     senses,
     torque,
+    vehicle_motion,
 )
 
 
@@ -117,7 +118,7 @@ from dart_flight.core.sense import (
         (detector, "_SHORT_SIGMA", 0.0, 2.0),
         (detector, "_SMOOTH_SHARE", 0.0, 0.1),
         (force, "_CLIP_SHARE", 0.9, 1.0),
-        (force, "_MOMENTUM_GAP_S", 0.02, 0.2),
+        (vehicle_motion, "_MOMENTUM_GAP_S", 0.02, 0.2),
         (position_delay, "_HIGH_PASS_S", 0.2, 1.0),
         (position_delay, "_JUMP_M_S", 0.05, 0.5),
         (position_delay, "_MEMORY_S", 3.0, 5.0),

@@ -148,10 +148,10 @@ def test_force_bias_and_constant_torque_are_learned_only_in_free_flight(hand_fed
 
     def learns(seconds: float) -> tuple[bool, bool]:
         """Return whether the thrust scale of the bias and the noise of the torque change in this time."""
-        scale = senses.estimator.hover.scale
+        scale = senses.motion.hover.scale
         torques = of_kind(TorqueEstimate, hand_fed.run(seconds))
         assert torques
-        return senses.estimator.hover.scale != scale, len({one.noise_frd_nm for one in torques}) > 1
+        return senses.motion.hover.scale != scale, len({one.noise_frd_nm for one in torques}) > 1
 
     hand_fed.enter_arming()
     assert learns(0.1) == (False, False)
@@ -474,7 +474,7 @@ def test_a_refusal_includes_the_reports_of_px4(hasty_core: HandFedCore) -> None:
     ids=lambda i: type(i).__name__,
 )
 def test_every_px4_sample_updates_the_host_time(item: Input) -> None:
-    senses = Senses(load_mission(ROOT / "missions" / "paper_dual_collision.yaml"))
+    senses = Senses(load_mission(ROOT / "missions" / "paper_dual_collision.yaml").vehicle)
     senses.update(item, ExpectedContact())
     assert senses.state.host_us == 5
 

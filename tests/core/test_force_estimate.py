@@ -29,26 +29,36 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
-from dart_flight.core.sense.force import _ATTITUDE_REACH_US as REACH_US
+from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.force import _CLIP_SHARE as CLIP
-from dart_flight.core.sense.force import _MOMENTUM_GAP_S, ATTITUDE_ERROR_RAD, ForceEstimator
-from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.force import ATTITUDE_ERROR_RAD
+from dart_flight.core.sense.senses import Senses
+from dart_flight.core.sense.vehicle_motion import _ATTITUDE_REACH_US as REACH_US
+from dart_flight.core.sense.vehicle_motion import _MOMENTUM_GAP_S
 from tests.core.conftest import HOVER, known
 from tests.core.force_hits import figures_of, grid
 from tests.core.force_quiet import fly_quiet
 from tests.core.pulses import MASS, MISSION, VEHICLE, with_estimation
 
 GAP_US = round(1e6 * _MOMENTUM_GAP_S)
+NO_CONTACT = ExpectedContact()
+
+
+def sensing(
+    vehicle: VehicleConfig, frame: MissionFrame | None = None, landed: LandedState = LandedState.IN_AIR
+) -> Senses:
+    """Return senses with a frame; on the ground they learn nothing."""
+    senses = Senses(vehicle)
+    senses.state.anchor(frame or MissionFrame())
+    senses.update(StatusSample(0, 0, landed=landed), NO_CONTACT)
+    return senses
 
 
 class Hovering:
-    """A hovering vehicle that feeds samples to a force estimator; force in NED, bias in FRD."""
+    """A hovering vehicle that feeds samples to the senses; force in NED, bias in FRD."""
 
     def __init__(self, vehicle: VehicleConfig, sigma: float = 0.0) -> None:
-        self.state = FlightState()
-        self.state.frame = MissionFrame()
-        self.state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
-        self.estimator = ForceEstimator(vehicle)
+        self.senses = sensing(vehicle)
         self.rng, self.sigma, self.t_us = random.Random(5), sigma, 1_000_000
         self.bias: Vec3 = (0.0, 0.0, 0.0)
         self.force: Vec3 = (0.0, 0.0, 0.0)
@@ -61,16 +71,14 @@ class Hovering:
         for _ in range(round(seconds / 0.004)):
             self.t_us += 4000
             t, f, b = self.t_us, self.force, self.bias
-            attitude = AttitudeSample(t, t, self.q)
-            self.state.update_attitude(attitude)
-            self.estimator.add_attitude(attitude)
+            self.senses.update(AttitudeSample(t, t, self.q), NO_CONTACT)
             self.velocity = (
                 self.velocity[0] + 0.004 * f[0] / MASS,
                 self.velocity[1] + 0.004 * f[1] / MASS,
                 0.0,
             )
-            self.state.update_odometry(OdometrySample(t, t, (0.0, 0.0, -1.0), self.velocity))
-            self.estimator.thrust.add_commands(ActuatorSample(t, t, (HOVER,) * 4))
+            self.senses.update(OdometrySample(t, t, (0.0, 0.0, -1.0), self.velocity), NO_CONTACT)
+            self.senses.update(ActuatorSample(t, t, (HOVER,) * 4), NO_CONTACT)
             noise = [self.rng.gauss(0.0, self.sigma) for _ in range(3)]
             imu = ImuSample(
                 t,
@@ -82,9 +90,7 @@ class Hovering:
                 ),
                 (0.0, 0.0, 0.0),
             )
-            self.state.update_imu(imu)
-            estimate = known(self.estimator.estimate(imu, self.state))
-            out.append(estimate)
+            out.append(known(self.senses.update(imu, NO_CONTACT).estimate))
         return out
 
 
@@ -92,7 +98,7 @@ def test_hover_determines_bias_thrust_scale_and_noise() -> None:
     vehicle = Hovering(VEHICLE, sigma=0.3)
     vehicle.bias, vehicle.true_thrust = (0.2, -0.15, 0.0), 0.93
     vehicle.run(10.0)
-    hover = vehicle.estimator.hover
+    hover = vehicle.senses.motion.hover
     assert hover.bias_x == pytest.approx(0.2, abs=0.03)
     assert hover.bias_y == pytest.approx(-0.15, abs=0.03)
     assert hover.scale == pytest.approx(0.93, abs=0.01)
@@ -128,19 +134,18 @@ def test_the_force_is_the_residual_of_thrust_gravity_and_drag(seed: int) -> None
 
     airframe = msgspec.structs.replace(VEHICLE.airframe, drag_per_s=(0.3, 0.2, 0.1))
     vehicle = msgspec.structs.replace(with_estimation(arm_vibration=None), airframe=airframe)
-    estimator, state = ForceEstimator(vehicle), FlightState()
     frame = MissionFrame(1.0, 2.0, -3.0, rng.uniform(-3.0, 3.0))
-    state.anchor(frame)
+    senses = sensing(vehicle, frame, LandedState.ON_GROUND)
     velocity_ned, rate, f = random_vector(2.0), random_vector(3.0), random_vector(20.0)
-    state.update_odometry(OdometrySample(1_000_000, 0, (0.0, 0.0, 0.0), velocity_ned))
+    senses.update(OdometrySample(1_000_000, 0, (0.0, 0.0, 0.0), velocity_ned), NO_CONTACT)
     q = quaternion_from_euler(*random_vector(1.5))
-    estimator.add_attitude(AttitudeSample(1_000_000, 0, q))
-    estimator.thrust.add_commands(ActuatorSample(900_000, 0, (HOVER,) * 4))
-    hover = estimator.hover
+    senses.update(AttitudeSample(1_000_000, 0, q), NO_CONTACT)
+    senses.update(ActuatorSample(900_000, 0, (HOVER,) * 4), NO_CONTACT)
+    hover = senses.motion.hover
     hover.bias_x, hover.bias_y, hover.scale = 0.3, -0.2, 0.9
     t_us = 1_050_000
-    estimate = known(estimator.estimate(ImuSample(t_us, 0, f, rate), state, in_contact=True))
-    thrust_n = estimator.thrust_n
+    estimate = known(senses.update(ImuSample(t_us, 0, f, rate), NO_CONTACT).estimate)
+    thrust_n = senses.motion.thrust_n
     assert thrust_n == pytest.approx(0.9 * MASS * 9.81, rel=0.01)
     lag_s = vehicle.imu.reading_lag_s
     then = advance_attitude(q, rate, 0.05 - round(lag_s * 1e6) * 1e-6)
@@ -164,12 +169,11 @@ def test_the_force_is_the_residual_of_thrust_gravity_and_drag(seed: int) -> None
     [(-REACH_US, True), (-REACH_US - 1, False), (REACH_US, True)],
 )
 def test_an_attitude_is_propagated_for_a_limited_time(away_us: int, near: bool) -> None:
-    estimator, state = ForceEstimator(VEHICLE), FlightState()
-    state.anchor(MissionFrame())
+    senses = sensing(VEHICLE)
     at_us = 1_000_000 - round(VEHICLE.imu.reading_lag_s * 1e6)
-    estimator.add_attitude(AttitudeSample(at_us + away_us, 0, IDENTITY))
+    senses.update(AttitudeSample(at_us + away_us, 0, IDENTITY), NO_CONTACT)
     imu = ImuSample(1_000_000, 0, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
-    assert (estimator.estimate(imu, state) is not None) is near
+    assert (senses.update(imu, NO_CONTACT).estimate is not None) is near
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -188,44 +192,43 @@ def test_a_reading_near_full_scale_is_clipped(share: float, clipped: bool, axis:
 
 def test_a_late_imu_sample_uses_the_attitude_of_its_time() -> None:
     """The vehicle pitches; attitudes from 100 ms before the sample to 100 ms after it have arrived."""
-    estimator, state = ForceEstimator(VEHICLE), FlightState()
-    state.anchor(MissionFrame())
+    senses = sensing(VEHICLE)
     at_us = 1_000_000 - round(VEHICLE.imu.reading_lag_s * 1e6)
     for away_us in range(-100_000, 100_001, 8000):
-        pitch = 0.3 + 2e-6 * away_us
-        estimator.add_attitude(AttitudeSample(at_us + away_us, 0, quaternion_from_euler(0.0, pitch, 0.0)))
+        q = quaternion_from_euler(0.0, 0.3 + 2e-6 * away_us, 0.0)
+        senses.update(AttitudeSample(at_us + away_us, 0, q), NO_CONTACT)
     imu = ImuSample(1_000_000, 0, (0.0, 0.0, -9.81), (0.0, 2.0, 0.0))
-    assert estimator.estimate(imu, state) is not None
-    assert estimator.attitude == pytest.approx(quaternion_from_euler(0.0, 0.3, 0.0), abs=1e-6)
+    assert senses.update(imu, NO_CONTACT).estimate is not None
+    assert senses.motion.attitude == pytest.approx(quaternion_from_euler(0.0, 0.3, 0.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_momenta_are_the_integral_of_the_specific_force_without_bias(seed: int) -> None:
     """After a gap, the integral starts again; gravity is not removed."""
     rng = random.Random(seed)
-    estimator, state = ForceEstimator(VEHICLE), FlightState()
-    state.anchor(MissionFrame(1.0, 2.0, -3.0, rng.uniform(-3.0, 3.0)))
+    frame = MissionFrame(1.0, 2.0, -3.0, rng.uniform(-3.0, 3.0))
+    senses = sensing(VEHICLE, frame, LandedState.ON_GROUND)
     q = quaternion_from_euler(*(rng.uniform(-1.5, 1.5) for _ in range(3)))
-    hover = estimator.hover
+    hover, momenta = senses.motion.hover, senses.motion.momenta
     hover.bias_x, hover.bias_y, hover.scale = 0.3, -0.2, 0.9
 
     def feed(t_us: int) -> Vec3:
         """Feed the sample of a stamp; return its specific force in the mission frame."""
         f = (rng.uniform(-20.0, 20.0), rng.uniform(-20.0, 20.0), rng.uniform(-20.0, 20.0))
-        estimator.add_attitude(AttitudeSample(t_us, 0, q))
-        estimator.thrust.add_commands(ActuatorSample(t_us, 0, (HOVER,) * 4))
-        assert estimator.estimate(ImuSample(t_us, 0, f, (0.0, 0.0, 0.0)), state, in_contact=True) is not None
-        return known(state.frame).vector_from_ned(rotate(q, (f[0] - 0.3, f[1] + 0.2, f[2])))
+        senses.update(AttitudeSample(t_us, 0, q), NO_CONTACT)
+        senses.update(ActuatorSample(t_us, 0, (HOVER,) * 4), NO_CONTACT)
+        assert senses.update(ImuSample(t_us, 0, f, (0.0, 0.0, 0.0)), NO_CONTACT).estimate is not None
+        return frame.vector_from_ned(rotate(q, (f[0] - 0.3, f[1] + 0.2, f[2])))
 
     feed(1_000_000)
     for later_us in (1_004_000, 1_012_000, 1_012_000 + GAP_US):
-        t_us, *before = estimator.momenta[-1]
+        t_us, *before = momenta[-1]
         force = feed(later_us)
         expected = [p + MASS * a * (later_us - t_us) * 1e-6 for p, a in zip(before, force, strict=True)]
-        assert estimator.momenta[-1] == pytest.approx((later_us, *expected))
-    assert len(estimator.momenta) == 4
+        assert momenta[-1] == pytest.approx((later_us, *expected))
+    assert len(momenta) == 4
     feed(1_012_000 + 2 * GAP_US + 1)
-    assert len(estimator.momenta) == 1
+    assert len(momenta) == 1
 
 
 def test_arm_vibration_is_removed_from_the_force() -> None:

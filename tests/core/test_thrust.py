@@ -14,7 +14,7 @@ from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
 from dart_flight.core.sense.thrust_model import LaggedCommands, ThrustModel
 from tests.core.conftest import HOVER, known
-from tests.core.pulses import MASS, MISSION, VEHICLE, with_estimation
+from tests.core.pulses import MASS, VEHICLE, with_estimation
 
 
 def test_commands_act_from_their_stamp_with_the_motor_lag() -> None:
@@ -123,7 +123,7 @@ def test_battery_voltage_scales_the_thrust_curve() -> None:
 def test_battery_voltage_and_motor_speeds_affect_the_thrust() -> None:
     battery = msgspec.structs.replace(VEHICLE.estimation.battery, exponent=1.5)
     vehicle = with_estimation(battery=battery, esc_thrust_n_per_rpm2=1.1e-8)
-    senses = Senses(msgspec.structs.replace(MISSION, vehicle=vehicle))
+    senses = Senses(vehicle)
 
     def run(first_us: int, rpm: float | None = None) -> float:
         for t in range(first_us, first_us + 200_000, 4000):
@@ -132,7 +132,7 @@ def test_battery_voltage_and_motor_speeds_affect_the_thrust() -> None:
             if rpm is not None:
                 senses.update(EscSample(t, t, (rpm,) * 4), ExpectedContact())
             senses.update(ImuSample(t, t, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)), ExpectedContact())
-        each_n = known(senses.estimator.thrust.each_n)
+        each_n = known(senses.motion.thrust.each_n)
         return sum(each_n)
 
     full_n = run(1_000_000)

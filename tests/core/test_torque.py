@@ -16,6 +16,7 @@ from dart_flight.base.geometry import IDENTITY, MissionFrame, Vec3, advance_atti
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
+    ContactRequest,
     ContactSide,
     ImpactBody,
     ImpactPeak,
@@ -31,10 +32,9 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.angular_motion import AngularMotion
-from dart_flight.core.sense.contact_recorder import ContactRecorder
-from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
-from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.detector import ExpectedContact
+from dart_flight.core.sense.senses import Senses
+from dart_flight.core.sense.thrust_model import ThrustModel
 from dart_flight.core.sense.torque import _ADDED, _MAX_SLOW_NM, _NOISE_TIME_S, _SLOW_S, TorqueEstimator
 from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.sim.plant import Plant
@@ -44,6 +44,7 @@ from tests.shared_flights import SharedFlights
 from tests.sim.plants import VEHICLE, WALL, before_the_wall, body_vehicle
 
 MASS, DT_S = VEHICLE.airframe.mass_kg, 0.004
+NO_CONTACT = ExpectedContact()
 component = st.floats(-3.0, 3.0)
 vectors = st.tuples(component, component, component)
 
@@ -77,25 +78,22 @@ def test_a_gap_in_the_stream_gives_no_rotation() -> None:
 
 def force_while_spinning(vehicle: VehicleConfig, at: Vec3) -> list[float]:
     """Return the horizontal force estimates of a vehicle that spins at up to 8 rad/s in a hover, newton."""
-    state, estimator = FlightState(), ForceEstimator(vehicle)
-    state.frame = MissionFrame()
-    state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
-    q, forces, last, turning = IDENTITY, [], 0.0, AngularMotion()
+    senses = Senses(vehicle)
+    senses.state.anchor(MissionFrame())
+    senses.update(StatusSample(0, 0, landed=LandedState.ON_GROUND), NO_CONTACT)  # where nothing is learnt
+    q, forces, last = IDENTITY, [], 0.0
     for i in range(250):
         t = 1_000_000 + 4000 * i
         rate = 8.0 * min(1.0, max(0.0, (i - 100) / 100))
         mean, change = 0.5 * (rate + last), (rate - last) / 0.004
         last = rate
         q = advance_attitude(q, (0.0, 0.0, mean), 0.004)
-        state.update_attitude(AttitudeSample(t, t, q))
-        estimator.add_attitude(AttitudeSample(t, t, q))
-        state.update_odometry(OdometrySample(t, t, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)))
-        estimator.thrust.add_commands(ActuatorSample(t, t, (HOVER,) * 4))
+        senses.update(AttitudeSample(t, t, q), NO_CONTACT)
+        senses.update(OdometrySample(t, t, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)), NO_CONTACT)
+        senses.update(ActuatorSample(t, t, (HOVER,) * 4), NO_CONTACT)
         x, y, _ = at
         force = (-change * y - mean * mean * x, change * x - mean * mean * y, -9.81)
-        imu = ImuSample(t, t, force, (0.0, 0.0, rate))
-        turning.update(imu)
-        estimate = known(estimator.estimate(imu, state, in_contact=True))
+        estimate = known(senses.update(ImuSample(t, t, force, (0.0, 0.0, rate)), NO_CONTACT).estimate)
         forces.append(math.hypot(estimate.force_mission[0], estimate.force_mission[1]))
     return forces
 
@@ -127,18 +125,15 @@ def sense_hit(
     commands: tuple[float, float, float, float],
     heading_rad: float = 0.0,
 ) -> SensedHit:
-    """Fly a plant past its first contact and feed its IMU to the estimators."""
-    state = FlightState()
-    state.frame = frame = MissionFrame(heading_rad=heading_rad)
-    state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
-    state.lock = LockState(0, LockPhase.SETTLED, plant.mode)
-    force, torque = ForceEstimator(vehicle), TorqueEstimator(vehicle)
-    detector, contacts, fitter = ImpactDetector(vehicle), ContactRecorder(vehicle), ContactFitter(vehicle)
+    """Fly a plant past its first contact and feed its IMU to the senses."""
+    senses, fitter, frame = Senses(vehicle), ContactFitter(vehicle), MissionFrame(heading_rad=heading_rad)
+    senses.state.anchor(frame)
     nx, ny, _ = frame.vector_from_ned(plant.frame.vector_to_ned((*WALL.normal, 0.0)))
     wall = msgspec.structs.replace(WALL, normal=(nx, ny))
     expected = ExpectedContact(True, (nx, ny), WALL.material, wall)
+    senses.update(StatusSample(0, 0, landed=LandedState.IN_AIR), expected)
+    senses.update(LockState(0, LockPhase.SETTLED, plant.mode), expected)
     out = SensedHit([], [], [], [], None)
-    touched = False
     while plant.time_s < 0.6:
         reading, sums = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
         for _ in range(4):
@@ -146,29 +141,19 @@ def sense_hit(
             reading = [reading[i] + 0.25 * part[i] for i in range(3)]
             sums = [sums[i] + 0.25 * plant.contact_torque_frd[i] for i in range(3)]
         t = 1_000_000 + round(plant.time_s * 1e6)
-        touched = touched or plant.in_contact
-        attitude = AttitudeSample(t, t, plant.q)
-        state.update_attitude(attitude)
-        force.add_attitude(attitude)
-        state.update_odometry(OdometrySample(t, t, plant.position, plant.velocity))
-        force.thrust.add_commands(ActuatorSample(t, t, commands))
-        imu = ImuSample(t, t, (reading[0], reading[1], reading[2]), plant.rate)
-        state.update_imu(imu)
-        estimate = force.estimate(imu, state, detector.in_contact)
-        each = force.thrust.each_n
-        found = torque.estimate(t, force.turning, each, 1.0, not touched)
-        if estimate is None or found is None or force.attitude is None:
+        senses.update(AttitudeSample(t, t, plant.q), expected)
+        senses.update(OdometrySample(t, t, plant.position, plant.velocity), expected)
+        senses.update(ActuatorSample(t, t, commands), expected)
+        sensed = senses.update(ImuSample(t, t, (reading[0], reading[1], reading[2]), plant.rate), expected)
+        if sensed.torque is None:
             continue
-        out.torques.append(found)
+        out.torques.append(sensed.torque)
         out.true.append((sums[0], sums[1], sums[2]))
-        events = detector.update(estimate, t, state, expected)
-        out.peaks.extend(e for e in events if isinstance(e, ImpactPeak))
-        contacts.add(estimate, found, force.attitude, force.turning.rate)
-        request = contacts.update(state, (0.0, 0.0), events, expected)
-        if request is not None:
-            answer = fitter.answer(request, 0)
-            assert answer.body is not None, answer.problem
-            out.bodies.append(answer.body)
+        out.peaks.extend(e for e in sensed.impacts if isinstance(e, ImpactPeak))
+        for request in sensed.contact:
+            if isinstance(request, ContactRequest):
+                answer = fitter.answer(request, 0)
+                out.bodies.append(known(answer.body))
     return out._replace(contact=plant.finished[0] if plant.finished else None)
 
 
@@ -255,18 +240,18 @@ def test_motor_torques_are_not_external_torques(difference: tuple[float, float, 
     """Roll, pitch and yaw come from the motors alone."""
     plant = Plant(VEHICLE, (), MissionFrame())
     plant.position, plant.ground_down, plant.motor = (0.0, 0.0, -50.0), 100.0, [HOVER] * 4
-    torque, force = TorqueEstimator(VEHICLE), ForceEstimator(VEHICLE)
+    torque, thrust = TorqueEstimator(VEHICLE), ThrustModel(VEHICLE)
     turning, largest, motors = AngularMotion(), 0.0, 0.0
     for i in range(100):
         t = 1_000_000 + 4000 * i
         sign = 1.0 if i // 10 % 2 == 0 else -1.0
         commands = tuple(HOVER + sign * d for d in difference)
         a, b, c, d = commands
-        force.thrust.add_commands(ActuatorSample(t, t, (a, b, c, d)))
+        thrust.add_commands(ActuatorSample(t, t, (a, b, c, d)))
         plant.advance((a, b, c, d), 4)
         turning.update(ImuSample(t + 4000, t, (0.0, 0.0, 0.0), plant.rate))
-        force.thrust.mean_over_tick(t + 4000)
-        found = torque.estimate(t + 4000, turning, force.thrust.each_n, 1.0, learns=False)
+        thrust.mean_over_tick(t + 4000)
+        found = torque.estimate(t + 4000, turning, thrust.each_n, 1.0, learns=False)
         if found is not None and i > 45:  # skip the transient of the first commands
             largest = max(largest, norm(found.torque_frd))
             j = VEHICLE.airframe.inertia_kg_m2

@@ -36,7 +36,8 @@ class Recipe(NamedTuple):
 
     @property
     def package_files(self) -> set[str]:
-        return {change.path for change in self.changes if change.path.startswith("dart_flight/")}
+        """The changed files outside of tests and pages."""
+        return {change.path for change in self.changes if change.path.startswith(("dart_flight/", "tools/"))}
 
 
 def changes_in(diff: str) -> list[Change]:
@@ -78,16 +79,15 @@ def apply(change: Change, root: Path) -> None:
     path.write_text(text.replace("\n" + change.before, "\n" + change.after)[1:], encoding="utf-8")
 
 
-def test_the_page_lists_six_recipes_with_their_numbers_of_files() -> None:
+def test_the_page_lists_every_recipe_with_its_number_of_files() -> None:
     rows = re.findall(r"^\| \[(.+?)\]\(#.+?\) \| (\d+) \|$", PAGE, re.MULTILINE)
     assert [(r.title.lower(), str(len(r.package_files))) for r in RECIPES] == rows
-    assert len(RECIPES) == 6
     assert all(len(r.package_files) <= MAX_FILES for r in RECIPES)
 
 
 def copy_project(root: Path) -> None:
     for name in COPIED:
-        ignored = shutil.ignore_patterns("__pycache__", "data" if name == "tests" else "results", "img")
+        ignored = shutil.ignore_patterns("__pycache__", "img", *(["data"] if name == "tests" else []))
         shutil.copytree(ROOT / name, root / name, ignore=ignored)
     (root / "tests" / "data").symlink_to(ROOT / "tests" / "data")
     shutil.copy(ROOT / "pyproject.toml", root)
@@ -123,6 +123,9 @@ def test_the_recipes_work_as_written(tmp_path: Path) -> None:
     copy_project(tmp_path)
     for change in (change for recipe in RECIPES for change in recipe.changes):
         apply(change, tmp_path)
+    for arguments in (["check"], ["format", "--check"]):
+        status, output = python(tmp_path, "-m", "ruff", *arguments, "--no-cache")
+        assert status == 0, output
     checks = [recipe.check for recipe in RECIPES]
     assert all(check[:2] == ["-m", "pytest"] for check in checks)
     files = dict.fromkeys(word for check in checks for word in check if word.endswith(".py"))
@@ -130,6 +133,23 @@ def test_the_recipes_work_as_written(tmp_path: Path) -> None:
     status, output = python(tmp_path, "-m", "pytest", *files, *words)
     assert status == 0, output
     assert {line.partition("::")[0] for line in output.splitlines() if " PASSED" in line} == set(files)
+
+
+MOTION_CAPTURE = next(recipe for recipe in RECIPES if recipe.title == "A motion-capture system")
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("left_out", sorted({change.path for change in MOTION_CAPTURE.changes}))
+def test_a_motion_capture_system_without_one_of_its_parts_fails_its_check(
+    left_out: str, tmp_path: Path
+) -> None:
+    copy_project(tmp_path)
+    for change in MOTION_CAPTURE.changes:
+        if change.path != left_out:
+            apply(change, tmp_path)
+    status, output = python(tmp_path, *MOTION_CAPTURE.check, "-x", "-p", "no:cacheprovider")
+    assert status == 1, output
+    assert "1 failed" in output
 
 
 def test_a_lock_driver_without_an_entry_is_rejected_on_import(tmp_path: Path) -> None:

@@ -115,7 +115,7 @@ class Telemetry:
 
     def force_at(self, t_us: int) -> Vec2 | None:
         """Return the core's estimate of the external force at a time, FRD x and y, newton, or None."""
-        senses, frame = Senses(self._mission), self._mission.frame_at((0.0, 0.0, 0.0))
+        senses, frame = Senses(self._mission.vehicle), self._mission.frame_at((0.0, 0.0, 0.0))
         senses.state.anchor(frame)
         found = None
         for record in list(self._all):

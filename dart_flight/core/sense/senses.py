@@ -1,4 +1,4 @@
-"""Senses of the core and of `monitor`: state, force, torque and impacts from telemetry."""
+"""Senses of the core, of `monitor` and of `inspect`: state, force, torque and impacts from samples."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dart_flight.base.records import (
     TorqueEstimate,
     WallEstimate,
 )
-from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.contact_height import ContactHeight
 from dart_flight.core.sense.contact_recorder import ContactRecorder
 from dart_flight.core.sense.detector import Event, ExpectedContact, ImpactDetector
@@ -34,6 +34,7 @@ from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.position_delay import PositionDelay
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.torque import TorqueEstimator
+from dart_flight.core.sense.vehicle_motion import VehicleMotion
 
 # A contact may disturb PX4's estimate for this long; such a disturbance is not an estimator fault.
 IMPACT_WINDOW_S: Final = 2.0
@@ -71,41 +72,43 @@ _TOUCHING: Final = Sensed(in_contact=True)
 class Senses:
     """State, estimators and impact detector, updated together.
 
-    The detector is active only while `ExpectedContact.watching` is set.
+    The detector is active only while `ExpectedContact.watching` is set. All users of a force estimate have it
+    from here, so another estimator is constructed here (docs/extending.md).
     """
 
-    def __init__(self, mission: Mission) -> None:
-        self.state = FlightState(mission.vehicle.has_lock)
-        self.estimator = ForceEstimator(mission.vehicle)
-        self.torque = TorqueEstimator(mission.vehicle)
-        self.detector = ImpactDetector(mission.vehicle)
-        self.contacts = ContactRecorder(mission.vehicle)
-        self.height = ContactHeight(mission.vehicle.airframe.contact_distance_m)
-        self.delay = PositionDelay(mission.vehicle.airframe.mass_kg, IMPACT_WINDOW_S)
+    def __init__(self, vehicle: VehicleConfig) -> None:
+        self.state = FlightState(vehicle.has_lock)
+        self.motion = VehicleMotion(vehicle)
+        self.force = ForceEstimator(vehicle)
+        self.torque = TorqueEstimator(vehicle)
+        self.detector = ImpactDetector(vehicle)
+        self.contacts = ContactRecorder(vehicle)
+        self.height = ContactHeight(vehicle.airframe.contact_distance_m)
+        self.delay = PositionDelay(vehicle.airframe.mass_kg, IMPACT_WINDOW_S)
 
     def update(self, item: Input, expected: ExpectedContact) -> Sensed:
-        state, estimator = self.state, self.estimator
+        state, motion = self.state, self.motion
         if type(item) is ImuSample:
             if state.update_imu(item):
                 return self._process_imu(item, expected)
         elif type(item) is AttitudeSample:
             if state.update_attitude(item):
-                estimator.add_attitude(item)
+                motion.add_attitude(item)
         elif type(item) is OdometrySample:
             if state.update_odometry(item) and item.t_us >= self.delay.due_us:
                 self._compare_velocity(item.t_us)
         elif type(item) is ActuatorSample:
             state.update_actuator(item)
-            estimator.thrust.add_commands(item)
+            motion.thrust.add_commands(item)
         elif type(item) is PoseSample:
             state.update_pose(item)
         elif type(item) is EscSample:
-            estimator.thrust.update_esc(item)
+            motion.thrust.update_esc(item)
         elif type(item) is Tick:
             state.advance(item)
         elif type(item) is StatusSample:
             state.update_status(item)
-            estimator.thrust.update_voltage(item.battery_v)
+            motion.thrust.update_voltage(item.battery_v)
         elif type(item) is LockState:
             state.update_lock(item)
         elif type(item) is EstimatorSample:
@@ -130,28 +133,29 @@ class Senses:
         state, delay = self.state, self.delay
         if self.detector.in_contact:
             delay.disturb(t_us)
-        delay.compare_odometry(t_us, state.velocity, self.estimator.momenta)
+        delay.compare_odometry(t_us, state.velocity, self.motion.momenta)
         state.position_ahead_s = delay.ahead_s
 
     def _process_imu(self, item: ImuSample, expected: ExpectedContact) -> Sensed:
-        state, estimator, detector = self.state, self.estimator, self.detector
+        state, motion, detector = self.state, self.motion, self.detector
         touching = detector.in_contact
-        estimate = estimator.estimate(item, state, touching)
+        complete = motion.update(item, state, touching)
         torque = self.torque.estimate(
             item.t_us,
-            estimator.turning,
-            estimator.thrust.each_n,
-            estimator.hover.scale,
+            motion.turning,
+            motion.thrust.each_n,
+            motion.hover.scale,
             not touching and not state.on_ground,
         )
-        if estimate is None:
+        if not complete:
             return Sensed(in_contact=touching)
+        estimate = self.force.estimate(item, motion, state)
         slow = detector.slow_force.value
         impacts = detector.update(estimate, item.received_us, state, expected)
         contact: tuple[Output, ...] = ()
         wall = None
-        if torque is not None and estimator.attitude is not None:
-            self.contacts.add(estimate, torque, estimator.attitude, estimator.turning.rate)
+        if torque is not None and motion.attitude is not None:
+            self.contacts.add(estimate, torque, motion.attitude, motion.turning.rate)
             if impacts:
                 request = self.contacts.update(state, slow, impacts, expected)
                 if request is not None:
@@ -161,7 +165,7 @@ class Senses:
             wall = self.contacts.overdue(item.t_us)
             contact = () if wall is None else (wall,)
         found = tuple(impacts) if impacts else ()
-        ratio = estimator.hover.thrust_ratio
+        ratio = motion.hover.thrust_ratio
         return Sensed(
             estimate, found, detector.in_contact, torque, contact, wall, self.height.height_m, ratio
         )

@@ -10,20 +10,18 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Vec2, Vec3, rotate
+from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Vec2, Vec3
 from dart_flight.base.records import (
-    ActuatorSample,
-    AttitudeSample,
     ForceEstimate,
     ImpactOnset,
     ImpactPeak,
     ImuSample,
-    OdometrySample,
+    LandedState,
+    StatusSample,
 )
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import SHORT_WINDOW_S, ExpectedContact, ImpactDetector
-from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.detector import SHORT_WINDOW_S, ExpectedContact
+from dart_flight.core.sense.senses import Senses
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.inspect.content import height_at, landings_of
 from dart_flight.lab.inspect.log_samples import Sample
@@ -203,7 +201,7 @@ class InspectedSeries(msgspec.Struct):
 
 
 class ImpactScan:
-    """A scan of one log for impacts, by the force estimator and the impact detector.
+    """A scan of one log for impacts, by the flight core's senses.
 
     Args:
         vehicle: the result of `vehicle_for`.
@@ -218,10 +216,8 @@ class ImpactScan:
         listener: Listener | None = None,
     ) -> None:
         self._mass, self._flying, self._listener = vehicle.airframe.mass_kg, flying, listener
-        self.estimator, self.detector = ForceEstimator(vehicle), ImpactDetector(vehicle)
-        self.state = FlightState()
-        self.state.anchor(MissionFrame())
-        self._place = 0
+        self._senses = Senses(vehicle)
+        self._senses.state.anchor(MissionFrame())
         self._full_n = len(vehicle.airframe.motors) * vehicle.thrust.max_thrust_n
         self._newest: deque[Estimated] = deque(maxlen=REMEMBERED)
         self._short = short_samples(vehicle)
@@ -229,34 +225,27 @@ class ImpactScan:
         self._noise: list[tuple[float, float, float, float, float]] = []
         self.crossings: list[ThresholdCrossing] = []
 
-    def in_the_air(self, t_s: float) -> bool:
-        """Return whether a time is within a flight; times must not decrease from call to call."""
-        while self._place < len(self._flying) and self._flying[self._place][1] < t_s:
-            self._place += 1
-        return self._place < len(self._flying) and self._flying[self._place][0] <= t_s
-
     def process(self, sample: Sample) -> None:
-        if isinstance(sample, AttitudeSample):
-            if self.state.update_attitude(sample):
-                self.estimator.add_attitude(sample)
-        elif isinstance(sample, OdometrySample):
-            self.state.update_odometry(sample)
-        elif isinstance(sample, ActuatorSample):
-            self.estimator.thrust.add_commands(sample)
-        elif self.state.update_imu(sample):
-            self._process_imu(sample)
-
-    def _process_imu(self, sample: ImuSample) -> None:
-        detector, flying = self.detector, self.in_the_air(sample.t_us * 1e-6)
-        # The noise on the ground differs from that in flight, so the estimator must not adapt to it.
-        estimate = self.estimator.estimate(sample, self.state, detector.in_contact or not flying)
+        senses, detector = self._senses, self._senses.detector
+        if not isinstance(sample, ImuSample):
+            senses.update(sample, ExpectedContact())
+            return
+        flying = any(begin <= sample.t_us * 1e-6 <= end for begin, end in self._flying)
+        if senses.state.on_ground is flying:
+            # The noise on the ground differs from that in flight, so the estimator must not adapt to it.
+            landed = LandedState.IN_AIR if flying else LandedState.ON_GROUND
+            senses.update(StatusSample(sample.t_us, sample.t_us, landed=landed), ExpectedContact())
+        sensed = senses.update(sample, ExpectedContact(flying))
+        estimate = sensed.estimate
         if estimate is None:
             return
-        estimated = self._with_thrust(estimate, sample, flying)
+        motion = senses.motion
+        along_n = -self._mass * sample.specific_force_frd[2]
+        estimated = Estimated(estimate, flying, motion.up, motion.thrust_n, along_n, self._full_n)
         self._newest.append(estimated)
         if self._listener is not None:
             self._listener(estimated)
-        for event in detector.update(estimate, sample.t_us, self.state, ExpectedContact(flying)):
+        for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
                 level = math.hypot(estimated.up[0], estimated.up[1])
                 noise = detector.noise_n[0]
@@ -268,28 +257,20 @@ class ImpactScan:
         if flying:
             self._keep(estimate)
 
-    def _with_thrust(self, estimate: ForceEstimate, sample: ImuSample, flying: bool) -> Estimated:
-        attitude, frame = self.estimator.attitude, self.state.frame
-        assert attitude is not None
-        assert frame is not None
-        up = frame.vector_from_ned(rotate(attitude, (0.0, 0.0, -1.0)))
-        along_n = -self._mass * sample.specific_force_frd[2]
-        return Estimated(estimate, flying, up, self.estimator.thrust_n, along_n, self._full_n)
-
     def _keep(self, estimate: ForceEstimate) -> None:
         fx, fy, fz = estimate.force_mission
-        m, thresholds = self._mass, self.detector.thresholds_n()
+        m, detector = self._mass, self._senses.detector
         # The mission frame here is north, west, up.
-        self.rows.append((estimate.t_us * 1e-6, fx / m, -fy / m, -fz / m, min(thresholds) / m))
+        self.rows.append((estimate.t_us * 1e-6, fx / m, -fy / m, -fz / m, min(detector.thresholds_n()) / m))
         if len(self.rows) % 50 == 0:
-            short, long = self.detector.noise_n
+            short, long = detector.noise_n
             self._noise.append(
                 (
-                    self.estimator.hover.noise_m_s2,
+                    self._senses.motion.hover.noise_m_s2,
                     short / m,
                     long / m,
-                    self.detector.detection_floor_n(0.05) / m,
-                    self.detector.detection_floor_n(0.15) / m,
+                    detector.detection_floor_n(0.05) / m,
+                    detector.detection_floor_n(0.15) / m,
                 )
             )
 

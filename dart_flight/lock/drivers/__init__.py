@@ -13,6 +13,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, cast, runtime_checkable
 
+from dart_flight.base.text import alternatives
 from dart_flight.config.document import Key
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock.persistence import ServoDevice, ServoOwnership
@@ -123,8 +124,7 @@ if set(DRIVERS) != set(LockDriver):
 
 def driver_names(chosen: Callable[[DriverEntry], bool]) -> str:
     """Return the names of the chosen drivers as text: `maestro, pwm or px4`."""
-    *first, last = [kind.value for kind, entry in DRIVERS.items() if chosen(entry)]
-    return f"{', '.join(first)} or {last}" if first else last
+    return alternatives(kind.value for kind, entry in DRIVERS.items() if chosen(entry))
 
 
 def make_driver(

@@ -30,7 +30,7 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
     """Return the pose in a datagram, or the reason why it contains none."""
     try:
         pose = _DECODER.decode(data)
-    except (msgspec.DecodeError, RecursionError) as error:  # a ValidationError is a DecodeError
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         return f"not a pose in JSON ({str(error)[:80]})"
     if pose.body is not None and pose.body != body:
         return "of another body"

@@ -14,13 +14,10 @@ from typing import Final, NamedTuple, Protocol
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from dart_flight.base.geometry import IDENTITY, Quaternion, Vec3, quaternion_normalise
+from dart_flight.base.text import alternatives
 from dart_flight.config.document import InputError
 from dart_flight.config.packages import missing_package
 
-_EXAMPLES: Final = (
-    "use optitrack://SERVER/BODY, qualisys://HOST/BODY, vicon://ADDRESS:51001/BODY, vrpn://HOST/BODY "
-    "or udp://ADDRESS:PORT/BODY"
-)
 _MAX_M: Final = 1000.0  # no room is larger; beyond this the sender's unit is not the metre
 _MAX_US: Final = 2**62  # a larger stamp is not a time, and its difference to a clock has no 64 bits
 _MAX_NAMES: Final = 5  # names listed in a message
@@ -106,15 +103,31 @@ class PoseAddress(NamedTuple):
     interface: str | None = None
 
 
-# scheme: module in this package, default port
-_SYSTEMS: Final = {
-    "optitrack": ("optitrack", 1510),
-    "qualisys": ("qualisys", 22223),
-    "vicon": ("vicon", 51001),
-    "vrpn": ("vrpn", 3883),
-    "udp": ("json_udp", None),
+class System(NamedTuple):
+    """A motion-capture system.
+
+    Attributes:
+        url: form of its URL, for people.
+        module: module of this package that reads it.
+        port: default port; None: the URL has to name one.
+        multicast: whether its frames may come by multicast, so that the URL may name a network card.
+    """
+
+    url: str
+    module: str
+    port: int | None = None
+    multicast: bool = False
+
+
+# By the scheme of the URL. `sim.motion_capture` emulates each system, and docs/motion_capture.md lists them.
+SYSTEMS: Final = {
+    "optitrack": System("optitrack://SERVER/BODY", "optitrack", 1510, multicast=True),
+    "qualisys": System("qualisys://HOST/BODY", "qualisys", 22223),
+    "vicon": System("vicon://ADDRESS:51001/BODY", "vicon", 51001, multicast=True),
+    "vrpn": System("vrpn://HOST/BODY", "vrpn", 3883),
+    "udp": System("udp://ADDRESS:PORT/BODY", "json_udp", multicast=True),
 }
-_MULTICAST: Final = ("optitrack", "vicon", "udp")
+URLS: Final = alternatives(system.url for system in SYSTEMS.values())
 
 
 def parse_url(url: str) -> tuple[str, PoseAddress]:
@@ -124,21 +137,23 @@ def parse_url(url: str) -> tuple[str, PoseAddress]:
         host, port, body = parts.hostname, parts.port, unquote(parts.path).removeprefix("/")
         options = parse_qs(parts.query, strict_parsing=True) if parts.query else {}
     except ValueError as error:
-        raise InputError(f"mocap URL {url}: {error}; {_EXAMPLES}") from None
-    if url in _SYSTEMS:
+        raise InputError(f"mocap URL {url}: {error}; use {URLS}") from None
+    if url in SYSTEMS:
         raise InputError(
             f"mocap URL {url}: only dry-run and simulate emulate a system by its name; a real one needs "
-            f"{_EXAMPLES.removeprefix('use ')}"
+            f"{URLS}"
         )
-    if parts.scheme not in _SYSTEMS or not host or not body or parts.fragment:
-        raise InputError(f"mocap URL {url}: {_EXAMPLES}")
+    system = SYSTEMS.get(parts.scheme)
+    if system is None or not host or not body or parts.fragment:
+        raise InputError(f"mocap URL {url}: use {URLS}")
     (interface,) = options.pop("interface", [None])[-1:]
-    if options or (interface is not None and parts.scheme not in _MULTICAST):
+    if options or (interface is not None and not system.multicast):
+        multicast = ", ".join(scheme for scheme, system in SYSTEMS.items() if system.multicast)
         raise InputError(
             f"mocap URL {url}: the only option is ?interface=NAME_OR_ADDRESS, the network card for multicast "
-            f"of {', '.join(_MULTICAST)}; in a name, write ? as %3F"
+            f"of {multicast}; in a name, write ? as %3F"
         )
-    port = port if port is not None else _SYSTEMS[parts.scheme][1]
+    port = port if port is not None else system.port
     if port is None:
         raise InputError(f"mocap URL {url}: add a port, such as udp://0.0.0.0:9763/{body}")
     return parts.scheme, PoseAddress(url, host, port, body, interface)
@@ -153,7 +168,7 @@ def open_source(url: str) -> PoseSource:
     """
     scheme, address = parse_url(url)
     try:
-        module = importlib.import_module(f"dart_flight.vehicle.motion_capture.{_SYSTEMS[scheme][0]}")
+        module = importlib.import_module(f"dart_flight.vehicle.motion_capture.{SYSTEMS[scheme].module}")
     except ModuleNotFoundError as error:
         if error.name is None or error.name.startswith("dart_flight"):
             raise

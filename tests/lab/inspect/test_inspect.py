@@ -22,6 +22,7 @@ from tests.doubles.ulog_file import Topics, write_ulog
 
 pytest.importorskip("pyulog")
 
+ROOT = Path(__file__).parents[3]
 FULL_M_S2, FACTOR = 22.0, 0.3
 END_S = 26.0
 HIT_S, HIT_M_S2, HIT_DEG, LONG_S = 16.0, 14.0, 60.0, 0.15
@@ -103,6 +104,12 @@ def test_an_impact_is_found_with_its_size_direction_and_time(
     assert thrust["full_m_s2"] == pytest.approx(FULL_M_S2, rel=0.03)
     assert thrust["held_out_percent"] < 5.0
     assert flight["px4_version"] == "1.14.0"
+
+
+def test_a_vehicle_without_a_lock_is_rigid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, cage = write_ulog(tmp_path / "a.ulg", topics()), str(ROOT / "configs" / "rigid_cage.yaml")
+    (impact,) = inspect_json(log, capsys, "--config", cage)["impacts"]
+    assert impact["acceleration_m_s2"] == pytest.approx(HIT_M_S2, rel=0.2)
 
 
 def test_forces_are_unknown_without_a_mass(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

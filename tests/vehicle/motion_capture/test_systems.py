@@ -11,6 +11,7 @@ import socket
 import struct
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import natnet
@@ -25,6 +26,7 @@ from dart_flight.base.geometry import (
     rotation_angle,
 )
 from dart_flight.base.records import PoseSample
+from dart_flight.cli import main
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.sim.motion_capture import KINDS, PoseServer, make_server
 from dart_flight.vehicle.clock import SimulatedTime
@@ -32,12 +34,14 @@ from dart_flight.vehicle.motion_capture import vrpn
 from dart_flight.vehicle.motion_capture.natnet_packets import KEEP_ALIVE
 from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge
 from dart_flight.vehicle.motion_capture.qualisys import body_names
+from dart_flight.vehicle.motion_capture.source import SYSTEMS as READ
 from dart_flight.vehicle.motion_capture.source import AbsentSourceError, PoseSource, RawPose, open_source
 from tests.doubles.ports import free_udp_port
 from tests.doubles.scripted_peer import NatNet, ScriptedPeer, UdpLink
 from tests.real_time import wait_until
 from tests.vehicle.motion_capture.test_decoders import VRPN_COOKIE, VRPN_NAMES, VRPN_POSE
 
+PAGE = Path(__file__).parents[3] / "docs" / "motion_capture.md"
 BODY = "my dart"
 POSITION = (1.25, -2.5, 0.75)
 ATTITUDE = quaternion_from_rotation_vector((0.4, -0.9, 2.0))
@@ -123,8 +127,16 @@ def assert_is_the_pose(pose: RawPose) -> None:
     assert rotation_angle(pose.q_body_to_room, ATTITUDE) < 1e-6
 
 
-def test_every_system_has_its_row() -> None:
-    assert set(SYSTEMS) == set(KINDS)
+def test_every_system_is_tested_and_emulated() -> None:
+    assert set(READ) == set(SYSTEMS) == set(KINDS)
+
+
+@pytest.mark.parametrize("url", [system.url for system in READ.values()])
+def test_every_system_is_on_the_page_and_in_the_help(url: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert f"\n| `{url}` | " in PAGE.read_text("utf-8")
+    with pytest.raises(SystemExit):
+        main(["mocap", "--help"])
+    assert url in "".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize("kind", SYSTEMS)
