@@ -21,13 +21,13 @@ _EXAMPLES: Final = (
     "use optitrack://SERVER/BODY, qualisys://HOST/BODY, vicon://ADDRESS:51001/BODY, vrpn://HOST/BODY "
     "or udp://ADDRESS:PORT/BODY"
 )
-_MAX_M: Final = 1000.0  # no room is larger; beyond this the sender's unit is not the metre
-_MAX_US: Final = 2**62  # a larger stamp is not a time, and its difference to a clock has no 64 bits
+_MAX_M: Final = 1000.0  # no room is larger, so a larger number means that the sender's unit is not the metre
+_MAX_US: Final = 2**62  # a larger stamp is not a time, and its difference from a clock may exceed 64 bits
 _MAX_NAMES: Final = 5  # names listed in a message
 
 
 class AbsentSourceError(InputError):
-    """A motion-capture server does not answer, or does not know the body; both may change at any time."""
+    """A motion-capture server does not answer or does not know the body; both may change at any time."""
 
 
 class RawPose(NamedTuple):
@@ -96,7 +96,7 @@ class PoseAddress(NamedTuple):
     """The parts of a pose source's URL.
 
     Attributes:
-        interface: name or address of the network card that receives multicast; None: the source decides.
+        interface: name or address of the network card that receives multicast, or None if the source decides.
     """
 
     url: str
