@@ -44,8 +44,7 @@ def check_lateness(mission: Mission) -> CheckFinding:
 def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> CheckFinding:
     """Measure the core's processor time per IMU sample and compare it with the sample interval.
 
-    If the core refuses the mission, the finding is a no-go with the core's reason. If a finding in
-    `found`
+    If the core refuses the mission, the finding is a no-go with the core's reason. If a finding in `found`
     already gives this reason, the no-go only names that finding.
     """
     interval_s = 1.0 / mission.vehicle.imu.rate_hz
@@ -87,10 +86,8 @@ def measure_step_s(mission: Mission) -> float:
     """Return the processor time that the core needs per IMU period in flight, seconds.
 
     In one period the core processes an IMU sample and the other inputs that arrive with this sample. Two
-    seconds
-    of inputs from a vehicle at rest are timed. The result is multiplied by a fixed factor, because a period
-    in
-    flight costs more.
+    seconds of inputs from a vehicle at rest are timed. The result is multiplied by a fixed factor, because a
+    period in flight costs more.
     """
     core = flight_core_of(mission)
     period_us, motors = round(1e6 / mission.vehicle.imu.rate_hz), len(mission.vehicle.airframe.motors)

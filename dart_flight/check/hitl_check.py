@@ -75,7 +75,7 @@ def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
         return [CheckFinding(ON_A_BOARD, False, says)]
     if WITH_IO not in values or not turning:
         return []
-    says = f"{', '.join(turning)} drive motors, and a PX4IO stays active in this mode: set them to 0 and restart"
+    says = f"{', '.join(turning)} drive motors, and a PX4IO stays active: set them to 0 and restart"
     return [CheckFinding("real_outputs", False, says)]
 
 

@@ -56,8 +56,7 @@ def predict_flight_path(mission: Mission) -> PredictedFlight | None:
     """Return the flight that the planner's model predicts.
 
     The result is None if an approach cannot be flown (other checks report the reason), or if the position of
-    a
-    wall is still unknown.
+    a wall is still unknown.
     """
     if any(c.wall.sought for c in mission.collisions):
         return None
@@ -355,8 +354,7 @@ def _check_recovery(
     """Check the point to which a recovery leads.
 
     If the next collision has no approach, the recovery itself must lead to that collision's wall. Otherwise
-    the
-    recovery must hit no wall and no post.
+    the recovery must hit no wall and no post.
     """
     hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
     place = collision.impact_point or (collision.predicted.position_m if collision.predicted else None)

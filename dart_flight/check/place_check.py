@@ -69,8 +69,7 @@ def _surroundings(
     """Yield name, distance (m), bearing (deg) and side (ahead, right, behind, left) of each wall and post.
 
     The hidden face of a partition is left out. Distances are measured to the surface, so that the operator
-    can
-    compare them with a tape measure. A wrong distance reveals that `given_at: surface` is missing in the
+    can compare them with a tape measure. A wrong distance reveals that `given_at: surface` is missing in the
     mission.
     """
     to_surface_m = mission.vehicle.airframe.contact_distance_m

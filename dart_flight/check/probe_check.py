@@ -82,7 +82,7 @@ def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
 
 
 def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
-    """If the frame drifts, check that a contact corrects the frame along each wall's normal before the hit."""
+    """If the frame drifts, check that contacts correct it along each wall's normal before the hit."""
     if not mission.is_anchored:
         return
     touched: list[Collision] = []

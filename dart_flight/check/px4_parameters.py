@@ -261,7 +261,7 @@ def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[Chec
         else:
             says = (
                 f"{shown} m on the vehicle, {show_value(difference.wanted)} m in imu.position_m: PX4's "
-                "velocity or the estimated force mistakes rotation for translation; measure from the centre of "
+                "velocity or the estimated force mistakes rotation for motion; measure from the centre of "
                 "mass and set both"
             )
         findings.append(CheckFinding(name, name not in GAINS, says, remark=name not in GAINS))

@@ -151,8 +151,7 @@ def motor_output_names(values: Mapping[str, float], motors: int) -> list[str]:
     """Return the next parameters to read in the search for the motors' outputs; empty if all have been read.
 
     A bank is a group of outputs, such as PWM_MAIN. Reading an absent parameter takes seconds, so the first
-    output
-    of a bank decides whether the bank exists.
+    output of a bank decides whether the bank exists.
     """
     for bank in _BANKS:
         pins = [f"{bank}_FUNC{k}" for k in range(1, motors + 1)]

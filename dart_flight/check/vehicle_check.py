@@ -78,8 +78,8 @@ def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[Che
     """Compare PX4's motors with the motors of the configuration.
 
     A different number, order or direction of the motors invalidates the estimated thrust and torque. A
-    different
-    distance is only a remark, because distances only scale the torque, and PX4 accepts them in any unit.
+    different distance is only a remark, because distances only scale the torque, and PX4 accepts them in any
+    unit.
     """
     item, motors = "airframe", mission.vehicle.airframe.motors
     try:

@@ -2,7 +2,7 @@
 
 The commands for analysis and planning are in `lab/commands/` and are loaded through `lab_entries`. A command
 module has two functions: `configure(parser)` adds the arguments, and `run(arguments)` returns the exit
-status. The module calls other packages and prints their results; it has no logic of its own. If a command raises
+status. The module calls other packages and prints; it has no logic of its own. If a command raises
 `InputError`, `main` prints the error as one line and returns exit status 2.
 """
 
@@ -130,9 +130,9 @@ def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print one machine-readable object on standard output")
-    parser.add_argument("--config", metavar="FILE", help="vehicle configuration (default: the file in configs/)")
-    parser.add_argument("-v", "--verbose", action="count", default=0, help="print more messages on standard error")
+    parser.add_argument("--json", action="store_true", help="one machine-readable object on standard output")
+    parser.add_argument("--config", metavar="FILE", help="vehicle configuration (default: one in configs/)")
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="more messages on standard error")
 
 
 def _module(command: str) -> Any:

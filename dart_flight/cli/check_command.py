@@ -96,7 +96,7 @@ def _check(arguments: argparse.Namespace) -> int:
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
     mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
     if arguments.connection is None and arguments.mocap not in (None, NO_MOCAP):
-        raise InputError("poses are read only if a vehicle is connected: give --connection too", key=("--mocap",))
+        raise InputError("poses are read only from a vehicle: give --connection too", key=("--mocap",))
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
     context = FlightContext(mission, arguments.log_dir, position_from=arguments.position_from)

@@ -62,7 +62,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--realtime",
         action="store_true",
-        help="do not make simulated time wait for this program; on a busy computer, the flight may fail "
+        help="simulated time does not wait for this program; on a busy computer, the flight may fail "
         "(docs/time.md)",
     )
     parser.add_argument(
@@ -191,7 +191,7 @@ def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[...,
         seen = {} if live is None else {"viewer": live}
         began_s = time.monotonic()
         verdict = fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines, **seen)
-        if verdict.speed is None and verdict.flight_time_s is not None:  # this time includes the start of the process
+        if verdict.speed is None and verdict.flight_time_s is not None:  # including the start
             verdict.speed = verdict.flight_time_s / (time.monotonic() - began_s)
     show_end(verdict, console, arguments.json)
     if arguments.hitl is not None:

@@ -79,7 +79,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--mocap",
         metavar="URL",
         help="with --connection: motion capture whose poses are forwarded to PX4, or none "
-        f"(default: mocap.url); in simulation: motion capture to emulate, {', '.join(KINDS)} (docs/motion_capture.md)",
+        f"(default: mocap.url); in simulation: kind to emulate, {', '.join(KINDS)} (docs/motion_capture.md)",
     )
     add_set_option(parser)
     add_vary_option(parser)

@@ -45,8 +45,7 @@ class _OutputStream:
     """Standard output or standard error, looked up in `sys` at every write.
 
     A message that cannot be written to standard error (full disk, closed terminal) is discarded, so that it
-    does
-    not end a flight.
+    does not end a flight.
     """
 
     def __init__(self, name: str) -> None:

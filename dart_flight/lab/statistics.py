@@ -28,7 +28,7 @@ class Share(msgspec.Struct, frozen=True):
     high: float | None
 
     def words(self, unknown: str) -> tuple[str, str]:
-        """Return the rate and its interval as two texts, in percent. Without flights both are `unknown`."""
+        """Return the rate and its interval as two strings, in percent; without flights both are `unknown`."""
         if self.share is None or self.low is None or self.high is None:
             return unknown, unknown
         return f"{100.0 * self.share:.1f} %", f"{100.0 * self.low:.1f} to {100.0 * self.high:.1f} %"
@@ -67,7 +67,7 @@ class Separation(NamedTuple):
 
     Attributes:
         chance: probability that a value of the first group exceeds a value of the second group. A tie counts
-            half. 0.5 is no separation.
+            half. 0.5 means no separation.
         z: (`chance` - 0.5) / s, where s is the standard deviation of `chance` for groups that do not differ.
     """
 
@@ -111,7 +111,7 @@ def rank_correlation_chance(correlation: float, pairs: int) -> float:
 def student_t(freedom: int) -> float:
     """Return the 97.5 % point of Student's t.
 
-    Up to ten degrees of freedom it comes from a table: the expansion about the normal quantile is inaccurate
+    Up to ten degrees of freedom, use a table: the expansion about the normal quantile is inaccurate
     there.
     """
     if freedom <= len(_T_FEW):

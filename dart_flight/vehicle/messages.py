@@ -315,9 +315,7 @@ def _odometry(m: _OdometryFields) -> Odometry | Unusable:
             f"the messages carry external poses{poses} ({name}; see MAV_ODOM_LP), not PX4's own estimate"
         )
     if m.frame_id != _LOCAL_NED:
-        return Unusable(
-            f"the position has frame {m.frame_id}, as in an external pose, instead of local NED"
-        )
+        return Unusable(f"the position has frame {m.frame_id}, as in an external pose, instead of local NED")
     if m.child_frame_id != _LOCAL_NED:
         old = ", as before PX4 1.14" if m.child_frame_id == _BODY_FRD else ""
         return Unusable(f"the velocity has frame {m.child_frame_id}{old}, instead of local NED")

@@ -6,8 +6,8 @@ on the room's axes nor on the cameras' clock.
 Let R be the attitude (FRD to NED), f the specific force and w the body rate. If the room is rotated by A and
 the marker body by B, the poses show the attitude A R B, the rate B^-1 w and the acceleration A (R f + g).
 Matching the rates to the gyro therefore gives the age and B. The accelerations then give the scale and A g,
-the room's vertical. A mirrored room does not change the rates, because a rate is an axial vector. The mirroring reverses
-the accelerations, so a negative correlation of the accelerations reveals the mirroring.
+the room's vertical. A mirrored room does not change the rates, because a rate is an axial vector. But the
+mirroring reverses the accelerations, so a negative correlation of the accelerations reveals it.
 
 Gyro and accelerometer pass through the same Gaussian filters as the poses. The second derivative of the
 Gaussian filters the noisy positions and differentiates them twice. The mean of each acceleration is

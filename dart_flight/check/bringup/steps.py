@@ -201,7 +201,7 @@ class Bringup:
         if not found.received:
             return f"no data arrives on {link.place}: check TX and RX, MAV_1_CONFIG and the power"
         if found.baud is None:
-            return f"bytes arrive on {link.place}, but no MAVLink at any usual baud rate: check whether a console uses the port"
+            return f"bytes arrive on {link.place}, but no MAVLink at any usual baud rate: check for a console"
         if found.baud != link.number:
             return (
                 f"wrong baud rate: MAVLink arrives at {found.baud}, but the link's URL has {link.number}: "
@@ -279,7 +279,7 @@ class Bringup:
                 moves = [self._move(lock, mode) for mode in (Mode.FLEXIBLE, Mode.RIGID, Mode.FLEXIBLE)]
         except DriverError as error:
             return failed(f"{error}")
-        return judgements.evaluate_servo(config, moves[1:])  # skip the first move, which starts from an unknown position
+        return judgements.evaluate_servo(config, moves[1:])  # the first move began at an unknown position
 
     def _move(self, lock: GroundLock, mode: Mode) -> tuple[Mode, LockState, bool | None]:
         state = lock.move(mode)

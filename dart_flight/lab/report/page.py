@@ -1,6 +1,6 @@
 """The pages of one flight, and of several flights of one mission: the values that the templates print.
 
-The page of one flight contains a script that animates the flight. If the browser runs no scripts, only the
+The page of one flight contains a script that animates the flight. Without scripts in the browser, only the
 animation is missing.
 """
 
@@ -143,9 +143,9 @@ def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
 
 
 def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
-    """Return a text that names the first key in which two missions of the same name differ.
+    """Return a clause with the first key in which two missions of the same name differ.
 
-    The text is empty if the missions have different names or if no key differs.
+    The clause is empty if the missions have different names or if no key differs.
     """
     if first.verdict.mission != other.verdict.mission:
         return ""
@@ -336,7 +336,7 @@ def _timing_table(flight: RecordedFlight) -> PageTable:
 
 
 def _noise_table(flight: RecordedFlight) -> PageTable:
-    """Return the detection limits at the start of each approach; empty if the log lacks them."""
+    """Return the detection limits at the start of each approach; the table is empty if the log lacks them."""
     time_of = flight.course.time_of
     rows: list[Row] = [
         [time_of(f.t_us), f.threshold_n, f.noise_short_n, f.noise_long_n, f.rigid_n, f.flexible_n]
@@ -350,7 +350,7 @@ def _noise_table(flight: RecordedFlight) -> PageTable:
 def disagreements(flights: Sequence[RecordedFlight]) -> dict[str, dict[str, tuple[float, float]]]:
     """Compare measured peak forces with the contact law at the measured velocity.
 
-    The flights are of vehicles with the same materials.
+    All flights must have vehicles with the same materials.
 
     Returns:
         Material -> mode and force (such as `rigid, normal`) -> (mean disagreement, half the width of the
@@ -450,7 +450,7 @@ def _percent(share: float | None) -> float | None:
 def _spread(name: str, values: Iterable[float | None]) -> list[Cell]:
     """Return a table row: name, count, mean, half width of the mean's 95 % interval, and further figures.
 
-    The further figures are standard deviation, least and most by magnitude: -0.9 m/s is less than -1.1 m/s.
+    The further figures are standard deviation, and smallest and largest magnitude with their signs.
     """
     known = [v for v in values if v is not None]
     if not known:

@@ -28,7 +28,7 @@ class DatagramSource:
     card.
 
     Args:
-        decode: called with datagram, body and sender. `decode` returns the pose, or the reason why the datagram
+        decode: gets datagram, body and sender. It returns the pose, or the reason why the datagram
             contains no pose of the body.
 
     Attributes:
