@@ -395,8 +395,8 @@ class WaypointKeys(Section, frozen=True, kw_only=True):
 
     Attributes:
         after: number of collisions flown before the waypoint; it never decreases along the list.
-        at_wall: a position relative to a wall, instead of position_m. If it was not touched, the waypoint
-            is skipped.
+        at_wall: a position relative to a wall, instead of position_m. The waypoint is skipped if the wall
+            was not touched.
         if_met: a wall that an earlier probe searches for; the waypoint or pause is flown only if that wall
             was touched.
         if_not_met: a wall that an earlier probe searches for; the waypoint or pause is flown only if that
