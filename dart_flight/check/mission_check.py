@@ -464,7 +464,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
     says = f"the lock needs {needed:.2f} s between the contacts, {free:.2f} s are available ({how})"
     go = free >= needed or how == "at least"
     if free < needed and go:
-        says += "; if the lock is late, the vehicle aborts the approach"
+        says += "; if the lock is late, the vehicle breaks off the approach"
     return [CheckFinding(item, go, says)]
 
 
