@@ -191,7 +191,8 @@ def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[...,
         seen = {} if live is None else {"viewer": live}
         began_s = time.monotonic()
         verdict = fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines, **seen)
-        if verdict.speed is None and verdict.flight_time_s is not None:  # including the start
+        if verdict.speed is None and verdict.flight_time_s is not None:
+            # Host time includes the start of the simulated vehicle.
             verdict.speed = verdict.flight_time_s / (time.monotonic() - began_s)
     show_end(verdict, console, arguments.json)
     if arguments.hitl is not None:

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 WINDOW_S = 0.5
 _PART_S = 0.1  # part of a window: longer than the vibration's period, shorter than a bump
-_GROUND_MARGIN_S = 1.0  # time for the delay of PX4's land detector
+_GROUND_MARGIN_S = 1.0  # PX4's land detector is at most this late
 _MIN_IMU, _MIN_MOTOR = 10, 3  # least samples in a window; PX4's default logging has motors at 10 Hz
 _MAX_RATE_RAD_S = 0.6
 _MAX_LATERAL_M_S2 = 1.5  # mean specific force across the thrust axis; drag, wind or a contact may exceed this
