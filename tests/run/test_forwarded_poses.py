@@ -114,8 +114,8 @@ def test_pose_latency_is_in_simulated_time_and_the_flight_replays(tmp_path: Path
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--mocap", "optitrack://10.0.0.1/dart"], "emulated motion capture: give one of"),
-        (["--mocap", "kinect"], "emulated motion capture: give one of"),
+        (["--mocap", "optitrack://10.0.0.1/dart"], "emulated motion capture, one of"),
+        (["--mocap", "kinect"], "emulated motion capture, one of"),
         (["--mocap", "udp", "--set", "simulation.position_from=rtk"], "comes from GPS"),
         (["--fault", "mocap-lost"], "add --mocap"),
         (["--mocap", "udp", "--fault", "mocap-slow=0"], "takes 1 to 50 Hz"),
