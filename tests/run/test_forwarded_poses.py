@@ -132,5 +132,5 @@ def test_an_unusable_mocap_option_is_rejected_with_its_reason(
 def test_simulation_ignores_the_configured_pose_source_without_mocap_option() -> None:
     mission = with_mocap(load_flyable(SQUARE), "optitrack://10.0.0.1/dart")
     assert with_simulated_mocap(mission, None).vehicle.mocap.url is None
-    with pytest.raises(InputError, match="give one of"):
+    with pytest.raises(InputError, match="one of optitrack"):
         with_simulated_mocap(mission, "optitrack://10.0.0.1/dart")
