@@ -66,7 +66,7 @@ class Stage(StrEnum):
 
     FILE = "file"  # the mission alone
     COMPUTER = "computer"  # the onboard computer
-    DESK = "desk"  # values that are not measured, and the operator's claims
+    DESK = "desk"  # values that nothing has measured, and the operator's claims
     VEHICLE = "vehicle"
     HITL = "hardware in the loop"
 

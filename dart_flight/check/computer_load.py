@@ -24,10 +24,10 @@ from dart_flight.run.prepare import flight_core_of
 
 _SAMPLES, _WARM = 550, 50
 _HOT_C, _TOO_HOT_C = 70.0, 80.0  # a Raspberry Pi 4 throttles its clock from 80 °C
-# Cost of the step that finds a contact's peak, relative to a mean step (docs/results/raspberry_pi.md).
+# Cost of the step that finds a contact's peak force, relative to a mean step (docs/results/raspberry_pi.md).
 _PEAK_FACTOR = 12.0
 _FLIGHT_FACTOR = 2.5  # cost of a step in flight (0.07 to 0.08 ms) relative to one at rest (0.03 ms)
-_LEAST_MARGIN = 4.0  # below this, core, log and link together need more than one processor
+_LEAST_MARGIN = 4.0  # with a smaller margin, core, log and link together need more than one processor
 
 
 def check_lateness(mission: Mission) -> CheckFinding:
@@ -44,8 +44,7 @@ def check_lateness(mission: Mission) -> CheckFinding:
 def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> CheckFinding:
     """Measure the core's processor time per IMU sample and compare it with the sample interval.
 
-    If the core refuses the mission, the finding is a no-go with the core's reason. If another finding in
-    `found`
+    If the core refuses the mission, the finding is a no-go with the core's reason. If a finding in `found`
     already gives this reason, the no-go only names that finding.
     """
     interval_s = 1.0 / mission.vehicle.imu.rate_hz
@@ -87,10 +86,8 @@ def measure_step_s(mission: Mission) -> float:
     """Return the processor time that the core needs per IMU period in flight, seconds.
 
     In one period the core processes an IMU sample and the other inputs that arrive with this sample. Two
-    seconds
-    of inputs from a vehicle at rest are timed. The result is multiplied by a fixed factor, because a period
-    in
-    flight costs more.
+    seconds of inputs from a vehicle at rest are timed. The result is multiplied by a fixed factor, because a
+    period in flight costs more.
     """
     core = flight_core_of(mission)
     period_us, motors = round(1e6 / mission.vehicle.imu.rate_hz), len(mission.vehicle.airframe.motors)

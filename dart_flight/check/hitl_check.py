@@ -22,8 +22,8 @@ from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.vehicle.ground_link import HeartbeatMode
 
 HITL = "SYS_HITL"
-ON_A_BOARD = "HIL_ACT_FUNC1"  # in SITL the simulated outputs begin at PWM_MAIN_FUNC1
-BOARD = "SYS_USB_AUTO"  # absent from POSIX builds
+ON_A_BOARD = "HIL_ACT_FUNC1"  # only a board has this parameter; SITL has PWM_MAIN_FUNC1 instead
+BOARD = "SYS_USB_AUTO"  # POSIX builds lack this parameter
 WITH_IO = "PWM_AUX_FUNC1"  # a board names its own outputs AUX only if a PX4IO provides MAIN
 IO_OUTPUTS = [f"PWM_MAIN_FUNC{k}" for k in range(1, 9)]
 _MOTORS = range(101, 113)  # output functions "Motor 1" to "Motor 12"
@@ -46,7 +46,7 @@ def evaluate_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
 def evaluate_own_parameters(
     mission: Mission, values: Mapping[str, float], position_from: PositionSource | None
 ) -> list[CheckFinding]:
-    """Judge the vehicle's parameters as before a real flight, except the parameters in `hitl.params`."""
+    """Judge the vehicle's parameters like before a real flight, except those in `hitl.params`."""
     wanted = hitl_parameters()
     return [f for f in evaluate_parameters(mission, values, position_from) if f.item not in wanted]
 
@@ -75,7 +75,7 @@ def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
         return [CheckFinding(ON_A_BOARD, False, says)]
     if WITH_IO not in values or not turning:
         return []
-    says = f"{', '.join(turning)} drive motors, and a PX4IO stays active in this mode: set them to 0, restart"
+    says = f"{', '.join(turning)} drive motors, and a PX4IO stays active: set them to 0 and restart"
     return [CheckFinding("real_outputs", False, says)]
 
 

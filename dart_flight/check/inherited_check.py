@@ -22,7 +22,7 @@ def check_inherited(mission: Mission) -> list[CheckFinding]:
         groups = [f"{', '.join(keys)} (this vehicle has {why})" for why, keys in found.contradictions.items()]
         parts.append(f"{found.file} contradicts values that it takes from {found.base}: {'; '.join(groups)}")
     if found.keys:
-        parts.append(f"values of {found.base} to measure on this vehicle: {_by_section(found.keys)}")
+        parts.append(f"values from {found.base} to measure on this vehicle: {_by_section(found.keys)}")
     wrong = sum(len(keys) for keys in found.contradictions.values())
     figures = {"inherited": float(len(found.keys)), "contradictions": float(wrong)}
     return [CheckFinding("inherited", True, ". ".join(parts), remark=True, figures=figures)]

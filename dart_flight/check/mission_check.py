@@ -1,4 +1,4 @@
-"""The checks of a mission alone, without a vehicle: places, path, collisions, recoveries, materials."""
+"""The checks of a mission file without a vehicle: positions, path, collisions, recoveries, materials."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ from dart_flight.planning.predicted_flight import (
     predicted_segments,
 )
 
-_FLAT_DEG = 10.0  # beyond this incidence, one guard carries most of the force
+_FLAT_DEG = 10.0  # at a larger incidence angle, one guard carries most of the force
 _CLEARANCE_M = 0.15  # required distance of start and goal from a wall's plane
 _WEAK = 1.3  # multiple of the detection threshold; a weaker impact may be missed
 _SAME_M = 1e-6
-_NOT_MEASURED = ("assumed", "[example]")  # in the source of a material
+_NOT_MEASURED = ("assumed", "[example]")  # in a material's source, these mean "not measured"
 _LEG_POINTS = 50
 _PEAK_SPEED = 1.875  # ratio of a transit's peak speed to its mean speed
 
@@ -56,8 +56,7 @@ def predict_flight_path(mission: Mission) -> PredictedFlight | None:
     """Return the flight that the planner's model predicts.
 
     The result is None if an approach cannot be flown (other checks report the reason), or if the position of
-    a
-    wall is still unknown.
+    a wall is still unknown.
     """
     if any(c.wall.sought for c in mission.collisions):
         return None
@@ -199,7 +198,7 @@ def _check_approach(
 def _describe_arrival(
     mission: Mission, collision: Collision, planned: PredictedFlight | None
 ) -> CheckFinding:
-    """Describe the predicted impact to which the previous recovery leads; the heading stays meanwhile."""
+    """Describe the predicted impact to which the previous recovery leads, with a constant heading."""
     way = "recovery" if collision.trajectory is None else "trajectory"
     says = f"the {way} from the previous collision reaches wall {collision.wall.name}"
     incidence = incidence_deg(mission, collision)
@@ -213,7 +212,7 @@ def _describe_arrival(
         figures |= {"normal_m_s": hit.normal_m_s, "tangential_m_s": hit.tangential_m_s}
     says += f", incidence {incidence:.0f} degrees"
     if incidence > _FLAT_DEG:
-        says += ": one guard touches first, so the force may be half of the predicted force"
+        says += ": one guard touches first, so the force may be only half of the prediction"
     return CheckFinding(f"approach_{collision.index}", True, says, figures=figures)
 
 
@@ -239,7 +238,7 @@ def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
         return [CheckFinding(item, False, weak)]
     clipping = clipping_warning(mission, collision)
     if clipping is not None:
-        # Beyond full scale the recovery is too weak and PX4's estimate is disturbed.
+        # Beyond the IMU's full scale, the recovery is too weak and PX4's estimate is disturbed.
         go = force <= full_scale_n(mission)
         return [CheckFinding(item, go, clipping, remark=go)]
     return [CheckFinding(item, True, f"{says}, limit {limit:g} N")]
@@ -311,7 +310,7 @@ def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckF
         return [CheckFinding("path", False, says)]
     reached = "" if len(planned.hits) == len(mission.collisions) else ", as far as the model predicts"
     return [
-        CheckFinding("path", True, f"the predicted path and its stopping places are within bounds_m{reached}")
+        CheckFinding("path", True, f"the predicted path and its stopping points are within bounds_m{reached}")
     ]
 
 
@@ -352,11 +351,10 @@ def _states(mission: Mission, planned: PredictedFlight) -> Iterator[tuple[float,
 def _check_recovery(
     mission: Mission, collision: Collision, planned: PredictedFlight | None
 ) -> list[CheckFinding]:
-    """Check the place to which a recovery leads.
+    """Check the point to which a recovery leads.
 
     If the next collision has no approach, the recovery itself must lead to that collision's wall. Otherwise
-    the
-    recovery must hit no wall and no post.
+    the recovery must hit no wall and no post.
     """
     hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
     place = collision.impact_point or (collision.predicted.position_m if collision.predicted else None)
@@ -372,7 +370,7 @@ def _check_recovery(
         normal_n, friction_n = met.normal_n, abs(met.tangential_n)
     else:
         return []
-    along = math.copysign(friction_n, -velocity[1])  # friction opposes the motion
+    along = math.copysign(friction_n, -velocity[1])  # friction acts against the motion
     target = recovery_point(
         (place[0], place[1], 0.0),
         collision.wall.normal,
@@ -407,7 +405,7 @@ def _check_recovery(
     for post in mission.posts:
         way = (place[0], place[1]), (target[0], target[1])
         if post.name != collision.wall.name and is_blocked_by_post(mission, post, *way):
-            return [CheckFinding(item, False, f"{says}: post {post.name} blocks the path to it")]
+            return [CheckFinding(item, False, f"{says}: post {post.name} blocks the path to this setpoint")]
         if leg is not None and is_blocked_by_post(mission, post, target[:2], leg.end[:2]):
             says = f"{says}: from there post {post.name} blocks the path to {leg.name}"
             return [CheckFinding(item, False, says)]
@@ -424,10 +422,9 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
 def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
     """Judge how far a recovery setpoint lies outside the bounds.
 
-    A setpoint slightly outside is only a remark, because the vehicle reaches another place before the
-    setpoint;
-    `first` describes this place. A setpoint far outside is a no-go, because the collision's gain alpha is
-    probably wrong.
+    A setpoint slightly outside is only a remark, because the vehicle reaches something else (`first`, a text)
+    before the setpoint. A setpoint far outside is a no-go, because the collision's gain alpha is probably
+    wrong.
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
@@ -484,7 +481,7 @@ def check_flown(mission: Mission) -> CheckFinding:
             if flown is None
             else "mission or vehicle has changed since `plan` flew it in simulation"
         )
-        return CheckFinding("flown", True, f"{why}; to see 20 flights: {try_it}", remark=True)
+        return CheckFinding("flown", True, f"{why}; to fly it 20 times in simulation: {try_it}", remark=True)
     if flown.danger is not None:
         return CheckFinding(
             "flown",

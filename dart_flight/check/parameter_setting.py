@@ -41,9 +41,9 @@ from dart_flight.vehicle.downloads import DownloadError
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
-_MOCAP_SOURCE, _GPS_SOURCE = "EKF2_EV_CTRL", "EKF2_GPS_CTRL"  # they determine the position source
+_MOCAP_SOURCE, _GPS_SOURCE = "EKF2_EV_CTRL", "EKF2_GPS_CTRL"  # parameters that determine the position source
 _FIX_S = 1.5
-_SETTLE_S = 3.0  # vehicle time; PX4's modules may limit a new value until two seconds after the write
+_SETTLE_S = 3.0  # on the vehicle's clock; for 2 s after a write, PX4's modules may still limit the value
 # Values of one flight controller and its sensors. PX4's start-up script keeps most of them when it resets all
 # parameters: SYS_PARAM_VER SYS_AUTOCFG_CAL CAL_* LND_FLIGHT* TC_* COM_FLIGHT*.
 _OF_ONE_BOARD = re.compile(
@@ -59,7 +59,7 @@ class ParameterReading(msgspec.Struct, frozen=True):
 
     Attributes:
         rows: one row for each of these parameters.
-        position_from: the wanted position source, or None if the wanted values are those of a file or if the
+        position_from: the wanted position source, or None if the wanted values are from a file or if the
             source is unknown.
         version: PX4's version, empty if not reported.
         restart_source: source of the list of parameters that need a restart, or None if there are no rows.
@@ -88,7 +88,7 @@ class WriteReport(msgspec.Struct):
     """The result of writing parameters.
 
     Attributes:
-        written: names whose wanted value was read back; without `problem` these are all names but `refused`.
+        written: names whose wanted value was read back: without `problem`, all names except `refused`.
         refused: reason by name.
         problem: reason why the link was lost, or None. `written` then has the acknowledged names, which were
             not read back.
@@ -121,7 +121,7 @@ def load_restored(path: Path, everything: bool = False) -> RestoredFile:
     file, remarks = read_parameter_file(path), list[str]()
     if file.skipped:
         others = ", ".join(f"{count} of component {name}" for name, count in file.skipped.items())
-        remarks.append(f"rows of other components than the autopilot are skipped: {others}")
+        remarks.append(f"rows of components other than the autopilot are skipped: {others}")
     own = [] if everything else [name for name in file.parameters if _OF_ONE_BOARD.fullmatch(name)]
     if own:
         remarks.append(f"values of one flight controller are restored only with --all: {', '.join(own)}")
@@ -271,7 +271,7 @@ def write_rows(
     for row in rows:
         actual = back.get(row.name)
         if actual is not None and is_same_value(actual, row.wanted):
-            written.append(row.name)  # even if the acknowledgement was lost
+            written.append(row.name)  # PX4 has the value, even if its acknowledgement was lost
             continue
         if actual is None:
             says = "no answer" if row.name in unanswered else "not on this vehicle"

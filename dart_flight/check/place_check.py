@@ -1,6 +1,6 @@
 """The check of a connected vehicle's place in the mission's frame.
 
-Before take-off, the operator compares the finding with the room.
+Before take-off, the operator checks that the reported place agrees with the vehicle's place in the room.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.anchors import START_SD_M
 from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 
-START_TOLERANCE_M: Final = 1.0  # largest distance between a vehicle placed by hand and the mission's start
-_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # largest error of a matching heading; smallest of a wrong heading
+START_TOLERANCE_M: Final = 1.0  # largest distance of a vehicle, placed by hand, from the mission's start
+_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # largest deviation of a correct heading, and smallest of a wrong one
 _NEAR_RAD: Final = 0.01  # tolerance for rounded values such as 1.57 and 3.14
 _SIDES: Final = ("ahead", "right", "behind", "left")
 
@@ -36,7 +36,7 @@ def check_heading(mission: Mission) -> list[CheckFinding]:
 def evaluate_place(
     mission: Mission, position_ned: Vec3 | None, q_frd_to_ned: Quaternion | None
 ) -> list[CheckFinding]:
-    """Judge the vehicle's place before take-off, from PX4's position and attitude: start, walls, heading."""
+    """Judge the vehicle's distance from start, its surroundings and its heading, before take-off."""
     if position_ned is None or q_frd_to_ned is None:
         return []
     frame = mission.frame_at(position_ned)
@@ -66,11 +66,10 @@ def evaluate_place(
 def _surroundings(
     mission: Mission, frame: MissionFrame, place: Vec2, yaw_ned: float
 ) -> Iterator[tuple[str, float, float, str]]:
-    """Yield name, distance (m), bearing (deg) and side (ahead, right, behind or left) of each wall and post.
+    """Yield name, distance (m), bearing (deg) and side (ahead, right, behind, left) of each wall and post.
 
     The hidden face of a partition is left out. Distances are measured to the surface, so that the operator
-    can
-    compare them with a tape measure. A wrong distance reveals that `given_at: surface` is missing in the
+    can compare them with a tape measure. A wrong distance reveals that `given_at: surface` is missing in the
     mission.
     """
     to_surface_m = mission.vehicle.airframe.contact_distance_m

@@ -16,9 +16,9 @@ _ARRIVES_HZ = 0.2
 
 
 def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFinding]:
-    """Return a finding for each defect of the poses, or one finding that the poses are correct.
+    """Return a finding for each defect of the poses, or a single finding if the poses are correct.
 
-    Return nothing if this program need not forward poses. The vehicle must be at rest.
+    Return nothing if this program does not need to forward poses. The vehicle must be at rest.
     """
     poses = observed.poses
     if poses is None:
@@ -65,7 +65,7 @@ def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFi
     if poses.age_ms is None:
         says = (
             "the poses have no stamps, or stamps that do not advance in fractions of a second: "
-            "their time of arrival is used, and no rule notices that they become older"
+            "the program uses their time of arrival and cannot detect growing delays"
         )
         findings.append(CheckFinding(_ITEM, True, says, remark=True))
     answering = sorted(
@@ -76,7 +76,7 @@ def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFi
     if answering:
         says = (
             f"{', '.join(answering)} sends TIMESYNC: if it answers PX4, PX4 stamps poses by that program's "
-            "clock and EKF2_EV_DELAY is wrong; switch TIMESYNC off there"
+            "clock and EKF2_EV_DELAY is wrong; switch TIMESYNC off in that program"
         )
         findings.append(CheckFinding(_ITEM, True, says, remark=True))
     return findings

@@ -18,8 +18,8 @@ from dart_flight.core.mission.course import ARRIVED_S
 from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
 
-_REST_S, _RECOVERY_S = 1.5, 1.5  # time from a contact to rest, and to the next wall of a recovery
-_LEAST_FLEXIBLE_M_S = 0.3  # at lower speeds the force of flexible arms is lost in the noise
+_REST_S, _RECOVERY_S = 1.5, 1.5  # assumed times: from a contact to rest, and to a recovery's next wall
+_LEAST_FLEXIBLE_M_S = 0.3  # in slower contacts, flexible arms give less force than the noise
 
 
 def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterator[CheckFinding]:
@@ -82,7 +82,7 @@ def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
 
 
 def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
-    """If the frame drifts, check that a contact corrects it along each wall's normal before the hit."""
+    """If the frame drifts, check that contacts correct it along each wall's normal before the hit."""
     if not mission.is_anchored:
         return
     touched: list[Collision] = []
@@ -122,7 +122,7 @@ def _hit_times_s(mission: Mission) -> dict[int, float]:
         else:
             try:
                 approach = plan_approach(mission, collision)
-            except NoApproachError:  # `check_collisions` reports it
+            except NoApproachError:  # `check_collisions` reports this error
                 return dict.fromkeys((c.index for c in mission.collisions), math.nan)
             way_m = 0.0 if here is None else math.dist(here, approach.begin[:2])
             transit_s = transit_time_s(

@@ -103,7 +103,7 @@ def _rc_exception(value: float, _: Mission) -> tuple[bool, str]:
     return True, (
         "PX4 ignores a loss of the remote control in offboard mode; after a loss, the pilot cannot take over"
         if ignores
-        else "PX4 starts offboard mode only with a remote control, and ends the mode if the control is lost"
+        else "PX4 starts offboard mode only with a remote control, and ends it if the remote control is lost"
     )
 
 
@@ -127,7 +127,7 @@ def _termination(value: float, _: Mission) -> tuple[bool, str]:
 
 def _gyro_rate(value: float, _: Mission) -> tuple[bool, str]:
     return value >= 400.0, f"rate control at up to {value:g} Hz" + (
-        "" if value >= 400.0 else "; against the torque of a contact, PX4 needs at least 400 Hz"
+        "" if value >= 400.0 else "; to withstand the torque of a contact, PX4 needs at least 400 Hz"
     )
 
 
@@ -149,12 +149,12 @@ def _disarm_land(value: float, _: Mission) -> tuple[bool, str]:
     )
 
 
-# Each function returns whether the value allows the flight, and its meaning as text.
+# Each function returns whether a value allows the flight, and what the value means.
 PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
     "COM_OF_LOSS_T": _offboard_loss,
     "COM_OBL_RC_ACT": _loss_action,
     "COM_RC_OVERRIDE": _rc_override,
-    "MAN_OVERRIDE_SPD": _stick_speed,  # replaces COM_RC_OVERRIDE from v1.18
+    "MAN_OVERRIDE_SPD": _stick_speed,  # PX4 v1.18 introduced this parameter instead of COM_RC_OVERRIDE
     "NAV_RCL_ACT": _rc_loss,
     "COM_RCL_EXCEPT": _rc_exception,
     "FD_FAIL_P": _attitude_limit,
@@ -273,7 +273,7 @@ def _evaluate_pose_delay(
 ) -> CheckFinding:
     """Compare the pose delay that PX4 assumes with the measured delay.
 
-    If no delay has been measured, the text reports `difference`, the deviation from PX4's usual value.
+    If no delay has been measured, the finding reports `difference`, the deviation from PX4's usual value.
     """
     measured_ms = mission.vehicle.mocap.delay_ms
     if measured_ms is None:

@@ -15,9 +15,9 @@ from dart_flight.config.mission import Mission
 from dart_flight.vehicle.batteries import describe_reading
 from dart_flight.vehicle.ground_link import Observation, Source, unusable_streams
 
-LOOPBACK = "MAV_ODOM_LP"  # PX4 before 1.14
+LOOPBACK = "MAV_ODOM_LP"  # only PX4 versions before 1.14 have this parameter
 _REST_TOLERANCE = 0.3  # share of g; a wrong unit gives an error of a factor of ten or more
-_ARRIVES_HZ = 0.2  # below this rate, the messages are not a stream
+_ARRIVES_HZ = 0.2  # messages at a lower rate are not a stream
 
 
 class StreamRate(NamedTuple):
@@ -36,7 +36,7 @@ class StreamRate(NamedTuple):
 
     @property
     def describe(self) -> str:
-        """The rate and the required rate, or the reason why messages are unusable."""
+        """Return the rate and the required rate, or the reason why messages are unusable."""
         return self.unusable or f"{self.rate_hz:.0f} Hz, minimum {BY_NAME[self.name].expected_hz:g} Hz"
 
 
@@ -144,15 +144,14 @@ def evaluate_resting_force(observed: Observation) -> list[CheckFinding]:
 
 _BANKS = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC")  # in PX4's start order
 _MOTOR_1 = 101  # output function
-_SLOWEST_DSHOT = -2  # value of PWM_<bank>_TIM<n>: -2 and below is DShot, -1 is OneShot
+_SLOWEST_DSHOT = -2  # value of PWM_<bank>_TIM<n>: -2 or less selects DShot, -1 OneShot
 
 
 def motor_output_names(values: Mapping[str, float], motors: int) -> list[str]:
-    """Return the next parameters to read in the search for the motors' outputs; empty when all are read.
+    """Return the next parameters to read in the search for the motors' outputs; empty if all have been read.
 
     A bank is a group of outputs, such as PWM_MAIN. Reading an absent parameter takes seconds, so the first
-    output
-    of a bank decides whether the bank exists.
+    output of a bank decides whether the bank exists.
     """
     for bank in _BANKS:
         pins = [f"{bank}_FUNC{k}" for k in range(1, motors + 1)]
@@ -193,7 +192,7 @@ def evaluate_motor_outputs(
             )
             return [CheckFinding(item, False, says)]
         by_values = (
-            f"{observed_scale.describe()}, judged by the values"
+            f"{observed_scale.describe()}, inferred from the values"
             if observed_scale
             else "the vehicle is disarmed and all outputs are 0, so the output type is not known yet"
         )

@@ -1,6 +1,6 @@
 """The checks of a vehicle on the ground: round trip, estimator, autopilot, mode, airframe and lock.
 
-Parameters, telemetry and place have their own modules.
+Parameters, telemetry and the vehicle's place have their own modules.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def evaluate_observation(observed: Observation) -> list[CheckFinding]:
         says += f"; PX4 reports: {reasons}" if reasons else ""
     findings.append(CheckFinding("estimator", observed.local_position_ok, says))
     if observed.blocking or observed.texts:
-        # Only a remark: PX4 judges its present mode, but `fly` arms in offboard mode.
+        # This is only a remark: PX4 judges its present mode, but `fly` arms in offboard mode.
         begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 reports: "
         findings.append(CheckFinding("px4_checks", True, begin + reasons, remark=True))
     return findings
@@ -78,8 +78,8 @@ def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[Che
     """Compare PX4's motors with the motors of the configuration.
 
     A different number, order or direction of the motors invalidates the estimated thrust and torque. A
-    different
-    distance is only a remark, because distances only scale the torque, and PX4 accepts them in any unit.
+    different distance is only a remark, because distances only scale the torque, and PX4 accepts them in any
+    unit.
     """
     item, motors = "airframe", mission.vehicle.airframe.motors
     try:

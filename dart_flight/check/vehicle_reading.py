@@ -76,7 +76,7 @@ def read_vehicle(
         mode = link.heartbeat_mode()
         other = evaluate_autopilot(mode)
         if other:
-            raise EndOfStageError(other)  # another autopilot has neither PX4's parameters nor its modes
+            raise EndOfStageError(other)  # an autopilot other than PX4 lacks PX4's parameters and modes
         round_trip_s = link.round_trip_s()
         late = evaluate_round_trip(mission, round_trip_s)
         if not late.go:
@@ -118,7 +118,7 @@ def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
         values = link.read_parameters([*hitl_parameters(), COUNT])
         values |= link.read_parameters([WITH_IO, *IO_OUTPUTS] if ON_A_BOARD in values else [BOARD])
         if round(values.get(HITL, 0)) == 1:
-            # Without HITL, the flight controller must be restarted first, and the rest takes a minute.
+            # If HITL is off, the flight controller must be restarted, so skip the rest, which takes a minute.
             values |= link.read_parameters([name for name in parameter_names() if name not in values])
             values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
     return VehicleReading(mode, values)

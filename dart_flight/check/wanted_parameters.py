@@ -28,9 +28,9 @@ from dart_flight.lock.drivers.px4_output import required_parameters
 from dart_flight.planning.positioning import effective_source
 
 POSE_DELAY = "EKF2_EV_DELAY"
-# The prediction of a recovery depends on these.
+# The prediction of a recovery depends on these parameters.
 GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_VELD_LP", "MPC_TILTMAX_AIR", "MPC_Z_P")
-# Forward, right and down from the centre of mass, like imu.position_m.
+# The IMU's position, forward, right and down from the centre of mass, like imu.position_m.
 IMU_POSITION = ("EKF2_IMU_POS_X", "EKF2_IMU_POS_Y", "EKF2_IMU_POS_Z")
 _FAILURE_ANGLES = ("FD_FAIL_P", "FD_FAIL_R")
 _HITL, _OFFBOARD_LOSS = "SYS_HITL", "COM_OF_LOSS_T"
@@ -38,7 +38,7 @@ _GAIN_TOLERANCE = 0.02
 _POSITION_TOLERANCE_M = 0.005
 _DELAY_TOLERANCE_MS = 0.5
 
-METADATA = "/etc/extras/parameters.json.xz"  # on the flight controller, by MAVLink FTP
+METADATA = "/etc/extras/parameters.json.xz"  # path on the flight controller, read by MAVLink FTP
 # Parameters written by this program that PX4's source marks @reboot_required (release/1.18, 2026-08-08).
 _RESTART = (
     "CBRK_FLIGHTTERM EKF2_EV_DELAY EKF2_GPS_DELAY EKF2_HGT_REF EKF2_MAG_TYPE IMU_GYRO_RATEMAX IMU_INTEG_RATE "

@@ -2,7 +2,7 @@
 
 The commands for analysis and planning are in `lab/commands/` and are loaded through `lab_entries`. A command
 module has two functions: `configure(parser)` adds the arguments, and `run(arguments)` returns the exit
-status. The module calls other packages and prints, without logic of its own. If a command raises
+status. The module calls other packages and prints; it has no logic of its own. If a command raises
 `InputError`, `main` prints the error as one line and returns exit status 2.
 """
 
@@ -35,7 +35,7 @@ COMMANDS = {
     "check": "check a mission before a flight and, with --connection, the vehicle",
     "parameters": "list PX4's parameters that differ from the wanted values, write or restore them",
     "bringup": "bring up a vehicle on the bench step by step, and record the measurements",
-    "mocap": "forward a motion capture's poses to PX4, and show their rate, gaps and age",
+    "mocap": "forward motion-capture poses to PX4, and show their rate, gaps and age",
     "survey": "touch a mission's walls gently, and write the mission with the measured walls",
     "standby": "stay connected to vehicle and lock, and fly when a ground station's button is pressed",
     "lock": "move the lock, report its position, or calibrate its servo",
@@ -59,7 +59,7 @@ RENAMED = {"feel": "inspect"}
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
 _OWN_OPTIONS = ("-h", "--help", "--version")
-_EXIT_S = 4.0  # a forced end takes at most one second longer
+_EXIT_S = 4.0  # a forced end takes at most one second more than this
 EXIT_INTERRUPTED = 130  # a shell's status for SIGINT
 
 
@@ -131,7 +131,7 @@ def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
 
 def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one machine-readable object on standard output")
-    parser.add_argument("--config", metavar="FILE", help="vehicle configuration (default: that in configs/)")
+    parser.add_argument("--config", metavar="FILE", help="vehicle configuration (default: one in configs/)")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="more messages on standard error")
 
 

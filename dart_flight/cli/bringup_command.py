@@ -56,7 +56,7 @@ class _Terminal:
 
 
 def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: float) -> None:
-    """Write the poses' measured age into the configuration; on failure, ask the operator to write it."""
+    """Write the poses' measured age to the configuration; on failure, ask the operator to write it."""
     path = Path(source or default_config_path())
     try:
         refuse_unwritable(arguments, path)

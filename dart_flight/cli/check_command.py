@@ -81,7 +81,7 @@ def keep_checking(check: Callable[[], int], sleep: Callable[[float], None] = tim
 
 
 def _wait_for_save(watched: dict[Path, Stamp], sleep: Callable[[float], None]) -> None:
-    """Wait until a file has changed and no file changes any more; update the stamps."""
+    """Wait until a file has changed and all files have stopped changing; update the stamps."""
     changed = False
     while True:
         now = {path: stamp_of(path) for path in watched}
@@ -96,7 +96,7 @@ def _check(arguments: argparse.Namespace) -> int:
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
     mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
     if arguments.connection is None and arguments.mocap not in (None, NO_MOCAP):
-        raise InputError("poses are read with a vehicle only: give --connection too", key=("--mocap",))
+        raise InputError("poses are read only from a vehicle: give --connection too", key=("--mocap",))
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
     context = FlightContext(mission, arguments.log_dir, position_from=arguments.position_from)

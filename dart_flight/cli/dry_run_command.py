@@ -102,7 +102,7 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     spreads = parse_vary(arguments.vary, mission.vehicle)
     of_mocap = fault is not None and fault.kind.site is FaultSite.MOCAP
     if fault is not None and (arguments.runs is not None or (arguments.px4 is not None and not of_mocap)):
-        raise InputError("--fault needs a single flight with --fast or the embedded autopilot")
+        raise InputError("--fault needs a single flight, with --fast or the embedded autopilot")
     if arguments.fast and (arguments.speed is not None or arguments.realtime):
         raise InputError("--fast always runs at full speed: omit --speed and --realtime")
     if arguments.realtime and arguments.speed == FULL_SPEED:
@@ -191,7 +191,8 @@ def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[...,
         seen = {} if live is None else {"viewer": live}
         began_s = time.monotonic()
         verdict = fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines, **seen)
-        if verdict.speed is None and verdict.flight_time_s is not None:  # includes the start of the process
+        if verdict.speed is None and verdict.flight_time_s is not None:
+            # Host time includes the start of the simulated vehicle.
             verdict.speed = verdict.flight_time_s / (time.monotonic() - began_s)
     show_end(verdict, console, arguments.json)
     if arguments.hitl is not None:

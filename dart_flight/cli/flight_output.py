@@ -94,7 +94,7 @@ def _in_a_line(verdict: Verdict) -> str:
 
 
 def wall_lines(verdict: Verdict) -> list[str]:
-    """Return a line for each wall that contacts have located, with its estimated place and direction."""
+    """Return a line for each wall that contacts have located, with its estimated position and direction."""
     lines = []
     for wall in verdict.walls:
         if wall.yaw_sd_deg is None or wall.position_sd_m is None:

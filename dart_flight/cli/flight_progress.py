@@ -9,9 +9,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 ONLY_NOISE = (
-    "the flights differ by sensor noise only; --vary all also draws vehicle, walls and lock (docs/draws.md)"
+    "the flights differ only in sensor noise; --vary all also draws vehicle, walls and lock (docs/draws.md)"
 )
-_LEAST_SHOWN = 10.0  # a rate below this is shown per hour, or with a decimal
+_LEAST_SHOWN = 10.0  # a lower rate per minute is shown per hour, and a lower rate per hour with a decimal
 _SHOWN_IN_MINUTES_S = 120.0
 
 

@@ -91,7 +91,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     if verdict is None:
         return 1
     if arguments.px4_log and verdict.log is not None:
-        lease.release()  # the flight's lease holds a serial device exclusively
+        lease.release()  # the download opens the link again
         verdict.px4_log = _downloaded(mission, url, Path(verdict.log), before)
     show_end(verdict, console, arguments.json)
     return exit_status(verdict)
@@ -119,7 +119,7 @@ def _downloaded(mission: Mission, url: str, log: Path, before: list[Px4LogEntry]
         print_status("PX4's log skipped")
     except (FlightError, InputError) as error:
         print_status(error.one_line() if isinstance(error, InputError) else error)
-    print_status(f"later: dart-flight px4-log {shlex.quote(str(log.parent))}")
+    print_status(f"to download it later: dart-flight px4-log {shlex.quote(str(log.parent))}")
     return None
 
 
@@ -146,7 +146,8 @@ def _flight_summary(mission: Mission, url: str) -> str:
     lock = mission.vehicle.lock
     by = "" if lock is None else f", lock by {lock.driver.value}"
     lines = [f"{mission.name} on {url}{by}"]
-    lines.append(f"  take off to {mission.altitude_m:g} m, to ({mission.start[0]:g}, {mission.start[1]:g})")
+    x, y = mission.start
+    lines.append(f"  take off to {mission.altitude_m:g} m, fly to ({x:g}, {y:g})")
     stops = [(w.after, _stop(w)) for w in mission.waypoints]
     lines += [line for after, line in stops if after == 0]
     for c in mission.collisions:

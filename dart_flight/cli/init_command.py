@@ -1,4 +1,4 @@
-"""`dart-flight init DIR`: copy the configuration and missions of a vehicle to a new project folder."""
+"""`dart-flight init DIR`: copy a vehicle's configuration and missions to a new project folder."""
 
 from __future__ import annotations
 

@@ -29,8 +29,7 @@ class LiveLine:
     """Line with phase, position, speed, force, lock and battery, updated five times per second.
 
     The class does not use `Live` from rich, because a refresh of `Live` blocks the core's interpreter for
-    half a
-    millisecond.
+    half a millisecond.
     """
 
     def __init__(

@@ -83,9 +83,9 @@ def live_view(
 
     Args:
         show_room: whether to show the mission's room.
-        frame_known: whether the place of the mission frame is known when the view opens. Otherwise the
-            flight's records give the place.
-        from_truth: whether to show only the simulated vehicle, at the true pose.
+        frame_known: whether the mission frame's position is known when the view opens. Otherwise the
+            flight's records give this position.
+        from_truth: whether to show only the simulated vehicle, at its true pose.
 
     Raises:
         InputError: the port cannot be opened, or another live option is given without `--live`.
@@ -116,7 +116,7 @@ def live_view(
 
 
 def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | None:
-    """Return the view. An `InputError` is raised; any other error is reported, and the result is None."""
+    """Return the view, or None after an error, which is reported; an `InputError` is raised."""
     try:
         return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, print_status))
     except InputError:

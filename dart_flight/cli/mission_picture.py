@@ -24,7 +24,7 @@ def add_plot_option(parser: argparse.ArgumentParser) -> None:
 def write_picture(mission: Mission, path: Path) -> None:
     """Draw a mission with the planner's flight model, and print the path of the picture.
 
-    A failure for a reason not listed below is only reported, because the flight can begin without the
+    Any failure not listed below is only reported, because the flight can begin without the
     picture.
 
     Raises:

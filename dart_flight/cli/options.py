@@ -53,7 +53,7 @@ def add_driver_option(parser: argparse.ArgumentParser) -> None:
         type=LockDriver,
         choices=list(LockDriver),
         metavar="DRIVER",
-        help=f"driver of the lock: {known} (default: lock.driver of the configuration)",
+        help=f"driver of the lock: {known} (default: the configuration's lock.driver)",
     )
 
 
@@ -128,7 +128,7 @@ def refuse_unwritable(arguments: argparse.Namespace, path: Path) -> None:
         )
     if not os.access(path, os.W_OK):
         why = write_problem(path, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
-        raise InputError(f"the calibration must be written to this file: {why}", source=str(path))
+        raise InputError(f"cannot write the calibration to this file: {why}", source=str(path))
 
 
 def whole_number(low: int, high: int) -> Callable[[str], int]:

@@ -41,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--all",
         action="store_true",
-        help="with --restore, write also the values of one flight controller: MAV_SYS_ID, calibration",
+        help="with --restore, also write the values of one flight controller: MAV_SYS_ID, calibration",
     )
     parser.add_argument("--yes", action="store_true", help="do not ask before writing")
     parser.add_argument(

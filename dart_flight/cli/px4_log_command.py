@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--log-id",
         type=whole_number(0, 65535),
         metavar="N",
-        help="number of the log, if several are possible",
+        help="number of the log, if several may belong to the flight",
     )
     parser.add_argument("--again", action="store_true", help="download the log even if the file exists")
 
@@ -62,7 +62,7 @@ def download_px4_log(
 ) -> Path:
     """Download PX4's log of a flight, show the progress, and return the path of the log.
 
-    Arguments and `FlightError` are those of `fetch_px4_log`.
+    For the other arguments and `FlightError`, see `fetch_px4_log`.
 
     Args:
         log_id: number of the log that the operator has chosen. If it is None and several logs may belong to

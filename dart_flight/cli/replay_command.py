@@ -17,7 +17,7 @@ from dart_flight.recording.reader import read_log
 from dart_flight.run.replay import Replay, decision_rows, replay
 
 _MAX_SHOWN = 40
-_PARTS = re.compile(r", (?![^(]*\))")  # not the commas of a vector
+_PARTS = re.compile(r", (?![^(]*\))")  # separators, except commas within a vector
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -119,9 +119,9 @@ def _print(name: str, result: Replay) -> None:
 
 
 def _changes(before: str, after: str) -> tuple[str, str]:
-    """Return the parts in which two texts of a decision differ.
+    """Return the parts in which two descriptions of a decision differ.
 
-    If the recording or the replay lacks the decision, return both texts unchanged.
+    If the recording or the replay lacks the decision, return both descriptions unchanged.
     """
     one, other = _PARTS.split(before), _PARTS.split(after)
     if len(one) != len(other) or "-" in (before, after):

@@ -18,9 +18,9 @@ from dart_flight.run.standby import Standby
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "missions", metavar="MISSION", nargs="*", help="missions of the buttons Fly 1, Fly 2, ..., in order"
+        "missions", metavar="MISSION", nargs="*", help="missions for the buttons Fly 1, Fly 2, ..., in order"
     )
-    parser.add_argument("--connection", metavar="URL", help="link of the vehicle (default: connection.url)")
+    parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     add_driver_option(parser)
     add_log_dir_option(parser)
 

@@ -46,7 +46,7 @@ from dart_flight.sim.motion_capture import KINDS
 from dart_flight.vehicle.link import LinkLease
 
 _SPEED_M_S = 0.5
-_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # probes per flight and flights for an unknown room
+_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # for an unknown room: probes per flight, and largest number of flights
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +79,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--mocap",
         metavar="URL",
         help="with --connection: motion capture whose poses are forwarded to PX4, or none "
-        f"(default: mocap.url); in simulation: emulated one, {', '.join(KINDS)} (docs/motion_capture.md)",
+        f"(default: mocap.url); in simulation: kind to emulate, {', '.join(KINDS)} (docs/motion_capture.md)",
     )
     add_set_option(parser)
     add_vary_option(parser)
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_emulated_mocap(arguments, mission)
     output = arguments.output
     for path in (output, arguments.plot):
-        if path is not None and not path.absolute().parent.is_dir():  # refuse it before the flight
+        if path is not None and not path.absolute().parent.is_dir():  # refuse a wrong path before the flight
             raise InputError("cannot write: no such folder", source=str(path))
     if not mission.flat_walls:
         return _survey_room(arguments, document.tree, mission)

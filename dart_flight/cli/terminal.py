@@ -45,8 +45,7 @@ class _OutputStream:
     """Standard output or standard error, looked up in `sys` at every write.
 
     A message that cannot be written to standard error (full disk, closed terminal) is discarded, so that it
-    does
-    not end a flight.
+    does not end a flight.
     """
 
     def __init__(self, name: str) -> None:
@@ -70,7 +69,7 @@ class _OutputStream:
     @property
     def _stream(self) -> Any:
         stream = getattr(sys, self._name)
-        return getattr(stream, "rich_proxied_file", stream)  # while a progress bar is shown
+        return getattr(stream, "rich_proxied_file", stream)  # bypass a progress bar's replacement stream
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -107,7 +106,7 @@ def open_closed_streams() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDONLY)  # gets the lowest free number, which is `number`
+            os.open(os.devnull, os.O_RDONLY)  # the file gets the lowest free number, which is `number`
     for name, number in (("stdout", 1), ("stderr", 2)):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, "w", encoding="utf-8", errors=ESCAPED, closefd=False))
@@ -175,12 +174,12 @@ def live_screen(period_s: float = 2.0) -> Iterator[Callable[[RenderableType, Tex
     try:
         yield show
     finally:
-        for line in waiting:  # the last state
+        for line in waiting:  # show the last state
             console.print(line, soft_wrap=True)
 
 
 def styled(*parts: str | tuple[str, str]) -> Text:
-    """Return a line of parts; each part is a text, or a pair of text and style."""
+    """Return a line of parts; each part is a string, or a pair of string and style."""
     from rich.text import Text
 
     return Text.assemble(*parts)

@@ -1,4 +1,4 @@
-"""The line about the vehicle's configuration that commands print on standard error before the results."""
+"""The line about the vehicle's configuration, which commands print on standard error before their results."""
 
 from __future__ import annotations
 

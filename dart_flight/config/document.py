@@ -35,7 +35,7 @@ _MAX_BYTES = 1_000_000
 MAX_TABLE_BYTES = 200_000_000  # limit for CSV files: an hour of trials at 1 kHz
 MAX_LOG_BYTES = 2_000_000_000  # limit for logs: PX4 writes up to 500 MB an hour
 _MAX_DEPTH = 32
-# YAML 1.1 reads 1e-3 as text; read it as a number, as YAML 1.2 does.
+# YAML 1.1 reads 1e-3 as a string; read it as a number, like YAML 1.2.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
 _INTEGER = re.compile(r"[-+]?\d+\Z")
 _SPECIAL: dict[str, Any] = {
@@ -90,9 +90,8 @@ def report_write_errors(path: str | Path) -> Iterator[None]:
 def write_problem(path: str | Path, error: OSError) -> str:
     """Return why a path cannot be written, in one line.
 
-    If a file or folder of another account is the reason (for example a folder left behind by `sudo`), the
-    text
-    names it, its owner and the remedy.
+    If the reason is a file or folder of another account (for example, one left behind by `sudo`), the text
+    names that file or folder, its owner and the remedy.
     """
     reason = error.strerror or str(error)
     place = Path(error.filename if isinstance(error.filename, str) else path).absolute()
@@ -143,7 +142,7 @@ def replace_file(path: Path, data: bytes) -> None:
         part.unlink(missing_ok=True)
 
 
-Stamp = tuple[int, int, int] | None  # a file's time of change, size and inode; None: there is no such file
+Stamp = tuple[int, int, int] | None  # a file's time of change, size and inode, or None without a file
 _noting: list[dict[Path, Stamp]] = []
 
 
@@ -158,7 +157,7 @@ def stamp_of(path: Path) -> Stamp:
 
 @contextlib.contextmanager
 def noting_files() -> Iterator[dict[Path, Stamp]]:
-    """Collect the files opened within the context, each with its stamp from before the opening."""
+    """Collect the files opened within the context, each with its stamp from before it was opened."""
     noted: dict[Path, Stamp] = {}
     _noting.append(noted)
     try:
@@ -171,8 +170,7 @@ def open_file(path: str | Path, most_bytes: int = MAX_LOG_BYTES) -> BinaryIO:
     """Open a file named by the operator for reading; every command opens its input here.
 
     Only regular files up to `most_bytes` are accepted, because a pipe might not deliver any data, and reading
-    a
-    device might not end.
+    a device might not end.
     """
     source = str(path)
     for noted in _noting:
@@ -233,8 +231,8 @@ class Document:
     """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
 
     `set_by` names the source of each value that is not from this file: an option (`config.settings`), or
-    another
-    configuration file. If this document is part of another document, `above` is the key of this part there.
+    another configuration file. If this document is part of another document, `above` is the key of this part
+    there.
 
     Raises:
         InputError: the text is not YAML, is not a mapping, is too large or is nested too deep; it contains
@@ -273,7 +271,7 @@ class Document:
     def from_tree(cls, tree: Mapping[str, Any], source: str = IN_PYTHON) -> Document:
         """Return a document built in Python, as if its keys and values had been read from a file.
 
-        Allowed values are finite numbers (also NumPy's), text, booleans, None, and lists and mappings of
+        Allowed values are finite numbers (also NumPy's), strings, booleans, None, and lists and mappings of
         these.
         """
         document = cls.__new__(cls)
@@ -292,11 +290,11 @@ class Document:
         """Return an error at a key of this document, with the line of the key.
 
         If the key is not in the file, the error has the line of the innermost existing section around the
-        key. If an
-        option such as `--set` has set the key, the error names this option instead of file and line.
+        key. If an option such as `--set` has set the key, the error names this option instead of file and
+        line.
         """
         for given, setting in self.set_by.items():
-            # The error is at the setting, below it, or in a section that only the setting created.
+            # The error is at the setting's key, below it, or in a section that only the setting created.
             if key[: len(given)] == given or (key not in self.lines and given[: len(key)] == key):
                 return InputError(message, source=setting)
         for length in range(len(key), -1, -1):
@@ -393,7 +391,7 @@ class Document:
 
 
 def to_plain(value: Any, key: Key = (), source: str = IN_PYTHON) -> Any:
-    """Return a Python value as plain data: dicts, lists, text, finite numbers, booleans, None."""
+    """Return a Python value as plain data: dicts, lists, strings, finite numbers, booleans, None."""
     if isinstance(value, msgspec.Struct):
         value = msgspec.to_builtins(value)
     elif hasattr(value, "tolist"):  # a NumPy array or number
@@ -503,7 +501,7 @@ _WORDS = {
 
 
 def _range(type_: Any, value: Any, key: Key) -> str:
-    """Return a text with the allowed range, the unit and the number; empty if no range is known."""
+    """Return the allowed range, the unit and the number as text, or "" if no range is known."""
     limits = next(_limits(type_), None)
     if limits is None or isinstance(value, bool) or not isinstance(value, int | float):
         return ""
@@ -550,7 +548,7 @@ def suggest_known(name: str, known: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the nearest known name, or all known names."""
     names = list(known)
     parts = [other for other in names if other.startswith(f"{name}.")]
-    if parts:  # the faces of a partition
+    if parts:  # the unknown name is a partition, so suggest its faces
         return f", expected {' or '.join(parts)}"
     return did_you_mean(name, names) or f", known: {', '.join(names)}"
 

@@ -18,7 +18,7 @@ from dart_flight.config.document import (
 
 
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
-    """Return a YAML text in which numbers replace the values at the given keys; comments keep their column.
+    """Return a YAML text in which numbers replace the values at the given keys; comments keep their columns.
 
     An integer in a key is an index into a list, from 0. Every key must exist and have a scalar value.
     """

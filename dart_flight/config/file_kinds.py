@@ -23,8 +23,8 @@ class FileKind(Enum):
     TRIAL = "a CSV file: `identify` reads trials from it, and `predict --batch` reads wall hits"
 
 
-EXTENDS = "extends"  # key of a configuration that contains only its differences from another one
-# Top-level keys that only one kind of file has.
+EXTENDS = "extends"  # a configuration with this key contains only differences from another configuration
+# Top-level keys, each of which only one kind of file has.
 _MARKS = {
     FileKind.MISSION: ("collisions", "waypoints"),
     FileKind.SCENARIO: ("search", "sequence"),
@@ -41,7 +41,7 @@ _MAGIC = {
 
 
 def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:
-    """Return the kind that a YAML file's keys show; None if the keys match no kind or several kinds."""
+    """Return the kind that a YAML file's keys show, or None if the keys match no kind or several kinds."""
     found = [kind for kind, marks in _MARKS.items() if any(mark in tree for mark in marks)]
     return found[0] if len(found) == 1 else None
 

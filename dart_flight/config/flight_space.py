@@ -1,6 +1,6 @@
-"""Checks of walls, places and modes against each other and the vehicle, for missions and scenarios.
+"""Checks that walls, positions, modes and vehicle agree, for missions and scenarios.
 
-If a check fails, the function raises `InputError` at the key in the document.
+If a check fails, the function raises an `InputError` that names the key in the document.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from dart_flight.config.vehicle import VehicleConfig
 
 _AXIS_TOLERANCE = 1e-6
 _UNIT_TOLERANCE = 1e-15
-_ON_POST_M = 0.01  # tolerance of an impact point on a post
-_LIKE_CONTACT_DISTANCE_M = 0.03  # tolerance of a distance that could be the contact distance
-LIMITED_KEYS = ("acceleration_m_s2", "transit_speed_m_s", "jerk_m_s3")  # keys of `flying` that limits change
+_ON_POST_M = 0.01  # tolerance for the position of an impact point on a post
+_LIKE_CONTACT_DISTANCE_M = 0.03  # deviation at which a distance counts as the contact distance
+LIMITED_KEYS = ("acceleration_m_s2", "transit_speed_m_s", "jerk_m_s3")  # the mission's limits set these
 
 
 def resolve_space(
@@ -44,7 +44,7 @@ def resolve_space(
 
 
 def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
-    """Return the vehicle with the mission's limits of acceleration and jerk, if it sets any."""
+    """Return the vehicle with the mission's limits of acceleration and jerk, if the mission sets any."""
     if limits.acceleration_m_s2 is None and limits.jerk_m_s3 is None:
         return vehicle
     flying = vehicle.flying
@@ -94,7 +94,7 @@ def resolve_walls(
 
 
 def hint_at_surface(off_m: float, contact_distance_m: float) -> str:
-    """Return a hint for a message if a distance equals the contact distance, otherwise an empty text."""
+    """Return a hint for a message if a distance equals the contact distance, otherwise an empty string."""
     if not contact_distance_m > 0.0 or abs(off_m - contact_distance_m) > _LIKE_CONTACT_DISTANCE_M:
         return ""
     return (
@@ -124,9 +124,8 @@ def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, doc
     """Return a post's tangent plane as a wall with the post's name.
 
     The plane contains the vehicle's centre at the first touch of the post, so `impact` must be at that
-    distance
-    from the post's axis. The wall's length is the range in which the vehicle's leading side touches the post.
-    Beyond this range the vehicle passes the post, or another part of the vehicle touches it.
+    distance from the post's axis. The wall's length is the range in which the vehicle's leading side touches
+    the post. Beyond this range the vehicle passes the post, or another part of the vehicle touches it.
     """
     reach = post.radius_m + vehicle.airframe.contact_distance_m
     dx, dy = impact[0] - post.centre[0], impact[1] - post.centre[1]
@@ -145,7 +144,7 @@ def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, doc
 def check_clear_of_posts(
     posts: dict[str, Post], point: Vec2, vehicle: VehicleConfig, key: Key, document: Document
 ) -> None:
-    """Check that a vehicle at a place neither overlaps nor touches a post."""
+    """Check that a vehicle at a position neither overlaps nor touches a post."""
     for post in posts.values():
         if post.distance_to_segment(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:
             raise document.error((*key, "position_m"), f"is in or at post {post.name}")
@@ -161,7 +160,7 @@ def _name_of_entry(wall: Wall) -> str:
 
 
 def _wall_as_written(wall: Wall) -> WallSpec:
-    # Rounding restores the angle as written.
+    # Rounding restores the angle as the user wrote it.
     yaw_sd_deg = None if wall.yaw_sd_rad is None else round(math.degrees(wall.yaw_sd_rad), 12)
     return WallSpec(
         point_m=wall.point,
@@ -183,7 +182,7 @@ def check_place(
     key: Key,
     document: Document,
 ) -> None:
-    """Check that a place, with its altitude if given, is inside the bounds and in front of the walls."""
+    """Check that a position, with its altitude if given, is within the bounds and in front of the walls."""
     if bounds.excess2(point) > 0.0:
         raise document.error(
             (*key, "position_m"),

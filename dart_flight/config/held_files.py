@@ -86,13 +86,10 @@ class HeldFile:
     """An advisory lock on a file that contains a description of its holder.
 
     `acquire` creates the file, and `release` removes it. The kernel releases the lock when the process ends
-    for
-    any reason. Two parts of one process exclude each other as well. A forked child does not inherit the locks
-    of
-    its parent. A process that has called `keep` holds the file until it ends, and passes it to a child
-    process
-    with `pass_kept`; both then hold the file. Every account can hold the file, whichever account has created
-    it.
+    for any reason. Two parts of one process exclude each other as well. A forked child does not inherit the
+    locks of its parent. A process that has called `keep` holds the file until it ends, and passes it to a
+    child process with `pass_kept`; both then hold the file. Every account can hold the file, whichever
+    account has created it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -110,7 +107,7 @@ class HeldFile:
         kept = _kept_files().get(self._path)
         if kept is not None and not _is_at(
             kept, self._path
-        ):  # the file was deleted: others may lock a new one
+        ):  # the file was deleted, so other processes may lock a new one
             os.close(_kept_files().pop(self._path))
             kept = None
         self._descriptor = self._lock() if kept is None else os.dup(kept)
@@ -156,7 +153,7 @@ class HeldFile:
     def _lock(self) -> int:
         other = b""
         for attempt in range(_ATTEMPTS):
-            if attempt:  # the holder may only be checking the lock
+            if attempt:  # wait: the holder may be a process that only checks the lock
                 time.sleep(_PAUSE_S)
             descriptor = self._open(last=attempt == _ATTEMPTS - 1)
             if descriptor is None:
@@ -177,8 +174,7 @@ class HeldFile:
         """Return the descriptor of the open file, or None if another attempt may succeed.
 
         The file is created and opened in two steps, because with fs.protected_regular the kernel refuses
-        O_CREAT on a
-        file of another account in a folder such as /run/lock.
+        O_CREAT on a file of another account in a folder such as /run/lock.
         """
         flags = os.O_CLOEXEC | os.O_NOFOLLOW
         try:
@@ -190,7 +186,7 @@ class HeldFile:
         else:
             os.fchmod(descriptor, 0o666)  # regardless of the umask
             return descriptor
-        for access in (os.O_RDWR, os.O_RDONLY):  # reading suffices for the lock, but not for the content
+        for access in (os.O_RDWR, os.O_RDONLY):  # a read-only file can be locked, but not written
             try:
                 return os.open(self._path, flags | access)
             except FileNotFoundError:

@@ -10,8 +10,8 @@ from dart_flight.config.document import Document, dotted, iterate_leaves
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
-_COPIED: Final = 0.5  # a file with a larger share of a packaged file's values is a copy of it
-_SAME: Final = 0.1  # difference up to which two values count as equal, relative to the inherited one
+_COPIED: Final = 0.5  # a file with a larger share of a packaged file's values counts as its copy
+_SAME: Final = 0.1  # largest difference of equal values, relative to the inherited value
 _SIZE: Final = ("airframe.arm_x_m", "airframe.arm_y_m", "airframe.motors")
 _TURNING: Final = ("airframe.mass_kg", "airframe.inertia_kg_m2", "thrust.full_n", *_SIZE)
 LOCK: Final = "lock"
@@ -69,9 +69,9 @@ class _Base(NamedTuple):
     """The file that a vehicle's file extends, or the packaged file that was copied to it."""
 
     path: Path
-    is_original: bool  # whether the vehicle's file is a copy of it
+    is_original: bool  # whether the vehicle's file is a copy of this file
     is_dart: bool
-    given: set[str]  # keys that the vehicle's file sets itself, or has changed
+    given: set[str]  # keys that the vehicle's file sets or has changed
 
 
 def find_inherited(
@@ -169,7 +169,7 @@ def _is_given(key: str, given: set[str]) -> bool:
 
 
 def _differ(a: Any, b: Any) -> bool:
-    """Return whether a value differs from the inherited value `b` by more than two measurements of it."""
+    """Return whether a value differs from the inherited `b` by more than the error of a measurement."""
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) > _SAME * abs(b)
     if isinstance(a, Sequence) and isinstance(b, Sequence) and len(a) == len(b) and not isinstance(a, str):

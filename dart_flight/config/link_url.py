@@ -16,7 +16,7 @@ FORMS = (
     "serial:///dev/ttyAMA0:921600, udpin://0.0.0.0:14540 (listens), udpout://192.168.1.2:14540, "
     "tcpout://192.168.1.2:5760, tcpin://0.0.0.0:5760"
 )
-# The names in /dev/serial/by-path contain colons: the baud rate follows the last colon.
+# Names in /dev/serial/by-path contain colons, so the baud rate follows the last colon.
 _SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>/\S+):(?P<baud>\d+)")
 # MAVSDK's older schemes udp:// and tcp:// may omit the host.
 _NETWORK = re.compile(
@@ -60,7 +60,7 @@ class LinkEndpoint(msgspec.Struct, frozen=True):
 def endpoint_of(url: str) -> LinkEndpoint:
     """Return the resource that a MAVSDK connection URL uses.
 
-    An invalid URL also gets a key, because MAVSDK refuses the URL later.
+    An invalid URL gets a key too; MAVSDK refuses the URL later.
     """
     link = parse_link(url)
     if link is not None and link.kind == "serial":

@@ -55,7 +55,7 @@ from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import Flying, VehicleConfig, load_vehicle
 
 _PAUSE_S = 60.0
-# The estimate of a resting vehicle still moves after power-on. Before arming, the mission frame follows it.
+# After power-on, the estimated position of a resting vehicle still moves; until arming, the frame follows it.
 ESTIMATE_MOVED_M = 0.05
 # A trajectory is rounded, and it ends at the onset of the force, slightly before the plane.
 _TRAJECTORY_OFF_M, _TRAJECTORY_OFF_M_S = 0.05, 0.05
@@ -97,7 +97,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
         return self.wall.from_collision((self.approach_m_s[0], self.approach_m_s[1], 0.0))
 
     def as_written(self, start: Vec2) -> CollisionSpec:
-        """Return the collision in a file's form, without an impact point that follows from the approach."""
+        """Return the collision as in a file; omit an impact point that follows from the approach."""
         if self.probe is not None:
             return self._probe_as_written(self.probe)
         approach: ApproachSpec | None = None
@@ -140,7 +140,7 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
 
     Attributes:
         index: number in the list, from 1.
-        position: mission frame, metres; None for a pause, in which the vehicle holds its place. If the place
+        position: mission frame, metres; None for a pause, which holds position. If the position
             is relative to a wall that a probe must find, the wall is assumed at the end of the probe.
         speed_m_s: largest speed of the leg to the waypoint.
         hold_s: hold time at a waypoint; for a pause, the timeout after which the vehicle lands.
@@ -160,7 +160,7 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
 
 
 class WrittenForm(msgspec.Struct, frozen=True, eq=False):
-    """A mission as written, for `Mission.replace`. It has no part in comparisons of missions.
+    """A mission as written, for `Mission.replace`. Comparisons of missions ignore it.
 
     Attributes:
         tree: keys and values of the file, without the vehicle.
@@ -186,7 +186,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     Attributes:
         source: the file.
         start: [x, y], mission frame; altitude_m is the altitude at the start.
-        walls: all walls at known places, and the tangent planes of posts to be hit; walls that probes search
+        walls: walls at known positions, and the tangent planes of posts to be hit; walls that probes search
             for are not included.
         simulated_walls: additional walls that exist only in simulation.
         posts: the posts.
@@ -234,7 +234,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def recovers_to_goal(self) -> bool:
-        """Whether the last recovery leads to the goal; if not, the goal is approached from rest."""
+        """Whether the last recovery leads to the goal; if not, the vehicle flies to the goal from rest."""
         count = len(self.collisions)
         if count == 0 or self.collisions[-1].probe is not None:
             return False
@@ -353,7 +353,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         """Return the mission frame for a take-off point (local NED, metres)."""
         north, east = self.frame.north_m, self.frame.east_m
         if self.frame.origin == "takeoff":
-            # The vehicle is on the ground below `start`.
+            # At take-off, the vehicle is on the ground below `start`.
             heading = math.radians(self.frame.heading_deg)
             frame = MissionFrame(heading_rad=heading)
             offset = frame.vector_to_ned((self.start[0], self.start[1], 0.0))
@@ -363,7 +363,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
 
 def _waypoints_as_written(mission: Mission) -> Iterator[WaypointSpec]:
-    """Yield waypoints and pauses in the form of a file, without values that follow from other values."""
+    """Yield waypoints and pauses in the form of a file, and omit values that follow from others."""
     altitude_m, usual_m_s = mission.altitude_m, mission.vehicle.flying.transit_speed_m_s
     for one in mission.waypoints:
         keys = shared_keys(one, WaypointKeys)
@@ -487,9 +487,8 @@ def _add_tangent_walls(
 ) -> None:
     """Add the tangent plane of each post to be hit to the walls.
 
-    Raise InputError if an impact on a post has no place, if two impacts on a post have different places, or
-    if a
-    probe searches for a post.
+    Raise InputError if an impact on a post has no point, if impacts on a post have different points, or if
+    a probe searches for a post.
     """
     for i, one in enumerate(spec.collisions):
         if one.wall not in posts:
@@ -502,8 +501,8 @@ def _add_tangent_walls(
         wall = tangent_wall(posts[one.wall], one.impact_point_m, vehicle, key, document)
         if walls.setdefault(one.wall, wall) != wall:
             text = (
-                f"an earlier collision hits post {one.wall} in another place; all impacts on a post must "
-                "be in one place"
+                f"an earlier collision hits post {one.wall} at a different point; all impacts on a post "
+                "must be at the same point"
             )
             raise document.error((*key, "impact_point_m"), text)
 

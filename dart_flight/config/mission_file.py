@@ -24,12 +24,12 @@ Acceleration = Annotated[float, Meta(ge=-50.0, le=50.0)]
 Jerk = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 PieceSeconds = Annotated[float, Meta(gt=0.0, le=60.0)]
 Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
-# Metres of setpoint per newton. The paper's largest value is 0.12; with 1, a weak impact leads across a room.
+# Metres of setpoint per newton. The paper's largest gain is 0.12; 1 sends the vehicle across a room.
 Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
-_MOST_BROKEN_OFF = 0.1  # largest share of drawn flights that may fail if a plan is offered
-# In twenty drawn flights of one mission the tilt reached 74 degrees; in the next set, one vehicle tumbled.
+_MOST_BROKEN_OFF = 0.1  # largest share of drawn flights that may fail in an acceptable plan
+# In 20 drawn flights of a mission, the tilt reached 74 degrees; in the next 20, one vehicle tumbled.
 _MOST_TILT_DEG = 60.0
 Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
@@ -72,7 +72,7 @@ class GoalSpec(Section, frozen=True):
 
     Attributes:
         position_m: [x, y], mission frame.
-        capture_radius_m: largest distance from the goal at which the goal counts as reached.
+        capture_radius_m: largest distance at which the goal counts as reached.
         hold_s: hold time at the goal before landing.
     """
 
@@ -97,7 +97,7 @@ class BoundsSpec(Section, frozen=True):
     def excess2(self, p: Vec2 | Vec3) -> float:
         """Return the horizontal distance of a point from the bounds, metres; 0 inside."""
         (x_min, x_max), (y_min, y_max), x, y = self.x, self.y, p[0], p[1]
-        if x_min <= x <= x_max and y_min <= y <= y_max:  # the usual case
+        if x_min <= x <= x_max and y_min <= y <= y_max:  # return early in the usual case, inside the bounds
             return 0.0
         return max(x_min - x, x - x_max, y_min - y, y - y_max, 0.0)
 
@@ -136,8 +136,8 @@ class PostSpec(Section, frozen=True):
     """A free-standing upright cylinder, as an obstacle or to be hit.
 
     Attributes:
-        centre_m: [x, y] of its axis, mission frame.
-        radius_m: radius of its surface.
+        centre_m: [x, y] of the axis, mission frame.
+        radius_m: radius of the surface.
         material: a key of materials in the vehicle configuration.
     """
 
@@ -223,8 +223,8 @@ class ProbeSpec(Section, frozen=True):
     """A straight leg, from rest to rest, that searches for a wall; a contact ends it but is not required.
 
     Attributes:
-        from_m: [x, y] of its start, mission frame.
-        from_here: true: the leg starts at the vehicle's resting place, which is assumed to be near from_m;
+        from_m: [x, y] of the leg's start, mission frame.
+        from_here: true: the leg starts at the vehicle's resting position, which is assumed to be near from_m;
             false: the leg starts at from_m. Direction and length are the same in both cases. With true, the
             vehicle omits the transit to from_m, during which a drifting frame drifts further.
         direction: [x, y], any length; may be omitted for a wall of the mission, which is then approached
@@ -246,7 +246,7 @@ class ProbeSpec(Section, frozen=True):
 
 
 class PlaceAtWall(Section, frozen=True):
-    """A place relative to a wall, known once the vehicle has touched the wall.
+    """A position relative to a wall, known once the vehicle has touched the wall.
 
     Attributes:
         wall: a wall that an earlier probe searches for, or any other wall of the mission.
@@ -395,8 +395,8 @@ class WaypointKeys(Section, frozen=True, kw_only=True):
 
     Attributes:
         after: number of collisions flown before the waypoint; it never decreases along the list.
-        at_wall: a place relative to a wall, instead of position_m. If the wall was not touched, the waypoint
-            is skipped.
+        at_wall: a position relative to a wall, instead of position_m. The waypoint is skipped if the wall
+            was not touched.
         if_met: a wall that an earlier probe searches for; the waypoint or pause is flown only if that wall
             was touched.
         if_not_met: a wall that an earlier probe searches for; the waypoint or pause is flown only if that

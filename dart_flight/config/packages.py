@@ -9,15 +9,14 @@ from typing import Final
 from dart_flight.config.document import InputError, Key
 
 _CHECKOUT: Final = Path(__file__).resolve().parents[2]
-IN_FULL: Final = ("sim", "identify", "report", "live", "plan", "mocap")  # what `make install` installs
+IN_FULL: Final = ("sim", "identify", "report", "live", "plan", "mocap")  # extras that `make install` installs
 
 
 def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -> InputError:
     """Return the error that names a missing package and the command that installs it.
 
     Call this function in the `except` block of the import error. If the package is installed but does not
-    load,
-    the message contains the import error.
+    load, the message contains the import error.
 
     Args:
         what: the missing package and its use, such as "a picture needs matplotlib".

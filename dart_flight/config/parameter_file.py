@@ -68,7 +68,7 @@ class Parameter(msgspec.Struct, frozen=True):
         reason: comment lines directly above the parameter's line, joined; empty without a comment.
         absent: builds of PX4 that do not have the parameter under this name, such as "before v1.16" or
             "without gyro_fft"; empty for none.
-        renamed: name of the parameter in the builds of `absent`; None if these builds do not need the
+        renamed: name of the parameter in the builds of `absent`; or None if these builds do not need the
             parameter.
         tolerance: largest difference from the vehicle's value that counts as equal.
     """
@@ -133,8 +133,7 @@ def is_same_value(a: float, b: float, tolerance: float = 0.0) -> bool:
     """Return whether a parameter with value `a` needs no change to `b`.
 
     An INT32 must be equal, and a REAL32 must be equal after rounding; otherwise the values may differ by at
-    most
-    `tolerance`.
+    most `tolerance`.
     """
     whole = isinstance(a, int) or isinstance(b, int)
     return abs(a - b) <= tolerance or (not whole and to_float32(a) == to_float32(b))
@@ -174,8 +173,7 @@ def read_parameter_file(path: str | Path) -> ParameterFile:
     """Read a parameter file.
 
     Raise InputError if the file has no parameter of the autopilot, or if a line is a duplicate, is out of
-    range
-    or is not a parameter.
+    range or is not a parameter.
     """
     text = read_text(path)
     parameters: dict[str, Parameter] = {}
@@ -199,7 +197,7 @@ def read_parameter_file(path: str | Path) -> ParameterFile:
                 )
             versions = (found["where"], found["name"])
         elif _COLUMNS.match(line):
-            reason.clear()  # the head is no parameter's reason
+            reason.clear()  # the file's head is not the reason for a parameter
         elif line.startswith("#"):
             reason.append(line.lstrip("# "))
         else:
@@ -245,7 +243,7 @@ def format_parameters(values: Mapping[str, Value], head: Iterable[str], vehicle:
     lines = [
         f"# {line}" for line in (*head, "vehicle-id\tcomponent-id\tname\tvalue\ttype (6 INT32, 9 REAL32)")
     ]
-    lines.append("")  # the head is no parameter's reason
+    lines.append("")  # the file's head is not the reason for a parameter
     for name, value in values.items():
         kind = 6 if isinstance(value, int) else 9
         lines.append(f"{vehicle}\t{AUTOPILOT_COMPONENT}\t{name}\t{show_value(value)}\t{kind}")
@@ -277,13 +275,13 @@ def _parse(fields: Iterable[str], reason: str, versions: tuple[str, str | None])
 
 
 def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) -> list[ParameterDifference]:
-    """Return the vehicle's differences from the wanted parameters, in the file's order."""
+    """Return how the vehicle's parameters differ from the wanted parameters, in the file's order."""
     found = []
     for parameter in wanted.values():
         name = parameter.name
         if name not in actual and parameter.absent:
             if parameter.renamed is None:
-                continue  # not needed in this build
+                continue  # this build does not need the parameter
             if parameter.renamed in actual:
                 name = parameter.renamed
         value = actual.get(name)

@@ -13,7 +13,7 @@ from dart_flight.config.document import Document, Key, unknown_name
 from dart_flight.config.mission_file import CollisionSpec, MissionFile, PlaceAtWall, ProbeSpec, WaypointSpec
 from dart_flight.config.vehicle import VehicleConfig
 
-# Assumed length of a wall that a probe has found, and deviation of its direction before the contact.
+# Assumed length of a wall that a probe has found, and standard deviation of the direction before contact.
 _SOUGHT_LENGTH_M, _SOUGHT_SD_RAD = 1.0, math.radians(15.0)
 _NOT_OF_PROBES = (
     "approach",
@@ -48,7 +48,7 @@ class Probe(msgspec.Struct, frozen=True):
 def unknown_walls(
     spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
 ) -> dict[str, Wall]:
-    """Return the walls at unknown positions, by name, each perpendicular to its probe's leg at the leg's end.
+    """Return the walls at unknown positions, by name; each is perpendicular to its probe's leg at its end.
 
     Raise InputError if a probe has no direction, an unknown material or a name in use; if a collision at an
     unknown wall comes before the wall's probe; or if a condition names a wall without an earlier probe.
@@ -189,6 +189,6 @@ def resolve_probe(
 
 
 def resolve_place(wall: Wall, place: PlaceAtWall) -> Vec2:
-    """Return the position of a place at a wall, mission frame; the wall is at its assumed position."""
+    """Return a place at a wall as a position in the mission frame, with the wall at its assumed position."""
     (x, y), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     return (x + place.away_m * nx + place.along_m * tx, y + place.away_m * ny + place.along_m * ty)

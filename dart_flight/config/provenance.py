@@ -20,7 +20,7 @@ _MAX_LOOKED_AT = 100
 
 
 class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Identification of the vehicle in `--json`.
+    """The vehicle and its configuration, as named in the output of `--json`.
 
     Attributes:
         source: path of the configuration; None if built in Python. A path inside the working directory is
@@ -65,18 +65,18 @@ def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -
 def display_path(path: str | Path) -> str:
     """Return a path for display; a path inside the working directory becomes relative to it."""
     shown = path
-    with contextlib.suppress(OSError):  # the working directory was removed
+    with contextlib.suppress(OSError):  # the working directory may have been removed
         whole = Path(path).resolve()
         if whole.is_relative_to(Path.cwd()):
             shown = whole.relative_to(Path.cwd())
-        elif ".." in Path(path).parts:  # the path is from a mission file, not typed by the operator
+        elif ".." in Path(path).parts:  # the path comes from a mission file, not from the operator
             shown = whole
     return printable(str(shown))
 
 
 def _is_packaged(path: Path) -> bool:
     taken = path.resolve()
-    # In a checkout the packaged file is also the folder's own.
+    # In a checkout, the packaged file is at the same time the working folder's own file.
     return taken == packaged("configs", "dart.yaml").resolve() and taken != _LOCAL.resolve()
 
 
@@ -84,7 +84,7 @@ def unused_configurations(source: VehicleSource) -> list[str]:
     """Return configurations that the operator may have wanted instead of the packaged configuration.
 
     Candidates are the file that $DART_FLIGHT_CONFIG names, and the files in the working folder and in its
-    subfolder `configs/`. There are none unless the packaged configuration is used.
+    subfolder `configs/`. The result is empty unless the packaged configuration is used.
     """
     if not source.packaged:
         return []

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-# Every number has two bounds, which catch a wrong unit (130 for 0.13). These are the default bounds.
+# Every number has two bounds, which catch wrong units (130 for 0.13). These bounds are the defaults.
 Seconds = Annotated[float, Meta(gt=0.0, le=600.0)]
 SecondsOrZero = Annotated[float, Meta(ge=0.0, le=600.0)]
 Metres = Annotated[float, Meta(gt=0.0, le=100.0)]
@@ -54,7 +54,6 @@ def shared_keys(section: Section, kind: type[Section]) -> dict[str, Any]:
     """Return names and values of the section's keys that `kind` defines.
 
     The conversions from a file to its resolved form and back use this function, so that neither direction
-    loses a
-    key.
+    loses a key.
     """
     return {name: getattr(section, name) for name in kind.__struct_fields__}

@@ -14,8 +14,7 @@ def apply_settings(settings: Sequence[str], *documents: Document) -> list[Docume
     """Change documents in place and return those that were changed.
 
     A setting changes the first document that contains the first part of the setting's key. A value of the
-    wrong
-    type is found later, by `Document.convert`, whose error names the setting.
+    wrong type is found later, by `Document.convert`, whose error names the setting.
 
     Args:
         settings: `KEY=VALUE` with a dotted key, such as `detection.force_threshold_n=8`,
@@ -76,8 +75,8 @@ def _key(name: str) -> Key:
 
 
 def _set(document: Document, key: Key, value: Any, setting: str) -> None:
-    """Set a value in a document; error messages contain the text `setting`."""
-    document.set_by.pop(key, None)  # so that the dict keeps the order of the changes
+    """Set a value in a document; error messages quote `setting`, as the user wrote it."""
+    document.set_by.pop(key, None)  # remove it first, so that the dict keeps the order of the changes
     document.set_by[key] = setting
     node: Any = document.tree
     for part in key[:-1]:
@@ -98,7 +97,7 @@ def _child(node: Any, part: str | int, setting: str) -> Any:
     if isinstance(node, dict) and (
         str(part) in node or not difflib.get_close_matches(str(part), list(map(str, node)))
     ):
-        # A missing or null section: its type checks later whether it exists.
+        # The section is missing or null; a later check by type decides whether it may exist.
         node[str(part)] = {}
         return node[str(part)]
     if isinstance(node, list) and isinstance(part, int) and part < len(node):

@@ -28,7 +28,7 @@ def state_dir() -> Path:
         return (Path(xdg) if xdg else Path.home() / ".local" / "state") / "dart-flight"
     except RuntimeError:
         raise InputError(
-            "this account has no home folder for the state of the program: set DART_FLIGHT_STATE_DIR to a "
+            "this account has no home folder for the program's state: set DART_FLIGHT_STATE_DIR to a "
             "folder that you can write"
         ) from None
 
@@ -46,7 +46,7 @@ def cannot(do: str, path: Path, error: OSError, remedy: str = REMEDY) -> InputEr
 
     Args:
         do: the failed action, such as `write`.
-        remedy: advice to the operator, unless the permissions of the file are the reason.
+        remedy: advice to the operator, used unless the permissions of the file are the reason.
     """
     advice = "" if error.errno in (errno.EACCES, errno.EPERM) else f"; {remedy}"
     return InputError(f"cannot {do}: {write_problem(path, error)}{advice}", source=str(path))

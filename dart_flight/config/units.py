@@ -1,4 +1,4 @@
-"""Units of numbers, derived from the name of a key, of a record's field or of a figure."""
+"""Units of numbers, derived from the name of a key, a record's field or a figure."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _ENDINGS = {
     "_s": "s",
     "_v": "V",
 }
-# Coefficients have the paper's letters.
+# The names of the coefficients are the paper's letters.
 COEFFICIENTS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return a name without its unit's suffix, and the unit (empty if the name has no such suffix)."""
+    """Return a name without its unit's suffix, and the unit (empty if the name has no suffix)."""
     end = max((end for end in _ENDINGS if name.endswith(end)), key=len, default="")
     return name.removesuffix(end), _ENDINGS.get(end, "")
 

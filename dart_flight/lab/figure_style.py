@@ -23,7 +23,7 @@ PREDICTED = {"color": "#e8871e", "linestyle": (0, (1, 1.2)), "linewidth": 2.2}
 REPLANNED = {"color": "#8a3fb5", "linestyle": (0, (4, 1.2, 1, 1.2)), "linewidth": 1.8}
 FORCE, GUARD, SET_POINT = "#c2261d", "#b00020", "#1b7a3d"
 GREY = "#666666"
-LINES = (TRUE, ESTIMATED, PREDICTED)  # for several quantities of one source
+LINES = (TRUE, ESTIMATED, PREDICTED)  # colours for several quantities from one source
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "dart-flight",
@@ -62,7 +62,7 @@ class Look(NamedTuple):
         return self.font_pt - 1.0
 
 
-# A phone is 4.6 inches wide, a column of a paper 3.5.
+# A page for a phone is 4.6 inches wide, a column of a paper 3.5 inches.
 PAGE, COLUMN = Look(4.6, 9.0), Look(3.5, 8.0)
 
 
@@ -138,7 +138,7 @@ def _shorten(coordinates: str) -> str:
 def save_figure(figure: Any, path: Path) -> None:
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError("the picture must be a .png, .svg or .pdf file", source=str(path))
-    drawn = io.BytesIO()  # a failed drawing keeps the previous picture
+    drawn = io.BytesIO()  # if drawing fails, the file keeps the previous picture
     with _styled(PAGE):
         figure.savefig(drawn, format=path.suffix.lower()[1:], dpi=200)
     with report_write_errors(path):
@@ -156,7 +156,7 @@ def save_pages(figures: Iterable[Any], path: Path) -> None:
 
 
 def legend_above(axis: Any, columns: int | None = None) -> None:
-    """Put the legend in one row above the plot, where it covers no line."""
+    """Put the legend in one row above the plot, where it does not cover a line."""
     labels = axis.get_legend_handles_labels()[1]
     if labels:
         axis.legend(

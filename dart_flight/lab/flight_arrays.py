@@ -100,7 +100,7 @@ class FlightArrays:
         tracked: list[PoseSample] = [s for s in samples.records if isinstance(s, PoseSample) and s.tracked]
         received = np.array([s.t_us for s in tracked], dtype=float)
         stamps = [s.source_us for s in tracked if s.source_us is not None]
-        if stamps and len(stamps) == len(tracked):  # free of jitter; the clocks differ by a constant
+        if stamps and len(stamps) == len(tracked):  # without jitter; the clocks differ by a constant
             own = np.array(stamps, dtype=float)
             received = own + (received - own).min()
         rising = np.diff(np.maximum.accumulate(received), prepend=-np.inf) > 0.0
@@ -125,11 +125,11 @@ class FlightArrays:
         return (t_us - self.start_us) * 1e-6
 
     def topic_in_ned(self, kind: type[Record]) -> Topic:
-        """Return the records of a kind; empty if the flight has no mission frame to convert them."""
+        """Return the records of a kind, or none if no mission frame can convert them."""
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
     def frame_at(self, t_us: int) -> MissionFrame | None:
-        """Return the mission frame valid at a time; the first frame also counts before it begins."""
+        """Return the mission frame valid at a time; before the first frame begins, return the first frame."""
         laid = [frame for from_us, frame in self._frames if from_us <= t_us]
         return laid[-1] if laid else self.frame
 

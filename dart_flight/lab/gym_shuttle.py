@@ -1,4 +1,4 @@
-"""A Gymnasium environment on `dart_flight.Simulation` (extra `gym`): visit places between two walls.
+"""A Gymnasium environment on `dart_flight.Simulation` (extra `gym`): visit points between two walls.
 
 The registered id is `DartShuttle-v0`. docs/python.md describes the task.
 """
@@ -30,12 +30,12 @@ Numbers = NDArray[np.float32]
 
 
 class ShuttleEnv(gymnasium.Env[Numbers, Numbers]):
-    """The shuttle between two walls: reach the places in order, quickly; hitting a wall is allowed.
+    """The shuttle between two walls: reach the points in order, quickly; hitting a wall is allowed.
 
     Action, shape (3,), -1 to 1: acceleration along x and y (times 5 m/s2), and the lock (positive: rigid).
     Observation, shape (10,): position x, y and velocity x, y (mission frame, m and m/s), vector to the next
-    place (m), external force x, y (as a share of 150 N), mode (1 rigid, 0 flexible or moving), and the share
-    of places reached. Reward: -0.04 per step, plus 1 for each place. If the vehicle is down, or |x| or |y|
+    point (m), external force x, y (as a share of 150 N), mode (1 rigid, 0 flexible or moving), and the share
+    of points reached. Reward: -0.04 per step, plus 1 for each point. If the vehicle is down, or |x| or |y|
     exceeds 3 m, the reward is reduced by 10 and the episode ends.
 
     Args:

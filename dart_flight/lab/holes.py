@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dart_flight.base.records import ImuSample
 from dart_flight.recording.reader import Log
 
-_INTERVALS, _LEAST_S = 10.0, 0.1  # shorter ones are jitter or one or two lost samples
+_INTERVALS, _LEAST_S = 10.0, 0.1  # shorter intervals are jitter, or one or two lost samples
 _SHOWN = 3
 
 
@@ -35,7 +35,7 @@ def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None
 
 
 def describe_cut_end(at_s: float, where: str = "") -> str:
-    """Return the line for a log that ends too early, at `at_s`; `where` is a text such as "in the air"."""
+    """Return the line for a log that ends too early, at `at_s`; `where` is a phrase such as "in the air"."""
     return f"cut: the log ends{f' {where},' if where else ''} at {at_s:.2f} s"
 
 

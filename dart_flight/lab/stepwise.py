@@ -33,7 +33,7 @@ _NO_CONTACT: Final = ExpectedContact()
 _FREE: Final = (math.nan, math.nan, math.nan)
 _LONGEST_CLIMB_S: Final = 20.0
 _AT_START_M, _AT_REST_M_S = 0.05, 0.05
-_DOWN_RAD: Final = 0.5 * math.pi  # tilt from which the vehicle counts as turned over
+_DOWN_RAD: Final = 0.5 * math.pi  # at a larger tilt, the vehicle counts as turned over
 
 
 class FlightSetpoint(NamedTuple):
@@ -56,7 +56,7 @@ class FlightSetpoint(NamedTuple):
 
 
 class SteppedObservation(NamedTuple):
-    """The state of the vehicle, as far as the vehicle's companion computer knows this state.
+    """The state of the vehicle, as far as the companion computer can measure or estimate it.
 
     Attributes:
         time_s: simulated time since `reset`.
@@ -199,7 +199,7 @@ class SteppedSimulation:
 
     def _tick(self) -> None:
         autopilot = self._autopilot
-        autopilot.set_trajectory(self._setpoint)  # MAVSDK repeats a setpoint too
+        autopilot.set_trajectory(self._setpoint)  # repeat the setpoint, like MAVSDK
         if self._servo is not None:
             self._vehicle.set_horn(self._servo.pulse_at(autopilot.time_us))
         self._vehicle.advance()

@@ -1,4 +1,4 @@
-"""The measurements of one flight as arrays in local NED, read from our own log or PX4's, for calibration."""
+"""The measurements of one flight as arrays in local NED, from a flight log or PX4's log, for calibration."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Track(msgspec.Struct):
         position, velocity: estimates in m and m/s, (k, 3), NaN where PX4 had no estimate.
         voltage_s, voltage: stamps (v,) and battery voltage, V, (v,).
         ground: begin and end of each interval on the ground, s.
-        notes: remarks on the source and on data left out.
+        notes: remarks on the source and on omitted data.
     """
 
     source: str
@@ -87,7 +87,7 @@ class Track(msgspec.Struct):
 
 
 def read_calibration_series(path: str | Path) -> Track:
-    """Read one flight with its motor commands from our own log (`.mcap`) or a PX4 ULog (`.ulg`)."""
+    """Read one flight with its motor commands from a flight log (`.mcap`) or a PX4 ULog (`.ulg`)."""
     if Path(path).suffix.lower() != ".ulg":
         return _own_track(read_log(path))
     log = open_ulog(path, _TOPICS)
@@ -102,7 +102,7 @@ def _own_track(log: Log) -> Track:
     imu, sent, attitude, moved, status = (log[kind.topic] for kind in kinds)
     if not len(imu) or not len(sent):
         raise MissingDataError("the log has no IMU samples or no motor commands", source=log.source)
-    # PX4's land detector may report a touch-down half a second late: leave out the whole landing.
+    # PX4's land detector may report a touch-down half a second late, so omit the whole landing.
     landing = status["flight_mode"] == FlightMode.LAND
     known = np.isfinite(status["battery_v"])
     return Track(
@@ -167,7 +167,7 @@ def _ground(log: ULogFile) -> list[tuple[float, float]]:
 
 
 def _intervals(times: Array, holds: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return (begin, end) in s for each sample for which `holds` is True.
+    """Return an interval (begin, end) in s for each sample for which `holds` is True.
 
     Each interval ends at the next sample; the interval of the last sample ends at infinity.
     """

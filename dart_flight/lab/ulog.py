@@ -26,10 +26,10 @@ from dart_flight.config.rotors import COUNT, MAV_TYPES
 
 Array = NDArray[np.float64]
 
-_MIN_CELL_V = 3.0  # a flying pack has at least one cell; a sensor that is not connected reads 0.05 V
+_MIN_CELL_V = 3.0  # a flight battery has at least one cell; an unconnected sensor reads 0.05 V
 _LONGEST_COUNT = 8
 _MOTORS_OF_TYPE = {kind: motors for motors, kind in MAV_TYPES.items()}
-# Largest plausible magnitude of a field; a flipped bit exceeds it. No IMU measures 1000 m/s2 (100 g).
+# Largest plausible magnitudes; a flipped bit exceeds them. No IMU measures 1000 m/s2 (100 g).
 _PLAUSIBLE = {
     "sensor_combined": {"accelerometer_m_s2": 1000.0, "gyro_rad": 100.0},
     "vehicle_attitude": {"q": 1.01},
@@ -37,8 +37,8 @@ _PLAUSIBLE = {
     "actuator_motors": {"control": 1.01},
     "battery_status": {"voltage_v": 1e3},
 }
-_MAX_OUT_OF_STEP_US = 100_000  # between a stamp and its neighbours
-_MAX_SPAN_US = 86_400e6  # duration of a log: a day
+_MAX_OUT_OF_STEP_US = 100_000  # largest difference of a valid stamp from its neighbours
+_MAX_SPAN_US = 86_400e6  # longest duration of a log: a day
 ARMED = 2  # vehicle_status.arming_state
 _OLDEST = (1, 9, 0)
 _ROTARY_WING = 1  # vehicle_status.vehicle_type
@@ -59,7 +59,7 @@ class ULogFile(msgspec.Struct):
         source: name of the file, for messages.
         topics: name -> instance -> field -> array as PX4 wrote it. Topics without samples are absent.
         parameters: PX4's parameters at the start of the log.
-        version: None if it is not logged or PX4 was built between releases.
+        version: PX4's version, or None if it is not logged or PX4 was built between releases.
         gaps_s: total duration that the logger lost, s.
         damage: descriptions of damaged parts that were left out.
     """
@@ -109,7 +109,7 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
         from pyulog import ULog  # noqa: PLC0415  (an extra, slow to import)
     except ImportError:
         raise missing_package("needs pyulog", "identify", source=source) from None
-    # pyulog prints its warnings to stdout, which may carry our JSON.
+    # pyulog prints its warnings to stdout, which may carry this program's JSON.
     with open_file(path) as file, contextlib.redirect_stdout(io.StringIO()) as printed:
         try:
             log = ULog(file, list(topics))
@@ -151,7 +151,7 @@ def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
     for field, most in _PLAUSIBLE.get(name, {}).items():
         for column, values in data.items():
             if column.partition("[")[0] == field:
-                good &= ~(np.abs(np.asarray(values, dtype=float)) > most)  # NaN: unknown
+                good &= ~(np.abs(np.asarray(values, dtype=float)) > most)  # NaN is plausible
     return good
 
 
@@ -187,7 +187,7 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 
 
 def seconds(data: dict[str, Any]) -> Array:
-    """Return a topic's stamps, s on the autopilot's clock: of measurement if logged, else of logging."""
+    """Return a topic's stamps, s on the autopilot's clock: of the measurement if logged, else of logging."""
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
     )
@@ -215,12 +215,12 @@ def motor_commands(log: ULogFile) -> MotorCommands:
     if not found:
         other = "no output in actuator_outputs varies" if outputs else "no actuator_outputs"
         raise InputError(f"the log has no actuator_motors, and {other}", source=log.source)
-    # Motors vary most: servos, or a copy on another port, vary less.
+    # The instance that varies most has the motors; servos, or copies on another port, vary less.
     return max(found, key=lambda c: float(c.values.std(axis=0).mean()))
 
 
 def _motor_count(log: ULogFile) -> int:
-    """Return the number of motors according to the parameters, four if they do not give it."""
+    """Return the number of motors in the parameters, or four if the parameters do not give it."""
     count = log.parameters.get(COUNT, 0.0) or _MOTORS_OF_TYPE.get(int(log.parameters.get("MAV_TYPE", 0.0)), 4)
     return int(min(count, _LONGEST_COUNT))
 
@@ -250,13 +250,13 @@ def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tup
     """Return the shortest and longest pulse of each output.
 
     Up to three parameters can set each limit: for the pin, for the port, or for all ports. The first with a
-    value counts.
+    value determines the limit.
     """
     bank = "MAIN" if instance == 0 else "AUX"
     ends = []
     for end, default in (("MIN", PWM.stop), ("MAX", PWM.full)):
         names = [(f"PWM_{bank}_{end}{pin}", f"PWM_{bank}_{end}", f"PWM_{end}") for pin in range(1, count + 1)]
-        # -1 or 0 at a pin means the port's value.
+        # A value of -1 or 0 for a pin selects the port's value.
         ends.append(
             np.array(
                 [next((v for n in pin if (v := parameters.get(n, -1.0)) > 0.0), default) for pin in names]

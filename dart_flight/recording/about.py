@@ -46,7 +46,7 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
     }
     try:
         about["mission_text"] = Path(mission.source).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):  # built in Python, or the file no longer exists
+    except (OSError, UnicodeDecodeError):  # the mission was built in Python, or its file no longer exists
         tree = msgspec.json.encode(mission.to_dict())
         about["mission_text"] = msgspec.json.format(tree, indent=2).decode()
     return about
@@ -106,7 +106,7 @@ def parse_written(mission: Document, vehicle: Document) -> Mission:
 
 
 def armed_span(log: Log) -> tuple[datetime, datetime] | None:
-    """Return the first and the last time at which a recorded vehicle was armed, by the host's calendar.
+    """Return the first and the last time at which the vehicle of a log was armed, by the host's calendar.
 
     Return None if the log does not contain these times, or the flight was in the fast world.
     """

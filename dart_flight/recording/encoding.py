@@ -24,14 +24,14 @@ _WORDS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def encode(record: Record) -> bytes:
-    """Return a record as JSON; two records have equal JSON exactly if the records are equal bit for bit."""
+    """Return a record as JSON; two records have equal JSON if and only if they are equal bit for bit."""
     data = _ENCODER.encode(record)
     # The fast encoder writes null for a missing value and for a number that is not finite.
     return _ENCODER.encode(_spell(msgspec.to_builtins(record))) if b"null" in data else data
 
 
 def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
-    """Return the record in `data`; raise msgspec.MsgspecError if there is none of the decoder's type."""
+    """Return the record in `data`; raise msgspec.MsgspecError if it has not the decoder's type."""
     try:
         return decoder.decode(data)
     except msgspec.ValidationError:

@@ -39,7 +39,7 @@ class Event(NamedTuple):
     """One event.
 
     Attributes:
-        source: part that reports it: mission, contact, guard, lock, px4, link or log.
+        source: part that reports the event: mission, contact, guard, lock, px4, link or log.
         head: what happened.
         detail: reason or amount; may be empty.
     """
@@ -67,7 +67,7 @@ class EventFormatter:
     """Converts the records of a flight, in order, to events.
 
     PX4's problems in the present flight mode are always reported. With `every_problem`, its problems in other
-    modes are reported while there is none in the present mode.
+    modes are also reported, as long as there are none in the present mode.
     """
 
     def __init__(self, every_problem: bool = False) -> None:
@@ -76,7 +76,7 @@ class EventFormatter:
         self._ready = False
 
     def format_event(self, record: Record) -> Event | None:
-        if record.frequent:  # the usual case
+        if record.frequent:  # return early in the usual case
             return None
         if isinstance(record, PhaseChange):
             self._ready = True

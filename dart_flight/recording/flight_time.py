@@ -1,4 +1,4 @@
-"""The zero of a flight's time: the first IMU sample, for terminal, CSV, replay and report alike.
+"""The zero of a flight's time, which terminal, CSV, replay and report share: the first IMU sample.
 
 Autopilots count time from their own start. The first IMU sample is known early and does not depend on which
 records are shown or were written.

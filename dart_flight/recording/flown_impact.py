@@ -32,7 +32,7 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.recording.anchor import MissionFrameReader
 
-_TRUTH_MATCH_US = 60_000  # largest time between an impact and its truth
+_TRUTH_MATCH_US = 60_000  # largest time between a measured impact and the true contact
 
 
 class Velocities(msgspec.Struct):
@@ -79,13 +79,13 @@ class CollisionVerdict(msgspec.Struct):
     planned: Velocities = msgspec.field(default_factory=Velocities)
     measured: Velocities = msgspec.field(default_factory=Velocities)
     truth: Velocities | None = None
-    lock: LockTimes | None = None  # None: the vehicle has no lock
+    lock: LockTimes | None = None  # None if the vehicle has no lock
     detection_latency_ms: float | None = None
     setpoint_latency_ms: float | None = None
     contact_time_ms: float | None = None
     mode_felt: Mode | None = None  # estimated (docs/felt.md); None if undecided
-    mode_log_odds: float | None = None  # of rigid against flexible; None if not reported
-    mode_true: Mode | None = None  # of the simulated arms
+    mode_log_odds: float | None = None  # log odds of rigid against flexible; None if not reported
+    mode_true: Mode | None = None  # mode of the simulated arms
 
     @property
     def force_error(self) -> float | None:
@@ -156,7 +156,7 @@ class ImpactCollector:
         self._relaxation_us = None if lock is None else round(lock.relaxation_s * 1e6)
         self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # walls with unique names
         self.impacts: list[FlownImpact] = []
-        self._others: list[OtherContact] = []  # as detected
+        self._others: list[OtherContact] = []  # contacts as detected
         self._phase = Phase.READYING
         self._overruled_us: int | None = None
         self._truths: list[TruthContact] = []
@@ -196,8 +196,8 @@ class ImpactCollector:
     def other_contacts(self) -> list[OtherContact]:
         """Return the contacts that were not planned, in order; call `match_truth` before.
 
-        In simulation each has the values of its simulated contact, and after the guard has overruled the
-        mission the list includes contacts that were not detected.
+        In simulation, each contact has the values of its simulated contact. After the guard has overruled the
+        mission, the list also includes contacts that were not detected.
         """
         found = list(self._others)
         planned = [impact.contact for impact in self.impacts]
@@ -230,7 +230,7 @@ class ImpactCollector:
             self._open(self._mission.collisions[record.collision - 1], self._onset)
 
     def _open(self, collision: Collision, onset: ImpactOnset) -> None:
-        self._others = [other for other in self._others if other.t_us != onset.t_us]  # it was planned
+        self._others = [other for other in self._others if other.t_us != onset.t_us]  # drop a planned contact
         normal, tangential, _ = collision.wall.to_collision(onset.velocity_mission)
         self.impacts.append(
             FlownImpact(

@@ -14,11 +14,11 @@ from dart_flight.recording.reader import MAGIC, MAX_BYTES, DamagedLogError, LogE
 from dart_flight.recording.writer import part_path
 
 _HEAD = struct.Struct("<BQ")  # MCAP: kind and length of a record
-_READ_BYTES = 8 * 1024 * 1024  # per read
+_READ_BYTES = 8 * 1024 * 1024  # limit of one read
 
 
 class LogFollower:
-    """Reads the new records of a growing log, from its first part on, without writing to the file.
+    """Reader of a growing log's new records, beginning with the first part; it does not write to the file.
 
     Attributes:
         about: description of the flight; empty until it has been read.
@@ -46,7 +46,7 @@ class LogFollower:
         try:
             return self._read()
         except (OSError, DamagedLogError) as error:
-            raise InputError(f"cannot follow: {error}", source=str(self._path)) from None
+            raise InputError(f"cannot follow this log: {error}", source=str(self._path)) from None
 
     def _read(self) -> list[LogEntry]:
         added, end, entries = io.BytesIO(self._whole_records()), dict[str, str](), list[LogEntry]()

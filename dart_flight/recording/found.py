@@ -1,4 +1,4 @@
-"""Finding flight logs among files and folders named on the command line; InputError if there are none."""
+"""The search for flight logs in files and folders named on the command line; InputError if there are none."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dart_flight.config.document import InputError
 from dart_flight.recording.reader import MissingDataError
 
 LOG_NAME = "flight.mcap"
-PX4_LOG = "px4.ulg"  # PX4's own log, in the same folder, if PX4 flew
+PX4_LOG = "px4.ulg"  # PX4's own log, in the same folder as the flight's log, if PX4 flew
 T = TypeVar("T")
 
 

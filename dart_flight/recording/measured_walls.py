@@ -13,7 +13,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 
-_SAME_US = 60_000  # largest time between a contact and its truth
+_SAME_US = 60_000  # largest time between a measured contact and the true contact
 
 
 class MeasuredWall(msgspec.Struct):
@@ -103,7 +103,7 @@ class WallMeasurements:
         )
         true = self._true_wall(name, estimate, drawn)
         if true is not None:
-            # Compare at the contact: elsewhere along the wall the direction's error adds to the position's.
+            # Compare at the contact: elsewhere the error of the direction adds to the error of the position.
             point = estimate.plane_point_mission
             at = wall.foot(point) if point is not None else wall.point
             found.truth_error_m = true.signed_distance(at)

@@ -49,7 +49,7 @@ class Prediction(NamedTuple):
         velocities: by index of the collision; fields are None if not predicted.
         places: predicted impact points, by index of the collision, mission frame.
         goal_miss_m: predicted smallest distance to the goal during the last recovery. None if this distance
-            is unknown, or if the goal is approached from rest.
+            is unknown, or if the vehicle flies to the goal from rest.
     """
 
     velocities: dict[int, Velocities]
@@ -131,16 +131,16 @@ def _compare_collision(
         yield Deviation(f"{name} peak force, N", wanted.peak_force_n, measured.peak_force_n, allowed)
     if place is not None and collision.probe is None and not wall.sought:
         beside_m = None if flown is None else distance2(flown.onset.position_mission[:2], place)
-        yield Deviation(f"{name} distance from the planned place, m", 0.0, beside_m, tolerance.place_m)
+        yield Deviation(f"{name} distance from the planned point, m", 0.0, beside_m, tolerance.place_m)
     mode = collision.mode.value
     if flown is None:
         yield Deviation(f"{name} mode", mode, None, None)
-    elif flown.mode_felt is not None:  # undecided is no deviation
+    elif flown.mode_felt is not None:  # an undecided mode is not a deviation
         yield Deviation(f"{name} mode", mode, flown.mode_felt.value, None)
 
 
 def out_of_tolerance(found: Sequence[Deviation]) -> list[Deviation]:
-    """Return the deviations outside their tolerance: first those without numbers, then the largest first."""
+    """Return the deviations outside their tolerance: those without numbers, then the largest first."""
     outside = [one for one in found if not one.within]
     return sorted(outside, key=lambda one: -_excess_ratio(one))
 

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from dart_flight.recording.topics import Topic, Topics
 
 IN_MEMORY: Final = "<memory>"  # source of a log without a file
-# The writer's chunks have one megabyte; the limit keeps damaged lengths from allocating gigabytes.
+# The writer's chunks have one megabyte; without the limit, a damaged length could allocate gigabytes.
 MAX_BYTES = 64 * 1024 * 1024
 MAGIC = b"\x89MCAP0\r\n"
-# Exceptions of the libraries for damaged bytes.
+# Exceptions that the libraries raise for damaged bytes.
 _DAMAGES = (McapError, ZstdError, struct.error, msgspec.MsgspecError, ValueError, OverflowError)
 DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
@@ -37,7 +37,7 @@ DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 class MissingDataError(InputError):
     """The flight log lacks the wanted data: the flight ended early, or the log was cut near its start.
 
-    If several logs are given, a log without the data is skipped, and a message says so.
+    If several logs are given, a log without the data is skipped, and a message reports this.
     """
 
 
@@ -46,7 +46,7 @@ class DamagedLogError(Exception):
 
 
 class LogEntry(msgspec.Struct, frozen=True, gc=False):
-    """One record of a log, with its own number if it is an input, or else with the number of its input."""
+    """One record of a log, with its own number if it is an input, else the number of its cause."""
 
     number: int
     record: Record
@@ -163,7 +163,7 @@ def read_entries(
     Args:
         about, end: receive the descriptions from the start and from the end of the flight.
         topics: receives the channels by number.
-        begun: whether the stream continues a part that was read before, and so has no file header.
+        begun: whether the stream continues a part that was read before, and therefore has no file header.
 
     Raises:
         InputError: the log was written by a newer version.

@@ -1,7 +1,7 @@
 """Self-description of the log: a JSON Schema per kind of record, with the unit and frame of every number.
 
 The only source is `base/records.py`: a record's docstring describes the record, the comment on a line
-describes the field, and the end of a name gives unit and frame (`FRAMES`). Foxglove and PlotJuggler show the
+describes the field, and the name's end gives unit and frame (`FRAMES`). Foxglove and PlotJuggler show the
 description.
 """
 
@@ -34,7 +34,7 @@ FRAMES = {
     "_mission": "mission frame: x along its heading, y left, z up",
     "_ned_rad": "heading, clockwise from north",
 }
-# Units by the beginning of a name that has no unit ending.
+# Units by the beginning of a name, for names without a unit ending.
 QUANTITIES = {
     "position_": "m",
     "velocity_": "m/s",

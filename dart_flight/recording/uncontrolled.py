@@ -16,10 +16,10 @@ from dart_flight.base.geometry import tilt_of
 from dart_flight.base.records import TruthSample
 from dart_flight.config.mission_file import BoundsSpec
 
-OUT_M = 0.5  # allowed out of the bounds, as room to brake
+OUT_M = 0.5  # allowed distance outside the bounds, for braking
 _LANDING_M_S = 1.5
 _TILT_DEG = 80.0
-_HIGH_M, _GROUND_M = 0.2, 0.03  # altitudes: has flown, is on the ground
+_HIGH_M, _GROUND_M = 0.2, 0.03  # altitudes of a flying vehicle (above) and on the ground (below)
 
 
 class TruthExtremes:
@@ -53,7 +53,7 @@ def find_uncontrolled(
 
     Args:
         explained: whether a reason is known why the flight did not complete.
-        allowed_m: allowed distance out of the bounds.
+        allowed_m: allowed distance outside the bounds.
         falls: whether the vehicle is meant to fall, for example after a kill switch.
     """
     if not completed and not explained:

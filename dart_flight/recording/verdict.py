@@ -51,7 +51,7 @@ from dart_flight.recording.reader import IN_MEMORY, Log
 from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 
 _TICK_US = 20_000
-_KEPT = 1024  # samples of estimate and truth that wait for each other: 8 s at 125 Hz
+_KEPT = 1024  # samples of estimate or truth that wait for a counterpart: 8 s at 125 Hz
 
 
 class ResetFigures(msgspec.Struct):
@@ -94,7 +94,7 @@ class TimeKind(StrEnum):
     """The clock of a simulated world."""
 
     LOCKSTEP = "lockstep"  # simulated time waits for the application
-    REALTIME = "realtime"  # simulated time does not wait
+    REALTIME = "realtime"  # simulated time does not wait for the application
     SIMULATED = "simulated"  # core and vehicle run in one process
 
 
@@ -120,13 +120,13 @@ class Verdict(msgspec.Struct):
     px4: Px4Figures | None = None
     drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # simulated world (`--vary`)
     vehicle: VehicleSource | None = None
-    plan_followed: bool | None = None  # as predicted; None without a prediction, as in a rehearsal
-    goal_reached: bool | None = None  # within the capture radius; None if the log lacks the flight's end
-    goal_miss_planned_m: float | None = None  # as predicted; None if unknown, or approached from rest
+    plan_followed: bool | None = None  # whether as predicted; None without a prediction, as in a rehearsal
+    goal_reached: bool | None = None  # whether within the capture radius; None if the log lacks the end
+    goal_miss_planned_m: float | None = None  # None if unknown, or if the vehicle flies to the goal from rest
     deviations: list[Deviation] = msgspec.field(default_factory=list)
     walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as measured by the contacts
     estimator_resets: list[ResetFigures] = msgspec.field(default_factory=list)  # in the air
-    arms_moved: bool | None = None  # whether simulated arms ever followed; None if the lock never moved
+    arms_moved: bool | None = None  # whether simulated arms followed the lock; None if it never moved
     time: TimeKind | None = None  # None for a real vehicle
     speed: float | None = None  # achieved simulated seconds per second
     uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, from a simulation's truth
@@ -179,7 +179,7 @@ class VerdictBuilder:
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
-        self._so_far = Verdict(  # without an end the flight counts as aborted
+        self._so_far = Verdict(  # a flight without an end counts as aborted
             mission.name, None, None, Outcome.ABORTED, "program terminated during the flight", [], []
         )
         self.end: MissionEnd | None = None
@@ -199,7 +199,7 @@ class VerdictBuilder:
         self._settled: set[Mode] = set()
         self._true_modes: set[Mode] = set()
         anchor, walls = self._anchor.add, self._walls.add
-        # By kind: most records are irrelevant here, and one look-up skips them.
+        # Handlers by kind of record, so that one look-up skips the many irrelevant records.
         self.handlers = _merge_handlers(
             {OdometrySample: anchor, PhaseChange: anchor, FrameAnchor: anchor},
             {WallEstimate: walls, TruthContact: walls, FrameAnchor: walls},
@@ -291,7 +291,7 @@ class VerdictBuilder:
         px4_log: str | None = None,
         drawn: Mapping[str, float | str] | None = None,
     ) -> Verdict:
-        """Return the verdict on the records so far; without an end the flight counts as aborted.
+        """Return the verdict on the records so far; a flight without an end counts as aborted.
 
         `drawn` contains random values of the simulated world.
         """

@@ -38,7 +38,7 @@ BYTES_PER_S = 150_000  # per second of flight, rounded up from a measured 8.7 MB
 
 _FLUSH_S = 0.15  # each flush costs a chunk with its index; a killed process loses at most this time
 _SYNC_S = 1.0
-_MAX_WAITING = 200_000  # records; about two minutes of flight without an answer of the disk
+_MAX_WAITING = 200_000  # records; about two minutes of flight while the disk does not respond
 
 
 class LogPart:
@@ -65,12 +65,12 @@ class LogPart:
 
     def write(self, record: Record, time_us: int, number: int) -> None:
         """Add a record at an autopilot time, with the number as in `FlightLog.put`."""
-        time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times, but a faulty clock has
+        time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times; a faulty clock may
         channel = self._channels[type(record)]
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
 
     def flush(self) -> None:
-        # The library ends a chunk only at a megabyte; a killed process would lose many seconds of records.
+        # The library ends a chunk only at a megabyte, so a killed process would lose seconds of records.
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.flush()
 
@@ -95,7 +95,7 @@ class FlightLog:
     continues.
 
     Args:
-        path: the first file, which must not exist.
+        path: the first file, which must not exist yet.
         part_bytes: size after which the next file begins.
         most_parts: number of files that contain telemetry. One more file contains only decisions.
 
@@ -146,10 +146,10 @@ class FlightLog:
         If the disk does not respond, the file stays incomplete and can be read up to its last whole chunk.
         """
         self._closing.set()
-        for _ in range(2):  # the first wait may end at once in a process that was stopped
+        for _ in range(2):  # in a process that was stopped, the first wait may end at once
             self._thread.join(self.patience_s)
         if self._thread.is_alive():  # the index must not be written into the middle of a record
-            self.failure = "the disk does not answer"
+            self.failure = "the disk does not respond"
             return
         if self.failure is None:
             try:

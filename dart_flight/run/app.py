@@ -141,7 +141,7 @@ class LockThread:
         """Poll the driver if a poll is due; called after every step in lockstep."""
         assert self._lockstep is not None
         if self._lockstep.clock.host_us() >= self._due_us:
-            self._due_us = math.inf  # until the thread has polled
+            self._due_us = math.inf  # no poll is due until the thread has polled
             self._open()
             self._orders.put(None)
 
@@ -283,7 +283,7 @@ class FlightApp:
         Raises:
             VehicleError: there is no autopilot at the URL.
             NoAnswerError: the autopilot does not answer requests.
-            InputError: the motion capture does not answer, or does not know the configured body; or the servo
+            InputError: the motion capture does not answer or does not track the configured body; or the servo
                 is in use or missing.
         """
         with contextlib.ExitStack() as held:
@@ -629,7 +629,7 @@ class FlightApp:
                 self._bridge.withhold(attitude_only=output.attitude_only)
         elif isinstance(output, PhaseChange):
             self._phase = output.after
-            # For `monitor`; sent from the event loop, so that setpoints do not wait.
+            # `monitor` shows this text. The event loop sends it, so that setpoints do not wait.
             self.loop.call_soon_threadsafe(self._session.send_text, f"phase {output.after}")
         elif isinstance(output, Silence):
             self._fall_silent()

@@ -78,7 +78,7 @@ class CoreThread:
 
         If a step is due at once, the calling thread steps the core with the queued inputs.
         """
-        # Queue first: another thread may end the batch meanwhile, and would not step an item it cannot see.
+        # Queue the item first: a thread that ends the batch meanwhile steps only what is in the queue.
         self._queue.put(item)
         if self._lockstep is None or self._lockstep.completes_batch(item):
             self._step_now()
@@ -89,7 +89,7 @@ class CoreThread:
             try:
                 self._step_queued()
             except BaseException as fault:
-                # MAVSDK's thread would swallow it, so the core's thread raises it and the deadman acts.
+                # MAVSDK's thread would swallow the fault; the core's thread raises it, and the deadman acts.
                 self._fault, self._pace = fault, Pace.BATCHED
             finally:
                 self._owner.release()
@@ -115,7 +115,7 @@ class CoreThread:
                 self._called.clear()
             if self._fault is not None:
                 raise self._fault
-            # In lockstep this thread must not own the core: an input that arrives then would stay queued.
+            # In lockstep this thread must not own the core: an input that came meanwhile would stay queued.
             if self._lockstep is None:
                 with self._owner:
                     self._step_queued()

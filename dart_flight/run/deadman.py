@@ -24,12 +24,12 @@ from pathlib import Path
 
 CORE, LOOP = b"c", b"l"
 _ARM, _LET_GO = b"a", b"q"
-_OWN_PAUSES = 2.0  # periods; a watcher that did not run for a longer time restarts its timeouts
-FEED_PERIOD_S = 0.1  # longest period; each feed costs a wake-up
-_FEEDS = 5  # number within `starve_s`; all of them but one may be late
+_OWN_PAUSES = 2.0  # a watcher that was itself suspended for more periods restarts its timeouts
+FEED_PERIOD_S = 0.1  # longest period; shorter periods would cost more wake-ups
+_FEEDS = 5  # feeds due within `starve_s`; all but one of them may be late
 _MIN_S = 0.001
 _WORD = struct.Struct("=cd")  # message and its time; a write this short is atomic
-_MAX_WORDS = 400  # in one read
+_MAX_WORDS = 400  # longest read, in messages
 _MIN_PAUSE_S = 0.1
 
 
@@ -73,7 +73,7 @@ class Deadman:
         return self._process.pid
 
     def arm(self) -> None:
-        """From now on a missing feed makes the process kill the app."""
+        """Arm the deadman, which from now on kills the app if a feed is missing."""
         self._armed = True
         self._write(_ARM)
 
@@ -100,7 +100,7 @@ class Deadman:
             os.close(self._self)
 
     def _write(self, what: bytes) -> None:
-        # A full pipe holds enough feeds; the event loop replaces a broken one.
+        # Ignore errors: a full pipe holds enough feeds, and the event loop restarts a dead watcher.
         with contextlib.suppress(OSError, ValueError):
             os.write(self._pipe, _WORD.pack(what, time.monotonic()))
 
@@ -173,7 +173,7 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
                 fed_s[word] = max(fed_s[word], sent_s)
         arming = any(word == _ARM for word, _ in words)
         if arming or now - looked_s > own_pause_s:
-            # Just armed, or this process did not run itself: restart the timeouts.
+            # Restart the timeouts: the app has just armed the deadman, or this process itself was suspended.
             armed = armed or arming
             fed_s = dict.fromkeys(fed_s, now)
         looked_s = now

@@ -71,13 +71,13 @@ from dart_flight.vehicle.clock import SimulatedTime
 if TYPE_CHECKING:
     from dart_flight.run.fast_poses import FastPoses
 
-# The host has its own clock, and a message takes 1 ms, the median of MAVSDK's callback over UDP.
+# Offset of the host's own clock, plus 1 ms for a message: the median delay of MAVSDK's callback over UDP.
 _HOST_OFFSET_US: Final = 7_001_000
 _HALF_RATE: Final = 2  # ticks: attitude, odometry, actuator outputs at 125 Hz
 _TRUTH_EVERY: Final = 2
-_STATUS_EVERY: Final = 50  # 5 Hz, and at once after a change
+_STATUS_EVERY: Final = 50  # status at 5 Hz, and at once after a change
 _POSITION_SD_EVERY: Final = (
-    250  # ticks between standard deviations of the position, if the estimator reports them
+    250  # ticks between reports of the position's standard deviation, if the estimator reports it
 )
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
 _TIMESYNC_EVERY: Final = 25  # ticks between measurements of the round trip, as in the app
@@ -170,7 +170,7 @@ class FastFlight:
         self.deadman_s = mission.vehicle.guard.deadman_s
         self._observe = observe
         self.core = FlightCore(mission)
-        # Without a fault the observer is called directly, because every record passes here.
+        # Every record passes here, so without a fault call the observer directly, which saves time.
         notice = self._observe_record if fault is not None else observe or (lambda record, number: None)
         self._runner = CoreRunner(self.core, self, notice, lambda: self.host_us)
         self._ticks = 0
@@ -238,7 +238,7 @@ class FastFlight:
     @property
     def host_us(self) -> int:
         """Host's monotonic time as the app would read it."""
-        # Independent of the autopilot's clock, which may jump.
+        # The host's clock must not follow the autopilot's clock, which may jump.
         return round(self.autopilot.now_s * 1e6) + _HOST_OFFSET_US
 
     def tick(self) -> None:
@@ -253,7 +253,7 @@ class FastFlight:
         if self._ticks % _TIMESYNC_EVERY == 1:
             self._request_time()
         if self.faulted is not None and self.faulted.app_silent:
-            self._repeat()  # MAVSDK's own thread still runs
+            self._repeat()  # MAVSDK's thread outlives a hang of the app
             return
         if self._ticks % _HOST_EVERY == 0:
             if self.lock is not None:

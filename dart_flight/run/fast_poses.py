@@ -1,4 +1,4 @@
-"""Motion capture of the fast world: simulated poses reach the autopilot through the bridge, in one thread."""
+"""Simulated motion capture in the fast world: poses pass the bridge to the autopilot, all in one thread."""
 
 from __future__ import annotations
 

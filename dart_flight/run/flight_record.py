@@ -74,7 +74,7 @@ class FlightRecord:
         self._fails = False
         self.time: TimeKind | None = None
         self._first: tuple[int, float] | None = (
-            None  # simulated time in microseconds, the computer's in seconds
+            None  # simulated time (microseconds) and the computer's time (seconds) of one record
         )
         self._last: tuple[int, float] | None = None
         self._log: FlightLog | MemoryLog | None = None
@@ -102,7 +102,7 @@ class FlightRecord:
         return self.path.parent
 
     def __call__(self, record: Record, number: int) -> None:
-        """Log a record, and pass it to verdict, onlookers and viewers (`number`: `MemoryLog.put`)."""
+        """Log a record, and pass it to verdict, onlookers and viewers; `number` is as in `MemoryLog.put`."""
         log = self._log
         if log is not None:
             log.put(record, number)
@@ -150,7 +150,7 @@ class FlightRecord:
         kept = display_path(px4_log) if px4_log is not None and px4_log.exists() else None
         built = self.verdict.build(self._world, self._seed, log, kept, self._drawn)
         built.time = self.time or built.time
-        if self._world is not World.FAST:  # equal fast flights have equal verdicts
+        if self._world is not World.FAST:  # repeated fast flights must give equal verdicts
             built.speed = self._speed
         built.log_failure = self._log.shortfall if self._log is not None else None
         return built

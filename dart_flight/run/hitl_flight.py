@@ -1,4 +1,4 @@
-"""World of hardware in the loop: real flight controller, link and servo, simulated vehicle."""
+"""Hardware-in-the-loop world: flight controller, link and servo are real, the vehicle is simulated."""
 
 from __future__ import annotations
 

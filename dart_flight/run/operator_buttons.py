@@ -21,8 +21,8 @@ class Button(IntEnum):
     LOCK_FLEXIBLE = 2
     CONTINUE = 3
     LAND = 4  # leave the wall and land
-    CHECK = 5  # param2: number of the mission, 0: all
-    FLY = 6  # param2: number of the mission
+    CHECK = 5  # param2 is the number of the mission; 0 means all missions
+    FLY = 6  # param2 is the number of the mission
 
 
 _MODES: Final = {Button.LOCK_RIGID: Mode.RIGID, Button.LOCK_FLEXIBLE: Mode.FLEXIBLE}
@@ -88,9 +88,9 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
 
 # --- standby -----------------------------------------------------------------------------------------------
 
-AGAIN_S: Final = 10.0  # Fly is pressed twice within this time
-# QGroundControl repeats an unanswered command after 3.0 to 3.5 s with confirmation 0, so this may be the
-# first press again.
+AGAIN_S: Final = 10.0  # the second press of Fly must follow the first within this time
+# QGroundControl repeats an unanswered command after 3.0 to 3.5 s with confirmation 0, so a press after such
+# a time may be the first press again.
 _REPEATED_S: Final = (2.7, 3.8)
 
 
@@ -173,7 +173,7 @@ class RcSwitch:
     """
 
     def __init__(self) -> None:
-        self._position: Mode | None = None  # last one that counted
+        self._position: Mode | None = None  # last position that had an effect
         self._candidate: tuple[Mode, float] | None = None
         self._seen_s: float | None = None
 

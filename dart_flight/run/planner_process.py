@@ -33,7 +33,7 @@ from dart_flight.vehicle.clock import host_us
 
 _NICE = 5  # lower priority than the flight, whose setpoints come first
 _END_S = 1.0
-# First letter of a line; the first line has the kind of request that is answered, and the mission.
+# Every line begins with one of these letters. The first line gives the kind of the requests, and the mission.
 _KINDS: dict[type, bytes] = {
     ContactRequest: b"c",
     FrameAnchor: b"a",

@@ -53,6 +53,6 @@ async def forward_poses(
                     await asyncio.sleep(max(0.0, left_s))
                     report(bridge)
             except asyncio.CancelledError:
-                with contextlib.suppress(Exception):  # the last figures, if the link is still open
+                with contextlib.suppress(Exception):  # show the last figures if the link is open
                     report(bridge)
                 raise

@@ -67,7 +67,7 @@ def fly_px4(
         raise InputError(problem, source=mission.source, key=("frame", "origin"))
     mission = with_px4_delays(_for_pauses(mission, speed) if realtime else mission)
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
-    motors_from(values_of(parameters), mission.vehicle)  # raises before PX4 starts
+    motors_from(values_of(parameters), mission.vehicle)  # raise InputError before PX4 starts
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn)
     if viewer is not None:
@@ -94,7 +94,7 @@ def fly_px4(
 
         def make_app(world: SimulatorProcess) -> FlightApp:
             url = f"udpin://127.0.0.1:{world.port}"
-            if realtime:  # PX4 derives the port from its instance
+            if realtime:  # PX4 derives the port from its instance number
                 leases.enter_context(LinkLease(url, "dry-run --px4", record.path))
             clock = LockstepClock(speed) if realtime else None
             world_link = WorldLink(world, clock, not realtime, drawn.lock_faults, world.mocap_url)
@@ -111,7 +111,7 @@ def fly_px4(
 
 
 def _px4_figures(ulog: Path, version: str | None, notify: Onlooker) -> Px4Figures:
-    """Return the values from PX4's own log; if it cannot be read, report this and return only the version."""
+    """Return the values from PX4's own log; if it is unreadable, report this and return the version only."""
     try:
         figures: Px4Figures = load_entry(PX4_FIGURES)(ulog, version)
     except ImportError:

@@ -65,11 +65,11 @@ DECISIONS = (
     MissionEnd,
 )
 TOLERANCE = 1e-9
-_IN_FLIGHT = 3  # inputs at the end of a cut log whose outputs may be missing
+_IN_FLIGHT = 3  # number of inputs at the end of a cut log that may lack their outputs
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """An output that differs from the recording; None: one side does not have this output."""
+    """An output that differs from the recording; the side that lacks the output is None."""
 
     number: int
     t_us: int
@@ -248,7 +248,7 @@ def decision_rows(result: Replay) -> list[tuple[float, str, str, str]]:
 
 
 def _label(record: Record) -> tuple[str, ...]:
-    """Return the parts that identify a decision: type of the record, texts and flags, but no numbers."""
+    """Return the parts that identify a decision: the record's type, strings and flags, but no numbers."""
     values = msgspec.structs.asdict(record)
     words = (str(v) for k, v in values.items() if isinstance(v, str | bool) and k not in ("detail", "reason"))
     return (type(record).__name__, *words)
@@ -293,7 +293,7 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     same = {"source": flown.source, "vehicle_source": flown.vehicle_source}
     if msgspec.structs.replace(as_written, **same) == flown:
         return msgspec.structs.replace(changed, **same)
-    # The flown mission differs from its text (a rehearsal), so keep it and change only the vehicle.
+    # A rehearsal differs from the mission in the log's text: keep it, and change only the vehicle.
     if of_mission:
         raise InputError(
             "this flight was a rehearsal, so --set accepts only keys of the configuration",

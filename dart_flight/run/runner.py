@@ -22,7 +22,7 @@ from dart_flight.base.records import (
 from dart_flight.core.pace import Pace
 
 Observe = Callable[[Record, int], None]
-# Setpoints are sent earlier; estimates come with every IMU sample and are not commands.
+# Outputs that are not executed: setpoints are sent separately, and estimates are not commands.
 _NOT_CARRIED: Final = (Setpoint, ForceEstimate, TorqueEstimate)
 
 
@@ -81,7 +81,7 @@ class CoreRunner:
             elif type(output) is Silence:
                 silent = True
         if silent:
-            self._held = None  # send no setpoint after a decision for silence
+            self._held = None  # send no setpoint once the core has decided to fall silent
         elif not more:
             self._send_held()
         self._observe(item, number)

@@ -28,7 +28,7 @@ from dart_flight.sim.pipe import (
     WorldOutput,
 )
 
-_LAST_WORDS_S = 0.2  # shorter than the deadman's timeout of the event loop
+_LAST_WORDS_S = 0.2  # wait for the cause of an end, shorter than the deadman's timeout for the event loop
 
 
 class SimulatorError(FlightError):
@@ -144,7 +144,7 @@ class HitlProcess(SimulatorProcess):
     """Plant that sends simulated sensors to a flight controller."""
 
     ready_timeout_s = 60.0
-    what = "the simulated vehicle at the flight controller"
+    what = "the simulated vehicle connected to the flight controller"
 
 
 def fly_simulated(

@@ -1,4 +1,4 @@
-"""Standby: it holds link and lock between flights, and passes the link to `check` and `fly` processes.
+"""Standby, which holds link and lock between flights and passes the link to `check` and `fly` processes.
 
 `StandbyDesk` decides without I/O. `Standby` has the connection, the lock and the child processes. Standby
 starts a flight with the command that an operator could also type, so flights work without standby.
@@ -47,18 +47,18 @@ from dart_flight.vehicle.motion_capture.source import AbsentSourceError, open_so
 from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, connect
 
 _RETRY_S: Final = 5.0
-_CONNECT_S: Final = 5.0  # for the autopilot's heartbeat, before the next attempt
+_CONNECT_S: Final = 5.0  # timeout of the autopilot's heartbeat in each attempt to connect
 _ALIVE_S: Final = 0.5
 _SYSTEMD: Final = (
     "NOTIFY_SOCKET",
     "WATCHDOG_USEC",
     "WATCHDOG_PID",
 )  # systemd's variables, which child processes must not inherit
-_TEXT_PAUSE_S: Final = 0.3  # PX4 forwards texts from a buffer of about 580 bytes and drops the rest
-_LAST_WORDS_S: Final = 0.3  # for answers and texts, before the connection closes
-_RADIO_S: Final = 3.0  # SYS_STATUS older than this: no remote control
+_TEXT_PAUSE_S: Final = 0.3  # PX4's buffer for messages has about 580 bytes; PX4 drops the others
+_LAST_WORDS_S: Final = 0.3  # wait for the last answers and messages before the connection closes
+_RADIO_S: Final = 3.0  # a remote control that PX4 has not reported for this time counts as lost
 _RC_RECEIVER: Final = 65536  # MAV_SYS_STATUS_SENSOR
-_NO_GOES: Final = 3  # of a check, sent to the ground station; the rest is in the journal
+_NO_GOES: Final = 3  # no-gos of a check sent to the ground station; the journal has all of them
 
 
 class Ended(NamedTuple):
@@ -153,7 +153,7 @@ class Standby:
         self._options, self._say = options, report
         channel = None if vehicle.lock is None else vehicle.lock.rc_channel
         self._desk = StandbyDesk([name for name, _ in missions], channel, vehicle.has_lock)
-        self._news: list[str] = []  # for the ground station, once the link is back
+        self._news: list[str] = []  # lines to send to the ground station once the link is back
         self._errand: Errand | None = None
         self._child: asyncio.subprocess.Process | None = None
         self._stops = 0
@@ -252,7 +252,7 @@ class Standby:
     async def _open_poses(
         self, url: str, session: VehicleSession, held: contextlib.AsyncExitStack
     ) -> tuple[MotionCaptureBridge | None, str | None]:
-        """Begin to forward poses; while the cameras are not up, return None and the reason."""
+        """Begin to forward poses; if the cameras are not running yet, return None and the reason."""
         try:
             source = await asyncio.to_thread(open_source, url)
         except AbsentSourceError as error:
@@ -343,8 +343,8 @@ class Standby:
 
     async def _run_child(self, command: Sequence[str]) -> Ended:
         """Run a `dart-flight` command on the link, and pass on all messages of the command."""
-        # In a new session, so that only standby gets Ctrl-C and passes it on once.
-        descriptors, kept = pass_kept()  # the servo
+        # Use a new session: then only standby gets Ctrl-C, and passes it on once.
+        descriptors, kept = pass_kept()  # the child inherits the right to use the servo
         inherited = {name: value for name, value in os.environ.items() if name not in _SYSTEMD}
         child = self._child = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "dart_flight", *command, "--json", "--connection", self._url),

@@ -42,7 +42,7 @@ _STREAMS: Final[dict[type, str]] = {
 }
 _ANSWERS: Final[dict[type, type]] = {PlanRequest: PlanAnswer, ContactRequest: ContactAnswer}
 _BATCH_US: Final = round(1e6 * BATCH_S)
-_MARGIN_US: Final = 40_000  # least time from an answer to the begin of its trajectory; later ones are refused
+_MARGIN_US: Final = 40_000  # an answer must precede its trajectory by at least this time
 _UNUSED: Final = (None, None, None)
 
 
@@ -66,7 +66,7 @@ class StepReporter:
         self._due: dict[tuple[type, int], int] = {}
         self._answers: list[PlanAnswer | ContactAnswer] = []  # answers that are not due yet
         self._batched = False
-        self._hold_us = 0  # IMU samples stamped earlier wait for the rest of their batch
+        self._hold_us = 0  # IMU samples with an earlier stamp wait until their batch is complete
         self._streams: dict[str, int] = {}
         self._sent: dict[str, tuple[float | None, ...]] = {}
         self._begun, self._flies = False, True
@@ -117,7 +117,7 @@ class StepReporter:
                 elif isinstance(item, PlanAnswer | ContactAnswer):
                     self._due.pop((type(item), item.number), None)
             self._open -= work
-            # A lock order may itself wait for a command, for which a real PX4 needs time to advance.
+            # Report even if commands are open: a lock order may wait for PX4, which needs time to advance.
             if not self._open or self._commands:
                 self._report()
 

@@ -28,7 +28,7 @@ from dart_flight.base.signals import StopSignals
 I = TypeVar("I", bound=Hashable)  # noqa: E741
 R = TypeVar("R")
 
-_POLL_S = 0.2  # for an interrupt
+_POLL_S = 0.2  # period of the checks for an interrupt
 _RETRIES = 1
 _RENEWALS = 3
 _GROUP_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
@@ -146,7 +146,7 @@ class _Pool(Generic[I, R]):
             try:
                 self._executor.submit(int).result()
             except (BrokenProcessPool, OSError):
-                time.sleep(_POLL_S)  # the fork server may have died with the pool and is restarting
+                time.sleep(_POLL_S)  # the fork server may have died too, and needs time to restart
             else:
                 return
         raise FlightError("worker process exited before its first flight")
@@ -160,10 +160,10 @@ _fly: Callable[[Any], Any]  # the function that flies, in a process of the pool
 
 
 def _begin(fly: Callable[[Any], Any]) -> None:
-    global _fly  # noqa: PLW0603  a pool hands its processes nothing else for good
+    global _fly  # noqa: PLW0603  only a global keeps the function in a pool's process
     _fly = fly
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
-    os.setpgid(0, 0)  # also for a signal to its whole group; a SIGHUP that the parent ignores stays ignored
+    os.setpgid(0, 0)  # a signal to the parent's group must not reach this process; an ignored SIGHUP stays so
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _GROUP_SIGNALS)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 

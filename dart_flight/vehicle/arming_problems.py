@@ -1,4 +1,4 @@
-"""Texts with PX4's reasons for refusing to arm or to change mode, from its arming checks or SYS_STATUS."""
+"""PX4's reasons for refusing to arm or to change mode, as text, from its arming checks or SYS_STATUS."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Any
 
 from dart_flight.vehicle.messages import SEVERITIES, Sensors
 
-_BAD_AT_MAX = 4  # log level: warning; 0 is emergency
+_BAD_AT_MAX = 4  # the log level of a warning; the level of an emergency is 0
 SEVERE = frozenset(SEVERITIES[: _BAD_AT_MAX + 1])
 _PREARM = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
-# MAV_SYS_STATUS_SENSOR, the bits that apply to a vehicle like this.
+# Bits of MAV_SYS_STATUS_SENSOR that apply to a multirotor.
 _SENSORS = {
     0: "gyro",
     1: "accelerometer",

@@ -28,7 +28,7 @@ class PortFinding(msgspec.Struct, frozen=True):
 
     Attributes:
         received: number of bytes received at the requested rate.
-        baud: rate at which MAVLink arrives; None: at none of the usual rates.
+        baud: rate at which MAVLink arrives, or None if it arrives at none of the usual rates.
         console: a console's answer to an empty line, such as `login:`.
     """
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import threading
 
-_own = threading.local()  # is released with the thread state
+_own = threading.local()  # the interpreter releases this together with the thread state
 
 
 def pin_thread_state() -> None:

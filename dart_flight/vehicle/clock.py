@@ -11,10 +11,10 @@ from typing import Protocol
 
 from dart_flight.base.records import RoundTrip
 
-_WINDOW = 8  # seconds, with the best value of each second
+_WINDOW = 8  # seconds; each second keeps its best value
 _LOCKSTEP_STEP_US = 2000
 _LEAP_US = 1_000_000
-_LEAPS_ACCEPTED = 50  # consecutive stamps after a leap until the leap is accepted
+_LEAPS_ACCEPTED = 50  # a leap is accepted after this many consecutive stamps
 _STEP_US = 200  # smaller changes of the estimate are not reported
 
 

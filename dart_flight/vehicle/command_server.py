@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 from mavsdk.plugins.mavlink_direct_server import MavlinkDirectServer, MavlinkMessage
 
-COMPONENT: Final = 195  # of this program; differs from MAVSDK's default server component
+COMPONENT: Final = 195  # component id of this program; it differs from MAVSDK's default server component
 USER_COMMAND: Final = 31010  # MAV_CMD_USER_1
 
 
@@ -47,8 +47,8 @@ class CommandServer:
     Args:
         system_id: system id of the only ground station that may command.
         answer: returns the result of a press and the reason for this result.
-        note: receives one line about every command, for log and ground station. Of all commands from other
-            systems, only the first gives a line.
+        note: receives one line about every command, for log and ground station. All commands of other systems
+            together give only one line.
 
     Attributes:
         refused: number of commands from other systems; all of them are denied.

@@ -20,9 +20,9 @@ from mavsdk.plugins.log_files import Entry, LogFiles
 from dart_flight.base.errors import FlightError
 
 _SILENT_S = 3.0  # timeout without progress
-_LOG_SILENT_S = 15.0  # same for a log, because a lossy link repeats every chunk
+_LOG_SILENT_S = 15.0  # timeout for a log, which is longer because a lossy link repeats every chunk
 _CANCELLED_S = 2.0  # timeout of the callback after a cancellation
-_RATED_S = 2.0  # time after the start of a download until its duration is estimated
+_RATED_S = 2.0  # the duration of a download is estimated this long after its start
 _CLOCK_SET = datetime(2020, 1, 1, tzinfo=UTC)  # earlier dates come from flight controllers without a clock
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
 
@@ -75,7 +75,7 @@ def _wait_for_last(arrived: queue.SimpleQueue[tuple[Any, Any]]) -> None:
 
 
 def download_file(system: Any, path: str) -> bytes:
-    """Return a small file on the flight controller, by FTP; raise DownloadError without file or FTP."""
+    """Return a small file on the flight controller, by FTP; raise DownloadError if file or FTP is missing."""
     arrived: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
     ftp = Ftp(system)
     with tempfile.TemporaryDirectory() as folder:
@@ -143,7 +143,7 @@ class Px4Logs:
         self._plugin = LogFiles(system)
 
     def entries(self) -> list[Px4LogEntry]:
-        """Return the logs on the flight controller; raise DownloadError if it does not answer."""
+        """Return the logs on the flight controller; raise DownloadError if there is no answer."""
         try:
             return [parse_entry(entry) for entry in self._plugin.get_entries()]
         except MavsdkError as error:
@@ -199,7 +199,7 @@ class DownloadTime:
         self._size_bytes, self._began_s, self._is_reported = size_bytes, began_s, False
 
     def line(self, share: float, now_s: float) -> str | None:
-        """Return text with the remaining time once it is known; `share` is the received share, 0 to 1."""
+        """Return the remaining time as text, once it is known; `share` is the received share, 0 to 1."""
         elapsed_s = now_s - self._began_s
         if self._is_reported or elapsed_s < _RATED_S or share <= 0.0:
             return None

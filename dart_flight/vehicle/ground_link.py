@@ -66,7 +66,7 @@ class Source(msgspec.Struct, frozen=True):
     arriving_hz: float
     usable_hz: float
     is_vehicle: bool  # whether the sender is the connected vehicle's autopilot component
-    reason: str  # reason why its messages are unusable, or empty
+    reason: str  # reason why the sender's messages are unusable, or empty
 
 
 def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
@@ -95,7 +95,7 @@ class Observation(msgspec.Struct):
     gps_fix: str | None = None  # MAVLink's fix type in lower case; None if no receiver reports
     blocking: tuple[str, ...] = ()  # PX4's reasons for not arming in its present mode
     other_vehicle: str | None = None  # description of another vehicle on the same link
-    texts: list[str] = []  # PX4's texts and events of severity warning or higher
+    texts: list[str] = []  # PX4's messages and events with severity warning or higher
     own_findings: list[str] = []  # this program's own findings on the link
     sources: tuple[Source, ...] = ()
     battery_id: int | None = None
@@ -105,7 +105,7 @@ class Observation(msgspec.Struct):
     specific_force_m_s2: float | None = None  # mean magnitude
     position_ned: Vec3 | None = None  # newest local position, metres
     q_frd_to_ned: Quaternion | None = None  # newest attitude
-    poses: PoseFigures | None = None  # of the motion capture that this program forwards
+    poses: PoseFigures | None = None  # statistics of the poses that this program forwards
     pose_problem: str | None = None  # reason why no usable poses arrive
     systems: tuple[int, int] | None = None  # MAVLink system ids of the vehicle and of this program
 
@@ -125,7 +125,7 @@ class HeartbeatMode(msgspec.Struct, frozen=True):
 
 
 _HEARTBEAT_S = 3.0
-_REPORT_S = 5.0  # additional wait for PX4's reasons, whose texts MAVSDK must fetch first
+_REPORT_S = 5.0  # additional wait for PX4's reasons: MAVSDK must first fetch their descriptions
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
 _MAX_UNANSWERED = 2  # unanswered requests before giving up; MAVSDK repeats each for seconds
 _WAIT_POLL_S = 0.1  # interval of the requests for the vehicle's time while waiting
@@ -365,8 +365,8 @@ class GroundLink:
         Args:
             names: the parameters that the vehicle lacks are missing from the result.
             progress: receives the number of parameters requested so far.
-            unanswered: receives the names of the parameters of which neither the value nor the absence is
-                known. If None, such a parameter raises VehicleError.
+            unanswered: receives the names of parameters whose value and absence are both unknown. If it is
+                None, such a parameter raises VehicleError.
         """
         lost: set[str] = set()
         values = self._parameters.read(names, progress, lost)
@@ -381,7 +381,7 @@ class GroundLink:
         self._parameters.write(name, value)
 
     def wait(self, seconds: float) -> None:
-        """Block until some of the vehicle's time has passed; without its time, use this computer's."""
+        """Block for some seconds of the vehicle's time, or of this computer's if the vehicle's is unknown."""
         times_us: list[int] = []
         handle = self._session.listen(
             messages.TIMESYNC, lambda answer, _: times_us.append(answer.autopilot_us)
@@ -420,7 +420,7 @@ class GroundLink:
         def store_fix(fix: str, _: int) -> None:
             seen.gps_fix = fix
 
-        asyncio.run(session.set_rates(_RATED))  # a refusal shows in the measured rates
+        asyncio.run(session.set_rates(_RATED))  # the measured rates reveal a refusal
         motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
         session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
         session.listen(messages.GPS_RAW_INT, store_fix)

@@ -26,7 +26,7 @@ _MAX_SPEED_M_S: Final = 100.0
 _MIN_BATTERY_V, _MAX_BATTERY_V = 3.0, 150.0  # a reading below one cell comes from a sensor without a battery
 _MAX_RPM: Final = 200_000
 _MAX_SD_M: Final = 10_000.0
-_ESCS: Final = 4  # in one message
+_ESCS: Final = 4  # number of motors in one ESC_STATUS message
 _CHUNK: Final = 50  # bytes of text in one STATUSTEXT
 SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 
@@ -257,7 +257,7 @@ class _GpsRawIntFields(msgspec.Struct):
     fix_type: int
 
 
-_RC_CHANNELS: Final = 18  # in a message; channels that the receiver lacks are 65535
+_RC_CHANNELS: Final = 18  # number in a message; a channel that the receiver lacks has the value 65535
 _RcChannelsFields = msgspec.defstruct(
     "_RcChannelsFields",
     [("chancount", int), ("rssi", int), *((f"chan{n}_raw", int, 65535) for n in range(1, _RC_CHANNELS + 1))],
@@ -315,12 +315,10 @@ def _odometry(m: _OdometryFields) -> Odometry | Unusable:
             f"the messages carry external poses{poses} ({name}; see MAV_ODOM_LP), not PX4's own estimate"
         )
     if m.frame_id != _LOCAL_NED:
-        return Unusable(
-            f"the frame of the position is not local NED, but {m.frame_id}, as in an external pose"
-        )
+        return Unusable(f"the position has frame {m.frame_id}, as in an external pose, instead of local NED")
     if m.child_frame_id != _LOCAL_NED:
         old = ", as before PX4 1.14" if m.child_frame_id == _BODY_FRD else ""
-        return Unusable(f"the frame of the velocity is not local NED, but {m.child_frame_id}{old}")
+        return Unusable(f"the velocity has frame {m.child_frame_id}{old}, instead of local NED")
     if x is None or y is None or z is None:
         return Unusable("the position is NaN")
     if vx is None or vy is None or vz is None:
@@ -356,7 +354,7 @@ _AUTO_MODES: Final = {
     8: FlightMode.MISSION,  # follow a target
     9: FlightMode.LAND,  # precision landing
     10: FlightMode.TAKEOFF,
-    **dict.fromkeys(range(11, 19), FlightMode.MISSION),  # a mode of another program
+    **dict.fromkeys(range(11, 19), FlightMode.MISSION),  # modes that an external program registers with PX4
 }
 _STATES: Final = tuple(SystemStatus)[1:]  # MAV_STATE's order
 

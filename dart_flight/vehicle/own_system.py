@@ -1,6 +1,6 @@
-"""The MAVLink system id of this program, which must be the vehicle's.
+"""The MAVLink system id of this program, which must be that of the vehicle.
 
-PX4 forwards a ground station's command to a component only if it belongs to the vehicle's own system.
+PX4 forwards a ground station's command to a component only if the component belongs to the vehicle's system.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from mavsdk.mavsdk import Configuration
 def send_as(mavsdk: Any, component: ComponentType, system_id: int) -> int:
     """Send all further messages of a connection as a component of system `system_id`.
 
-    MAVSDK's C library has a function for this, its Python package has not. Return the system id of the
-    further messages: MAVSDK's default if its library has no such function.
+    MAVSDK's C library has a function for this; its Python package does not. Return the system id that the
+    messages then have, which is MAVSDK's default if the library has no such function.
     """
     configuration = Configuration.create_with_component_type(component)
     if configuration.system_id == system_id:

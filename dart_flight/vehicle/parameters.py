@@ -1,7 +1,7 @@
 """The parameters of a vehicle: values by name, and the list of the names that the vehicle has.
 
 A missing answer does not prove that the vehicle lacks a parameter. A parameter is absent only if the vehicle
-says so, or if it is missing from the vehicle's complete list and its name gets no answer.
+reports this, or if it is missing from the vehicle's complete list and its name gets no answer.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from dart_flight.vehicle import messages
 from dart_flight.vehicle.messages import AUTOPILOT, ListedParameter
 from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession
 
-_READ_S = 90.0  # timeout of all parameters that are read by name; an unanswered name takes 3 s
-_LIST_S = 60.0  # timeout of the list
-_SILENT_S = 1.5  # without a new entry of the list; then the missing entries are requested
-_ROUNDS = 3  # requests in a row without a new entry
-_CHUNK = 40  # entries requested together, so that a slow radio does not drop them
+_READ_S = 90.0  # timeout for all parameters read by name; a name without an answer takes 3 s
+_LIST_S = 60.0  # timeout for the list
+_SILENT_S = 1.5  # if no new entry arrives for this time, the missing entries are requested
+_ROUNDS = 3  # the list ends after this many requests in a row without a new entry
+_CHUNK = 40  # entries requested together; a slow radio would drop more
 _AGAIN, _AGAIN_S = 3, 0.5  # requests for a name without an answer, and the wait after each
 _POLL_S = 0.02
 
-Perform = Callable[[str, Callable[[], Any]], Any]  # name and function of a request; the function's result
+Perform = Callable[[str, Callable[[], Any]], Any]  # args: a request's name and function
 
 
 class ParameterList:
@@ -83,7 +83,7 @@ class VehicleParameters:
     ) -> dict[str, Value]:
         """Return the values of the parameters that the vehicle has.
 
-        Add to `unanswered` the names of the parameters of which neither the value nor the absence is known.
+        Add to `unanswered` the names of the parameters whose value and absence are both unknown.
         """
         values: dict[str, Value] = {}
         pending: list[str] = []
@@ -175,7 +175,7 @@ class VehicleParameters:
     def _ask_again(self, names: Collection[str]) -> set[str]:
         """Request all parameters in `names` together, up to 3 times; return the names that were answered.
 
-        PX4 lists only the parameters that its modules use, but answers for the others as well.
+        PX4 lists only the parameters that its modules use, but also answers for the other parameters.
         """
         found = ParameterList()
         handle = self._session.listen(messages.PARAM_VALUE, lambda entry, _: found.update(entry))

@@ -1,7 +1,7 @@
 """Redirection of MAVSDK's log to Python's logging.
 
-MAVSDK must not write to standard output, which is reserved for `--json`. A repeated message is logged once,
-and the number of repetitions when the connection is closed.
+MAVSDK must not write to standard output, which is reserved for `--json`. A repeated message is logged only
+once; its number of repetitions is logged when the connection closes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 from mavsdk.logging import log_subscribe
 
 _LEVELS = {0: logging.DEBUG, 1: logging.INFO, 2: logging.WARNING, 3: logging.ERROR}
-# MAVSDK 4.1 may close a UDP socket during a receive. That is harmless only while a connection is closed.
+# MAVSDK 4.1 may close a UDP socket during a receive. The error is harmless only while a connection closes.
 _SOCKET_CLOSED = "Bad file descriptor"
 
 _logger = logging.getLogger("dart_flight.mavsdk")

@@ -26,7 +26,7 @@ def split_text(text: str, number: int) -> list[dict[str, Any]]:
 
 
 class TextAssembler:
-    """An assembler of texts from their parts, one text at a time in PX4's order."""
+    """An assembler of texts from their parts. PX4 sends the parts of one text after the other."""
 
     def __init__(self) -> None:
         self._severity, self._id, self._next = "", 0, 0

@@ -71,10 +71,10 @@ _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _REPEATED_US = 100_000  # interval at which an unchanged setpoint is sent again
 _REQUEST_PERIOD_S = 0.1  # interval of the TIMESYNC requests
-_MAX_REQUESTS = 256  # requests stored; an answer may arrive seconds later
+_MAX_REQUESTS = 256  # number of stored requests; an answer may arrive seconds later
 _MAX_TEXT_ID = 65535
 _AIRBORNE = (LandedState.IN_AIR, LandedState.TAKING_OFF)
-_REPORTED_US = 3_000_000  # between reports that a stream is unusable
+_REPORTED_US = 3_000_000  # shortest time between reports that a stream is unusable
 _ENOUGH_MESSAGES = 10  # consecutive unusable messages before a report
 
 
@@ -272,7 +272,7 @@ class VehicleSession:
         return ""
 
     def _report_unusable(self, name: str, reason: str, received: int) -> None:
-        """Deliver, at most every 3 s, a text with the reason why a stream has no usable message."""
+        """Deliver the reason why a stream has no usable message, at most every 3 s."""
         if self._reports_unusable and received - self._reported_us.get(name, -_REPORTED_US) >= _REPORTED_US:
             self._reported_us[name] = received
             text = f"{name} arrives, but no message is usable: {reason}"
@@ -324,7 +324,7 @@ class VehicleSession:
 
         def handle(answer: messages.Timesync, received: int) -> Unusable | None:
             refused = self._handle_answer(answer, received)
-            if refused is None and not heard.is_set():  # later answers may outlive the loop
+            if refused is None and not heard.is_set():  # an answer may arrive after the end of the loop
                 loop.call_soon_threadsafe(heard.set)
             return refused
 
@@ -349,7 +349,7 @@ class VehicleSession:
     async def keep_measuring(self) -> None:
         """Send TIMESYNC requests periodically; the subscription of `measure_link` handles the answers."""
         while True:
-            now = host_us()  # identifies the request even in lockstep, where time may not advance
+            now = host_us()  # real time, because in lockstep simulated time may stand still
             self._requests_us.append(now)
             with contextlib.suppress(Exception):  # a broken link is detected by missing answers
                 self._direct.send_message(make_request(now))

@@ -494,7 +494,7 @@ NO_MAIN = dict.fromkeys((f"PWM_MAIN_FUNC{k}" for k in range(1, 5)), 0.0)
         (MAIN, PWM, True, "PWM 1000 to 2000 us, on PWM_MAIN"),
         ({**MAIN, "PWM_MAIN_TIM0": -4.0}, None, True, "DShot 0 to 1999, on PWM_MAIN"),
         ({**NO_MAIN, **CAN}, None, True, "UAVCAN 0 to 8191, on UAVCAN_EC"),
-        ({}, DSHOT, True, "DShot 0 to 1999, judged by the values"),
+        ({}, DSHOT, True, "DShot 0 to 1999, inferred from the values"),
         (MAIN, DSHOT, False, "sends DShot"),
         (
             {**MAIN, "PWM_MAIN_FUNC2": 103.0},

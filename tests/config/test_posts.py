@@ -54,7 +54,7 @@ def test_a_post_to_be_hit_is_represented_by_its_tangent_plane() -> None:
             {"collisions": [HIT | {"impact_point_m": [1.1, 0.0]}]},
             r"minimum 0.300 m; the nearest possible point is \[1.200",
         ),
-        ({"collisions": [HIT, HIT | {"impact_point_m": [1.5, 0.3]}]}, "hits post pole in another place"),
+        ({"collisions": [HIT, HIT | {"impact_point_m": [1.5, 0.3]}]}, "hits post pole at a different point"),
         ({"posts": {"pole": POLE | {"material": "cheese"}}}, "cheese"),
         ({"posts": {"pole": POLE | {"radius_m": 0.0}}}, "radius_m"),
         ({"start": {"position_m": [1.3, 0.0], "altitude_m": 1.2}}, "is in or at post pole"),

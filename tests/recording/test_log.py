@@ -357,7 +357,7 @@ def test_an_unresponsive_disk_leaves_a_readable_incomplete_log(
     assert asked.wait(10.0)
     log.patience_s = 0.01
     log.close()
-    assert log.failure == "the disk does not answer"
+    assert log.failure == "the disk does not respond"
     back = read_log(log.path)
     assert not back.complete
     assert [e.number for e in back.entries] == [0]

@@ -114,8 +114,8 @@ def test_pose_latency_is_in_simulated_time_and_the_flight_replays(tmp_path: Path
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--mocap", "optitrack://10.0.0.1/dart"], "emulated motion capture: give one of"),
-        (["--mocap", "kinect"], "emulated motion capture: give one of"),
+        (["--mocap", "optitrack://10.0.0.1/dart"], "emulated motion capture, one of"),
+        (["--mocap", "kinect"], "emulated motion capture, one of"),
         (["--mocap", "udp", "--set", "simulation.position_from=rtk"], "comes from GPS"),
         (["--fault", "mocap-lost"], "add --mocap"),
         (["--mocap", "udp", "--fault", "mocap-slow=0"], "takes 1 to 50 Hz"),
@@ -132,5 +132,5 @@ def test_an_unusable_mocap_option_is_rejected_with_its_reason(
 def test_simulation_ignores_the_configured_pose_source_without_mocap_option() -> None:
     mission = with_mocap(load_flyable(SQUARE), "optitrack://10.0.0.1/dart")
     assert with_simulated_mocap(mission, None).vehicle.mocap.url is None
-    with pytest.raises(InputError, match="give one of"):
+    with pytest.raises(InputError, match="one of optitrack"):
         with_simulated_mocap(mission, "optitrack://10.0.0.1/dart")

@@ -275,7 +275,7 @@ def test_a_failed_download_prints_two_lines_and_keeps_the_flight(
     after_a_flight.error = error
     assert after_a_flight.after_flight() is None
     _, later = capsys.readouterr().err.splitlines()
-    assert later == "later: dart-flight px4-log one"
+    assert later == "to download it later: dart-flight px4-log one"
 
 
 def test_the_downloaded_path_is_returned_as_the_verdict_stores_it(after_a_flight: Downloads) -> None:

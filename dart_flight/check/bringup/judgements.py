@@ -31,16 +31,16 @@ from dart_flight.config.vehicle import LockConfig
 from dart_flight.config.vehicle.mocap import MotionCapture
 
 _WINDOW_US = 500_000  # time for which the vehicle must be held still
-_STILL_M_S2 = 0.6  # standard deviation of the force in a steady hand
+_STILL_M_S2 = 0.6  # largest standard deviation of the specific force in a steady hand
 _TILTED_DEG = (20.0, 60.0)
-_AXIS_DEG = 30.0  # tolerance of a direction shown by hand
+_AXIS_DEG = 30.0  # tolerance for a direction in which the operator tilts, pushes or carries by hand
 _LEVEL_DEG = 12.0
 _PUSH_M_S2 = 3.0
 _PUSH_US = 30_000  # averaging time: shorter than a push, longer than a bump
 _CARRIED_M = 0.4
 _RESTING_M_S = 0.15
 _TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # smallest motion that shows all axes
-_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # correlations; unrelated motions by hand reached 0.8 in rates
+_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # least correlations; the rates of unrelated motions reached 0.8
 _POSE_AXIS_DEG = 10.0
 _SCALE = 0.1
 _OLDEST_POSE_MS = 100.0
@@ -84,7 +84,7 @@ def evaluate_link(
     """Judge the rates of the streams that a mission needs, the round trip and the link's errors.
 
     Args:
-        round_trip_s: shortest round trip, or None if TIMESYNC was not answered.
+        round_trip_s: shortest round trip, or None if the vehicle did not answer TIMESYNC.
         errors: `drop_rate_comm` (in units of 0.01 %) and `errors_comm` of SYS_STATUS.
     """
     measured: Measured = {f"{stream.name}_hz": round(stream.rate_hz, 1) for stream in rates}
@@ -166,7 +166,7 @@ def evaluate_level(level: Vec3) -> StepFinding | None:
 
 
 def evaluate_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
-    """Judge the IMU's forward and right axes from the mean specific force in three attitudes, m/s2, FRD."""
+    """Judge the IMU's forward and right axes from the mean specific forces in three attitudes, m/s2, FRD."""
     wrong = evaluate_level(level)
     if wrong is not None:
         return wrong

@@ -6,8 +6,8 @@ on the room's axes nor on the cameras' clock.
 Let R be the attitude (FRD to NED), f the specific force and w the body rate. If the room is rotated by A and
 the marker body by B, the poses show the attitude A R B, the rate B^-1 w and the acceleration A (R f + g).
 Matching the rates to the gyro therefore gives the age and B. The accelerations then give the scale and A g,
-the room's vertical. A mirrored room does not change the rates, because a rate is an axial vector. It reverses
-the accelerations, so a negative correlation of the accelerations reveals the mirroring.
+the room's vertical. A mirrored room does not change the rates, because a rate is an axial vector. But the
+mirroring reverses the accelerations, so a negative correlation of the accelerations reveals it.
 
 Gyro and accelerometer pass through the same Gaussian filters as the poses. The second derivative of the
 Gaussian filters the noisy positions and differentiates them twice. The mean of each acceleration is
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 _STEP_S: Final = 0.005
 _RATE_FILTER_S: Final = 0.04  # standard deviation of the Gaussian
 _FORCE_FILTER_S: Final = 0.12
-_LATENCY_S: Final = (-0.1, 0.5)  # search range
+_LATENCY_S: Final = (-0.1, 0.5)  # range in which the latency is searched
 _COARSE_S: Final = 0.01
 _GAP_S: Final = 0.1  # longest gap between poses that is interpolated
 _MIN_S: Final = 5.0  # shortest duration of comparable motion
@@ -66,7 +66,7 @@ class NotEnoughMotionError(ValueError):
 def estimate_motion(
     pose_s: Array, position: Array, q_body: Array, imu_s: Array, rate_frd: Array, force_frd: Array
 ) -> MotionEstimate:
-    """Estimate the relation of poses to the gyro and the accelerometer during the same motion.
+    """Estimate how poses relate to the gyro and accelerometer readings of the same motion.
 
     Args:
         pose_s: times of receipt of the poses, seconds on the IMU's clock, shape (n,).
@@ -117,7 +117,7 @@ def estimate_motion(
     up = mean_force / max(1e-9, float(np.linalg.norm(mean_force)))
     by_imu, by_pose = by_imu - mean_force, by_pose - by_pose.mean(axis=0)
     power = float((by_imu**2).sum())
-    # Most of the noise is in the pose's acceleration, so regress the pose's on the IMU's.
+    # The poses' acceleration has most of the noise, so regress it on the IMU's acceleration.
     scale = float((by_imu * by_pose).sum()) / max(1e-9, power)
     sideways = by_imu - np.outer(by_imu @ up, up)
     turned_rad_s = np.sqrt((reference**2).mean(axis=0))
@@ -250,7 +250,7 @@ def _smooth(values: Array, sigma_s: float) -> Array:
 def _second_derivative(values: Array, sigma_s: float) -> Array:
     t, gaussian = _kernel(sigma_s)
     kernel = gaussian * (t**2 / sigma_s**4 - 1.0 / sigma_s**2)
-    # Make the truncated kernel exact for a parabola.
+    # Correct the truncated kernel, so that the derivative of a parabola is exact.
     kernel -= kernel.mean()
     kernel /= 0.5 * float((kernel * t**2).sum())
     return _filtered(values - values[0], kernel)

@@ -59,9 +59,9 @@ _ATTITUDE_S = 2.0
 _STATUS_S = 1.5  # SYS_STATUS arrives at least once per second
 _RADIO_S = 2.0
 _POLL_S = 0.05
-_KEPT = 4000  # samples kept per stream
+_KEPT = 4000  # number of stored samples per stream
 _MOTION_S = 12.0  # duration of the motion by hand that is compared with the poses
-_NEW_MOTION_S = 2.0  # interval between two comparisons
+_NEW_MOTION_S = 2.0  # interval at which the motion is compared again
 
 Found = TypeVar("Found")
 
@@ -201,7 +201,7 @@ class Bringup:
         if not found.received:
             return f"no data arrives on {link.place}: check TX and RX, MAV_1_CONFIG and the power"
         if found.baud is None:
-            return f"bytes arrive on {link.place}, but no MAVLink at any usual baud rate: is a console there?"
+            return f"bytes arrive on {link.place}, but no MAVLink at any usual baud rate: check for a console"
         if found.baud != link.number:
             return (
                 f"wrong baud rate: MAVLink arrives at {found.baud}, but the link's URL has {link.number}: "
@@ -279,7 +279,7 @@ class Bringup:
                 moves = [self._move(lock, mode) for mode in (Mode.FLEXIBLE, Mode.RIGID, Mode.FLEXIBLE)]
         except DriverError as error:
             return failed(f"{error}")
-        return judgements.evaluate_servo(config, moves[1:])  # the first move starts from an unknown position
+        return judgements.evaluate_servo(config, moves[1:])  # the first move began at an unknown position
 
     def _move(self, lock: GroundLock, mode: Mode) -> tuple[Mode, LockState, bool | None]:
         state = lock.move(mode)
@@ -427,7 +427,7 @@ class Bringup:
 
 
 class Step(NamedTuple):
-    """A step; `by_hand` is whether it needs an operator at the vehicle."""
+    """A step; `by_hand` states whether the step needs an operator at the vehicle."""
 
     name: str
     subject: str

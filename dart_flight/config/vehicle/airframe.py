@@ -22,7 +22,7 @@ Drag = Annotated[float, Meta(ge=0.0, le=10.0)]
 Inertia = Annotated[float, Meta(gt=0.0, le=10.0)]
 Lever = Annotated[float, Meta(ge=-1.0, le=1.0)]
 
-# A quadrotor in X in PX4's order, FRD: sign of x, sign of y, direction of the yaw torque.
+# The motors of an X quadrotor in PX4's order, FRD: sign of x, sign of y, direction of the yaw torque.
 _QUADROTOR_X = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
 
 
@@ -142,7 +142,7 @@ Newton = Annotated[float, Meta(ge=0.0, le=500.0)]
 
 
 class Thrust(Section, frozen=True):
-    """Thrust of one motor with first-order lag: full_n * (model_factor u² + (1 - model_factor) u) or a table.
+    """Thrust of a motor with first-order lag: full_n * (model_factor u² + (1 - model_factor) u) or a table.
 
     The command u is from 0 to 1.
 

@@ -114,7 +114,7 @@ def packaged(*parts: str) -> Path:
         path = root.joinpath(*parts)
         if path.exists():
             return path
-        if len(parts) > 1 and path.parent.is_dir():  # an installed package has no such folder beside it
+        if len(parts) > 1 and path.parent.is_dir():  # only a checkout has such a folder
             known = sorted(other.name for other in path.parent.iterdir())
             raise InputError(
                 f"is not a packaged file: {unknown_name(path.name, known)}", source="/".join(parts)
@@ -151,7 +151,7 @@ def default_config_path() -> Path:
 
 
 def _is_unchanged(path: Path) -> bool:
-    """Return whether a file equals the packaged file of the same name or is no vehicle configuration."""
+    """Return whether a file equals the packaged file of the same name or is not a vehicle configuration."""
     try:
         text = read_text(path)
         if re.search(rf"^({EXTENDS}|airframe):", text, re.MULTILINE) is None:
@@ -162,7 +162,7 @@ def _is_unchanged(path: Path) -> bool:
 
 
 def extended_file(path: Path) -> str | None:
-    """Return the value of `extends` in a file; None if the file is unreadable or has no `extends`."""
+    """Return the value of `extends` in a file, or None if the file is unreadable or has no `extends`."""
     try:
         found = re.search(rf"^{EXTENDS}:\s*([^\s#]+)", read_text(path), re.MULTILINE)
     except InputError:
@@ -176,8 +176,7 @@ def load_vehicle(
     """Load and validate a vehicle configuration.
 
     A file with `extends: FILE` contains only its differences from FILE. The path FILE is relative to the
-    folder
-    of the extending file.
+    folder of the extending file.
 
     Args:
         path: the file, a mapping with the same content, or a parsed document; default: the default
@@ -254,7 +253,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
 
 
 def _set_last(document: Document, first: Key, second: Key) -> Key:
-    """Return `second` if a later file has set it than the file that has set `first`, otherwise `first`."""
+    """Return `second` if a later file has set `second` than has set `first`, otherwise `first`."""
     names = list(document.set_by)
     if second not in names or (first in names and names.index(first) > names.index(second)):
         return first
@@ -269,7 +268,7 @@ def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
     base = document.tree.pop(EXTENDS)
     if not isinstance(base, str):
         raise document.error((EXTENDS,), "expected the name of a configuration file")
-    path = Path(document.source)  # for a document built in Python: the working folder
+    path = Path(document.source)  # a document built in Python is in the working folder
     seen = (*seen, path.resolve())
     below = path.parent / base
     if below.resolve() in seen:
@@ -282,6 +281,6 @@ def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
                 node[part] = {}
             node = node[part]
         node[key[-1]] = value
-        merged.set_by.pop(key, None)  # so that the dict keeps the order of the files, the extending file last
+        merged.set_by.pop(key, None)  # remove it first, so that the dict has the order of the files
         merged.set_by[key] = document.error(key, "").one_line()
     return merged

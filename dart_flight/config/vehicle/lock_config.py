@@ -24,7 +24,7 @@ class Cam(Section, frozen=True):
 
     r_cam_mm: Annotated[float, Meta(gt=0.0, le=200.0)]
     r_mm: Annotated[float, Meta(gt=0.0, le=200.0)]
-    # From 0 to 180° the equation has one inverse.
+    # Between 0 and 180° the equation has a single inverse.
     theta0_deg: Annotated[float, Meta(ge=0.0, le=90.0)]
 
     def __post_init__(self) -> None:
@@ -33,7 +33,7 @@ class Cam(Section, frozen=True):
 
 
 class Servo(Section, frozen=True):
-    """The servo and its calibration: pulse width and cam angle of the two ends, speed, end stops.
+    """The servo and its calibration: pulse widths and cam angles at the two ends, speed, end stops.
 
     Attributes:
         rigid_pulse_us: pulse width with locked arms; `dart-flight lock calibrate` writes it.
@@ -128,7 +128,7 @@ class Maestro(DriverSection, frozen=True):
 
     Attributes:
         port: serial port, such as /dev/ttyACM0.
-        channel: channel of the controller that the servo is connected to.
+        channel: the controller's channel to which the servo is connected.
         baud: baud rate of the serial line.
         speed_limit_us_s: speed limit of the pulse width, a multiple of 25; 0: none.
         reply_timeout_s: longest wait for a reply of the controller.
@@ -178,7 +178,7 @@ class Px4Output(DriverSection, frozen=True):
 
     Attributes:
         actuator_index: index of PX4's output function "Peripheral via Actuator Set", 1 to 6.
-        bank: bank of the pin that the servo is connected to.
+        bank: bank of the pin to which the servo is connected.
         pin: number of the pin in its bank.
         timer: number of the pin's timer group, which must run at 50 Hz (`PWM_<bank>_TIM<timer>`).
         min_pulse_us: pulse of the actuator value -1, `PWM_<bank>_MIN<pin>`.
@@ -240,7 +240,7 @@ class LockStartup(StrEnum):
     ADOPT = "adopt"
 
 
-NO_LOCK = "none"  # value of the driver for a vehicle without a lock; the other keys are then ignored
+NO_LOCK = "none"  # value of `driver` for a vehicle without a lock; the other keys are then ignored
 
 
 class LockConfig(Section, frozen=True):
@@ -306,7 +306,7 @@ class LockConfig(Section, frozen=True):
 
     @property
     def driver_section(self) -> DriverSection | None:
-        """Section of the chosen driver, or None."""
+        """Section of the chosen driver, or None if the driver has no section."""
         section: DriverSection | None = getattr(self, self.driver.value, None)
         return section
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-_LINEAR: Final = 1e-6  # smaller shares of the square term count as none
+_LINEAR: Final = 1e-6  # a smaller share of the square term counts as zero
 
 
 class MotorCurve:

@@ -27,7 +27,7 @@ def _parameters(path: Path) -> dict[str, float]:
 
 
 def refuse_unmeasured(motors: Sequence[Motor], source: str) -> None:
-    """Reject the motors of a vehicle that is no multicopter, and motors at PX4's placeholder positions."""
+    """Reject the motors of a vehicle that is not a multicopter, and motors at PX4's placeholder positions."""
     if len(motors) < 3:
         raise InputError(f"{COUNT} is {len(motors)}: not a multicopter", source=source)
     if all(abs(m.x_m) in _PLACEHOLDERS and abs(m.y_m) in _PLACEHOLDERS for m in motors):

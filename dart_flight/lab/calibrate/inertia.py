@@ -34,18 +34,18 @@ Array = NDArray[np.float64]
 
 AXES = ("roll", "pitch", "yaw")
 WINDOW_S = 0.1
-_END_SAMPLES = 3  # on either side of a window's end, averaged
-_MIN_HZ = 50.0  # gyro and motors; a lower rate misses the controller's action
+_END_SAMPLES = 3  # number of samples averaged on either side of a window's end
+_MIN_HZ = 50.0  # least rate of gyro and motors; a lower rate misses the controller's action
 _MAX_GAP_S = 0.05
-_MAX_SIDEWAYS_M_S2 = 5.0  # across the thrust axis, mean over a window's end; a contact exceeds it
+_MAX_SIDEWAYS_M_S2 = 5.0  # mean force per kg across the thrust axis at a window's end; a contact exceeds it
 _MIN_WINDOWS = 40
-_MAX_ERROR = 0.1  # relative standard error of a slope
-_MAX_RATIO = 1.3  # upper over lower bound of the inertia
+_MAX_ERROR = 0.1  # largest relative standard error of a slope
+_MAX_RATIO = 1.3  # largest ratio of the inertia's upper bound to its lower bound
 _GROUND_MARGIN_S = 1.0
 _LAGS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.1)  # multiples of the configured lag
 _SIGMA_95 = 1.96
-_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal variable
-_ROUNDS = 3  # the gyroscopic term depends on the estimated inertia
+_MEDIAN_OF_SQUARE = 0.4549  # median of the square of a standard normal variable
+_ROUNDS = 3  # iterations, because the gyroscopic term depends on the estimated inertia
 
 
 class AxisInertia(msgspec.Struct):
@@ -78,7 +78,7 @@ class InertiaCalibration(msgspec.Struct):
         windows: number of windows of `WINDOW_S` seconds.
         axes: roll, pitch, yaw.
         motor_lag_s: motor lag for which the motors explain the largest part of the rate changes.
-        drift_rad_s2: angular acceleration that remains without motor torque, as from an offset centre of
+        drift_rad_s2: angular acceleration without motor torque, for example because of an offset centre of
             mass.
         notes: remarks on the logs.
     """
@@ -128,7 +128,7 @@ def calibrate_inertia(tracks: Iterable[Track], vehicle: VehicleConfig) -> Inerti
         joined = _joined(parts)
         if len(joined.duration) < _MIN_WINDOWS:
             raise InputError(
-                f"{len(joined.duration)} windows of {WINDOW_S:g} s in flight without a contact, at least "
+                f"{len(joined.duration)} windows of {WINDOW_S:g} s in flight without a contact, but at least "
                 f"{_MIN_WINDOWS} are needed",
                 source=", ".join(t.source for t in tracks),
             )
@@ -180,7 +180,7 @@ def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
     size = 2 * _END_SAMPLES + 1
     kernel = np.full(size, 1.0 / size)
     smooth = np.stack([np.convolve(w[:, i], kernel, mode="same") for i in range(3)], axis=1)
-    # The mean of an integral over the same samples belongs to the mean rate.
+    # Average the integral like the rate, over the same samples.
     impulse, products = (
         np.stack([np.convolve(x[:, i], kernel, mode="same") for i in range(3)], axis=1)
         for x in (impulse, products)
@@ -224,7 +224,7 @@ def _motor_torque(track: Track, vehicle: VehicleConfig, lag_s: float) -> Array:
     steps = np.diff(track.imu_s, prepend=track.imu_s[0])
     left = np.exp(-steps / max(lag_s, 1e-4))
     for i, (command, keep) in enumerate(zip(commands, left, strict=True)):
-        # A command is held from its stamp, so it acted during the step that ends here.
+        # A command acts from its stamp to the next one, so it acted during the step that ends here.
         value = command + (value - command) * keep
         lagged[i] = value
     thrust = np.array(vehicle.thrust.forces_n(lagged.ravel().tolist())).reshape(lagged.shape)
@@ -247,7 +247,7 @@ def _fit(
     unexplained = 0.0
     for _ in range(_ROUNDS):
         axes, unexplained = [], 0.0
-        # J w' = motors - (Jz - Jy) wy wz, and cyclically.
+        # About x: J w' = motors - (Jz - Jy) wy wz; the other axes follow cyclically.
         gyroscopic = (np.roll(inertia, -2) - np.roll(inertia, -1)) * windows.products
         for i, name in enumerate(AXES):
             axis, drift[i], rest = _line(name, windows, windows.impulse[:, i] - gyroscopic[:, i], i)
@@ -278,8 +278,8 @@ def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisIne
         axis.refused = f"no excitation: torques of {axis.torque_nm:.4f} N m cause no rotation"
         return axis, drift, 1.0
     drift -= xy / xx * float(impulse.mean()) / duration
-    # All errors assigned to the rates: upper bound. Errors beyond the gyro's noise assigned to the torques:
-    # lower bound.
+    # The upper bound assigns all errors to the rates; the lower bound assigns errors beyond the gyro's noise
+    # to the torques.
     noise = min(n * float(windows.noise[i]), yy - xy * xy / xx)
     most, least = xx / xy, xy / (yy - noise)
     error = math.sqrt((1.0 - explained) / max(1, n - 2) / explained)

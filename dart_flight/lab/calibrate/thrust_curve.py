@@ -27,20 +27,20 @@ Array = NDArray[np.float64]
 
 WINDOW_S = 0.5
 _PART_S = 0.1  # part of a window: longer than the vibration's period, shorter than a bump
-_GROUND_MARGIN_S = 1.0  # delay of PX4's land detector
-_MIN_IMU, _MIN_MOTOR = 10, 3  # samples of a window; default logging has motors at 10 Hz
+_GROUND_MARGIN_S = 1.0  # PX4's land detector is at most this late
+_MIN_IMU, _MIN_MOTOR = 10, 3  # least samples in a window; PX4's default logging has motors at 10 Hz
 _MAX_RATE_RAD_S = 0.6
-_MAX_LATERAL_M_S2 = 1.5  # across the thrust axis; drag, wind or a contact exceeds it
-_MAX_JOLT_M_S2 = 3.0  # between a part's mean and the window's; a bump or touch-down exceeds it
+_MAX_LATERAL_M_S2 = 1.5  # mean specific force across the thrust axis; drag, wind or a contact may exceed this
+_MAX_JOLT_M_S2 = 3.0  # difference of a part's mean from the window's; a bump or touch-down exceeds this
 _MAX_ACCELERATION_M_S2 = 1.5
-_MAX_COMMAND_CHANGE = 0.06  # from the first half of a window to the second, mean over the motors
-_MIN_COMMAND, _MAX_COMMAND = 0.05, 0.98  # of any motor's mean
+_MAX_COMMAND_CHANGE = 0.06  # change of the motors' mean between the halves of a window
+_MIN_COMMAND, _MAX_COMMAND = 0.05, 0.98  # limits of each motor's mean command
 _MAX_SPEED_M_S = 1.5
 MIN_POINTS = 8
 _FACTOR_ERROR = 0.1  # a factor with a larger standard error is not fitted
-_MIN_VOLTAGE_SPREAD = 0.02  # relative standard deviation
+_MIN_VOLTAGE_SPREAD = 0.02  # least relative standard deviation for a fit of the exponent
 _MIN_SPREAD_V = 1e-6  # a smaller spread counts as constant voltage
-_MAX_EXPONENT = 3.0  # of the voltage ratio
+_MAX_EXPONENT = 3.0  # largest exponent of the voltage ratio
 _FOLDS = 4  # parts for cross-validation
 _BLOCK = 5  # consecutive windows held out together, 2.5 s
 _MAX_ERROR = 0.1  # largest error on held-out stretches, as a share of the thrust
@@ -60,7 +60,7 @@ TESTS = {
 
 
 class Points(msgspec.Struct):
-    """Quiet segments: mean force (N), mean sums of u^2 and u over the motors (u: motor command), voltage.
+    """Quiet segments: mean force (N), mean sums of u^2 and u over the motors' commands u, and voltage.
 
     Attributes:
         volts: NaN if unknown.
@@ -111,7 +111,7 @@ def quiet_points(
     """Return the quiet segments of a flight, half a second each.
 
     Args:
-        mass_kg: mass of the vehicle in this flight; 1 gives specific thrust.
+        mass_kg: mass of the vehicle in this flight; with 1, the result is specific thrust.
         lag_s: lag of the motors, by which commands are delayed.
         most_speed_m_s: upper limit of a window's mean speed.
     """
@@ -180,7 +180,7 @@ def _joined(parts: list[Points]) -> Points:
 
 
 class Curve(msgspec.Struct):
-    """A thrust curve with its standard errors, None for a value that was given, not fitted.
+    """A thrust curve with its standard errors; the error of a value that was not fitted is None.
 
     The thrust is the sum over the motors of
 
@@ -240,7 +240,7 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
             if curve.factor == found:
                 rest = force - design @ solution
                 covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / max(1, len(force) - 2)
-                # d(factor) = (1 - factor, -factor) / full of the two.
+                # Gradient of the factor by the two solved terms: (1 - factor, -factor) / full.
                 g = np.array([1.0 - found, -found]) / full
                 curve.full, curve.full_error = full, float(np.sqrt(covariance.sum()))
                 curve.factor_error = float(np.sqrt(g @ covariance @ g))
@@ -305,7 +305,7 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     p = _joined(parts)
     if len(p.force) < MIN_POINTS:
         raise InputError(
-            f"{len(p.force)} quiet segments of 0.5 s in hover, at least {MIN_POINTS} are needed; rejected: "
+            f"{len(p.force)} quiet segments of 0.5 s in hover, but {MIN_POINTS} are needed; rejected: "
             f"{format_rejected(p.rejected) or 'none'}",
             source=_sources(tracks),
         )
@@ -319,7 +319,7 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent
     flat = not p.volts.std() >= _MIN_VOLTAGE_SPREAD * p.volts.mean()
     curve = fit_curve(p, share, kept if flat else None, fit_factor=True)
-    if curve.factor_error is None or curve.factor_error >= _FACTOR_ERROR:  # not determined by the flights
+    if curve.factor_error is None or curve.factor_error >= _FACTOR_ERROR:  # the flights do not determine it
         curve = fit_curve(p, share, kept if flat else None)
     residual = (p.force - curve.force(p)) / curve.by_volts(p)
     command = p.linear / p.motors

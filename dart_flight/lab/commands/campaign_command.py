@@ -16,7 +16,7 @@ from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, t
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 
-_MAX_SHOWN = 5  # lines of a kind; the page and the summary have all of them
+_MAX_SHOWN = 5  # lines shown per kind; the page and the summary list all of them
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         page = f"page: {opened.folder / campaigns.PAGE}"
         campaigns.write_atomically(opened.folder / campaigns.PAGE, campaign_page(summary).encode())
-    except InputError as error:  # the table is complete without it
+    except InputError as error:  # the table is complete even without the page
         page = f"no page: {error.message}"
     if flown < opened.flights:
         again = shlex.join(["dart-flight", "campaign", "--resume", "--out", str(arguments.out)])
@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _requested_campaign(arguments: argparse.Namespace) -> Any:
-    """Return the specification from the command line; None if --resume alone continues a campaign."""
+    """Return the specification from the command line; or None if --resume alone continues a campaign."""
     from dart_flight.lab.campaign.campaign_spec import CampaignSpec, Keep, parse_grid
 
     given = {

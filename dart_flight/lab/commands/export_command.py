@@ -1,4 +1,4 @@
-"""`dart-flight export LOG...`: flight logs as CSV files, or as MCAP files in standard schemas for viewers."""
+"""`dart-flight export LOG...`: flight logs as CSV files, or as MCAP files with standard schemas."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--foxglove",
         action="store_true",
-        help="write an MCAP file in standard schemas, for the 3D views of Foxglove, Lichtblick and Rerun",
+        help="write an MCAP file with standard schemas, for the 3D views of Foxglove, Lichtblick and Rerun",
     )
     parser.add_argument(
         "-o",

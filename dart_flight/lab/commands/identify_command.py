@@ -13,7 +13,7 @@ from dart_flight.config.document import InputError
 
 
 def _height_or_trial(text: str) -> float | str:
-    """Return the value of `--drop`: a height, or the name of a trial file if the value is no number."""
+    """Return the value of `--drop`: a height, or the name of a trial file if the value is not a number."""
     try:
         return float(text)
     except ValueError:
@@ -49,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=_height_or_trial,
         const=True,
         metavar="HEIGHT",
-        help="the trials are drops, with gravity along the normal; their impact speed is compared with a "
+        help="the trials are drops, with gravity along the normal; the impact speed is compared with a "
         "fall from HEIGHT (m)",
     )
     parser.add_argument(
@@ -64,7 +64,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "from the wall or ground",
     )
     parser.add_argument(
-        "--columns", metavar="NAME=HEADER,...", help="other headers, e.g. time_s=t,normal_m=x"
+        "--columns", metavar="NAME=HEADER,...", help="headers in the CSV files, e.g. time_s=t,normal_m=x"
     )
     parser.add_argument(
         "--wall",

@@ -117,12 +117,12 @@ def _print(flight: InspectedFlight) -> None:
         out.print(flight.nothing_found)
     if flight.weak:
         out.print(
-            f"{flight.weak} short threshold crossings are no impacts (fitted peak is below the threshold)",
+            f"{flight.weak} short threshold crossings are not impacts (their fitted peak is below it)",
             soft_wrap=True,
         )
     if flight.untold:
         out.print(
-            f"{flight.untold} threshold crossings may be a contact or manoeuvre (fast flight with unknown "
+            f"{flight.untold} threshold crossings may be contacts or manoeuvres (fast flight with unknown "
             "thrust, after a crash, or below four standard deviations)",
             soft_wrap=True,
         )

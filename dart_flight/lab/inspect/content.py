@@ -23,7 +23,7 @@ TOPICS = (
     "vehicle_status",
     "battery_status",
 )
-# Topic -> rate that detection needs, Hz; a lower rate is reported.
+# Topic -> rate that detection needs, Hz; `missing` reports a lower rate.
 WANTED_HZ = {
     "sensor_combined": 190.0,
     "vehicle_attitude": 15.0,
@@ -33,7 +33,7 @@ WANTED_HZ = {
 _MIN_IMU_HZ = 90.0  # at a lower rate a rigid contact has at most four samples
 _RISEN_M = 0.3  # height above the ground after take-off
 _TAKEOFF_S = 5.0  # duration of the take-off if the height is unknown
-_LANDED_S = 1.0  # a shorter landed state above `_HIGH_M` is a motor cut in the air
+_LANDED_S = 1.0  # above `_HIGH_M`, a shorter landed state means that the motors were cut in the air
 _HIGH_M = 2.0
 _LOW_M = 0.5
 _PROFILE = (
@@ -62,7 +62,7 @@ def missing(log: ULogFile) -> list[str]:
             out.append(f"no {' or '.join(topics)}")
             slow = True
         elif max(rates) < wanted:
-            out.append(f"{' or '.join(topics)} at {max(rates):.0f} Hz, {wanted:.0f} Hz is sufficient")
+            out.append(f"{' or '.join(topics)} at {max(rates):.0f} Hz, recommended {wanted:.0f} Hz")
             slow = True
     if log.first("vehicle_land_detected") is None:
         out.append("no vehicle_land_detected: the whole log counts as flight")
@@ -81,7 +81,7 @@ def _stamps(log: ULogFile, name: str) -> NDArray[np.float64]:
 
 
 def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """Return start and end (s) of the intervals on the ground, each from PX4's first sign of a landing."""
+    """Return start and end (s) of the intervals on the ground, from PX4's first sign of a landing on."""
     close = track.ground
     landed = [(min([a, *(x for x, y in close if x <= a <= y)]), b) for a, b in _landed(log, track)]
     return landed + [(a, b) for a, b in close if height_at(track, a) < _LOW_M]
@@ -90,7 +90,7 @@ def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
 def _landed(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     """Return start and end (s) of PX4's landed states.
 
-    A short landed state high above the ground means that the motors were cut in the air, and is left out.
+    A short landed state high above the ground means that the motors were cut in the air, and is omitted.
     """
     found = _stretches(log, "vehicle_land_detected", "landed")
     return [(a, b) for a, b in found if b - a >= _LANDED_S or not height_at(track, a) > _HIGH_M]
@@ -120,7 +120,7 @@ def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     if log.first("vehicle_status") is not None:
         # A vehicle disarmed in the air still has to fall, so the flight continues.
         air = [(a, b) for a, b in air if any(x < b and y > a for x, y in armed)]
-    # A vehicle in the air at the begin of the log, or at PX4's first estimate, took off before.
+    # A vehicle that is in the air at the start of the log, or at PX4's first estimate, took off earlier.
     known = max(first, begin + 0.1)
     taken_off = [(begin if a <= known else _off_the_ground(track, a, b), b) for a, b in air]
     return [(a, b) for a, b in taken_off if b > a]

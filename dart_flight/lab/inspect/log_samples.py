@@ -82,14 +82,14 @@ def _collective(track: Track, curve: SpecificThrust | None, motors: int) -> Iter
 def vehicle_for(
     vehicle: VehicleConfig, log: ULogFile, curve: SpecificThrust | None, drag: float
 ) -> VehicleConfig:
-    """Return the configured vehicle with the thrust, drag and IMU interval of the log, but its own mass."""
+    """Return the configured vehicle with its mass, but the thrust, drag and IMU interval of the log."""
     replace, mass = msgspec.structs.replace, vehicle.airframe.mass_kg
     all_n = mass * (curve.full_m_s2 if curve else 2.0 * GRAVITY_M_S2)
     imu = log.first("sensor_combined") or {}
     tick = vehicle.imu.tick_s
     if "accelerometer_integral_dt" in imu:
         interval = np.asarray(imu["accelerometer_integral_dt"])
-        # PX4 before 1.7 logged seconds.
+        # PX4 versions before 1.7 logged seconds.
         tick = float(np.median(interval)) * (1.0 if interval.dtype.kind == "f" else 1e-6) or tick
     return replace(
         vehicle,

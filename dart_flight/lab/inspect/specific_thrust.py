@@ -16,11 +16,11 @@ from dart_flight.lab.calibrate.thrust_curve import (
 from dart_flight.lab.track import Track
 
 _MAX_DRAG_PER_S = 1.0
-# A fast vehicle may change its thrust and back within a contact (50 to 180 ms), with motors that follow in
-# 100 ms. At least two motor outputs are needed to resolve such a change.
+# Within a contact (50 to 180 ms), the thrust of a fast vehicle may change and return, because its motors
+# follow commands in 100 ms. Resolving such a change needs at least two motor outputs in this time.
 _THRUST_CHANGES_S = 0.1
 THRUST_KNOWN_HZ = 2.0 / _THRUST_CHANGES_S
-_JITTER = 1.5  # periods between motor outputs beyond which one is missing
+_JITTER = 1.5  # if motor outputs are more periods apart, an output is missing
 _FAST_M_S = 99.0
 
 
@@ -49,7 +49,7 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
         source = "slow and fast flight, so the residual includes the effect of speed on the propellers"
         if len(points.force) < MIN_POINTS:
             return (
-                f"{len(points.force)} quiet segments of 0.5 s, at least {MIN_POINTS} are needed; rejected: "
+                f"{len(points.force)} quiet segments of 0.5 s, but {MIN_POINTS} are needed; rejected: "
                 f"{format_rejected(slow.rejected) or 'none'}"
             )
     error, best = best_fit(points, vehicle.thrust.square_share)
@@ -71,7 +71,7 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
 def is_thrust_known(track: Track, curve: SpecificThrust | None, t_s: float) -> bool:
     """Return whether the thrust is known around a time on the log's clock.
 
-    There must be a curve, and motor outputs logged often enough to resolve a change of the thrust.
+    This requires a curve, and motor outputs that are logged often enough to resolve a change of the thrust.
     """
     if curve is None:
         return False

@@ -70,7 +70,7 @@ def plot_drop(
     height_m: float,
     published: PublishedDrop | None,
 ) -> None:
-    """Plot height, velocity and force of a drop over time from the release into `path`.
+    """Plot height, velocity and force of a drop over time, from the release on, and write the plot to `path`.
 
     The plot includes the paper's contact time and rebound speed if the paper published this drop.
     """

@@ -1,4 +1,4 @@
-"""The paper's published figures on collisions compared with the model: the tables of `dart-flight tables`.
+"""The tables of `dart-flight tables`, which compare the paper's figures on collisions with the model.
 
 This module contains the published figures, and computes the model's figures from the configuration.
 """

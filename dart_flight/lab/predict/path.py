@@ -22,7 +22,7 @@ from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.law import Onset
 from dart_flight.contact.oscillator import begin_contact, find_contact_times, motion
 
-# The integrals over a contact are Chebyshev series in y, t = end (1 + tanh(c y)/tanh(c))/2. The nodes are
+# Integrals over a contact are Chebyshev series in y, with t = end (1 + tanh(c y)/tanh(c))/2. The nodes are
 # dense at both ends, where the vertical force changes within a thousandth of the contact. With 80 terms the
 # relative error is below 1e-9 (force up to 500 N, mu |v| up to 20), or 1e-4 in a contact that never ends.
 _TERMS = 80
@@ -31,10 +31,10 @@ _SETTLED = 40.0  # time constants of the slower decay after which an endless con
 
 
 class _Nodes(NamedTuple):
-    place: Array  # on [0, 1]
-    stretch: Array  # its derivative by y
+    place: Array  # positions of the nodes on [0, 1]
+    stretch: Array  # derivatives of the positions by y
     to_integral: Array  # matrix from values to the Chebyshev coefficients of their integral from the onset
-    at_nodes: Array  # matrix from such coefficients to values
+    at_nodes: Array  # matrix from Chebyshev coefficients to values
 
 
 @lru_cache(maxsize=1)
@@ -84,17 +84,17 @@ class _Integral:
         return at_nodes, self._primitive(at_nodes)
 
     def _inside(self, series: Array, t: Array) -> Array:
-        """Return the values of a series at the times `t`: 0 before the contact, the last value after it."""
+        """Return the values of a series at the times `t`: 0 before and the last value after the contact."""
         value = np.where(t > 0.0, series.sum(), 0.0)
         inside = (t > 0.0) & (t < self._end)
         x = 2.0 * t[inside] / self._end - 1.0
         y = np.arctanh(x * math.tanh(_CROWDING)) / _CROWDING
-        # Few times are inside the contact, so evaluating all terms at once is faster than the recurrence.
+        # Few times are within the contact, so evaluating all terms at once is faster than a recurrence.
         value[inside] = np.cos(np.arccos(np.clip(y, -1.0, 1.0))[..., None] * np.arange(series.size)) @ series
         return value
 
     def _outside(self, t: Array) -> tuple[Array, Array]:
-        """Return min(t, 0), and the time since the end of the contact (0 until then)."""
+        """Return min(t, 0), and the time since the end of the contact (0 before that)."""
         return np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)
 
 

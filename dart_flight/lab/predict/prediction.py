@@ -36,7 +36,7 @@ WALL_COLUMNS = (
     "impulse_n_s",
 )
 DROP_NAMES = Drop._fields
-_FASTEST_M_S = 100.0  # a larger input has the wrong unit
+_FASTEST_M_S = 100.0  # a larger input probably has a wrong unit
 
 
 class Condition(NamedTuple):
@@ -247,7 +247,7 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
 
 
 def described(name: str, value: float | None) -> tuple[str, str, str]:
-    """Return quantity, value and unit of a number as texts. The `name` must end in the unit."""
+    """Return quantity, value and unit of a number as strings. The `name` must end in the unit."""
     stem, unit = split_unit(name)
     words = stem.replace("_", " ")
     if value is None or math.isnan(value):

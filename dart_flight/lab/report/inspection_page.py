@@ -14,7 +14,7 @@ from dart_flight.lab.report.render import PageTable, picture, render
 
 
 def inspection_page(flights: Sequence[InspectedFlight]) -> str:
-    """Return the page of some logs: force over the flight, impacts, unknown quantities."""
+    """Return the page of some logs, with force over the flight, impacts and unknown quantities."""
     impacts = sum(i.kind == "impact" for flight in flights for i in flight.impacts)
     title = f"{_counted(len(flights), 'flight')} inspected, {_counted(impacts, 'impact')}"
     return render("inspection.html", title, flights=[_flight(flight) for flight in flights])

@@ -1,4 +1,4 @@
-"""The data of a flight's animation, which `player.js` draws on request; they are all in the page."""
+"""The data of a flight's animation, which `player.js` draws on request; the page contains all of the data."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from dart_flight.lab.report.tracks import (
     stretches,
 )
 
-_STEP_S, _FINE_S = 0.04, 0.01  # interval of frames, and near a hit
+_STEP_S, _FINE_S = 0.04, 0.01  # intervals between frames: in general, and near a hit
 _FINE_BEFORE_S, _FINE_AFTER_S = 0.2, 0.5
 _FORCE_BEFORE_S, _FORCE_AFTER_S = 0.1, 0.35  # interval around a hit in which every sample is kept
 _FORCE_STEP_S = 0.05

@@ -1,4 +1,4 @@
-"""The data of a report on one flight, computed from its log; the figures are drawn elsewhere."""
+"""The data of a report on one flight, computed from its log; `figures` draws the figures."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Compared(msgspec.Struct):
 
     @property
     def error_percent(self) -> float | None:
-        """The error of the measured value relative to the true, else the predicted, else the planned value.
+        """The error of the measured value relative to the true value, or else the predicted or planned value.
 
         It is None for a velocity near 0, because the ratio is meaningless.
         """
@@ -94,7 +94,7 @@ class Impact:
         self.at_s = self.onset_s = flight.course.time_of(impact.t_us)
         self.prediction: HitHistory | None = None
         self.predicted = Velocities()
-        self._contact_ms: float | None = None  # predicted
+        self._contact_ms: float | None = None  # predicted duration of the contact
         hit = expected_hit(flight.mission, self.collision)
         self._planned_friction_n = None if hit is None else hit.peak_friction_force_n
         if (impact.measured.normal_m_s or 0.0) < 0.0:
@@ -214,7 +214,7 @@ class RecordedFlight:
 
     @cached_property
     def replay(self) -> Replay:
-        """The replay of the flight core's decisions; computing the replay takes as long as a simulation."""
+        """The replay of the flight core's decisions; its computation takes as long as a simulation."""
         return replay(self.log)
 
     @classmethod
@@ -317,7 +317,7 @@ def _timing(course: FlightArrays) -> Timing:
             delays.append((record.received_us + offset - record.t_us) * 1e-3)
     delay = np.array(delays, dtype=float)
     return Timing(
-        interval[interval < 1e3],  # longer ones are pauses outside offboard mode
+        interval[interval < 1e3],  # longer intervals are pauses outside offboard mode
         delay - delay.min() if delay.size else delay,
         np.array([s.latency_us * 1e-3 for s in course.all(SetpointSent)], dtype=float),
     )

@@ -48,7 +48,7 @@ class Angles(NamedTuple):
 
 
 class SetpointSeries(NamedTuple):
-    """The setpoints sent; each is held until the next.
+    """The sent setpoints; each is valid until the next.
 
     Attributes:
         time_s: times of sending, s, (n,).
@@ -103,7 +103,7 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the index of the last of `times` not later than each of `at_s`, and whether there is one."""
+    """Return, for each of `at_s`, the index of the last of `times` up to then, and whether there is one."""
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0
 

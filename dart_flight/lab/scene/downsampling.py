@@ -28,12 +28,12 @@ from dart_flight.base.records import (
     TruthSample,
 )
 
-SCENE_US = 36_000  # scene and transforms: 28 Hz at most
-SCALARS_US = 20_000  # plots: 50 Hz at most
+SCENE_US = 36_000  # period of scene and transforms: at most 28 Hz
+SCALARS_US = 20_000  # period of plots: at most 50 Hz
 
-# One record per period is enough.
+# For these records, one per period is enough.
 _EVERY: dict[type[Record], int] = {OdometrySample: SCENE_US, AttitudeSample: SCENE_US, Setpoint: SCENE_US}
-# The strongest record of a period is kept, so that a peak of a few milliseconds remains visible.
+# Of these records, the strongest of a period is kept, so that a peak of a few milliseconds remains visible.
 _STRONGEST = (ForceEstimate, TruthSample)
 _ALL: frozenset[type[Record]] = frozenset(
     {
@@ -68,7 +68,7 @@ class Downsampler:
         self._held: dict[type[Record], tuple[int, float, Record]] = {}
 
     def select(self, record: Record) -> Iterable[Record]:
-        """Return the records to pass on, at most one."""
+        """Return the records to pass on (at most one)."""
         kind = type(record)
         if kind in _ALL:
             return (record,)

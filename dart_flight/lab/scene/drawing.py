@@ -80,7 +80,7 @@ def line(
 
 
 def text(at: Vec3, words: str) -> TextPrimitive:
-    """Return a text that faces the viewer, with a constant size on the screen."""
+    """Return a label that faces the viewer, with a constant size on the screen."""
     return TextPrimitive(
         pose=pose(at), billboard=True, font_size=_TEXT_PX, scale_invariant=True, color=_DARK, text=words
     )
@@ -147,7 +147,7 @@ def _bounds(mission: Mission, t_us: int) -> SceneEntity:
 
 
 def height_over(mission: Mission) -> float:
-    """Return the height up to which walls are drawn: somewhat above the bounds."""
+    """Return the height up to which walls are drawn: slightly above the bounds."""
     return mission.bounds.z[1] + _OVER_BOUNDS_M
 
 
@@ -195,7 +195,7 @@ def _goal(mission: Mission, t_us: int) -> SceneEntity:
     )
     (sx, sy), above = mission.start, mission.altitude_m
     if (sx, sy, above) == (gx, gy, z):
-        texts = [text((gx, gy, z + _LABEL_M), "start and goal")]  # two labels in one place are unreadable
+        texts = [text((gx, gy, z + _LABEL_M), "start and goal")]  # two labels at one point are unreadable
     else:
         texts = [text((gx, gy, z + _LABEL_M), "goal"), text((sx, sy, above + _LABEL_M), "start")]
     return entity(
@@ -213,7 +213,7 @@ def goal_altitude_m(mission: Mission) -> float:
 
 
 def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity:
-    """Return the predicted path of the mission, with balls at hits and small ones at waypoints."""
+    """Return the predicted path of the mission, with large balls at hits and small balls at waypoints."""
     lines = [[leg.begin, leg.end] for leg in transit_segments(mission) if leg.begin is not None]
     for index, approach in flight.approaches.items():
         z = mission.altitude_at(index - 1)
@@ -238,7 +238,7 @@ def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
     """Return body, propellers and guards in the vehicle's frame; the arms' colour shows the lock's state."""
     # The airframe's axes are forward, right, down.
     motors = [(m.x_m, -m.y_m) for m in airframe.motors]
-    # Airframes do not specify the propeller size, so draw the largest that fits.
+    # Airframes do not specify the propeller size, so draw the largest propeller that fits.
     inside = airframe.contact_distance_m - max(max(abs(x), abs(y)) for x, y in motors)
     apart = [math.dist(a, b) for a, b in combinations(motors, 2)]
     radius = max(0.02, min(inside, *(0.5 * d for d in apart if d > 0.01)))  # coaxial motors share a position
@@ -265,10 +265,10 @@ def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
 
 
 def _arm(x: float, y: float, colour: Color) -> CylinderPrimitive:
-    """Return a cylinder from the centre to a motor; its axis z is rotated to the motor."""
+    """Return a cylinder from the centre to a motor; its z axis is rotated towards the motor."""
     length, yaw = math.hypot(x, y), math.atan2(y, x)
     half = math.sqrt(0.5)
-    # Pitched by a quarter turn, then turned to the motor.
+    # Pitch the cylinder by a quarter turn, then yaw it towards the motor.
     q = (
         math.cos(yaw / 2) * half,
         -math.sin(yaw / 2) * half,

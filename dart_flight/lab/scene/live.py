@@ -2,7 +2,7 @@
 
 The flight's own thread only checks the type of a record and appends the record to a queue. A thread of this
 module downsamples, encodes and writes to a non-blocking pipe; records that do not fit are dropped and
-counted. Translation, WebSocket and viewers run in a separate process (`scene.server`). If this process fails,
+counted. Translation, WebSocket and viewers run in a separate process (`scene.server`). If that process fails,
 the flight prints a line and continues.
 """
 
@@ -31,7 +31,7 @@ from dart_flight.recording.encoding import encode
 _START_S = 30.0
 _TURN_S = 0.03
 _END_S = 2.0
-_MAX_WAITING = 4096  # queued records, four seconds of a flight
+_MAX_WAITING = 4096  # number of queued records, about four seconds of a flight
 _MAX_BYTES = 1 << 18  # encoded bytes not yet written to the pipe
 
 

@@ -87,7 +87,7 @@ def vehicle(airframe: Airframe, arms: str) -> list[tuple[Iterable[Vec3], Rgb]]:
 
 
 def _points(segments: Sequence[Segment], step_m: float) -> Iterator[Vec3]:
-    """Yield points along segments, at most a step apart, with both ends."""
+    """Yield points along segments, at most a step apart, including both ends."""
     for a, b in segments:
         count = max(1, math.ceil(math.dist(a, b) / step_m))
         for i in range(count + 1):

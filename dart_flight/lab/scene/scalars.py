@@ -16,12 +16,12 @@ class VehicleState(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/flight/state"
     t_us: int
     x_m: float  # along the mission's heading
-    y_m: float  # left of it
+    y_m: float  # to the left of this axis
     height_m: float  # above the take-off point
     speed_m_s: float
     tilt_deg: float
     phase: str
-    arms: str  # rigid, flexible, travelling, fault or unknown, by the lock's reported state
+    arms: str  # rigid, flexible, travelling, fault or unknown, from the lock's reported state
     horn_share: float  # fraction of the lock servo's travel: 0 flexible end, 1 rigid end or without a lock
     battery_v: float | None
     battery_remaining: float | None
@@ -34,7 +34,7 @@ class ForceState(Record, frozen=True, gc=False):
     t_us: int
     force_n: float  # magnitude
     normal_n: float  # out of the nearest wall
-    along_n: float  # along it, to the right when looking out of it
+    along_n: float  # along that wall, positive to the right when looking out of the wall
     up_n: float
     clipped: bool
 
@@ -46,7 +46,7 @@ class TrueForce(Record, frozen=True, gc=False):
     t_us: int
     force_n: float  # magnitude
     normal_n: float  # out of the nearest wall
-    along_n: float  # along it, to the right when looking out of it
+    along_n: float  # along that wall, positive to the right when looking out of the wall
     up_n: float
 
 

@@ -26,7 +26,7 @@ from dart_flight.lab.scene.translation import LASTING, SceneTranslator
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.reader import DECODERS
 
-_BACKLOG = 256  # queued messages for a slow viewer, beyond which the oldest are dropped
+_BACKLOG = 256  # messages queued for a slow viewer; beyond this, the oldest are dropped
 _CLOCK_US = 50_000
 _JUMP_US = 1_000_000
 
@@ -53,7 +53,7 @@ class Broadcast:
         self._translation = SceneTranslator(mission, given, show.show_room, show.from_truth)
         self._channels, self._newcomers = Channels(), SubscriptionListener()
         self._clock_us = 0
-        self._lock = threading.Lock()  # the record's thread and that of the newcomers publish
+        self._lock = threading.Lock()  # two threads publish: that of the records and that of new viewers
         self._server = foxglove.start_server(
             name=f"dart-flight: {mission.name}",
             host=show.host,

@@ -1,4 +1,4 @@
-"""Translation of our records to standard schemas, for the live view and for the export of a log.
+"""Translation of the flight's records to standard schemas, for the live view and for the export of a log.
 
 The frames are `mission` (x along the mission's heading, y left, z up) and its child `vehicle` (forward, left,
 up). In `lab.scene` only this module converts vectors from PX4's NED and FRD. The conversion uses
@@ -62,13 +62,13 @@ ROOM, PLAN, VEHICLE, PATH = "/scene/room", "/scene/plan", "/scene/vehicle", "/sc
 FORCES, SET_POINT, HITS = "/scene/forces", "/scene/setpoint", "/scene/hits"
 OUTLINES = ("/points/room", "/points/vehicle", "/points/path")
 SCENES = (ROOM, PLAN, VEHICLE, PATH, FORCES, SET_POINT, HITS)
-# Each message on these is complete, so a viewer that connects later needs only the newest.
+# Each message on these channels is complete, so a viewer that connects late needs only the newest one.
 LASTING = frozenset((*SCENES, *OUTLINES, TRANSFORMS))
 
-_MIN_ARROW_N = 3.0  # above the noise of the estimate
+_MIN_ARROW_N = 3.0  # smallest force that is drawn, above the noise of the estimate
 _PATH_STEP_M = 0.03
 _PATH_US = 250_000
-_MAX_PATH = 500  # points, beyond which every other one is dropped and the step doubles
+_MAX_PATH = 500  # largest number of points; beyond it, every other point is dropped and the step doubles
 _LEVELS = {
     Level.DEBUG: LogLevel.Debug,
     Level.INFO: LogLevel.Info,

@@ -28,7 +28,7 @@ class DatagramSource:
     card.
 
     Args:
-        decode: called with datagram, body and sender. It returns the pose, or the reason why the datagram
+        decode: gets datagram, body and sender. It returns the pose, or the reason why the datagram
             contains no pose of the body.
 
     Attributes:
@@ -48,7 +48,7 @@ class DatagramSource:
         card, group = card_address(address), is_group(host)
         if card is not None and not group:
             raise InputError(
-                f"mocap URL {address.url}: {host} is no multicast group: remove ?interface=, and give an "
+                f"mocap URL {address.url}: {host} is not a multicast group: remove ?interface=, and give an "
                 "address of this computer, or 0.0.0.0 for all"
             )
         self.place = f"listening at {host}:{port}"

@@ -27,13 +27,13 @@ _DECODER = msgspec.json.Decoder(_Pose)
 
 
 def decode(data: bytes, body: str, sender: str) -> RawPose | str:
-    """Return the pose in a datagram, or the reason why it contains none."""
+    """Return the pose in a datagram, or the reason why the datagram contains none."""
     try:
         pose = _DECODER.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         return f"not a pose in JSON ({str(error)[:80]})"
     if pose.body is not None and pose.body != body:
-        return "of another body"
+        return "the pose is of another body"
     if pose.time_s is not None and not abs(pose.time_s) < _MAX_S:
         return "time_s is not a time in seconds"
     source_us = round(1e6 * pose.time_s) if pose.time_s is not None else None

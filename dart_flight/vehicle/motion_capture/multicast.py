@@ -54,7 +54,7 @@ def card_address(address: PoseAddress) -> str | None:
         contextlib.suppress(OSError, ValueError),
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe,
     ):
-        probe.bind((str(ipaddress.IPv4Address(wanted)), 0))  # also a second address of a card
+        probe.bind((str(ipaddress.IPv4Address(wanted)), 0))  # this also accepts a second address of a card
         return wanted
     known = in_quotes(f"{name} {own}".strip() for name, own in cards.items())
     raise InputError(
@@ -65,7 +65,7 @@ def card_address(address: PoseAddress) -> str | None:
 def join_group(link: socket.socket, group: str, card: str | None) -> str:
     """Join a multicast group on the card with an IPv4 address, or on every card; return the cards as text.
 
-    Without a card the kernel would choose that of the default route, which may lead to the Internet. Raise
+    With no card named, the kernel would use that of the default route, which may lead to the Internet. Raise
     OSError if no card accepts the group.
     """
     if card is not None:

@@ -1,4 +1,4 @@
-"""Decoders of NatNet's packets, for protocol versions 2 to 4: the server, its rigid bodies, and a frame.
+"""Decoders for NatNet packets (server information, rigid bodies, frames) of protocol versions 2 to 4.
 
 The layout is from the NatNet SDK's public documentation and headers. All values are little-endian. The
 program needs one rigid body and skips all other assets, because an asset that it cannot decode must not hide
@@ -18,7 +18,7 @@ from dart_flight.base.geometry import Quaternion, Vec3
 CONNECT, SERVER_INFO, REQUEST_MODEL, MODEL, FRAME, KEEP_ALIVE = 0, 1, 4, 5, 7, 10
 HEADER: Final = struct.Struct("<HH")  # kind, size of the payload
 # Name and version of the application, version of NatNet. NatNet 3 adds the clock's ticks per second, the data
-# port, whether the server uses multicast, and the multicast group.
+# port, whether the server uses multicast, and the group's address.
 _SERVER: Final = struct.Struct("<256s4B4B")
 _TRANSMISSION: Final = struct.Struct("<QHB4B")
 _SIZED: Final = (4, 1)  # version since which descriptions and lists have a size
@@ -48,7 +48,7 @@ class BodyPose(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """The number of a frame, its stamp (None: it has none) and the body's pose (None: it lacks the body)."""
+    """A frame's number, its stamp, and the body's pose; a stamp or pose that the frame lacks is None."""
 
     number: int
     stamp_us: int | None
@@ -95,7 +95,7 @@ class _Reader:
         return int(self.unpack("<I")[0])
 
     def text(self) -> str:
-        """Return a text that ends with a zero; Motive on a Windows without UTF-8 sends Latin-1."""
+        """Read a null-terminated string; Motive sends Latin-1 on Windows systems without UTF-8."""
         end = self._data.find(b"\0", self._place)
         if end < 0:
             raise ValueError("a name has no end")
@@ -111,7 +111,7 @@ class _Reader:
 
 
 def decode_bodies(payload: bytes, version: Version) -> tuple[dict[str, int], str]:
-    """Return name -> streaming id of the rigid bodies, and why the list may be incomplete or ""."""
+    """Return name -> streaming id of the rigid bodies, and why the list may be incomplete, or ""."""
     reader, bodies = _Reader(payload), dict[str, int]()
     for place in range(reader.count()):
         kind = reader.count()
@@ -255,7 +255,7 @@ def _pose(reader: _Reader, version: Version) -> tuple[int, BodyPose]:
 def _stamp_us(reader: _Reader, server: ServerInfo) -> int | None:
     reader.skip(8)  # timecode
     (seconds,) = reader.unpack("<d" if server.version >= (2, 7) else "<f")
-    ticks = reader.unpack("<3Q")[0] if server.version >= (3, 0) else 0  # of the middle of the exposure
+    ticks = reader.unpack("<3Q")[0] if server.version >= (3, 0) else 0  # time of the middle of the exposure
     if ticks and server.ticks_per_s:
         return int(ticks) * 1_000_000 // server.ticks_per_s
     return round(1e6 * seconds) if math.isfinite(1e6 * seconds) else None

@@ -31,7 +31,7 @@ _KEEP_ALIVE: Final = natnet.HEADER.pack(natnet.KEEP_ALIVE, 1) + b"\0"
 _PINGS: Final = 3
 _PING_S: Final = 1.0
 _MODEL_S: Final = 3.0
-_POLL_S: Final = 0.1  # also the period of keep-alives; the server forgets a silent client
+_POLL_S: Final = 0.1  # also the period of the keep-alives, without which the server forgets this client
 _SILENT_S: Final = 1.0  # time without a frame until the server is queried
 
 

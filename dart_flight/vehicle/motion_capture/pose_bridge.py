@@ -18,16 +18,16 @@ from dart_flight.vehicle.motion_capture.pose_statistics import ShortestOffset
 from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, checked_pose, open_source
 
 _LOCAL_NED: Final = 1  # MAV_FRAME
-_BODY_FRD: Final = 12  # frame of the velocities, which are not sent
+_BODY_FRD: Final = 12  # MAV_FRAME of the velocities, which are not sent
 _VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 ignores the type MOCAP
-_POSITION_SD_M: Final = 0.01  # PX4 uses EKF2_EVP_NOISE if that is larger
+_POSITION_SD_M: Final = 0.01  # PX4 uses EKF2_EVP_NOISE if that parameter is larger
 _ANGLE_SD_RAD: Final = 0.01
 _EARLY: Final = 0.125  # share of a period by which a frame may be early because of jitter
-_STALE_US: Final = 300_000  # above any latency with which PX4 can fly
-_JUMPED_US: Final = 1_000_000  # a burst of waiting frames is shorter
-_FINE_US: Final = 100_000  # two frames of a usable source are closer to each other
-_DECIDE_US, _DECIDE_FRAMES, _DECIDE_NEW = 500_000, 10, 3  # frames, and those that differ from the one before
-_SILENT_US, _MISSING_US = 1_000_000, 3_000_000  # without a pose until the reason is known, and reported
+_STALE_US: Final = 300_000  # longer than any latency with which PX4 can fly
+_JUMPED_US: Final = 1_000_000  # a burst of delayed frames is shorter, a jump of the clock longer
+_FINE_US: Final = 100_000  # usable stamps of successive frames differ by less
+_DECIDE_US, _DECIDE_FRAMES, _DECIDE_NEW = 500_000, 10, 3  # time, frames, and frames with a new pose
+_SILENT_US, _MISSING_US = 1_000_000, 3_000_000  # time without a pose until the reason is shown, and reported
 _DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # indices in the upper triangle of a 6 x 6 matrix
 
 
@@ -150,7 +150,7 @@ class Stamps:
     bridge uses the time of arrival.
 
     Attributes:
-        usable: whether the stamps are usable; None: not decided.
+        usable: whether the stamps are usable, or None if this is not decided yet.
         advanced_us: host time at which a frame with another stamp, or without a stamp, last arrived.
     """
 
@@ -242,7 +242,7 @@ class MotionCaptureBridge:
 
     @property
     def missing(self) -> str | None:
-        """The reason why no usable pose has arrived for 3 s, or None if one has."""
+        """The reason why no usable pose has arrived for 3 s, or None if one has arrived."""
         return self.problem if self._clock.host_us() - self._good_us > _MISSING_US else None
 
     def start(self) -> None:
@@ -292,7 +292,7 @@ def forwarding(
 ) -> Iterator[MotionCaptureBridge | None]:
     """Forward the poses of `config.url` while the context is open; if the URL is None, yield None.
 
-    `source` is the URL's source if it is open already. Otherwise InputError is raised if it cannot be opened.
+    `source` is the URL's source if it is open already. If not, raise InputError if it cannot be opened.
     """
     if config.url is None:
         yield None

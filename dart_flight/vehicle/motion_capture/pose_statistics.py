@@ -20,11 +20,11 @@ from dart_flight.base.geometry import (
 )
 from dart_flight.base.records import AttitudeSample, Input, OdometrySample, PoseSample
 
-GAP_US: Final = 100_000  # shortest gap: PX4 misses five poses at 50 Hz
-_RATE_US: Final = 2_000_000  # window of the rate and of the senders
-_BEST_S: Final = 60  # window of the shortest age; in it, the clocks drift apart by a few milliseconds
+GAP_US: Final = 100_000  # shortest gap; at 50 Hz, PX4 misses five poses in this time
+_RATE_US: Final = 2_000_000  # time window for the rate and the senders
+_BEST_S: Final = 60  # window for the shortest age, in which clocks drift apart by a few ms
 _AGE_POSES: Final = 25  # number of poses in the median age
-_FRESH_US: Final = 500_000  # oldest estimate of PX4 that is compared
+_FRESH_US: Final = 500_000  # largest age of PX4's estimate for a comparison with the poses
 
 
 class PoseFigures(msgspec.Struct, frozen=True):
@@ -37,8 +37,8 @@ class PoseFigures(msgspec.Struct, frozen=True):
         gaps: number of gaps of more than 0.1 s between tracked poses.
         longest_gap_s: longest time between two tracked poses, including a gap that has not ended.
         lost: share of frames in which the body is not tracked, 0 to 1.
-        age_ms: age of the newest poses: the measured shortest age (`mocap.delay_ms`) plus the time by which
-            these poses are older, according to their stamps.
+        age_ms: age of the newest poses: the measured shortest age (`mocap.delay_ms`) plus their additional
+            delay according to their stamps.
         age_growth_ms: growth of the age since the first poses.
         distance_to_px4_m: distance of PX4's position from the newest pose.
         angle_to_px4_deg: angle between PX4's attitude and the attitude of the newest pose.
@@ -94,13 +94,13 @@ class PoseStatistics:
         self._room, self._delay_ms = room, delay_ms or 0.0
         self._lock = threading.Lock()  # poses and PX4's messages arrive on different threads
         self._poses = self._lost = self._gaps = 0
-        self._tracked_us: deque[int] = deque()  # receipt, within the window
+        self._tracked_us: deque[int] = deque()  # times of receipt within the window
         self._first_us: int | None = None
         self._longest_us = 0
         self._shortest = ShortestOffset()
         self._late_us: deque[int] = deque(maxlen=_AGE_POSES)
         self._first_late_ms: float | None = None
-        self._senders: dict[str, int] = {}  # newest receipt
+        self._senders: dict[str, int] = {}  # time of the newest receipt by sender
         self._pose: tuple[Vec3, Quaternion] | None = None
         self._odometry: OdometrySample | None = None
         self._attitude: AttitudeSample | None = None
@@ -135,7 +135,7 @@ class PoseStatistics:
         self._pose = self._room.pose_to_ned(pose.position_room, pose.q_body_to_room)
         if pose.source_us is not None:
             self._add_age(now - pose.source_us, now)
-        elif self._late_us:  # the stamps have turned out not to be usable
+        elif self._late_us:  # the stamps have proved unusable
             self._late_us.clear()
             self._first_late_ms = None
 

@@ -1,4 +1,4 @@
-"""A pose source for Qualisys Track Manager (QTM), which uses QTM's real-time protocol."""
+"""A pose source for Qualisys Track Manager (QTM), over QTM's real-time protocol."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _RETRY_S: Final = 1.0
 
 
 def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
-    """Return the names of all 6DOF bodies and of those enabled; raise ValueError if not XML."""
+    """Return the names of all 6DOF bodies and of those enabled; raise ValueError if the input is not XML."""
     try:
         bodies = list(ET.fromstring(parameters_xml).iter("Body"))
     except ET.ParseError as error:

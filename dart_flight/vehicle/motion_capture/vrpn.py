@@ -83,7 +83,7 @@ class VrpnSource:
             time.sleep(0.01)
 
     def _names(self) -> list[str]:
-        return sorted({*self._senders.copy().values()} - {"VRPN Control"})  # a sender of every server
+        return sorted({*self._senders.copy().values()} - {"VRPN Control"})  # every server has this sender
 
     @property
     def problem(self) -> str | None:
@@ -123,7 +123,7 @@ class VrpnSource:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT):
             link.setsockopt(socket.IPPROTO_TCP, option, 2)
-        # Reset the connection on closing: a closed one would keep a restarted server from its port for 60 s.
+        # Reset the connection on closing: a normal close would block a restarted server's port for 60 s.
         link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         self._error, self._senders = None, {}
         with link.makefile("rb") as stream:

@@ -141,7 +141,7 @@ def test_impacts_in_fast_flight_are_untold_without_motor_outputs(
     fast = inspect_json(fast_log, capsys)
     assert ([i["kind"] for i in fast["impacts"]], fast["untold"]) == (["untold"], 1)
     assert main(["inspect", str(fast_log)]) == 0
-    assert "contact or manoeuvre" in " ".join(capsys.readouterr().out.split())
+    assert "contacts or manoeuvres" in " ".join(capsys.readouterr().out.split())
     known = inspect_json(write_ulog(tmp_path / "known.ulg", topics(north_m_s=6.0)), capsys)
     assert (len(known["impacts"]), known["untold"]) == (1, 0)
 

@@ -42,7 +42,7 @@ def test_a_url_names_system_host_port_and_body() -> None:
         ("udp://239.255.1.2:9763/dart?eth0", "bad query field"),
         ("udp://239.255.1.2:9763/dart?interface=eht0", 'no network card "eht0" .*, only .*"lo 127.0.0.1"'),
         ("udp://239.255.1.2:9763/dart?interface=192.0.2.1", 'no network card "192.0.2.1"'),
-        ("udp://0.0.0.0:9763/dart?interface=lo", "no multicast group"),
+        ("udp://0.0.0.0:9763/dart?interface=lo", "not a multicast group"),
     ],
 )
 def test_a_wrong_url_is_refused_in_one_line(url: str, fragment: str) -> None:
