@@ -175,5 +175,5 @@ def restart_names(metadata: bytes) -> frozenset[str]:
     try:
         tree = msgspec.json.decode(lzma.decompress(metadata))
         return frozenset(p["name"] for p in tree["parameters"] if p.get("rebootRequired"))
-    except (lzma.LZMAError, msgspec.DecodeError, KeyError, TypeError, AttributeError) as error:
+    except (lzma.LZMAError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise MetadataError(f"PX4's parameter metadata cannot be read: {error!r}") from None

@@ -99,7 +99,7 @@ def load_last(folder: Path | None = None) -> LastCommand | None:
     path = (folder or state_dir()) / "last_command.json"
     try:
         return msgspec.json.decode(path.read_bytes(), type=LastCommand)
-    except (FileNotFoundError, msgspec.DecodeError):
+    except (FileNotFoundError, ValueError):
         return None
     except OSError as error:
         raise cannot("read", path, error) from None
@@ -173,5 +173,5 @@ class ServoOwnership(Lease):
 def _owner_in(content: bytes) -> ServoOwner | None:
     try:
         return msgspec.json.decode(content, type=ServoOwner)
-    except msgspec.DecodeError:
+    except ValueError:
         return None

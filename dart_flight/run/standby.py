@@ -112,7 +112,7 @@ def describe_end(name: str, fly: bool, ended: Ended) -> list[str]:
     """Return the result of a `check` or `fly` process, as lines for the ground station."""
     try:
         report = msgspec.json.decode(ended.output)
-    except msgspec.DecodeError:
+    except ValueError:
         report = {}
     if not isinstance(report, dict):
         report = {}

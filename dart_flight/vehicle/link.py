@@ -207,7 +207,7 @@ def _path_text(log: Path) -> str:
 
 
 def _decoded(content: bytes) -> Holder | None:
-    with contextlib.suppress(msgspec.DecodeError):
+    with contextlib.suppress(ValueError):
         return msgspec.json.decode(content, type=Holder)
     return None
 

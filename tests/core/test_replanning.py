@@ -435,6 +435,6 @@ def test_a_trajectory_is_kept_if_its_replacement_ends_much_later(
     assert refusal_to(planning, answer, request.t_us) is None
     change = planning.trajectory(state_on_line(request.begin_us, off_m))
     assert (change.course is not None) is taken
-    why = "" if taken else "the active trajectory ends sooner"
+    why = "" if taken else "the trajectory flown is quicker"
     assert change.outputs == (PlanTaken(request.begin_us, request.number, taken, why),)
     assert planning.replan.since_us == (request if taken else first).begin_us

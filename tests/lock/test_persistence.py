@@ -59,7 +59,9 @@ def test_a_state_without_a_command_is_not_stored() -> None:
     assert load_last() is None
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b'{"mode": "soft"}', b"\xff\xfe", b"[]"])
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b'{"mode": "soft"}', b"\xff\xfe", b"[]", b'{"mode": "\xff\xfe"}']
+)
 def test_a_damaged_record_is_ignored(folder: Path, content: bytes) -> None:
     folder.mkdir()
     (folder / "last_command.json").write_bytes(content)

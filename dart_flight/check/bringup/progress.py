@@ -53,7 +53,7 @@ def load_record(folder: Path, vehicle: VehicleSource, connection: str) -> Bringu
         return create_record(vehicle, connection)
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror}", source=str(path)) from None
-    except msgspec.DecodeError as error:
+    except ValueError as error:
         raise InputError(
             f"not a bring-up record of dart-flight ({error}): move the file away", source=str(path)
         ) from None

@@ -217,7 +217,7 @@ def _is_consistent(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> b
 def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> str:
     """Return the reason not to fly an answer's trajectory from the present state, or ""."""
     if _active_is_faster(replan, trajectory, answer, state):
-        return "the active trajectory ends sooner"
+        return "the trajectory flown is quicker"
     at = trajectory.at((state.now_us - answer.begin_us) * 1e-6)
     beside_m = math.dist(at.position[:2], state.position[:2])
     beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])

@@ -229,8 +229,11 @@ def test_the_servo_step_of_a_vehicle_without_a_lock_needs_no_operator(vehicle: s
         assert run_step(bringup, "servo").result is StepOutcome.SKIPPED
 
 
-def test_a_foreign_state_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "bringup.json").write_text("{}")
+@pytest.mark.parametrize("content", [b"{}", b'{"vehicle": "\xff"}'])
+def test_a_foreign_state_file_is_refused(
+    content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bringup.json").write_bytes(content)
     assert main(["bringup", "--connection", "udpin://127.0.0.1:1", "--state", str(tmp_path), "--yes"]) == 2
     assert "not a bring-up record of dart-flight" in capsys.readouterr().err
 
