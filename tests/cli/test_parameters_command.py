@@ -38,7 +38,7 @@ def test_parameters_are_listed_written_and_restored(
         listed, _ = parameters(status=1)
         differing = {row["name"]: row for row in listed["parameters"]}
         assert (differing["COM_OBL_RC_ACT"]["vehicle"], differing["COM_OBL_RC_ACT"]["wanted"]) == (5, 4)
-        assert differing["COM_OBL_RC_ACT"]["why"].startswith("Companion computer lost")
+        assert differing["COM_OBL_RC_ACT"]["why"].startswith("If the companion computer is lost")
         assert listed["position_from"] == "mocap"
         # The embedded autopilot has no files with restart flags.
         assert "@reboot_required" in listed["restart_source"]
