@@ -477,7 +477,7 @@ def check_flown(mission: Mission) -> CheckFinding:
     try_it = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
     if flown is None or flown.digest != mission.digest:
         why = (
-            "`plan` did not write this mission, so it contains no record of simulated flights"
+            "this mission contains no record of simulated flights, which `plan` writes"
             if flown is None
             else "mission or vehicle has changed since `plan` flew it in simulation"
         )

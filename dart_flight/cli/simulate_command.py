@@ -82,6 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         if kind is not None:
             vehicle.autopilot.use_external_poses()
             mocap = EmulatedMotionCapture(kind, mission, vehicle.autopilot.plant)
+            held.callback(mocap.close)
         console.print(
             f"  dart-flight fly {flown} {driver}--connection udpin://127.0.0.1:{arguments.port}"
             + ("" if mocap is None else f" --mocap {mocap.url}"),

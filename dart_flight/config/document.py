@@ -488,7 +488,6 @@ def _allowed_values(type_: Any) -> list[Any]:
     return [value for part in get_args(type_) for value in _allowed_values(part)]
 
 
-_TOWARDS = "; negative is towards the wall"
 _WORDS = {
     "`object`": "keys and values",
     "`array`": "a list",
@@ -511,7 +510,7 @@ def _range(type_: Any, value: Any, key: Key) -> str:
     if low is None or high is None:
         return ""
     shown = f"{low:g} to {high:g}{' ' if unit else ''}{unit}"
-    return f" (plausible: {shown}, not {value:g}{_TOWARDS if key[-1:] == ('normal_m_s',) else ''})"
+    return f" (plausible: {shown}, not {value:g}{(limits.extra or {}).get('note', '')})"
 
 
 def _limits(type_: Any) -> Iterator[msgspec.Meta]:

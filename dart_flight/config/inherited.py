@@ -97,7 +97,8 @@ def find_inherited(
     own, inherited = _values(vehicle), _values(load_vehicle(base.path))
     materials = {f"{_MATERIALS}{name}": ("airframe.mass_kg", LOCK) for name in vehicle.materials}
     measured = {**FOLLOWS_FROM, **materials}
-    if own[LOCK] == inherited[LOCK] and not any(_is_given(key, base.given) for key in measured):
+    of_vehicle = base.given if base.is_original else given  # `--set` alone makes no other vehicle of DART
+    if own[LOCK] == inherited[LOCK] and not any(_is_given(key, of_vehicle) for key in measured):
         if base.is_dart:
             return None
         if not base.is_original:  # the file describes the vehicle that it extends

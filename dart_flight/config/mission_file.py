@@ -215,7 +215,7 @@ class ApproachSpec(Section, frozen=True):
         tangential_m_s: velocity along the wall, positive to the right when looking along the normal.
     """
 
-    normal_m_s: Annotated[float, Meta(lt=0.0, ge=-20.0)]
+    normal_m_s: Annotated[float, Meta(lt=0.0, ge=-20.0, extra={"note": "; negative is towards the wall"})]
     tangential_m_s: Velocity = 0.0
 
 

@@ -106,7 +106,7 @@ def run_vehicle(
         ports: remote UDP ports, all of which receive the vehicle's messages.
         own_port: local UDP port from which the vehicle sends to the first remote port; 0 selects any port.
         viewer: receives the true motion and contacts.
-        mocap: sends the vehicle's poses, and is closed at the end.
+        mocap: sends the vehicle's poses.
     """
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)
     to_link = vehicle.autopilot.send_text
@@ -140,5 +140,3 @@ def run_vehicle(
             if stopped:
                 break
     endpoint.close()
-    if mocap is not None:
-        mocap.close()

@@ -192,6 +192,13 @@ def test_a_variant_of_an_example_inherits_what_the_example_does(tmp_path: Path) 
     assert "airframe.mass_kg 0.9" in found.keys
 
 
+def test_a_setting_makes_a_vehicle_of_a_variant_of_dart(tmp_path: Path) -> None:
+    variant = "extends: dart.yaml\npx4: {MPC_XY_P: 1.2}\n"
+    found = find_inherited_values(variant, tmp_path, "mine.yaml", "airframe.mass_kg=0.9")
+    assert found is not None
+    assert "detection.force_threshold_n 5.5" in found.contradictions["airframe.mass_kg 0.9 instead of 1.3"]
+
+
 def test_dart_inherits_nothing() -> None:
     path = packaged("configs", "dart.yaml")
     assert find_inherited(load_vehicle(path), str(path)) is None

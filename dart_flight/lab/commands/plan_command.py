@@ -152,7 +152,8 @@ def _ways_out(plan: Plan, result: SearchResult, record: FlownRecord) -> Iterator
     if drawn is not None and drawn.flights < flown_plan.DRAWN:
         yield f"the other {flown_plan.DRAWN - drawn.flights} flights were not flown: they cannot change this"
     ways = [f"--rank {plan.rank + 1}"] if plan.rank < len(result.plans) else []
-    ways += [f"--objective {other}" for other in (Objective.ROBUST, Objective.QUICKEST)]
+    others = {Objective.ROBUST, Objective.QUICKEST} - {result.scenario.objective}
+    ways += [f"--objective {other}" for other in sorted(others)]
     kept = "" if record.danger is None else "; no mission was written (--no-verify writes it)"
     yield f"try {', '.join(ways)}, or slower approaches in `search`{kept}"
 

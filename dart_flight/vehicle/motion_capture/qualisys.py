@@ -113,6 +113,8 @@ class QualisysSource:
         self._streaming = asyncio.create_task(self._stream())
 
     def stop(self) -> None:
+        if self._loop.is_closed():
+            return
         self._deliver = lambda _: None
         with contextlib.suppress(TimeoutError):
             self._call(self._finish())

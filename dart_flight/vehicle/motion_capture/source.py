@@ -86,7 +86,7 @@ class PoseSource(Protocol):
         """Deliver every further pose on a thread of the source."""
 
     def stop(self) -> None:
-        """Stop delivering and close the connection."""
+        """Stop delivering and close the connection, also a second time."""
 
 
 class PoseAddress(NamedTuple):

@@ -207,6 +207,18 @@ def test_numbers_that_are_no_pose_count_as_a_lost_frame_and_do_not_reach_px4(kin
             bridge.stop()
 
 
+@pytest.mark.parametrize("started", [False, True])
+@pytest.mark.parametrize("kind", SYSTEMS)
+def test_a_source_may_be_stopped_twice(kind: str, started: bool) -> None:
+    """By the bridge, and by the command that opened it."""
+    with serving(kind) as server:
+        source = open_source(server.url)
+        if started:
+            source.start(lambda pose: None)
+        source.stop()
+        source.stop()
+
+
 @pytest.mark.parametrize("kind", ASKED)
 def test_an_unknown_body_is_refused_with_the_names_of_the_known_bodies(kind: str) -> None:
     with (
