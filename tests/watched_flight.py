@@ -21,7 +21,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.recording.uncontrolled import OUT_M, TruthExtremes, find_uncontrolled
 from dart_flight.recording.verdict import Verdict, VerdictBuilder
 from dart_flight.run.fast import FastFlight
-from dart_flight.run.runner import Observe
+from dart_flight.run.shell import Observe
 from dart_flight.sim.draws import DrawnWorld, with_walls
 from dart_flight.sim.faults.fault_table import Fault
 

@@ -23,10 +23,10 @@ from dart_flight.config.vehicle import LockDriver
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
 from dart_flight.lock.servo import ServoModel, mode_of
-from dart_flight.run.fast import TelemetrySender
 from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.embedded_autopilot import TICK_S
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
+from dart_flight.sim.telemetry_sender import TelemetrySender
 
 Array = NDArray[np.float64]
 _NO_CONTACT: Final = ExpectedContact()

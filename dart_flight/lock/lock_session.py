@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from dart_flight.base.records import LockState, Mode
+from dart_flight.base.records import LockCommand, LockPermission, LockState, Mode
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock.drivers import Driver, DriverError
 from dart_flight.lock.state_machine import Action, CommandRefused, LockStateMachine, PulsesOff, SetPulse
@@ -54,6 +54,13 @@ class LockSession:
 
     def command(self, mode: Mode) -> CommandRefused | None:
         return self._execute(self.machine.command(self._clock_us(), mode))
+
+    def obey(self, order: LockCommand | LockPermission) -> None:
+        """Carry out an order of the core."""
+        if isinstance(order, LockCommand):
+            self.command(order.mode)
+        else:
+            self.permit(order.permitted)
 
     def permit(self, permitted: bool) -> None:
         self._execute(self.machine.permit(self._clock_us(), permitted))

@@ -1,4 +1,4 @@
-"""Shell around the core for flights over MAVSDK: streams -> queue -> core -> vehicle, lock, log.
+"""Flights over MAVSDK: what surrounds the shell of the core (`shell`), and its transport to the vehicle.
 
 The threads are:
     MAVSDK's thread builds records and queues them. Near a wall it also steps the core (`core_thread`).
@@ -14,9 +14,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
-import math
 import os
-import queue
 import signal
 import sys
 import threading
@@ -25,35 +23,20 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-import msgspec
-
 from dart_flight.base.records import (
-    AfterImpact,
     CommandResult,
     ContactAnswer,
-    ContactRequest,
-    FrameAnchor,
-    LockCommand,
-    LockPermission,
     LockPhase,
     LockState,
-    MissionEnd,
     OperatorRequest,
-    Output,
     Phase,
-    PhaseChange,
     PlanAnswer,
-    PlanRequest,
     PoseSample,
-    PosesWithheld,
     Record,
     Request,
     Setpoint,
-    Silence,
     StatusText,
     VehicleAction,
-    VehicleCommand,
-    WallEstimate,
 )
 from dart_flight.base.signals import StopSignals, describe_repeat
 from dart_flight.config.document import InputError
@@ -65,21 +48,20 @@ from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.drivers.modelled_horn import DriverWithModelledHorn
 from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.state_machine import status_text
-from dart_flight.planning.contact_fit import FIT_US
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
+from dart_flight.run.lock_thread import LockThread
 from dart_flight.run.operator_buttons import reply_in_flight
-from dart_flight.run.planner_process import PlannerProcess
-from dart_flight.run.runner import CoreRunner, Observe
-from dart_flight.run.step_reporter import StepReporter
-from dart_flight.vehicle.clock import Clock, host_us
+from dart_flight.run.planner_process import PlannerProcess, kinds_of_requests
+from dart_flight.run.shell import Observe, Shell
+from dart_flight.run.timing import LockstepTime, RealTime
+from dart_flight.vehicle.clock import Clock
 from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarded_pose
 from dart_flight.vehicle.motion_capture.source import PoseSource, open_source
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 
 _SHOW_PERIOD_S = 0.2  # the update period of the live line
-_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # polling periods: while the lock travels, and otherwise
 _SWITCH_INTERVAL_S = 0.001  # a computing thread yields to MAVSDK's callbacks after a millisecond
 _KEY_PAUSE_S = 0.5
 _LOOK_PERIOD_S = 0.5  # between checks for other vehicles and for the end of the simulated world
@@ -104,87 +86,6 @@ class Simulator(Protocol):
 
     def send_line(self, line: bytes) -> object:
         """Send a lockstep report to the world."""
-
-
-class LockThread:
-    """Thread that runs the lock's state machine on the core's time base. The driver may block this thread.
-
-    Args:
-        make_session: makes the session from a callback for each state. It is called only when the autopilot's
-            time is known, because otherwise the lock's stamps could be later than that time.
-        lockstep: reporter of progress to the simulated world, or None in real time. In lockstep, the world
-            waits for the app, and the driver is polled in simulated time.
-    """
-
-    def __init__(
-        self,
-        make_session: Callable[[Callable[[LockState], None]], LockSession],
-        clock_known: Callable[[], bool],
-        deliver: Callable[[LockState], None],
-        after_poll: Callable[[], None],
-        lockstep: StepReporter | None = None,
-    ) -> None:
-        self._make_session, self._deliver = make_session, deliver
-        self._clock_known, self._after_poll = clock_known, after_poll
-        self._states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
-        self._lockstep, self._due_us = lockstep, 0.0
-        self._orders: queue.SimpleQueue[LockCommand | LockPermission | None] = queue.SimpleQueue()
-        self._stop = threading.Event()
-        self.thread = threading.Thread(target=self._run, name="lock", daemon=True)
-
-    def put(self, order: LockCommand | LockPermission) -> None:
-        """Queue an order of the core, from any thread, without blocking."""
-        self._open()
-        self._orders.put(order)
-
-    def poll_if_due(self) -> None:
-        """Poll the driver if a poll is due; called after every step in lockstep."""
-        assert self._lockstep is not None
-        if self._lockstep.clock.host_us() >= self._due_us:
-            self._due_us = math.inf  # no poll is due until the thread has polled
-            self._open()
-            self._orders.put(None)
-
-    def stop(self) -> None:
-        self._stop.set()
-        self._orders.put(None)
-        self.thread.join(timeout=2.0)
-
-    def _open(self) -> None:
-        if self._lockstep is not None:
-            self._lockstep.open()
-
-    def _run(self) -> None:
-        # The lock uses the autopilot's clock, so wait until that is known.
-        while not self._clock_known():
-            if self._stop.wait(_LOCK_PERIOD_S):
-                return
-        session = self._make_session(self._states.put)
-        session.start()
-        while not self._stop.is_set():
-            travels = session.state.phase is LockPhase.TRAVELLING
-            rest_s = _LOCK_PERIOD_S if travels else _LOCK_REST_S
-            order, ordered = None, True
-            try:
-                order = self._orders.get(timeout=rest_s if self._lockstep is None else None)
-            except queue.Empty:
-                ordered = False
-            if isinstance(order, LockCommand):
-                session.command(order.mode)
-            elif isinstance(order, LockPermission):
-                session.permit(order.permitted)
-            session.poll()
-            self._after_poll()
-            while True:
-                try:
-                    self._deliver(self._states.get_nowait())
-                except queue.Empty:
-                    break
-            if self._lockstep is not None and ordered:
-                travels = session.state.phase is LockPhase.TRAVELLING
-                period_s = _LOCK_PERIOD_S if travels else _LOCK_REST_S
-                self._due_us = self._lockstep.clock.host_us() + 1e6 * period_s
-                self._lockstep.close()
 
 
 class WorldLink(NamedTuple):
@@ -243,18 +144,18 @@ class FlightApp:
     ) -> None:
         self._mission, self._url, self._observe, self._options = mission, url, observe, options
         self._world: Simulator | None = None
-        self._clock: Clock | None = None
-        self._lockstep: StepReporter | None = None
         self._lock_faults: MockFaults | None = None
         self._mocap_url = mission.vehicle.mocap.url
+        self._time = RealTime()
         if world_link is not None:
-            self._world, self._clock = world_link.world, world_link.clock
-            self._lock_faults = world_link.lock_faults
+            self._world, self._lock_faults = world_link.world, world_link.lock_faults
             self._mocap_url = world_link.mocap_url or self._mocap_url
+            self._time = RealTime(world_link.clock)
             if world_link.lockstep:
-                self._lockstep = StepReporter(world_link.world.send_line, batches=self._mocap_url is None)
-                self._clock = self._lockstep.clock
-        self._host_us = host_us if self._clock is None else self._clock.host_us
+                plan_us = round(1e6 * mission.vehicle.simulation.replan_latency_s)
+                batches = self._mocap_url is None
+                self._time = LockstepTime(world_link.world.send_line, plan_us, batches)
+        self._host_us = self._time.host_us
         self._shown: deque[Record] = deque()
         self._deadman: Deadman | None = None
         self.mock: MockDriver | None = None
@@ -268,14 +169,9 @@ class FlightApp:
         self._stops = 0
         self._phase, self._lock_text = Phase.READYING, ""  # for the buttons of the ground station
         self._stopped = asyncio.Event()
-        self._core = CoreThread(
-            CoreRunner(FlightCore(mission), self, self._observe_record, self._host_us),
-            lambda: self._feed(CORE),
-            self._lockstep,
-            self._after_step,
-        )
+        self.shell = Shell(FlightCore(mission), self, self._observe_record, self._time)
+        self._core = CoreThread(self.shell, lambda: self._feed(CORE), self._after_step)
         self._lock: LockThread | None = None
-        self._planners: dict[type, PlannerProcess] = {}  # by the kind of request
 
     async def run(self) -> None:
         """Fly, and return when the flight has ended.
@@ -301,7 +197,7 @@ class FlightApp:
         self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
         async with connect(
-            self._url, timeout_s, self._core.arrive, clock=self._clock, opened=self._options.opened
+            self._url, timeout_s, self._core.arrive, clock=self._time.clock, opened=self._options.opened
         ) as session:
             self._session = session
             unanswered = await session.measure_link(timeout_s)
@@ -309,14 +205,12 @@ class FlightApp:
                 says = f"the vehicle sends telemetry but does not answer requests: {', '.join(unanswered)}"
                 raise NoAnswerError(says, source=self._url)
             if driver is not None and self._mission.vehicle.lock is not None:
-                self._lock = self._make_lock(driver, self._mission.vehicle.lock)
-            kinds = list[type[PlanRequest | ContactRequest]]()
-            if self._mission.walls:
-                kinds.append(ContactRequest)
-            if self._mission.after_impact is AfterImpact.REPLAN:
-                kinds.append(PlanRequest)
-            for kind in kinds:
-                self._planners[kind] = PlannerProcess(self._mission, kind, self._handle_answer, self._host_us)
+                self.shell.lock = self._lock = self._make_lock(driver, self._mission.vehicle.lock)
+            planners = {
+                kind: PlannerProcess(self._mission, kind, self._handle_answer, self._host_us)
+                for kind in kinds_of_requests(self._mission)
+            }
+            self.shell.planners = planners
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
             # Keep the loaded objects out of garbage collections in flight.
             gc.collect()
@@ -332,15 +226,14 @@ class FlightApp:
             session.serve_operator(vehicle.ground_station.system_id, self._answer_button)
             held.enter_context(self._listening_for_operator())
             if source is not None:
-                self._bridge = self._open_bridge(session, source)
+                self.shell.poses = self._bridge = self._open_bridge(session, source)
             keeper = asyncio.create_task(self._keep_alive())
             # In lockstep a round trip takes no time.
-            measuring = None if self._lockstep else asyncio.create_task(session.keep_measuring())
+            measuring = None if self._time.waits else asyncio.create_task(session.keep_measuring())
             try:
                 await session.stop_messages(self._options.unwanted)
                 await session.set_rates()
-                if self._lockstep is not None:
-                    self._lockstep.begin()
+                self._time.begin()
                 await self._watch(session)
                 if self._bridge is not None and self._world is None:
                     await self._forward_until_disarmed(session)
@@ -355,7 +248,7 @@ class FlightApp:
                 self._core.stop()
                 if self._lock is not None:
                     self._lock.stop()
-                for planner in self._planners.values():
+                for planner in planners.values():
                     planner.stop()
                 self._ended.set()
                 terminal.join(timeout=1.0)
@@ -477,9 +370,9 @@ class FlightApp:
 
     def _open_bridge(self, session: VehicleSession, source: PoseSource) -> MotionCaptureBridge:
         def send(message: Any) -> None:
-            if self._lockstep is not None:
+            if self._time.waits:
                 pose = forwarded_pose(message)
-                self._lockstep.sent_pose((pose.x, pose.y, pose.z))
+                self._time.sent_pose((pose.x, pose.y, pose.z))
             session.send_message(message)
 
         def deliver(pose: PoseSample) -> None:
@@ -522,7 +415,7 @@ class FlightApp:
 
         def set_actuator(index: int, value: float) -> None:
             assert self._session is not None
-            with contextlib.nullcontext() if self._lockstep is None else self._lockstep.command():
+            with self._time.command():
                 self._session.set_actuator(index, value)
 
         link = ActuatorLink(set_actuator, self._url)
@@ -559,7 +452,7 @@ class FlightApp:
             lambda: self._session is not None and self._session.clock.offset_us is not None,
             self._handle_lock_state,
             after_poll,
-            self._lockstep,
+            self._time,
         )
 
     def _after_step(self) -> None:
@@ -569,16 +462,12 @@ class FlightApp:
         self._deliver_answers()
 
     def _handle_answer(self, answer: PlanAnswer | ContactAnswer) -> None:
-        if self._lockstep is None:
-            self._core.put(answer)
-        else:
-            self._lockstep.hold_answer(answer)
-            self._deliver_answers()
+        self._time.hold_answer(answer)
+        self._deliver_answers()
 
     def _deliver_answers(self) -> None:
-        assert self._lockstep is not None
-        for answer in self._lockstep.due_answers():
-            self._core.put(msgspec.structs.replace(answer, received_us=self._host_us()))
+        for answer in self.shell.due_answers():
+            self._core.put(answer)
 
     def _handle_lock_state(self, state: LockState) -> None:
         self._core.put(state)
@@ -586,7 +475,7 @@ class FlightApp:
         if state.phase is not LockPhase.TRAVELLING and self._session is not None:
             self._session.send_text(self._lock_text)
 
-    # -- commands of the core, on the core thread (`runner.CommandSink`) --
+    # -- commands of the core, on the core thread (`shell.Transport`) --
 
     def send(self, setpoint: Setpoint) -> None:
         """Send a setpoint at once. If sending fails, report the error, but each error text only once."""
@@ -597,51 +486,31 @@ class FlightApp:
             # Do not end the core: PX4 keeps the last setpoint, then its failsafe acts.
             self._report_unsent(f"setpoint not sent: {type(error).__name__}: {error}")
             return
-        if self._lockstep is not None:
-            self._lockstep.sent(setpoint)
+        self._time.sent(setpoint)
 
     def _report_unsent(self, text: str) -> None:
         if text not in self._unsent:
             self._unsent.add(text)
             self._report("critical", text)
 
-    def execute(self, output: Output) -> None:
-        """Start a command that is not a setpoint, without waiting for its completion."""
+    def act(self, action: VehicleAction) -> None:
+        assert self.loop is not None
+        self.loop.call_soon_threadsafe(self._start_action, action)
+
+    def enter(self, phase: Phase) -> None:
         assert self._session is not None
         assert self.loop is not None
-        if isinstance(output, VehicleCommand):
-            if self._lockstep is not None:
-                self._lockstep.open_command()
-            self.loop.call_soon_threadsafe(self._start_action, output.action)
-        elif isinstance(output, LockCommand | LockPermission):
-            if self._lock is not None:
-                self._lock.put(output)
-        elif isinstance(output, PlanRequest | ContactRequest | WallEstimate | FrameAnchor):
-            fits = isinstance(output, ContactRequest)
-            planner = self._planners.get(ContactRequest if fits else PlanRequest)
-            if planner is not None:
-                if self._lockstep is not None and isinstance(output, PlanRequest | ContactRequest):
-                    plan_s = self._mission.vehicle.simulation.replan_latency_s
-                    self._lockstep.open_request(output, FIT_US if fits else round(1e6 * plan_s))
-                planner.send(output)
-        elif isinstance(output, PosesWithheld):
-            if self._bridge is not None:
-                self._bridge.withhold(attitude_only=output.attitude_only)
-        elif isinstance(output, PhaseChange):
-            self._phase = output.after
-            # `monitor` shows this text. The event loop sends it, so that setpoints do not wait.
-            self.loop.call_soon_threadsafe(self._session.send_text, f"phase {output.after}")
-        elif isinstance(output, Silence):
-            self._fall_silent()
-        elif isinstance(output, MissionEnd):
-            self._fall_silent()
-            self.loop.call_soon_threadsafe(self._done.set)
+        self._phase = phase
+        # `monitor` shows this text. The event loop sends it, so that setpoints do not wait.
+        self.loop.call_soon_threadsafe(self._session.send_text, f"phase {phase}")
 
-    def _fall_silent(self) -> None:
+    def fall_silent(self) -> None:
         assert self._session is not None
         self._session.silence()
-        if self._lockstep is not None:
-            self._lockstep.end()
+
+    def finish(self) -> None:
+        assert self.loop is not None
+        self.loop.call_soon_threadsafe(self._done.set)
 
     def _start_action(self, action: VehicleAction) -> None:
         assert self.loop is not None

@@ -19,8 +19,7 @@ from typing import Final
 
 from dart_flight.base.records import ActuatorSample, AttitudeSample, Input, OdometrySample, Tick
 from dart_flight.core.pace import BATCH_S, Pace
-from dart_flight.run.runner import CoreRunner
-from dart_flight.run.step_reporter import StepReporter
+from dart_flight.run.shell import Shell
 from dart_flight.vehicle.clock import host_us
 
 _TICK_S: Final = 0.02
@@ -34,20 +33,16 @@ class CoreThread:
 
     Args:
         alive: feeds the deadman, called at least every 20 ms unless a step hangs.
-        lockstep: reporter of progress to a simulated world that waits for the app, or None in real time.
         after_step: callback after every step in lockstep, before the report to the world.
     """
 
     def __init__(
         self,
-        runner: CoreRunner,
+        shell: Shell,
         alive: Callable[[], None] = lambda: None,
-        lockstep: StepReporter | None = None,
         after_step: Callable[[], None] = lambda: None,
     ) -> None:
-        self._runner, self._alive = runner, alive
-        self._lockstep, self._after_step = lockstep, after_step
-        self._host_us = host_us if lockstep is None else lockstep.clock.host_us
+        self._shell, self._time, self._alive, self._after_step = shell, shell.time, alive, after_step
         self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self._owner = threading.Lock()  # the thread that holds it steps the core
         self._work: set[int] = set()  # identities of queued inputs that a world in lockstep waits for
@@ -65,12 +60,11 @@ class CoreThread:
 
     def put(self, item: Input) -> None:
         """Queue an input, from any thread, without blocking."""
-        if self._lockstep is None:
-            self._queue.put(item)
-        else:
-            self._lockstep.open()
+        self._time.open()
+        if self._time.waits:
             self._work.add(id(item))
-            self._queue.put(item)
+        self._queue.put(item)
+        if self._time.waits:
             self._step_now()
 
     def arrive(self, item: Input) -> None:
@@ -80,7 +74,7 @@ class CoreThread:
         """
         # Queue the item first: a thread that ends the batch meanwhile steps only what is in the queue.
         self._queue.put(item)
-        if self._lockstep is None or self._lockstep.completes_batch(item):
+        if self._time.completes_batch(item):
             self._step_now()
 
     def _step_now(self) -> None:
@@ -98,7 +92,7 @@ class CoreThread:
 
     @property
     def _in_haste(self) -> bool:
-        return self._pace is Pace.IMMEDIATE if self._lockstep is None else self._fault is None
+        return self._fault is None if self._time.waits else self._pace is Pace.IMMEDIATE
 
     def stop(self) -> None:
         """End the thread. After this call no thread processes a queued input."""
@@ -116,17 +110,17 @@ class CoreThread:
             if self._fault is not None:
                 raise self._fault
             # In lockstep this thread must not own the core: an input that came meanwhile would stay queued.
-            if self._lockstep is None:
+            if not self._time.waits:
                 with self._owner:
                     self._step_queued()
                     self._tick()
                 self._step_now()
 
     def _tick(self) -> None:
-        now_us = self._host_us()
+        now_us = self._time.host_us()
         if now_us - self._ticked_us >= _TICK_S * 1e6:
             self._ticked_us = now_us
-            self._runner.step(Tick(now_us))
+            self._shell.step(Tick(now_us))
 
     def _step_queued(self) -> None:
         """Step the core with the queued inputs; the caller must hold `_owner`.
@@ -137,7 +131,7 @@ class CoreThread:
         items, queued = list[Input](), self._queue
         while not queued.empty():  # only the owner removes inputs
             items.append(queued.get_nowait())
-        if len(items) > _BACKLOG and self._lockstep is None:
+        if len(items) > _BACKLOG and not self._time.waits:
             newest = {type(item): i for i, item in enumerate(items)}
             items = [
                 item
@@ -147,11 +141,11 @@ class CoreThread:
         left = len(items)
         for item in items:
             left -= 1
-            self._runner.step(item, more=left > 0)
-        self._pace = self._runner.core.pace
-        if self._lockstep is not None and items:
+            self._shell.step(item, more=left > 0)
+        self._pace = self._shell.core.pace
+        if self._time.waits and items:
             self._tick()
             self._after_step()
             work = self._work.intersection(map(id, items))
             self._work -= work
-            self._lockstep.close(items, len(work), self._pace is Pace.BATCHED)
+            self._time.close(items, len(work), self._pace is Pace.BATCHED)

@@ -7,45 +7,25 @@ always gives the same flight. `dry-run --fast`, campaigns and scripts use this w
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from dart_flight.base.records import (
-    ActuatorSample,
-    AfterImpact,
-    AttitudeSample,
     ClockOffset,
     CommandResult,
-    ContactAnswer,
-    ContactRequest,
-    EstimatorSample,
     FlightMode,
-    FrameAnchor,
-    ImuSample,
     Input,
-    LockCommand,
-    LockPermission,
     LockState,
-    OdometrySample,
     OperatorRequest,
-    Output,
     Phase,
-    PhaseChange,
-    PlanAnswer,
-    PlanRequest,
-    PosesWithheld,
     Record,
     Request,
     RoundTrip,
     Setpoint,
-    Silence,
-    StatusSample,
     StatusText,
     Tick,
     VehicleAction,
-    VehicleCommand,
-    WallEstimate,
     World,
 )
 from dart_flight.config.document import InputError
@@ -55,17 +35,18 @@ from dart_flight.core.flight_core import FlightCore
 from dart_flight.lock.drivers import DRIVERS, ActuatorLink, driver_names, make_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.lock_session import LockSession
-from dart_flight.planning.contact_fit import FIT_US, ContactFitter
-from dart_flight.planning.replanner import Replanner
 from dart_flight.recording.reader import IN_MEMORY
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fault_injection import FlightWithFault, Order, TimeRequest
 from dart_flight.run.flight_record import FlightRecord, LogPlace, Onlooker
-from dart_flight.run.runner import CoreRunner, Observe
+from dart_flight.run.planner_process import PlanItem, Planner, kinds_of_requests
+from dart_flight.run.shell import Observe, Shell
+from dart_flight.run.timing import InProcessTime, RealTime
 from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.draws import DrawnWorld, draw_world
 from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
+from dart_flight.sim.telemetry_sender import TelemetrySender
 from dart_flight.vehicle.clock import SimulatedTime
 
 if TYPE_CHECKING:
@@ -73,12 +54,7 @@ if TYPE_CHECKING:
 
 # Offset of the host's own clock, plus 1 ms for a message: the median delay of MAVSDK's callback over UDP.
 _HOST_OFFSET_US: Final = 7_001_000
-_HALF_RATE: Final = 2  # ticks: attitude, odometry, actuator outputs at 125 Hz
 _TRUTH_EVERY: Final = 2
-_STATUS_EVERY: Final = 50  # status at 5 Hz, and at once after a change
-_POSITION_SD_EVERY: Final = (
-    250  # ticks between reports of the position's standard deviation, if the estimator reports it
-)
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
 _TIMESYNC_EVERY: Final = 25  # ticks between measurements of the round trip, as in the app
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last setpoint at 20 Hz
@@ -88,40 +64,6 @@ FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
     VehicleAction.LAND: FlightMode.LAND,
 }
-
-
-class TelemetrySender:
-    """Telemetry of one simulated vehicle, at the rates of the stream table.
-
-    Only a vehicle that has just been switched on (`begins`) sends its status at once.
-    """
-
-    def __init__(self, vehicle: SimulatedVehicle, begins: bool = True) -> None:
-        self._autopilot = a = vehicle.autopilot
-        self._status: tuple[object, ...] = (
-            () if begins else (a.armed, a.mode, a.landed, a.estimator.ok, a.system_status)
-        )
-        self._resets = -1
-
-    def samples(self, ticks: int, received: int) -> Iterator[Input]:
-        """Yield the samples that are due at a tick; `received` is the host time of receipt, microseconds."""
-        a, t_us = self._autopilot, self._autopilot.time_us
-        e = a.estimator
-        if ticks % _HALF_RATE == 0:
-            # The MAVLink message has a stamp in milliseconds.
-            yield AttitudeSample(t_us // 1000 * 1000, received, e.q)
-            if e.ok:
-                yield OdometrySample(t_us, received, e.position, e.velocity)
-            yield ActuatorSample(t_us, received, a.motors)
-        yield ImuSample(a.imu.t_us, received, a.imu.specific_force_frd, a.imu.rate_frd)
-        if e.resets != self._resets or (e.position_sd_m is not None and ticks % _POSITION_SD_EVERY == 0):
-            self._resets = e.resets
-            yield EstimatorSample(t_us, received, e.resets, position_sd_m=e.position_sd_m)
-        status = (a.armed, a.mode, a.landed, e.ok, a.system_status)
-        if status != self._status or ticks % _STATUS_EVERY == 0:
-            self._status = status
-            volts = a.vehicle.simulation.battery_v
-            yield StatusSample(t_us, received, *status[:4], volts, a.battery_remaining, a.system_status)
 
 
 class _FastClock(SimulatedTime):
@@ -137,6 +79,18 @@ class _FastClock(SimulatedTime):
     def to_autopilot(self, host_time_us: int) -> int:
         """Return the autopilot's present time; `host_time_us` is ignored."""
         return self._flight.autopilot.time_us
+
+
+class _PlannerAtOnce:
+    """A planner that plans while simulated time stands still; its answers wait until they are due."""
+
+    def __init__(self, planner: Planner, time: RealTime) -> None:
+        self._planner, self._time = planner, time
+
+    def send(self, item: PlanItem) -> None:
+        answer = self._planner.take(item)
+        if answer is not None:
+            self._time.hold_answer(answer)
 
 
 class FastFlight:
@@ -170,9 +124,16 @@ class FastFlight:
         self.deadman_s = mission.vehicle.guard.deadman_s
         self._observe = observe
         self.core = FlightCore(mission)
+        # Latency of the simulated computer, independent of this computer's speed.
+        plan_us = round(true.vehicle.simulation.replan_latency_s * 1e6)
         # Every record passes here, so without a fault call the observer directly, which saves time.
         notice = self._observe_record if fault is not None else observe or (lambda record, number: None)
-        self._runner = CoreRunner(self.core, self, notice, lambda: self.host_us)
+        self._clock = _FastClock(self)
+        self.shell = Shell(self.core, self, notice, InProcessTime(self._clock, plan_us))
+        self.shell.planners = {
+            kind: _PlannerAtOnce(Planner(mission, kind), self.shell.time)
+            for kind in kinds_of_requests(mission)
+        }
         self._ticks = 0
         self._connected = False  # like the app, accept no telemetry before the first answer to a request
         self._sender = TelemetrySender(self.vehicle)
@@ -181,28 +142,22 @@ class FastFlight:
         self._last_setpoint: Setpoint | None = None
         self._repeated_us = 0
         self._lock_states: list[LockState] = []
-        replans = mission.after_impact is AfterImpact.REPLAN
-        self._replanner = Replanner(mission) if replans else None
-        self._fitter = ContactFitter(mission.vehicle)
-        # Latency of the simulated computer, independent of this computer's speed.
-        self._plan_us = round(true.vehicle.simulation.replan_latency_s * 1e6)
-        self._answers: list[tuple[int, PlanAnswer | ContactAnswer]] = []
         operator_s = true.vehicle.simulation.operator_s
         self._operator_us = None if operator_s is None else round(operator_s * 1e6)
         self._continue_us: int | None = None
         self.mock: MockDriver | None = None
         self.lock: LockSession | None = None
         if mission.vehicle.lock is not None:
-            self.lock = self._make_lock(mission.vehicle.lock, driver, world.lock_faults)
+            self.shell.lock = self.lock = self._make_lock(mission.vehicle.lock, driver, world.lock_faults)
         self.poses: FastPoses | None = None
         if mission.vehicle.mocap.url is not None:
-            self.poses = self._make_poses()
+            self.shell.poses = self.poses = self._make_poses()
         self.faulted = None if fault is None else FlightWithFault(self, fault, seed)
 
     def _make_poses(self) -> FastPoses:
         from dart_flight.run.fast_poses import FastPoses  # noqa: PLC0415  (MAVSDK takes long to load)
 
-        return FastPoses(self.mission, self.autopilot, _FastClock(self), self._arrive)
+        return FastPoses(self.mission, self.autopilot, self._clock, self._arrive)
 
     def _make_lock(self, lock: LockConfig, driver: LockDriver, faults: MockFaults | None) -> LockSession:
         def clock_us() -> int:
@@ -261,8 +216,8 @@ class FastFlight:
             self.step(Tick(self.host_us))
         while self._lock_states:
             self.step(self._lock_states.pop(0))
-        while self._answers and self._answers[0][0] <= self.host_us:
-            self.step(self._answers.pop(0)[1])
+        for answer in self.shell.due_answers():
+            self.step(answer)
         if self._continue_us is not None and self._continue_us <= self.host_us:
             self._continue_us = None
             self.step(OperatorRequest(self.host_us, Request.CONTINUE))
@@ -277,9 +232,9 @@ class FastFlight:
     def _truth(self) -> None:
         plant = self.autopilot.plant
         if self._ticks % _TRUTH_EVERY == 0:
-            self._runner.note(plant.truth())
+            self.shell.note(plant.truth())
         while plant.finished:
-            self._runner.note(plant.finished.pop(0))
+            self.shell.note(plant.finished.pop(0))
 
     def _telemetry(self) -> None:
         for item in self._sender.samples(self._ticks, self.host_us):
@@ -302,7 +257,7 @@ class FastFlight:
     def _arrive(self, item: Input) -> None:
         self._connected = self._connected or type(item) is RoundTrip
         if self._connected:
-            self._runner.step(item)
+            self.shell.step(item)
 
     def _request_time(self) -> None:
         if self.faulted is None:
@@ -313,11 +268,11 @@ class FastFlight:
     def _on_text(self, severity: str, text: str) -> None:
         self._texts.append((severity, text))
 
-    # -- inputs and commands of the core (`runner.CommandSink`) --
+    # -- inputs and commands of the core (`shell.Transport`) --
 
     def step(self, item: Input) -> None:
         """Step the core with any input: a sample, an operator's request, or an input from a fault."""
-        self._runner.step(item)
+        self.shell.step(item)
 
     def _observe_record(self, record: Record, number: int) -> None:
         if self._observe is not None:
@@ -330,45 +285,20 @@ class FastFlight:
         self._last_setpoint = setpoint
         self._transmit(setpoint)
 
-    def execute(self, output: Output) -> None:
-        if isinstance(output, VehicleCommand):
-            self._transmit(output.action)
-        elif isinstance(output, LockCommand | LockPermission):
-            self._order(output)
-        elif isinstance(output, PlanRequest) and self._replanner is not None:
-            due_us = self.host_us + self._plan_us
-            self._answer(due_us, self._replanner.answer(output, due_us))
-        elif isinstance(output, ContactRequest):
-            due_us = self.host_us + FIT_US
-            self._answer(due_us, self._fitter.answer(output, due_us))
-        elif isinstance(output, WallEstimate) and self._replanner is not None:
-            self._replanner.update_wall(output)
-        elif isinstance(output, FrameAnchor) and self._replanner is not None:
-            self._replanner.move_frame(output)
-        elif isinstance(output, PosesWithheld) and self.poses is not None:
-            self.poses.withhold(attitude_only=output.attitude_only)
-        elif isinstance(output, Silence):
-            self._last_setpoint = None
-        elif isinstance(output, PhaseChange):
-            # The simulated operator ends every pause.
-            waits = output.after is Phase.PAUSE and self._operator_us is not None
-            self._continue_us = self.host_us + (self._operator_us or 0) if waits else None
+    def act(self, action: VehicleAction) -> None:
+        self._transmit(action)
 
-    def _answer(self, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
-        self._answers.append((due_us, answer))
-        self._answers.sort(key=lambda held: held[0])
+    def enter(self, phase: Phase) -> None:
+        # The simulated operator ends every pause.
+        waits = phase is Phase.PAUSE and self._operator_us is not None
+        self._continue_us = self.host_us + (self._operator_us or 0) if waits else None
 
-    def _order(self, order: LockCommand | LockPermission) -> None:
-        if self.lock is None:
-            return
-        if isinstance(order, LockCommand):
-            self.lock.command(order.mode)
-        else:
-            self.lock.permit(order.permitted)
-
-    def forget_setpoint(self) -> None:
-        """Stop repeating the last setpoint, because the process of app and MAVSDK no longer runs."""
+    def fall_silent(self) -> None:
+        """Stop repeating the last setpoint; also when the process of app and MAVSDK no longer runs."""
         self._last_setpoint = None
+
+    def finish(self) -> None:
+        """Do nothing: the flight ends when the core has ended."""
 
     def _repeat(self) -> None:
         if self._last_setpoint is not None and self.host_us - self._repeated_us >= _REPEAT_US:

@@ -54,7 +54,7 @@ class FaultyFlight(Protocol):
     @property
     def host_us(self) -> int: ...
 
-    def forget_setpoint(self) -> None:
+    def fall_silent(self) -> None:
         """Stop repeating the last setpoint."""
 
     def deliver(self, order: Order) -> None:
@@ -112,7 +112,7 @@ class FlightWithFault:
             self._ended = True
             self._in.impairment = self._out.impairment = Impairment()
         if (self.app_dead or self.fault.name == "sigstop") and self.app_silent:
-            flight.forget_setpoint()
+            flight.fall_silent()
         for order in self._out.pop(flight.autopilot.now_s):
             flight.deliver(order)
 

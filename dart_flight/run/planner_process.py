@@ -19,6 +19,7 @@ import msgspec
 
 from dart_flight.base.processes import ChildProcess
 from dart_flight.base.records import (
+    AfterImpact,
     ContactAnswer,
     ContactRequest,
     FrameAnchor,
@@ -31,10 +32,11 @@ from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.planning.replanner import Replanner
 from dart_flight.vehicle.clock import host_us
 
+PlanItem = PlanRequest | ContactRequest | WallEstimate | FrameAnchor
 _NICE = 5  # lower priority than the flight, whose setpoints come first
 _END_S = 1.0
 # Every line begins with one of these letters. The first line gives the kind of the requests, and the mission.
-_KINDS: dict[type, bytes] = {
+_KINDS: dict[type[PlanItem], bytes] = {
     ContactRequest: b"c",
     FrameAnchor: b"a",
     PlanRequest: b"p",
@@ -62,7 +64,7 @@ class PlannerProcess:
         self._open: dict[int, PlanRequest | ContactRequest] = {}
         self.process = ChildProcess(__name__, _KINDS[kind] + msgspec.json.encode(mission), self._receive)
 
-    def send(self, item: PlanRequest | ContactRequest | WallEstimate | FrameAnchor) -> None:
+    def send(self, item: PlanItem) -> None:
         """Send without blocking. If the planner has died, an answer with a `problem` is delivered at once."""
         if isinstance(item, PlanRequest | ContactRequest):
             self._open[item.number] = item
@@ -95,29 +97,48 @@ class PlannerProcess:
             self._deliver(msgspec.structs.replace(answer, received_us=self._host_us()))
 
 
+class Planner:
+    """Plans trajectories for one mission, or fits the contacts of that mission, in the calling thread."""
+
+    def __init__(self, mission: Mission, kind: type[PlanRequest | ContactRequest]) -> None:
+        self._replanner = Replanner(mission) if kind is PlanRequest else None
+        self._fitter = ContactFitter(mission.vehicle) if kind is ContactRequest else None
+
+    def take(self, item: PlanItem) -> PlanAnswer | ContactAnswer | None:
+        """Return the answer to a request; take note of a wall's estimate or of a new frame."""
+        if self._fitter is not None:
+            return self._fitter.answer(item, 0) if isinstance(item, ContactRequest) else None
+        assert self._replanner is not None
+        if isinstance(item, PlanRequest):
+            return self._replanner.answer(item, 0)
+        if isinstance(item, WallEstimate):
+            self._replanner.update_wall(item)
+        elif isinstance(item, FrameAnchor):
+            self._replanner.move_frame(item)
+        return None
+
+
+def kinds_of_requests(mission: Mission) -> list[type[PlanRequest | ContactRequest]]:
+    """Return the kinds of requests that the core makes on this mission."""
+    kinds = list[type[PlanRequest | ContactRequest]]()
+    if mission.walls:
+        kinds.append(ContactRequest)
+    if mission.after_impact is AfterImpact.REPLAN:
+        kinds.append(PlanRequest)
+    return kinds
+
+
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests until their stream ends; its first line has the requests' kind and the mission."""
     first = requests.readline()
-    mission = msgspec.json.decode(first[1:], type=Mission)
-    plans = first.startswith(_KINDS[PlanRequest])
-    replanner = Replanner(mission) if plans else None
-    fitter = None if plans else ContactFitter(mission.vehicle)
+    kind = PlanRequest if first.startswith(_KINDS[PlanRequest]) else ContactRequest
+    planner = Planner(msgspec.json.decode(first[1:], type=Mission), kind)
     kinds = {letter: kind for kind, letter in _KINDS.items()}
     for line in requests:
-        item: object = msgspec.json.decode(line[1:], type=kinds[line[:1]])
-        answer: PlanAnswer | ContactAnswer
-        if isinstance(item, ContactRequest) and fitter is not None:
-            answer = fitter.answer(item, 0)
-        elif isinstance(item, PlanRequest) and replanner is not None:
-            answer = replanner.answer(item, 0)
-        else:
-            if isinstance(item, WallEstimate) and replanner is not None:
-                replanner.update_wall(item)
-            elif isinstance(item, FrameAnchor) and replanner is not None:
-                replanner.move_frame(item)
-            continue
-        answers.write(msgspec.json.encode(answer) + b"\n")
-        answers.flush()
+        answer = planner.take(msgspec.json.decode(line[1:], type=kinds[line[:1]]))
+        if answer is not None:
+            answers.write(msgspec.json.encode(answer) + b"\n")
+            answers.flush()
 
 
 if __name__ == "__main__":

@@ -27,8 +27,8 @@ from dart_flight.lock.ground import GroundLock, clock_us, ground_driver
 from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.persistence import CommandStore, ServoInUseError, load_last
 from dart_flight.lock.state_machine import describe, status_text
-from dart_flight.run.app import LockThread
 from dart_flight.run.deadman import SystemdNotice
+from dart_flight.run.lock_thread import LockThread
 from dart_flight.run.operator_buttons import (
     CANCELLED,
     Button,
@@ -289,7 +289,7 @@ class Standby:
 
         link = ActuatorLink(session.set_actuator, self._url)
         with ground_driver(config, load_last(), link, lasting=True) as driver:
-            lock = LockThread(make_session, lambda: True, handle, lambda: None)
+            lock = LockThread(make_session, lambda: True, handle)
             lock.thread.start()
             try:
                 yield lock
@@ -324,7 +324,7 @@ class Standby:
 
     def _move(self, mode: Mode) -> None:
         if self._lock is not None:
-            self._lock.put(LockCommand(clock_us(), mode))
+            self._lock.obey(LockCommand(clock_us(), mode))
 
     # -- handing the link over --
 

@@ -213,7 +213,7 @@ class AppFlight:
 
     def end(self, outcome: Outcome = Outcome.COMPLETED) -> None:
         """End the mission."""
-        self.app.execute(MissionEnd(1, outcome, None, None))
+        self.app.shell.execute(MissionEnd(1, outcome, None, None))
 
     async def run(self, script: Callable[[AppFlight], Awaitable[None]]) -> None:
         """Run the app; run the script once the app has subscribed, and then end the mission."""

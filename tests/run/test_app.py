@@ -43,7 +43,8 @@ from dart_flight.base.records import (
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.state_machine import status_text
 from dart_flight.run import app as module
-from dart_flight.run.app import AppOptions, LockThread
+from dart_flight.run.app import AppOptions
+from dart_flight.run.lock_thread import LockThread
 from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.vehicle_session import NoAnswerError
@@ -61,7 +62,7 @@ SETPOINT = Setpoint(1, 1, (0.0, 0.0, -1.0), 0.0)
 @pytest.mark.parametrize("problem", ["", "DENIED"])
 def test_the_result_of_a_vehicle_action_is_passed_to_the_core(fly_app: FlyApp, problem: str) -> None:
     async def script(flight: AppFlight) -> None:
-        flight.app.execute(VehicleCommand(1, VehicleAction.LAND))
+        flight.app.shell.execute(VehicleCommand(1, VehicleAction.LAND))
         await flight.has(1, CommandResult)
         assert flight.session.calls == [VehicleAction.LAND]
 
@@ -75,7 +76,7 @@ def test_silence_and_the_mission_end_silence_the_session_and_only_the_end_ends_t
     fly_app: FlyApp, last: Output
 ) -> None:
     async def script(flight: AppFlight) -> None:
-        flight.app.execute(last)
+        flight.app.shell.execute(last)
         assert flight.session.calls == ["silence"]
         await asyncio.sleep(0.1)
         ended.append("core" not in {thread.name for thread in threading.enumerate()})
@@ -102,7 +103,7 @@ def test_a_setpoint_is_sent_at_once_and_a_failure_is_reported_once(fly_app: FlyA
 
 def test_every_phase_is_sent_to_the_ground_station(fly_app: FlyApp) -> None:
     async def script(flight: AppFlight) -> None:
-        flight.app.execute(PhaseChange(1, Phase.CLIMB, Phase.TRANSIT, "arrived", 1))
+        flight.app.shell.execute(PhaseChange(1, Phase.CLIMB, Phase.TRANSIT, "arrived", 1))
         await until(lambda: flight.session.calls, "the text")
 
     assert fly_app(script).session.texts == ["phase transit"]
@@ -138,7 +139,7 @@ def test_each_planner_lives_as_long_as_the_flight_and_gets_its_requests(
 
     async def script(flight: AppFlight) -> None:
         for output in (PLAN, ESTIMATE, CONTACT):
-            flight.app.execute(output)
+            flight.app.shell.execute(output)
         for planner in planners.values():
             planner.stop.assert_not_called()
         if PlanRequest in planners:
@@ -171,12 +172,10 @@ class Lock:
     def start(self) -> None:
         self.calls.append("start")
 
-    def command(self, mode: Mode) -> None:
-        self.calls.append(mode)
-        self._keep(LockState(1, LockPhase.SETTLED, mode))
-
-    def permit(self, permitted: bool) -> None:
-        self.calls.append(permitted)
+    def obey(self, order: LockCommand | LockPermission) -> None:
+        self.calls.append(order)
+        if isinstance(order, LockCommand):
+            self._keep(LockState(1, LockPhase.SETTLED, order.mode))
 
     def poll(self) -> None:
         """Do nothing."""
@@ -191,16 +190,17 @@ def test_the_lock_is_created_only_once_the_autopilots_clock_is_known() -> None:
         created.append(Lock(keep))
         return created[0]
 
-    thread = LockThread(make, known.is_set, delivered.append, lambda: None)
+    thread = LockThread(make, known.is_set, delivered.append)
     thread.thread.start()
-    thread.put(LockCommand(1, Mode.RIGID))
-    thread.put(LockPermission(2, False))
+    orders: list[LockCommand | LockPermission] = [LockCommand(1, Mode.RIGID), LockPermission(2, False)]
+    for order in orders:
+        thread.obey(order)
     assert not created
     known.set()
     wait_until(lambda: created and len(created[0].calls) == 3, 5.0, "the orders")
     thread.stop()
     assert not thread.thread.is_alive()
-    assert created[0].calls == ["start", Mode.RIGID, False]
+    assert created[0].calls == ["start", *orders]
     assert [state.mode for state in delivered] == [Mode.RIGID]
 
 
@@ -225,8 +225,8 @@ def test_lock_commands_move_the_servo_and_the_simulated_arms_unless_the_driver_d
 
     async def script(flight: AppFlight) -> None:
         await until(lambda: settled(flight) == [Mode.FLEXIBLE], "homing")
-        flight.app.execute(LockPermission(1, True))
-        flight.app.execute(LockCommand(2, Mode.RIGID))
+        flight.app.shell.execute(LockPermission(1, True))
+        flight.app.shell.execute(LockCommand(2, Mode.RIGID))
         await until(lambda: settled(flight) == [Mode.FLEXIBLE, Mode.RIGID], "locking")
         assert (flight.app.mock is not None) is (driver is LockDriver.MOCK)
 
@@ -296,7 +296,7 @@ def test_systemd_is_notified_of_start_and_end_and_no_task_survives_the_flight(
     async def script(flight: AppFlight) -> None:
         assert signal.getsignal(signal.SIGTERM) != before  # in flight a signal must land, not end the program
         own = asyncio.all_tasks()
-        flight.app.execute(VehicleCommand(1, VehicleAction.LAND))  # still unanswered at the end
+        flight.app.shell.execute(VehicleCommand(1, VehicleAction.LAND))  # still unanswered at the end
         await until(lambda: asyncio.all_tasks() - own, "the action's task")
         tasks.update(asyncio.all_tasks() - own)
 

@@ -24,15 +24,18 @@ from dart_flight.base.records import (
     Silence,
     StatusSample,
     Tick,
+    VehicleAction,
+    VehicleCommand,
 )
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.pace import Pace
 from dart_flight.run import core_thread as module
 from dart_flight.run.core_thread import CoreThread
-from dart_flight.run.runner import CoreRunner
-from dart_flight.run.step_reporter import StepReporter
+from dart_flight.run.shell import Shell
+from dart_flight.run.timing import LockstepTime, RealTime
 from dart_flight.vehicle.clock import host_us
 from tests.real_time import wait_until
+from tests.run.recorded_commands import RecordedCommands
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
@@ -65,18 +68,13 @@ C = TypeVar("C", bound=SteppedCore)
 class Harness(Generic[C]):
     """A core thread whose sent setpoints, executed outputs and observed records are kept in order."""
 
-    def __init__(self, core: C, lockstep: StepReporter | None = None) -> None:
+    def __init__(self, core: C, time: RealTime | None = None) -> None:
         self.core = core
         self.turns = 0
-        self.actions: list[tuple[str, Record]] = []
         self.observed: list[tuple[Record, int]] = []
-        self.thread = CoreThread(CoreRunner(core, self, self._observe, host_us), self._alive, lockstep)
-
-    def send(self, setpoint: Setpoint) -> None:
-        self.actions.append(("send", setpoint))
-
-    def execute(self, output: Output) -> None:
-        self.actions.append(("execute", output))
+        self.transport = RecordedCommands()
+        self.shell = Shell(core, self.transport, self._observe, time or RealTime())
+        self.thread = CoreThread(self.shell, self._alive)
 
     def _observe(self, record: Record, number: int) -> None:
         self.observed.append((record, number))
@@ -311,7 +309,7 @@ def test_the_core_thread_is_woken_once_when_the_immediate_pace_ends(
 
 def test_in_lockstep_the_core_thread_only_reports_that_it_is_alive() -> None:
     """The thread that delivers the last sample of a batch steps the whole batch."""
-    reporter = StepReporter(lambda line: None)
+    reporter = LockstepTime(lambda line: None, 0)
     reporter.begin()
     harness = Harness(WatchedCore(), reporter)
     harness.thread.thread.start()
@@ -357,34 +355,34 @@ def setpoint_at(t_us: int, recovery: bool = False) -> Setpoint:
     return Setpoint(t_us, t_us, (0.0, 0.0, -1e-6 * t_us), 0.0, recovery=recovery)
 
 
-PERMISSION, SILENCE = LockPermission(8, True), Silence(8, "a pilot flies")
+LAND, SILENCE = VehicleCommand(8, VehicleAction.LAND), Silence(8, "a pilot flies")
 
 
 @pytest.mark.parametrize(
-    ("outputs", "actions"),
+    ("outputs", "calls"),
     [
         # Only the newest setpoint of a turn is sent, before a later output is executed.
-        ([[setpoint_at(4)], [setpoint_at(8)], [setpoint_at(12)]], [("send", setpoint_at(12))]),
-        ([[setpoint_at(4)], [PERMISSION], []], [("send", setpoint_at(4)), ("execute", PERMISSION)]),
-        ([[PERMISSION, setpoint_at(4)]], [("send", setpoint_at(4)), ("execute", PERMISSION)]),
+        ([[setpoint_at(4)], [setpoint_at(8)], [setpoint_at(12)]], [setpoint_at(12)]),
+        ([[setpoint_at(4)], [LAND], []], [setpoint_at(4), VehicleAction.LAND]),
+        ([[LAND, setpoint_at(4)]], [setpoint_at(4), VehicleAction.LAND]),
         # A recovery setpoint is sent at once and replaces a waiting one.
-        ([[setpoint_at(4)], [setpoint_at(8, recovery=True)], []], [("send", setpoint_at(8, recovery=True))]),
+        ([[setpoint_at(4)], [setpoint_at(8, recovery=True)], []], [setpoint_at(8, recovery=True)]),
         # None is sent once silence is decided, whether or not more inputs follow.
-        ([[setpoint_at(4)], [SILENCE]], [("execute", SILENCE)]),
-        ([[setpoint_at(4)], [SILENCE], []], [("execute", SILENCE)]),
+        ([[setpoint_at(4)], [SILENCE]], ["silence"]),
+        ([[setpoint_at(4)], [SILENCE], []], ["silence"]),
     ],
 )
 def test_the_outputs_of_a_turn_are_sent_and_executed_in_order_and_all_are_logged(
-    outputs: list[list[Output]], actions: list[tuple[str, Output]]
+    outputs: list[list[Output]], calls: list[object]
 ) -> None:
     """The inputs are queued before the thread starts, so one turn steps them all."""
     items: list[Input] = [attitude(4 * (i + 1)) for i in range(len(outputs))]
     answers = dict(zip(items, outputs, strict=True))
     harness = Harness(SteppedCore(lambda item: answers.get(item, [])))
     harness.run(items)
-    assert harness.actions == actions
+    assert harness.transport.calls == calls
     logged = [
-        record for record, _ in harness.observed if isinstance(record, Setpoint | LockPermission | Silence)
+        record for record, _ in harness.observed if isinstance(record, Setpoint | VehicleCommand | Silence)
     ]
     assert sorted(map(str, logged)) == sorted(str(one) for step in outputs for one in step)
 

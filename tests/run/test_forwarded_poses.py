@@ -64,9 +64,9 @@ def test_poses_go_to_px4_until_the_core_withholds_them(fly_app: FlyApp, source: 
     async def script(flight: AppFlight) -> None:
         assert source.deliver is not None
         source.deliver(POSE)
-        flight.app.execute(PosesWithheld(1, "turned", attitude_only=True))
+        flight.app.shell.execute(PosesWithheld(1, "turned", attitude_only=True))
         source.deliver(POSE._replace(source_us=500_000))
-        flight.app.execute(PosesWithheld(1, "another body"))
+        flight.app.shell.execute(PosesWithheld(1, "another body"))
         source.deliver(POSE._replace(source_us=1_000_000))
         await flight.has(3, PoseSample)
 

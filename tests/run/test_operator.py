@@ -37,7 +37,7 @@ def test_the_land_button_does_not_count_as_a_first_ctrl_c(fly_app: FlyApp) -> No
             assert flight.session.press(Button.LAND) == (Result.ACCEPTED, "landing")
         flight.app.stop()
         assert flight.session.press(Button.CONTINUE)[0] is Result.DENIED
-        flight.app.execute(PhaseChange(1, Phase.WAYPOINT, Phase.PAUSE, ""))
+        flight.app.shell.execute(PhaseChange(1, Phase.WAYPOINT, Phase.PAUSE, ""))
         assert flight.session.press(Button.CONTINUE)[0] is Result.ACCEPTED
         await flight.has(4)
 

@@ -38,10 +38,7 @@ from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.guard import Guard
 from dart_flight.core.pace import Pace
 from dart_flight.run.app import AppOptions, FlightApp
-from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.flight_record import FlightRecord
-from dart_flight.run.runner import CoreRunner
-from dart_flight.vehicle.clock import host_us
 from tools.bench.impact_source import MISSION, Record, free_udp_port
 
 IMPACTS = 500
@@ -174,7 +171,7 @@ async def _run_app(
 
     app = FlightApp(mission, f"udpin://127.0.0.1:{port}", record, AppOptions(progress))
     core = RepeatingCore(mission, impacts)
-    app._core = CoreThread(CoreRunner(core, app, app._observe_record, host_us))
+    app.shell.core = core
     flying = asyncio.create_task(app.run())
     # The core is stepped on another thread, so poll it.
     while not core.recoveries and not flying.done():  # noqa: ASYNC110

@@ -27,10 +27,7 @@ import msgspec
 from dart_flight.base.records import World
 from dart_flight.config.mission import Mission
 from dart_flight.run.app import AppOptions, FlightApp
-from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.flight_record import FlightRecord
-from dart_flight.run.runner import CoreRunner
-from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.vehicle_session import connect
 from tools.bench import alone
 from tools.bench.impact_source import free_udp_port
@@ -95,7 +92,7 @@ async def whole_app(mission: Mission, url: str, seconds: float) -> Shares:
         record = FlightRecord(mission, World.EMBEDDED, None, Path(folder))
         app = FlightApp(mission, url, record, AppOptions(deadman_note=Path(folder) / "deadman.txt"))
         core = RepeatingCore(mission, 1)
-        app._core = CoreThread(CoreRunner(core, app, app._observe_record, host_us), lambda: app._feed(b"c"))
+        app.shell.core = core
         flying = asyncio.create_task(app.run())
         await asyncio.sleep(_LEAD_S)
         shares = await _measure(seconds, lambda: {"deadman (process)": _process_seconds(app)})

@@ -27,10 +27,13 @@ from dart_flight.base.records import (
     Tick,
 )
 from dart_flight.core.pace import BATCH_S, Pace
+from dart_flight.planning.contact_fit import FIT_US
 from dart_flight.run.core_thread import CoreThread
-from dart_flight.run.runner import CoreRunner
-from dart_flight.run.step_reporter import StepReporter
+from dart_flight.run.shell import Shell
+from dart_flight.run.timing import InProcessTime, LockstepTime, RealTime
 from dart_flight.sim.pipe import Stepped
+from dart_flight.vehicle.clock import Clock, SimulatedTime
+from tests.run.recorded_commands import RecordedCommands
 
 ORIGIN = (0.0, 0.0, 0.0)
 BATCH_US = round(1e6 * BATCH_S)
@@ -41,9 +44,15 @@ class Reports:
 
     def __init__(self) -> None:
         self.lines: list[bytes] = []
-        self.reporter = StepReporter(self.lines.append)
+        self.reporter = LockstepTime(self.lines.append, 60_000)
         assert not self.lines, "the world does not wait before the streams are requested"
         self.reporter.begin()
+
+    @property
+    def clock(self) -> Clock:
+        """The simulated time."""
+        assert self.reporter.clock is not None
+        return self.reporter.clock
 
     @property
     def last(self) -> Stepped:
@@ -56,6 +65,12 @@ def imu(t_us: int) -> ImuSample:
 
 def request(number: int, t_us: int, begin_us: int) -> PlanRequest:
     return PlanRequest(t_us, number, begin_us, None, ORIGIN, ORIGIN, ORIGIN, ORIGIN, None)
+
+
+def contact_request(number: int) -> ContactRequest:
+    onset = ImpactOnset(90_000, 90_000, 0, ORIGIN, ORIGIN, ORIGIN)
+    placed = ((1.0, 0.0), None, 0.0, (0.0, 0.0), 0.1, (0.1, 0.1, 0.1))
+    return ContactRequest(100_000, number, onset, None, *placed)
 
 
 def test_stepped_samples_are_reported_by_the_newest_stamp_of_their_stream() -> None:
@@ -110,9 +125,9 @@ def test_a_failed_command_is_no_longer_open() -> None:
 
 def test_a_plan_is_due_after_its_latency_or_just_before_its_trajectory_begins() -> None:
     reports = Reports()
-    clock = reports.reporter.clock
-    reports.reporter.open_request(request(1, 100_000, 300_000), 60_000)
-    reports.reporter.open_request(request(2, 100_000, 160_000), 60_000)
+    clock = reports.clock
+    reports.reporter.open_request(request(1, 100_000, 300_000))
+    reports.reporter.open_request(request(2, 100_000, 160_000))
     reports.reporter.close([imu(100_000)], 0, False)
     assert reports.last.plan_due_us == 120_000
     for number in (1, 2):
@@ -128,17 +143,15 @@ def test_a_plan_is_due_after_its_latency_or_just_before_its_trajectory_begins() 
 
 def test_a_contact_fit_and_a_plan_of_the_same_number_are_awaited_separately() -> None:
     reports = Reports()
-    clock = reports.reporter.clock
-    onset = ImpactOnset(90_000, 90_000, 0, ORIGIN, ORIGIN, ORIGIN)
-    contact = ContactRequest(100_000, 1, onset, None, (1.0, 0.0), None, 0.0, (0.0, 0.0), 0.1, (0.1, 0.1, 0.1))
-    reports.reporter.open_request(contact, 50_000)
-    reports.reporter.open_request(request(1, 100_000, 300_000), 60_000)
+    clock = reports.clock
+    reports.reporter.open_request(contact_request(1))
+    reports.reporter.open_request(request(1, 100_000, 300_000))
     reports.reporter.close([imu(100_000)], 0, False)
-    assert reports.last.plan_due_us == 150_000
+    assert reports.last.plan_due_us == 100_000 + FIT_US
     plan, fit = PlanAnswer(0, 1, 0), ContactAnswer(0, 1)
     reports.reporter.hold_answer(plan)
     reports.reporter.hold_answer(fit)
-    clock.receive(150_000, 0)
+    clock.receive(100_000 + FIT_US, 0)
     assert reports.reporter.due_answers() == [fit]
     reports.reporter.close([fit], 0)
     assert reports.last.plan_due_us == 160_000
@@ -162,7 +175,7 @@ def test_samples_are_not_batched_near_a_wall_or_while_the_planner_works() -> Non
     reports = Reports()
     reports.reporter.close([imu(4_000)], 0, False)
     assert reports.last.batch_us == 0
-    reports.reporter.open_request(request(1, 4_000, 100_000), 60_000)
+    reports.reporter.open_request(request(1, 4_000, 100_000))
     reports.reporter.close([imu(8_000)], 0, True)
     assert reports.last.batch_us == 0
     assert reports.reporter.completes_batch(OdometrySample(9_000, 1, ORIGIN, ORIGIN))
@@ -177,7 +190,7 @@ def test_a_setpoint_is_reported_with_none_for_missing_components() -> None:
 
 def test_poses_are_reported_by_frame_number_and_as_forwarded() -> None:
     lines: list[bytes] = []
-    reporter = StepReporter(lines.append, batches=False)
+    reporter = LockstepTime(lines.append, 0, batches=False)
     reporter.begin()
     pose = PoseSample(8_000, 8_000, "dart", True, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), frame_number=7)
     reporter.sent_pose((2.0, 1.0, -3.0))
@@ -215,18 +228,12 @@ class Thread(Reports):
     def __init__(self, pace: Pace) -> None:
         super().__init__()
         self.core = CountingCore(pace)
-        runner = CoreRunner(self.core, self, lambda record, number: None, self.reporter.clock.host_us)
-        self.thread = CoreThread(runner, lockstep=self.reporter)
-
-    def send(self, setpoint: Setpoint) -> None:
-        """Ignore the setpoint (part of `CommandSink`)."""
-
-    def execute(self, output: Output) -> None:
-        """Ignore the output (part of `CommandSink`)."""
+        shell = Shell(self.core, RecordedCommands(), lambda record, number: None, self.reporter)
+        self.thread = CoreThread(shell)
 
     def arrive(self, item: ImuSample | OdometrySample) -> None:
         """Deliver a sample like the session, which updates the clock first."""
-        self.reporter.clock.receive(item.t_us, item.received_us)
+        self.clock.receive(item.t_us, item.received_us)
         self.thread.arrive(item)
 
 
@@ -259,7 +266,7 @@ def test_no_input_stays_queued_because_the_core_thread_turns_its_rounds(deliver:
     flight.thread.thread.start()
     try:
         for t_us in range(4_000, 4_000 * 3_000, 4_000):
-            flight.reporter.clock.receive(t_us, t_us)
+            flight.clock.receive(t_us, t_us)
             getattr(flight.thread, deliver)(imu(t_us))
             assert flight.core.stepped[-1] == imu(t_us)
     finally:
@@ -293,3 +300,20 @@ def test_an_input_that_raises_in_the_core_is_never_reported_as_stepped() -> None
     reports.core.step = fail  # type: ignore[method-assign]
     reports.arrive(imu(4_000))
     assert reports.last.streams == {}
+
+
+def test_an_answer_is_due_at_once_in_real_time_and_after_its_latency_in_process() -> None:
+    real, clock = RealTime(), SimulatedTime()
+    in_process = InProcessTime(clock, plan_us=60_000)
+    plan, fit = PlanAnswer(0, 1, 0), ContactAnswer(0, 1)
+    clock.receive(100_000, 0)
+    for time in (real, in_process):
+        time.open_request(request(1, 100_000, 300_000))
+        time.open_request(contact_request(1))
+        time.hold_answer(plan)
+        time.hold_answer(fit)
+    assert real.due_answers() == [plan, fit]
+    clock.receive(100_000 + FIT_US, 0)
+    assert in_process.due_answers() == [fit]
+    clock.receive(160_000, 0)
+    assert in_process.due_answers() == [plan]
