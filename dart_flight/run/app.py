@@ -202,8 +202,8 @@ class FlightApp:
             self._session = session
             unanswered = await session.measure_link(timeout_s)
             if unanswered:
-                says = f"the vehicle sends telemetry but does not answer requests: {', '.join(unanswered)}"
-                raise NoAnswerError(says, source=self._url)
+                message = f"the vehicle sends telemetry but does not answer requests: {', '.join(unanswered)}"
+                raise NoAnswerError(message, source=self._url)
             if driver is not None and self._mission.vehicle.lock is not None:
                 self.shell.lock = self._lock = self._make_lock(driver, self._mission.vehicle.lock)
             planners = {

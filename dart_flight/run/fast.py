@@ -183,8 +183,8 @@ class FastFlight:
             self.tick()
         silent = self.faulted is not None and self.faulted.app_silent
         if self.core.end is None and not (self._orphaned or silent):
-            says = f"the simulated flight did not end within {limit_s:.0f} s of simulated time"
-            self.step(OperatorRequest(self.host_us, Request.WORLD_DIED, says))
+            message = f"the simulated flight did not end within {limit_s:.0f} s of simulated time"
+            self.step(OperatorRequest(self.host_us, Request.WORLD_DIED, message))
 
     @property
     def _orphaned(self) -> bool:

@@ -92,8 +92,8 @@ def with_simulated_mocap(
     kind = None if kind == NO_MOCAP else kind
     if kind is not None and kind not in KINDS:
         known = ", ".join(KINDS)
-        says = f"{kind!r}: a simulated vehicle needs an emulated motion capture, one of {known}"
-        raise InputError(says, key=("--mocap",))
+        message = f"{kind!r}: a simulated vehicle needs an emulated motion capture, one of {known}"
+        raise InputError(message, key=("--mocap",))
     if kind is not None and not simulated_source(mission) is source is PositionSource.MOCAP:
         raise InputError("this vehicle's position comes from GPS", key=("--mocap",))
     url = None if kind is None else f"{kind}://127.0.0.1/{BODY}"  # the emulated server has a port of its own

@@ -131,8 +131,8 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
     try:
         core = FlightCore(mission)
     except NoApproachError as error:
-        says = f"the mission cannot be flown with these settings: {error}"
-        raise InputError(says, source=log.source) from None
+        message = f"the mission cannot be flown with these settings: {error}"
+        raise InputError(message, source=log.source) from None
     if exact is None:
         exact = log.about.get("machine") == machine()
     inputs = [(e.number, e.record) for e in log.entries if isinstance(e.record, INPUTS)]
