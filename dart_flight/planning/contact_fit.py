@@ -1,6 +1,7 @@
 """Fit of the contact law to the readings of one contact.
 
-The fit estimates the wall's coefficients, the wall's plane and the arms' mode.
+The fit estimates the wall's coefficients, the wall's plane and the arms' mode. It steps the law itself,
+because the measured rotation loads two guards unequally, for which the law of a point has no closed form.
 
 Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
 positive if the vehicle is turned left. Each side of the vehicle has a right guard (g = 1) and a left guard

@@ -13,7 +13,8 @@ no correction. The anti-alias filter delays the pulse by its lag and lowers the 
 only if the model is below the bound. Friction is -mu F v_t, and the tangential velocity v_t decays with the
 impulse. The mean friction over a tick follows from the change of v_t.
 
-The impact detector uses this module once per impact, for some tens of samples. It needs scalar floats only.
+The impact detector uses this module once per impact, for some tens of samples. The module has its own closed
+form and Gauss-Newton steps in scalar floats, because the core's step may not wait for array functions.
 """
 
 from __future__ import annotations
