@@ -44,6 +44,7 @@ from dart_flight.contact.contact_map import friction_per_speed
 from dart_flight.contact.law import Onset
 from dart_flight.contact.oscillator import Oscillation, begin_contact, find_contact_times, time_of_drop
 from dart_flight.core.mission.position_loop import PositionLoop
+from dart_flight.core.mission.recovery import recovery_offset
 from dart_flight.core.sense.detector import PEAK_DROP_FRACTION
 
 Array = NDArray[np.float64]
@@ -213,7 +214,7 @@ class ContactStage:
         At the onset, v is the velocity along the wall, a the acceleration and i the velocity loop's integral.
         """
         friction = -s.friction_v * v
-        setpoint = s.distance_to_peak * v - self.alphas[1] * friction
+        setpoint = s.distance_to_peak * v + recovery_offset((0.0, friction), self.alphas)[1]
         (aa, ai, a_s), (_, ii, i_s) = self._ends
         return TangentialOut(
             s.distance * v,
@@ -293,7 +294,7 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
     start[1, 0] = start[2, 1] = start[3, 2] = 1.0
     at_peak = to_peak @ start
     force = -c.k * at_peak[0] - c.f * at_peak[1]
-    setpoint = at_peak[0] + stage.alphas[0] * force
+    setpoint = at_peak[0] + recovery_offset((force, 0.0), stage.alphas)[0]
     engaged = to_engaged @ start
     engaged[4] = setpoint
     end = rest @ engaged

@@ -22,6 +22,7 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.mission_file import GoalSpec, MotionState, TrajectoryPieces
 from dart_flight.core.mission.approach import TransitSegment, transit_segments
 from dart_flight.core.mission.planned_impact import expected_hit
+from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.flight_model import FreeFlight
 from dart_flight.planning.rollout import (
@@ -189,28 +190,26 @@ def _add_written(planned: PredictedFlight, mission: Mission, group: Sequence[Col
         return
     for i, collision in enumerate(group):
         assert collision.predicted is not None
-        predicted, wall = collision.predicted, collision.wall
+        predicted = collision.predicted
         hit = expected_hit(mission, collision)
         friction_n = (
             0.0 if hit is None else -math.copysign(hit.peak_friction_force_n, predicted.tangential_m_s)
         )
-        (nx, ny), (tx, ty), (x, y) = wall.normal, wall.tangent, predicted.position_m
-        away = collision.alpha_normal_m_per_n * predicted.peak_force_n
-        onward = -collision.alpha_tangential_m_per_n * friction_n
-        setpoint = (x + nx * away + tx * onward, y + ny * away + ty * onward)
+        alphas = (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n)
+        peaks = (predicted.peak_force_n, friction_n)
         planned.hits[collision.index] = PredictedImpact(
-            (x, y),
+            predicted.position_m,
             predicted.normal_m_s,
             predicted.tangential_m_s,
             predicted.peak_force_n,
             friction_n,
-            setpoint,
+            recovery_point(predicted.position_m, collision.wall.normal, peaks, alphas),
         )
         last = collision is mission.collisions[-1]
         following = mission.goal_trajectory if last else group[i + 1].trajectory if group[i + 1 :] else None
         if following is not None:
             rows = [(*state.position, *state.velocity) for state in _sampled(following)]
-            planned.legs[collision.index] = np.array([(x, y, 0.0, 0.0), *rows])
+            planned.legs[collision.index] = np.array([(*predicted.position_m, 0.0, 0.0), *rows])
     if group[-1] is mission.collisions[-1] and mission.recovers_to_goal and mission.predicted is not None:
         planned.goal_miss_m = mission.predicted.goal_miss_m
 

@@ -129,15 +129,14 @@ class ImpactResponse:
         if progress.phase is not Phase.CONTACT or collision is None:
             return NO_CHANGE
         point = recovery_point(
-            event.position_mission,
+            event.position_mission[:2],
             event.normal,
-            (event.normal_force_n, event.tangential_force_n),
+            (max(0.0, event.normal_force_n), event.tangential_force_n),
             (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n),
-            course.altitude_m,
         )
         if collision.probe is not None:
             away, (px, py, _), (nx, ny) = collision.probe.back_m, event.position_mission, event.normal
-            point = (px + away * nx, py + away * ny, course.altitude_m)
+            point = (px + away * nx, py + away * ny)
         course = course.hold(point)
         assert state.frame is not None
         trigger = SetpointTrigger(event.detected_us, event.received_us, recovery=True)
