@@ -19,7 +19,7 @@ from dart_flight.base.records import (
     Override,
     RoundTrip,
 )
-from dart_flight.base.streams import BY_NAME
+from dart_flight.base.streams import BY_NAME, leaps
 from dart_flight.config.vehicle.flying import GuardThresholds
 from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.sense.state import FlightState
@@ -34,7 +34,6 @@ _OTHERS_SINCE: Final = 12  # samples of all other streams together; they arrive 
 _GAP_US: Final = 500_000  # silence in which an announcement of PX4 may have been lost
 _GAP_MEMORY_US: Final = 3_000_000  # a gap explains a mode change for this long
 _RATE_WINDOW_US: Final = 1_000_000
-_LEAP_US: Final = 1_000_000
 _SHARE: Final = 0.15  # limit for the share of late samples; a batch after a pause counts as no time
 _SHARE_US: Final = 1_000_000
 _FORGOTTEN: Final = 0.01  # share below which earlier late samples no longer matter
@@ -139,7 +138,7 @@ class StreamWatch:
         if lag_us > STAMP_TOLERANCE_S * 1e6:
             self.stale[name] = self.stale.get(name, 0) + 1
             return
-        if -lag_us > _LEAP_US:  # not accepted yet: from another vehicle, or after a clock jump
+        if leaps(-lag_us):  # not accepted yet: from another vehicle, or after a clock jump
             return
         if self.stale:
             self.stale.pop(name, None)
