@@ -456,14 +456,14 @@ class ContactFitter:
         fits = fit.run()
         if not all(math.isfinite(h.evidence) for h in fits):
             raise ValueError("no solution")
-        odds, felt = 0.0, None
+        odds, sure = 0.0, None
         if len(fits) == len(Mode):  # a vehicle without a lock has one mode and no odds
             misfit = min(h.misfit for h in fits)
             odds = (fits[0].evidence - fits[1].evidence) / max(1.0, misfit)
             if abs(odds) >= SURE_LOG_ODDS and misfit <= _MAX_MISFIT:
-                felt = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
+                sure = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
         likely = Mode.RIGID if odds > 0.0 else modes[-1]
-        mode = felt or reported or likely
+        mode = sure or reported or likely
         index = modes.index(mode)
         found, onset, wall = fits[index], request.onset, request.wall
         lead = 2.0 * self._vehicle.airframe.guard_along_m * math.sin(found.incidence_rad)
@@ -490,7 +490,7 @@ class ContactFitter:
         (x, y, _), (vx, vy, _), away = onset.position_mission, onset.velocity_mission, found.place_m
         estimate = msgspec.structs.replace(
             undecided(request, wall, self._vehicle),
-            mode_felt=felt,
+            mode_felt=sure,
             log_odds=odds,
             incidence_rad=found.incidence_rad,
             incidence_sigma_rad=found.incidence_sd,
@@ -583,13 +583,17 @@ class ContactFitter:
             )
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
-    def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
-        """Return the configured material with the coefficients nearest to `felt`, or None if all are far."""
+    def _likely_material(self, belief: Belief, mode: Mode) -> str | None:
+        """Return the material whose coefficients are nearest to `belief`, or None if all are far."""
         spread2 = self._vehicle.estimation.walls.spread**2
 
         def misfit(name: str) -> float:
             c = self._vehicle.materials[name].coefficients(mode)
-            pairs = ((felt.k, felt.k_sd, c.k), (felt.f, felt.f_sd, c.f), (felt.mu, felt.mu_sd, c.mu))
+            pairs = (
+                (belief.k, belief.k_sd, c.k),
+                (belief.f, belief.f_sd, c.f),
+                (belief.mu, belief.mu_sd, c.mu),
+            )
             return sum(math.log(value / of) ** 2 / (sd * sd + spread2) for value, sd, of in pairs if of > 0.0)
 
         best = min(self._vehicle.materials, key=misfit)

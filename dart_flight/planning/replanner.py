@@ -123,13 +123,13 @@ class Replanner:
         self._planned_m_s2 = min(self._most_m_s2, limits.acceleration_m_s2 or math.inf)
         self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
 
-    def update_wall(self, felt: WallEstimate) -> None:
+    def update_wall(self, estimate: WallEstimate) -> None:
         """Store a wall estimate; use its coefficients only if the mode is known and the fit succeeded."""
-        self._survey.add_estimate(felt, self._walls[felt.wall])
-        mode = felt.mode_felt or felt.mode_reported
-        if mode is not None and not felt.problem:
-            self._coefficients[felt.wall, mode] = Coefficients(
-                felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m, felt.nu_n
+        self._survey.add_estimate(estimate, self._walls[estimate.wall])
+        mode = estimate.mode_felt or estimate.mode_reported
+        if mode is not None and not estimate.problem:
+            self._coefficients[estimate.wall, mode] = Coefficients(
+                estimate.k_n_per_m, estimate.f_ns_per_m, estimate.mu_s_per_m, estimate.nu_n
             )
 
     def move_frame(self, anchor: FrameAnchor) -> None:

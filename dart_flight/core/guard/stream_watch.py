@@ -179,8 +179,8 @@ def _silence(
     """
     message = BY_NAME[streams[0]].message if streams[0] in BY_NAME else ""
 
-    def cause(v: Any) -> str | None:
-        watch: StreamWatch = v.streams
+    def cause(flight: Any) -> str | None:
+        watch: StreamWatch = flight.streams
         age_s = min([watch.age_s(name) for name in streams])
         limit_s = getattr(watch.guard, limit) if isinstance(limit, str) else limit
         if age_s <= limit_s and not (alone and watch.others_continue and age_s > getattr(watch.guard, alone)):
@@ -193,15 +193,15 @@ def _silence(
     return RuleCondition(description, ", ".join(limits), cause)
 
 
-def _slow(v: Any) -> str | None:
-    for name, rate_hz in v.streams.rates_hz.items():
+def _slow(flight: Any) -> str | None:
+    for name, rate_hz in flight.streams.rates_hz.items():
         if rate_hz < BY_NAME[name].expected_hz:
             return f"{name} arrives at {rate_hz:.0f} Hz, minimum {BY_NAME[name].expected_hz:.0f} Hz"
     return None
 
 
-def _late(v: Any) -> str | None:
-    return v.streams.delay.describe(v.has_paused) if v.streams.delay.late else None
+def _late(flight: Any) -> str | None:
+    return flight.streams.delay.describe(flight.has_paused) if flight.streams.delay.late else None
 
 
 SAMPLED: Final = ("imu", "attitude", "odometry", "actuator")
