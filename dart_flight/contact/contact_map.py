@@ -63,8 +63,8 @@ _NEWTON_STEPS = 60
 _NEAR_CRITICAL = 1e-8  # limit of |1 - zeta^2|
 
 
-class WallHit(NamedTuple, Generic[T]):
-    """Result of a wall hit; (lx, ly, lz) is the contact force, collision frame. `T` is an array or a float.
+class WallContact(NamedTuple, Generic[T]):
+    """Result of a contact; (lx, ly, lz) is its force, collision frame. `T` is an array or a float.
 
     Attributes:
         normal_out_m_s, tangential_out_m_s: velocity when the force returns to zero.
@@ -238,7 +238,7 @@ def _solve_without_push(s: _Shape, normal: Array, tangential: Array) -> tuple[Ar
 def _solve_with_push(
     c: CoefficientArrays, mass: Array, onset: Onset, state: tuple[Array, Array, Array]
 ) -> tuple[tuple[Array, ...], Array]:
-    """Return the eight arrays of `WallHit`, and the largest outward speed in contact.
+    """Return the eight arrays of `WallContact`, and the largest outward speed in contact.
 
     `state` is the normal velocity, the tangential velocity and the acceleration.
     """
@@ -341,7 +341,7 @@ def contact_map(
     *,
     rows: Rows | None = None,
     acceleration_m_s2: ArrayLike | None = None,
-) -> WallHit[Array]:
+) -> WallContact[Array]:
     """Predict wall hits (paper, Sec. IV-B) in closed form; the results have the broadcast shape and no NaN.
 
     Args:
@@ -365,7 +365,7 @@ def contact_map(
         inputs = (normal, tangential, np.asarray(acceleration_m_s2, dtype=float))
     _validate(coefficients, mass, *inputs)
     batch = _Batch(coefficients, mass, rows, inputs)
-    out = np.empty((len(WallHit._fields), batch.size))
+    out = np.empty((len(WallContact._fields), batch.size))
     shape = _shape(batch.table, batch.mass, onset) if batch.is_table else None
     for part in batch.parts():
         values = [v[part] for v in batch.inputs]
@@ -380,7 +380,7 @@ def contact_map(
             results = _solve_without_push(_Shape(*(v[batch.rows[part]] for v in shape)), values[0], values[1])
         for target, result in zip(out, results, strict=True):
             target[part] = result
-    return WallHit(*(v.reshape(batch.shape) for v in out))
+    return WallContact(*(v.reshape(batch.shape) for v in out))
 
 
 def friction_per_speed(
@@ -407,12 +407,12 @@ def collide(
     onset: Onset,
     *,
     acceleration_m_s2: float = 0.0,
-) -> WallHit[float]:
+) -> WallContact[float]:
     """Predict one wall hit; arguments, results and errors as in `contact_map`."""
     push = acceleration_m_s2 or None
     table = CoefficientArrays.from_table(coefficients)
     result = contact_map(table, mass_kg, normal_m_s, tangential_m_s, onset, acceleration_m_s2=push)
-    return WallHit(*(float(v) for v in result))
+    return WallContact(*(float(v) for v in result))
 
 
 def fall(
@@ -459,7 +459,7 @@ def drop_map(
         normal = batch.inputs[0][part]
         still, g = np.zeros_like(normal), np.full_like(normal, -GRAVITY_M_S2)
         hit, fastest = _solve_with_push(c, m, onset, (normal, still, g))
-        r = WallHit(*hit)
+        r = WallContact(*hit)
         results = (r.contact_time_s, fastest, r.peak_normal_force_n, r.penetration_m, r.impulse_n_s)
         for target, result in zip(out, results, strict=True):
             target[part] = result

@@ -156,7 +156,7 @@ class Ticks(NamedTuple):
         return Ticks._make([h, *map(mean, self[1:9]), count, bound])
 
 
-class Contact(NamedTuple):
+class ContactReadings(NamedTuple):
     """The readings of one contact and what was known before the fit.
 
     Attributes:
@@ -209,7 +209,11 @@ class ContactFit:
     """
 
     def __init__(
-        self, contact: Contact, before: list[Belief], vehicle: VehicleConfig, scatter: float = CONTACT_SCATTER
+        self,
+        contact: ContactReadings,
+        before: list[Belief],
+        vehicle: VehicleConfig,
+        scatter: float = CONTACT_SCATTER,
     ) -> None:
         self.contact, self.before, self._vehicle, self._scatter = contact, before, vehicle, scatter
         self._mass, self._along = vehicle.airframe.mass_kg, vehicle.airframe.guard_along_m
@@ -521,7 +525,7 @@ class ContactFitter:
         if wall is not None:
             place_sd = max(_PLACE_M, float(wall.plane_sd_m(onset.position_mission)))
             angle_sd = max(_WALL_RAD, wall.yaw_sd_rad or 0.0)
-        contact = Contact(
+        contact = ContactReadings(
             self._ticks(request),
             (onset.first_us - begin_us) * 1e-6 - 0.75 * imu.tick_s,
             velocity,

@@ -205,8 +205,8 @@ class ContactMotion:
         return force / (1.0 + force) / self.mass_kg
 
 
-class HitHistory(NamedTuple):
-    """A hit with the free flight before and after it, in the collision frame; arrays (n,).
+class ContactHistory(NamedTuple):
+    """A contact with the free flight before and after it, in the collision frame; arrays (n,).
 
     Attributes:
         time_s: time since the onset of the contact.
@@ -228,7 +228,7 @@ class HitHistory(NamedTuple):
 
 def trajectory(
     contact: ContactMotion, time_s: ArrayLike, tangential_m_s: float = 0.0, vertical_sign: int = -1
-) -> HitHistory:
+) -> ContactHistory:
     """Evaluate a hit at times since the onset, (n,), which may be negative.
 
     Args:
@@ -240,7 +240,7 @@ def trajectory(
     slide, slip = contact.slide(t), contact.slip(t)
     lift, rise = contact.lift(t), contact.rise(t)
     c = contact.coefficients
-    return HitHistory(
+    return ContactHistory(
         time_s=t,
         normal_m=x,
         tangential_m=tangential_m_s * slide,
