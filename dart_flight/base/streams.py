@@ -1,4 +1,4 @@
-"""The telemetry streams: MAVLink messages, requested rates, and the lowest rates that a mission needs.
+"""The telemetry streams: MAVLink messages, requested rates, lowest rates, and stamps that leap ahead.
 
 `vehicle` requests the rates, and `check` compares the measured rates with the required rates. The guard
 checks the age of samples in host time. PX4 rounds the interval between two messages to a multiple of 4 ms.
@@ -7,7 +7,12 @@ Therefore the requested rate of the IMU is 250 Hz, not 200 Hz.
 
 from __future__ import annotations
 
+from typing import Final
+
 import msgspec
+
+LEAP_US: Final = 1_000_000
+FASTEST: Final = 20  # speed of the fastest simulation, simulated seconds per second
 
 
 class Stream(msgspec.Struct, frozen=True):
@@ -42,3 +47,27 @@ MODE = Stream("mode", "CURRENT_MODE", 10.0, 0.0)  # from PX4 v1.15 on
 MESSAGE_ID = {ESC.message: 291, ESTIMATOR.message: 230, MODE.message: 436}
 
 BY_NAME = {stream.name: stream for stream in STREAMS}
+
+
+def leaps(ahead_us: int, elapsed_us: int = 0) -> bool:
+    """Return whether a stamp is too far ahead of an earlier one for the host time `elapsed_us` between them.
+
+    The sample may then come from another vehicle.
+    """
+    return ahead_us > LEAP_US and ahead_us > LEAP_US + FASTEST * elapsed_us
+
+
+class LeapFilter:
+    """Rejects stamps that leap, until so many leap in a row that the clock itself must have jumped."""
+
+    def __init__(self, accepted_after: int) -> None:
+        self._accepted_after = accepted_after
+        self._count = 0
+
+    def rejects(self, ahead_us: int, elapsed_us: int = 0) -> bool:
+        if leaps(ahead_us, elapsed_us):
+            self._count += 1
+            if self._count < self._accepted_after:
+                return True
+        self._count = 0
+        return False

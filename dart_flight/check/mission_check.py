@@ -371,13 +371,9 @@ def _check_recovery(
     else:
         return []
     along = math.copysign(friction_n, -velocity[1])  # friction acts against the motion
-    target = recovery_point(
-        (place[0], place[1], 0.0),
-        collision.wall.normal,
-        (normal_n, along),
-        (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n),
-        mission.altitude_at(collision.index - 1),
-    )
+    alphas = (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n)
+    horizontal = recovery_point(place, collision.wall.normal, (normal_n, along), alphas)
+    target = (*horizontal, mission.altitude_at(collision.index - 1))
     says = f"recovery setpoint after wall {collision.wall.name} near ({target[0]:.2f}, {target[1]:.2f})"
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
     leg = next(

@@ -19,7 +19,7 @@ from dart_flight.core.mission.approach import (
 )
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, end_margin_m, position_margin_m
 from dart_flight.planning.envelope import incidence_deg, max_incidence_deg
-from dart_flight.planning.predicted_flight import PredictedFlight, PredictedImpact, impact_place
+from dart_flight.planning.predicted_flight import PredictedContact, PredictedFlight, impact_place
 
 _INCIDENCE_SD = 2.0
 _OPPOSITE = -0.9  # product of the normals of two opposite walls: up to 26 degrees from antiparallel
@@ -38,7 +38,7 @@ def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[Check
     return [*faces, *_check_ends(mission, hits), *found, *_check_way_to_goal(mission, hits)]
 
 
-def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:
+def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedContact]) -> Iterator[CheckFinding]:
     """Return a no-go if a wall is between the last impact and the goal, where the vehicle then holds."""
     if not mission.recovers_to_goal or mission.goal_trajectory is not None:
         return
@@ -97,7 +97,7 @@ def _places_before(one: Wall, other: Wall) -> list[Vec2]:
     return [(lx + share * (rx - lx), ly + share * (ry - ly)) for share in shares]
 
 
-def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:
+def _check_ends(mission: Mission, hits: Mapping[int, PredictedContact]) -> Iterator[CheckFinding]:
     """Judge the collision nearest to a wall's end, because the whole vehicle must meet the wall.
 
     Posts have no ends and are skipped.
@@ -129,7 +129,7 @@ def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterat
 
 
 def _check_collision(
-    mission: Mission, collision: Collision, hits: Mapping[int, PredictedImpact]
+    mission: Mission, collision: Collision, hits: Mapping[int, PredictedContact]
 ) -> Iterator[CheckFinding]:
     wall, item = collision.wall, f"survey_{collision.index}"
     problems = [

@@ -84,7 +84,7 @@ class GuardLaw(NamedTuple):
     vertical_lever_m: float
 
 
-class Touch(NamedTuple):
+class WallLoad(NamedTuple):
     """Force and torque of one wall on the guards.
 
     Attributes:
@@ -101,7 +101,7 @@ class Touch(NamedTuple):
     normal: Vec3
 
 
-UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, (0.0, 0.0, 0.0))
+NO_LOAD = WallLoad((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, (0.0, 0.0, 0.0))
 
 
 def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
@@ -123,7 +123,7 @@ def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
 
 def touch(
     guards: Sequence[PropellerGuard], c: Coefficients, plane: Plane, motion: BodyMotion, law: GuardLaw
-) -> Touch:
+) -> WallLoad:
     """Return force and torque of one wall on the guards; every guard must lie between the wall's ends.
 
     The coefficients are those of the whole side, as in the point law. The computation uses body axes:
@@ -146,7 +146,7 @@ def touch(
         if force > 0.0:
             pressed.append((force, (rx, ry, rz), friction_at))
     if not pressed:
-        return UNTOUCHED
+        return NO_LOAD
     t, d = rotate_back(q, plane.tangent), rotate_back(q, plane.down)
     world = plane.tangent
     sliding = world[0] * velocity[0] + world[1] * velocity[1] + world[2] * velocity[2]
@@ -163,7 +163,7 @@ def touch(
     lift = law.vertical_sign * c.nu * total / (1.0 + total)
     lever = -law.vertical_lever_m * lift
     n, t_world, d_world = plane.normal, plane.tangent, plane.down
-    return Touch(
+    return WallLoad(
         (
             total * n[0] + friction * t_world[0] + lift * d_world[0],
             total * n[1] + friction * t_world[1] + lift * d_world[1],

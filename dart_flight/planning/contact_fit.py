@@ -1,6 +1,7 @@
 """Fit of the contact law to the readings of one contact.
 
-The fit estimates the wall's coefficients, the wall's plane and the arms' mode.
+The fit estimates the wall's coefficients, the wall's plane and the arms' mode. It steps the law itself,
+because the measured rotation loads two guards unequally, for which the law of a point has no closed form.
 
 Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
 positive if the vehicle is turned left. Each side of the vehicle has a right guard (g = 1) and a left guard
@@ -155,7 +156,7 @@ class Ticks(NamedTuple):
         return Ticks._make([h, *map(mean, self[1:9]), count, bound])
 
 
-class Contact(NamedTuple):
+class ContactReadings(NamedTuple):
     """The readings of one contact and what was known before the fit.
 
     Attributes:
@@ -208,7 +209,11 @@ class ContactFit:
     """
 
     def __init__(
-        self, contact: Contact, before: list[Belief], vehicle: VehicleConfig, scatter: float = CONTACT_SCATTER
+        self,
+        contact: ContactReadings,
+        before: list[Belief],
+        vehicle: VehicleConfig,
+        scatter: float = CONTACT_SCATTER,
     ) -> None:
         self.contact, self.before, self._vehicle, self._scatter = contact, before, vehicle, scatter
         self._mass, self._along = vehicle.airframe.mass_kg, vehicle.airframe.guard_along_m
@@ -455,14 +460,14 @@ class ContactFitter:
         fits = fit.run()
         if not all(math.isfinite(h.evidence) for h in fits):
             raise ValueError("no solution")
-        odds, felt = 0.0, None
+        odds, sure = 0.0, None
         if len(fits) == len(Mode):  # a vehicle without a lock has one mode and no odds
             misfit = min(h.misfit for h in fits)
             odds = (fits[0].evidence - fits[1].evidence) / max(1.0, misfit)
             if abs(odds) >= SURE_LOG_ODDS and misfit <= _MAX_MISFIT:
-                felt = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
+                sure = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
         likely = Mode.RIGID if odds > 0.0 else modes[-1]
-        mode = felt or reported or likely
+        mode = sure or reported or likely
         index = modes.index(mode)
         found, onset, wall = fits[index], request.onset, request.wall
         lead = 2.0 * self._vehicle.airframe.guard_along_m * math.sin(found.incidence_rad)
@@ -489,7 +494,7 @@ class ContactFitter:
         (x, y, _), (vx, vy, _), away = onset.position_mission, onset.velocity_mission, found.place_m
         estimate = msgspec.structs.replace(
             undecided(request, wall, self._vehicle),
-            mode_felt=felt,
+            mode_felt=sure,
             log_odds=odds,
             incidence_rad=found.incidence_rad,
             incidence_sigma_rad=found.incidence_sd,
@@ -520,7 +525,7 @@ class ContactFitter:
         if wall is not None:
             place_sd = max(_PLACE_M, float(wall.plane_sd_m(onset.position_mission)))
             angle_sd = max(_WALL_RAD, wall.yaw_sd_rad or 0.0)
-        contact = Contact(
+        contact = ContactReadings(
             self._ticks(request),
             (onset.first_us - begin_us) * 1e-6 - 0.75 * imu.tick_s,
             velocity,
@@ -582,13 +587,17 @@ class ContactFitter:
             )
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
-    def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
-        """Return the configured material with the coefficients nearest to `felt`, or None if all are far."""
+    def _likely_material(self, belief: Belief, mode: Mode) -> str | None:
+        """Return the material whose coefficients are nearest to `belief`, or None if all are far."""
         spread2 = self._vehicle.estimation.walls.spread**2
 
         def misfit(name: str) -> float:
             c = self._vehicle.materials[name].coefficients(mode)
-            pairs = ((felt.k, felt.k_sd, c.k), (felt.f, felt.f_sd, c.f), (felt.mu, felt.mu_sd, c.mu))
+            pairs = (
+                (belief.k, belief.k_sd, c.k),
+                (belief.f, belief.f_sd, c.f),
+                (belief.mu, belief.mu_sd, c.mu),
+            )
             return sum(math.log(value / of) ** 2 / (sd * sd + spread2) for value, sd, of in pairs if of > 0.0)
 
         best = min(self._vehicle.materials, key=misfit)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.core.mission.trajectories import Trajectory
-from dart_flight.planning.polynomials import quintic
+from dart_flight.planning.polynomials import derivative, quintic
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -128,8 +128,9 @@ def candidate_trajectories(
         kept[axis, :, :3] = np.stack([left[0], left[1], 0.5 * push], axis=1)
     since = shares * duration[:, None]
     early, late = np.minimum(since, until[:, None]), np.maximum(since - until[:, None], 0.0)
+    before, after = (np.moveaxis(rows, -1, 0)[..., None] for rows in (added, kept))
     states = [
-        shape[order] + np.where(late > 0.0, _derivative(kept, late, order), _derivative(added, early, order))
+        shape[order] + np.where(late > 0.0, derivative(after, late, order), derivative(before, early, order))
         for order in range(4)
     ]
     return RejoiningTrajectories(planned, shares, from_s, slower, duration, until, added, kept, *states)
@@ -141,23 +142,8 @@ def _sampled(planned: Trajectory, times: Array) -> Array:
     piece = np.clip(np.searchsorted(begins, times, side="right") - 1, 0, begins.size - 1)
     since = times - begins[piece]
     by_axis = np.array([planned.x, planned.y]).reshape(2, -1, 6)
-    rows = by_axis[:, piece]
-    return np.stack([_derivative(rows, since, order, per_time=True) for order in range(4)])
-
-
-def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = False) -> Array:
-    """Return a derivative (2, n, k) of polynomials (2, n, 6) at times (n, k).
-
-    If `per_time`, the coefficients are (2, n, k, 6): one polynomial for every time.
-    """
-    for _ in range(order):
-        coefficients = coefficients[..., 1:] * np.arange(1, coefficients.shape[-1])
-    if not per_time:
-        coefficients = coefficients[:, :, None, :]
-    value = np.zeros((2, *times.shape))
-    for power in range(coefficients.shape[-1] - 1, -1, -1):
-        value = value * times + coefficients[..., power]
-    return value
+    rows = np.moveaxis(by_axis[:, piece], -1, 0)  # one polynomial for every time
+    return np.stack([derivative(rows, since, order) for order in range(4)])
 
 
 def _shift_polynomial(coefficients: tuple[float, ...], by: float) -> list[float]:

@@ -42,7 +42,7 @@ from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, end_margin
 from dart_flight.planning.constraints import REFUSALS, Constraints
 from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, GridWindow, Rows, loop_matrix
-from dart_flight.planning.polynomials import quintic
+from dart_flight.planning.polynomials import derivative, quintic
 from dart_flight.planning.predicted_flight import impact_place, predict_mission
 from dart_flight.planning.rejoining import SETTLED_S, RejoiningTrajectories, candidate_trajectories
 from dart_flight.planning.task import MissionTask, drag_along
@@ -123,13 +123,13 @@ class Replanner:
         self._planned_m_s2 = min(self._most_m_s2, limits.acceleration_m_s2 or math.inf)
         self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
 
-    def update_wall(self, felt: WallEstimate) -> None:
+    def update_wall(self, estimate: WallEstimate) -> None:
         """Store a wall estimate; use its coefficients only if the mode is known and the fit succeeded."""
-        self._survey.add_estimate(felt, self._walls[felt.wall])
-        mode = felt.mode_felt or felt.mode_reported
-        if mode is not None and not felt.problem:
-            self._coefficients[felt.wall, mode] = Coefficients(
-                felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m, felt.nu_n
+        self._survey.add_estimate(estimate, self._walls[estimate.wall])
+        mode = estimate.mode_felt or estimate.mode_reported
+        if mode is not None and not estimate.problem:
+            self._coefficients[estimate.wall, mode] = Coefficients(
+                estimate.k_n_per_m, estimate.f_ns_per_m, estimate.mu_s_per_m, estimate.nu_n
             )
 
     def move_frame(self, anchor: FrameAnchor) -> None:
@@ -362,9 +362,9 @@ class Replanner:
         that PX4's tilt limit permits.
         """
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
-        push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
+        push = np.hypot(*(derivative(c[:, :, None], times, 2) for c in (x, y))).max(axis=1)
         rows = np.flatnonzero(push <= self._planned_m_s2)
-        jerk = np.hypot(*(_derivative(c[:, rows], times[rows], 3) for c in (x, y))).max(axis=1)
+        jerk = np.hypot(*(derivative(c[:, rows, None], times[rows], 3) for c in (x, y))).max(axis=1)
         return rows[jerk <= self._planned_m_s3], push / self._most_m_s2
 
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
@@ -386,7 +386,9 @@ class Replanner:
     ) -> NDArray[np.bool_]:
         """Return which trajectories respect the bounds and speed limit and touch no wall except `wall`."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
-        states = (_derivative(c, times, order).astype(np.float32) for order in (0, 1) for c in (x, y))
+        states = (
+            derivative(c[:, :, None], times, order).astype(np.float32) for order in (0, 1) for c in (x, y)
+        )
         window = GridWindow(np.linspace(0.0, 1.0, _SAMPLES), *states)
         until = np.full(duration_s.size, _SAMPLES)
         codes = self._constraints.path(window, until, wall, begins=True, walls=obstacles)
@@ -443,14 +445,3 @@ def _straights(slack: float) -> list[tuple[float, float]]:
 
 def _no_plan(answer: PlanAnswer, problem: str) -> PlanAnswer:
     return msgspec.structs.replace(answer, problem=problem)
-
-
-def _derivative(coefficients: Array, t: Array, order: int) -> Array:
-    """Return a derivative of polynomials (6, n) at times (n, k), as (n, k)."""
-    for _ in range(order):
-        coefficients = coefficients[1:] * np.arange(1, len(coefficients))[:, None]
-    value = np.zeros_like(t)
-    for c in coefficients[::-1]:
-        value *= t
-        value += c[:, None]
-    return value

@@ -54,12 +54,12 @@ from dart_flight.contact.cylinders import (
 )
 from dart_flight.contact.law import Onset, coefficients_in_force
 from dart_flight.contact.propeller_guards import (
-    UNTOUCHED,
+    NO_LOAD,
     BodyMotion,
     GuardLaw,
     Plane,
     PropellerGuard,
-    Touch,
+    WallLoad,
     arm_of,
     clearance_m,
     fold_angles,
@@ -76,7 +76,7 @@ _BEHIND_M: Final = -0.6  # a vehicle further behind a plane is on the wall's oth
 _REBOUND_S: Final = 0.01  # a guard that returns within this time belongs to the same contact
 _HALF_ENGAGED: Final = 0.5  # freedom of the arms with half-engaged rods, relative to unlocked arms
 _GROUND_M: Final = 0.01  # at a greater height the landing gear touches nothing
-_UNTOUCHED: Final = UNTOUCHED
+_NO_LOAD: Final = NO_LOAD
 _NO_FORCE = (0.0, 0.0, 0.0)
 _AT_REST = (0.0, 0.0, 0.0, 0.0)  # the arms' displacement north and east (m) and its rate (m/s)
 _GAIN_M_S: Final = 0.5  # upper limit of the speed gained by thrust within a tick
@@ -495,8 +495,8 @@ class Plant:
         torque: Vec3,
         obstacles: list[tuple[_Obstacle, Coefficients]],
         near_ground: bool,
-    ) -> tuple[Vec3, Vec3, list[Touch]]:
-        """Return acceleration (NED), angular acceleration (FRD), and each obstacle's `Touch`."""
+    ) -> tuple[Vec3, Vec3, list[WallLoad]]:
+        """Return acceleration (NED), angular acceleration (FRD), and each obstacle's `WallLoad`."""
         force = turned = _NO_FORCE
         touches = []
         for obstacle, c in obstacles:
@@ -507,7 +507,7 @@ class Plant:
             else:
                 one = touch(self._guards, c, obstacle.ends.plane, motion, self._law)
             touches.append(one)
-            if one is not _UNTOUCHED:
+            if one is not _NO_LOAD:
                 force, turned = add(force, one.force), add(turned, one.torque)
         self.contact_force_ned, self.contact_torque_frd = force, turned
         if near_ground:
@@ -632,7 +632,7 @@ class Plant:
         return (-grip * v[0], -grip * v[1], -normal)
 
     def _note_contact(
-        self, obstacle: _Obstacle, c: Coefficients, reaction: Touch, t_s: float, velocity_before: Vec3
+        self, obstacle: _Obstacle, c: Coefficients, reaction: WallLoad, t_s: float, velocity_before: Vec3
     ) -> None:
         """Track the contact with one obstacle from the first force to the last force."""
         current = self._open.get(obstacle.name)

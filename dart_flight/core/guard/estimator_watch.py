@@ -117,17 +117,17 @@ ESTIMATOR_RULES: tuple[Rule, ...] = (
     Rule("estimator_jump", Override.HOLD, Scope.GUIDED, RuleCondition(
         "position or velocity jumped, and no impact explains the jump",
         f"{POSITION_JUMP_M:g} m, {VELOCITY_JUMP_M_S:g} m/s",
-        lambda v: v.estimator.jump or None), (OdometrySample,), noted=True),
+        lambda flight: flight.estimator.jump or None), (OdometrySample,), noted=True),
     Rule("estimator_reset", Override.HOLD, Scope.GUIDED, RuleCondition(
         "PX4 reset its estimator; position or velocity stepped, and no impact explains the step",
         f"{RESET_POSITION_M:g} m, {RESET_VELOCITY_M_S:g} m/s",
-        lambda v: v.estimator.reset_step()), noted=True),
+        lambda flight: flight.estimator.reset_step()), noted=True),
     Rule("heading_reset", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
         "PX4 reset its estimator, and the heading stepped by more than 5 degrees relative to the gyro", "",
-        lambda v: v.estimator.heading_step())),
+        lambda flight: flight.estimator.heading_step())),
     Rule("estimator_flags", Override.LAND, Scope.AIR, RuleCondition(
         "PX4's estimator reports an invalid position, and there was no recent impact",
         f"{ESTIMATOR_BAD_S:g} s",
-        lambda v: v.estimator.invalid_estimate())),
+        lambda flight: flight.estimator.invalid_estimate())),
 )
 # fmt: on

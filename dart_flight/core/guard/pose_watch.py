@@ -254,16 +254,16 @@ class PoseWatch:
         self._apart_us = (self._apart_us or now_us) if self._apart_m > allowed_m else None
 
 
-def _present(v: Any) -> str | None:
-    watch: PoseWatch | None = v.poses
-    return None if watch is None or watch.waits(v.phase) else watch.fault(v.phase)
+def _present(flight: Any) -> str | None:
+    watch: PoseWatch | None = flight.poses
+    return None if watch is None or watch.waits(flight.phase) else watch.fault(flight.phase)
 
 
-def _blind(v: Any) -> str | None:
-    watch: PoseWatch | None = v.poses
-    if watch is None or watch.waits(v.phase) or v.phase is Phase.LANDING:
+def _blind(flight: Any) -> str | None:
+    watch: PoseWatch | None = flight.poses
+    if watch is None or watch.waits(flight.phase) or flight.phase is Phase.LANDING:
         return None
-    return watch.blind(bool(v.estimator.jump or v.estimator.reset_step()), v.phase)
+    return watch.blind(bool(flight.estimator.jump or flight.estimator.reset_step()), flight.phase)
 
 
 # Faults in PX4's estimate that follow from missing poses.

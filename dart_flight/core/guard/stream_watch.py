@@ -19,7 +19,7 @@ from dart_flight.base.records import (
     Override,
     RoundTrip,
 )
-from dart_flight.base.streams import BY_NAME
+from dart_flight.base.streams import BY_NAME, leaps
 from dart_flight.config.vehicle.flying import GuardThresholds
 from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.sense.state import FlightState
@@ -34,7 +34,6 @@ _OTHERS_SINCE: Final = 12  # samples of all other streams together; they arrive 
 _GAP_US: Final = 500_000  # silence in which an announcement of PX4 may have been lost
 _GAP_MEMORY_US: Final = 3_000_000  # a gap explains a mode change for this long
 _RATE_WINDOW_US: Final = 1_000_000
-_LEAP_US: Final = 1_000_000
 _SHARE: Final = 0.15  # limit for the share of late samples; a batch after a pause counts as no time
 _SHARE_US: Final = 1_000_000
 _FORGOTTEN: Final = 0.01  # share below which earlier late samples no longer matter
@@ -139,7 +138,7 @@ class StreamWatch:
         if lag_us > STAMP_TOLERANCE_S * 1e6:
             self.stale[name] = self.stale.get(name, 0) + 1
             return
-        if -lag_us > _LEAP_US:  # not accepted yet: from another vehicle, or after a clock jump
+        if leaps(-lag_us):  # not accepted yet: from another vehicle, or after a clock jump
             return
         if self.stale:
             self.stale.pop(name, None)
@@ -180,8 +179,8 @@ def _silence(
     """
     message = BY_NAME[streams[0]].message if streams[0] in BY_NAME else ""
 
-    def cause(v: Any) -> str | None:
-        watch: StreamWatch = v.streams
+    def cause(flight: Any) -> str | None:
+        watch: StreamWatch = flight.streams
         age_s = min([watch.age_s(name) for name in streams])
         limit_s = getattr(watch.guard, limit) if isinstance(limit, str) else limit
         if age_s <= limit_s and not (alone and watch.others_continue and age_s > getattr(watch.guard, alone)):
@@ -194,15 +193,15 @@ def _silence(
     return RuleCondition(description, ", ".join(limits), cause)
 
 
-def _slow(v: Any) -> str | None:
-    for name, rate_hz in v.streams.rates_hz.items():
+def _slow(flight: Any) -> str | None:
+    for name, rate_hz in flight.streams.rates_hz.items():
         if rate_hz < BY_NAME[name].expected_hz:
             return f"{name} arrives at {rate_hz:.0f} Hz, minimum {BY_NAME[name].expected_hz:.0f} Hz"
     return None
 
 
-def _late(v: Any) -> str | None:
-    return v.streams.delay.describe(v.has_paused) if v.streams.delay.late else None
+def _late(flight: Any) -> str | None:
+    return flight.streams.delay.describe(flight.has_paused) if flight.streams.delay.late else None
 
 
 SAMPLED: Final = ("imu", "attitude", "odometry", "actuator")

@@ -1,7 +1,7 @@
 """The mission executive: it runs through the phases and proposes the vehicle's actions; the guard decides.
 
-Only the executive writes the `MissionState`. Its helpers read the state and return a `Change`: the phases on
-the ground (`ground_phases`), contacts (`impact_response`), planning after them (`replan_requests`), and the
+Only the executive writes the `MissionProgress`. Its helpers read it and return a `Change`: the phases on the
+ground (`ground_phases`), contacts (`impact_response`), planning after them (`replan_requests`), and the
 setpoints of all phases (`setpoint_selection`). `rehearsal` runs the same phases without contacts.
 """
 
@@ -46,7 +46,7 @@ from dart_flight.core.mission.ground_phases import GroundPhases
 from dart_flight.core.mission.impact_response import ImpactResponse
 from dart_flight.core.mission.legs import skip_reason, update_collision, update_mission, update_waypoint
 from dart_flight.core.mission.lock_commands import LockCommands
-from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
+from dart_flight.core.mission.mission_progress import NO_CHANGE, Change, MissionProgress
 from dart_flight.core.mission.phases import BETWEEN, TRANSITIONS, WATCHING, PhaseTrigger
 from dart_flight.core.mission.position_loop import least_distance_m, predict_impact
 from dart_flight.core.mission.proposal import Proposal
@@ -81,7 +81,7 @@ class Executive:
             c.index: plan_approach(mission, c) for c in mission.collisions if c.approach_m_s is not None
         }
         check_segments_clear(mission)
-        self.progress = MissionState(mission, approaches)
+        self.progress = MissionProgress(mission, approaches)
         self._lock, self._arrival = LockCommands(mission.vehicle.lock), Arrival(mission)
         self._ground, self._impacts = GroundPhases(mission), ImpactResponse(mission)
         self._replanning, self._setpoints = ReplanRequests(mission), SetpointSelection(mission)
@@ -178,17 +178,17 @@ class Executive:
             p.findings.append(change.finding)
         if change.action is not None:
             self._send_action(change.action, state, p)
-        if change.cue is not None:
-            self._transition(change.cue, state, p, change.reason)
+        if change.phase_trigger is not None:
+            self._transition(change.phase_trigger, state, p, change.reason)
         if change.end is not None:
             p.end = change.end
 
-    def _transition(self, cue: PhaseTrigger, state: FlightState, p: Proposal, reason: str = "") -> None:
-        p.outputs.append(self._change_phase(cue, state.now_us, reason or cue.value))
+    def _transition(self, trigger: PhaseTrigger, state: FlightState, p: Proposal, reason: str = "") -> None:
+        p.outputs.append(self._change_phase(trigger, state.now_us, reason or trigger.value))
 
-    def _change_phase(self, cue: PhaseTrigger, now_us: int, reason: str) -> PhaseChange:
+    def _change_phase(self, trigger: PhaseTrigger, now_us: int, reason: str) -> PhaseChange:
         progress, before = self.progress, self.progress.phase
-        progress.phase = TRANSITIONS[before, cue]
+        progress.phase = TRANSITIONS[before, trigger]
         progress.entered_us, progress.entered_host_us, progress.asked_us = now_us, None, None
         progress.lock, progress.arrived_us = progress.lock.phase_begins(), None
         collision = progress.collision
@@ -237,7 +237,7 @@ class Executive:
                 added = self._feedforward.feed_forward
                 change = self._impacts.on_peak(event, progress, state, added)
                 self._apply(change, state, p)
-                if change.cue is not None:
+                if change.phase_trigger is not None:
                     progress.index += 1
             elif isinstance(event, DetectionFloor):
                 self._apply(self._impacts.on_detection_floor(event, progress), state, p)
@@ -294,8 +294,8 @@ class Executive:
         elif self.progress.is_late(state):
             p.add_finding("climb_timeout", "the altitude was not reached in time")
 
-    def _start_next(self, cue: PhaseTrigger, state: FlightState, p: Proposal) -> None:
-        """Begin the next leg at the target, from rest; for a collision, `cue` triggers its phase."""
+    def _start_next(self, trigger: PhaseTrigger, state: FlightState, p: Proposal) -> None:
+        """Begin the next leg at the target, from rest; for a collision, `trigger` begins its phase."""
         self._skip_legs(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:
@@ -312,7 +312,7 @@ class Executive:
             course = self.progress.course
             self.progress.course = course.fly_to_waypoint(waypoint.position, self._flying, waypoint.speed_m_s)
         elif self.progress.collision is not None:
-            self._transition(cue, state, p)
+            self._transition(trigger, state, p)
             self._begin_transit(state, p)
         else:
             self._transition(PhaseTrigger.NEXT_GOAL, state, p)

@@ -17,7 +17,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
 from dart_flight.core.mission.lock_commands import LockCommands
-from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
+from dart_flight.core.mission.mission_progress import NO_CHANGE, Change, MissionProgress
 from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import late_s
@@ -46,7 +46,7 @@ class ReplanRequests:
     # -- request and answer --
 
     def request(
-        self, progress: MissionState, state: FlightState, sensed: Sensed, square_us: int, coasts: bool
+        self, progress: MissionProgress, state: FlightState, sensed: Sensed, square_us: int, coasts: bool
     ) -> Change:
         """Request a plan for the next leg, once after each contact.
 
@@ -99,7 +99,7 @@ class ReplanRequests:
         )
         return Change(outputs=(asked,), replan=replan)
 
-    def _should_wait_for_wall(self, progress: MissionState, replan: Replan, state: FlightState) -> bool:
+    def _should_wait_for_wall(self, progress: MissionProgress, replan: Replan, state: FlightState) -> bool:
         """Return whether the estimate of the last wall is worth waiting for.
 
         The wait is worthwhile if the vehicle hits that wall again next. It is also worthwhile if contacts
@@ -137,7 +137,7 @@ class ReplanRequests:
 
     # -- accepted answers --
 
-    def approach(self, progress: MissionState, now_us: int) -> Change:
+    def approach(self, progress: MissionProgress, now_us: int) -> Change:
         """Return an approach from rest with the impact velocity that the planner chose, if there is room."""
         answer, following = progress.replan.answer, progress.collision
         if answer is None or not progress.replan.from_rest or following is None:
@@ -154,7 +154,7 @@ class ReplanRequests:
         taken = PlanTaken(now_us, answer.number, True)
         return Change(outputs=(taken,), replan=replan, approach=approach)
 
-    def trajectory(self, progress: MissionState, state: FlightState) -> Change:
+    def trajectory(self, progress: MissionProgress, state: FlightState) -> Change:
         """Return the trajectory of an answer if it begins now and the vehicle is close to it."""
         replan, answer = progress.replan, progress.replan.answer
         if answer is None or replan.from_rest or state.now_us < answer.begin_us:

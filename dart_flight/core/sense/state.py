@@ -26,14 +26,13 @@ from dart_flight.base.records import (
     StatusText,
     Tick,
 )
+from dart_flight.base.streams import LEAP_US, LeapFilter
 
 _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
 _TEXT_AGE_US: Final = 15_000_000  # PX4's older texts are not given as reasons
 _MAX_REASONS: Final = 6
-_LEAP_US: Final = 1_000_000
 _FURTHEST_M: Final = 1e5  # larger positions in PX4's local frame are implausible
 _FASTEST_M_S: Final = 1e3
-_FASTEST: Final = 20  # speed of the fastest simulation, simulated seconds per second
 _LEAPS_ACCEPTED: Final = 25
 _VELOCITIES_KEPT_US: Final = 1_000_000
 
@@ -71,7 +70,9 @@ class FlightState:
         self.tilt_rad = 0.0
         self._velocities: deque[tuple[int, Vec3]] = deque()
         self._stamp_us = self._stamped_us = 0  # stamp and receipt of the newest accepted sample
-        self._ahead: dict[str, int] = {}  # samples in a row that are too far ahead, by stream
+        self._leap_filters = {
+            name: LeapFilter(_LEAPS_ACCEPTED) for name in ("imu", "attitude", "odometry", "actuator")
+        }
         self.health: HealthReport | None = None
         self._px4_texts: dict[str, int] = {}  # PX4's last warnings or worse, oldest first, with their times
         self._found_on_link: dict[str, int] = {}  # the same for this program's warnings about the link
@@ -176,7 +177,7 @@ class FlightState:
         if self.clock_offset_us is not None:
             now_us = self.host_us + self.clock_offset_us
             if self._stamp_us:  # limit the advance, because the offset may be another vehicle's
-                now_us = min(now_us, self._stamp_us + self.host_us - self._stamped_us + _LEAP_US)
+                now_us = min(now_us, self._stamp_us + self.host_us - self._stamped_us + LEAP_US)
             self.now_us = max(self.now_us, now_us)
 
     def update_clock(self, sample: ClockOffset) -> None:
@@ -213,11 +214,9 @@ class FlightState:
         received_us: int,
         previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None,
     ) -> bool:
-        """Return whether a stamp is too far ahead for the elapsed time.
+        """Return whether to discard a sample whose stamp leaps.
 
-        The sample may then come from another vehicle. If the clock has really jumped, the new stamps are
-        accepted after some consecutive samples. The first sample of a stream is compared with the newest
-        sample of the other streams.
+        The first sample of a stream is compared with the newest sample of the other streams.
         """
         if previous is not None:
             ahead_us, elapsed_us = t_us - previous.t_us, received_us - previous.received_us
@@ -225,15 +224,7 @@ class FlightState:
             ahead_us, elapsed_us = t_us - self._stamp_us, received_us - self._stamped_us
         else:
             return False
-        if ahead_us <= _LEAP_US or ahead_us <= _LEAP_US + _FASTEST * elapsed_us:
-            if self._ahead:
-                self._ahead.pop(stream, None)
-            return False
-        self._ahead[stream] = self._ahead.get(stream, 0) + 1
-        if self._ahead[stream] < _LEAPS_ACCEPTED:
-            return True
-        del self._ahead[stream]
-        return False
+        return self._leap_filters[stream].rejects(ahead_us, elapsed_us)
 
     def _advance_time(self, t_us: int, received_us: int) -> None:
         self._stamp_us, self._stamped_us = t_us, received_us

@@ -28,7 +28,7 @@ from dart_flight.core.mission.planned_impact import expected_hit
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.flight_arrays import Array, FlightArrays
 from dart_flight.lab.map_model import FlatLine, at_altitude
-from dart_flight.lab.predict.path import ContactMotion, HitHistory, trajectory
+from dart_flight.lab.predict.path import ContactHistory, ContactMotion, trajectory
 from dart_flight.lab.report.tracks import Angles, angles
 from dart_flight.planning.predicted_flight import PredictedFlight, predict_mission
 from dart_flight.recording.about import armed_span, flown_mission
@@ -92,7 +92,7 @@ class Impact:
         self.verdict, self.collision = impact, impact.collision
         self.material = self.collision.wall.material
         self.at_s = self.onset_s = flight.course.time_of(impact.t_us)
-        self.prediction: HitHistory | None = None
+        self.prediction: ContactHistory | None = None
         self.predicted = Velocities()
         self._contact_ms: float | None = None  # predicted duration of the contact
         hit = expected_hit(flight.mission, self.collision)

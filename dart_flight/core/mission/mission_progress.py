@@ -1,4 +1,4 @@
-"""State of one flight's mission. Only the executive writes it; its helpers return a `Change`."""
+"""Progress of one flight's mission. Only the executive writes it; its helpers return a `Change`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dart_flight.core.sense.state import FlightState
 _SLOWEST: Final = 3.0  # host seconds per vehicle second in the slowest simulation
 
 
-class MissionState:
+class MissionProgress:
     """Phase, leg, course, contacts and walls of one flight.
 
     Attributes:
@@ -116,15 +116,15 @@ class Change(NamedTuple):
     """Changes requested by a helper of the executive; None leaves a value unchanged.
 
     Attributes:
-        cue, reason: trigger of a phase transition, and the reason to record for this transition. The
-            transition is applied after all other changes.
+        phase_trigger, reason: trigger of a phase transition, and the reason to record for it. The transition
+            is applied after all other changes.
         action: vehicle command, repeated until telemetry confirms it.
         mode: wanted mode of the lock.
         approach: trajectory of the approach to the next collision.
         frame, stood_at_ned: the mission frame, and the vehicle's position when the frame was set.
     """
 
-    cue: PhaseTrigger | None = None
+    phase_trigger: PhaseTrigger | None = None
     reason: str = ""
     outputs: tuple[Output, ...] = ()
     finding: MissionFinding | None = None
