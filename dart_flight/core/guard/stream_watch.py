@@ -205,7 +205,6 @@ def _late(v: Any) -> str | None:
     return v.streams.delay.describe(v.has_paused) if v.streams.delay.late else None
 
 
-SAMPLED: Final = ("imu", "attitude", "odometry", "actuator")
 _LINK: Final = ("status", "imu", "attitude", "odometry")
 _AIR, _LAND = Scope.AIR, Override.LAND
 _SLOWING: Final = frozenset({"stream_rate"})  # when a stream ends, its rate falls first
