@@ -83,7 +83,7 @@ class TextChunk(NamedTuple):
 _ACCELEROMETER_AND_GYRO: Final = 0x3F  # bits of fields_updated
 
 
-class _HighresImu(msgspec.Struct):
+class _HighresImuMessage(msgspec.Struct):
     time_usec: int
     xacc: float | None
     yacc: float | None
@@ -107,7 +107,7 @@ class _HighresImu(msgspec.Struct):
         return ImuSample(self.time_usec, receive(self.time_usec), (ax, ay, az), (wx, wy, wz))
 
 
-class _AttitudeQuaternion(msgspec.Struct):
+class _AttitudeQuaternionMessage(msgspec.Struct):
     time_boot_ms: int
     q1: float | None
     q2: float | None
@@ -138,7 +138,7 @@ _ESTIMATORS: Final = (
 _OWN_ESTIMATOR, _LOCAL_NED, _BODY_FRD = 8, 1, 12  # MAV_ESTIMATOR_TYPE, MAV_FRAME
 
 
-class _Odometry(msgspec.Struct):
+class _OdometryMessage(msgspec.Struct):
     time_usec: int
     frame_id: int
     child_frame_id: int
@@ -209,7 +209,7 @@ _AUTO_MODES: Final = {
 _STATES: Final = tuple(SystemStatus)[1:]  # MAV_STATE's order
 
 
-class _Heartbeat(msgspec.Struct):
+class _HeartbeatMessage(msgspec.Struct):
     autopilot: int
     base_mode: int
     custom_mode: int
@@ -236,7 +236,7 @@ def _flight_mode(custom_mode: int) -> FlightMode:
     return modes.get(number, FlightMode.UNKNOWN)
 
 
-class _CurrentMode(msgspec.Struct):
+class _CurrentModeMessage(msgspec.Struct):
     custom_mode: int
 
     def value(self, _: Receive) -> FlightMode | Unusable:
@@ -253,7 +253,7 @@ _LANDED: Final = {
 }
 
 
-class _ExtendedSysState(msgspec.Struct):
+class _ExtendedSysStateMessage(msgspec.Struct):
     landed_state: int
 
     def value(self, _: Receive) -> LandedState | Unusable:
@@ -300,7 +300,7 @@ _UNKNOWN_MV: Final = 65535
 _FLIGHT_FUNCTIONS: Final = (0, 1, 2)  # MAV_BATTERY_FUNCTION: unknown, all, propulsion
 
 
-class _BatteryStatus(msgspec.Struct):
+class _BatteryStatusMessage(msgspec.Struct):
     id: int
     battery_function: int
     battery_remaining: int
@@ -363,7 +363,7 @@ class Sensors(
         return self if self.present else Unusable("no sensor is present")
 
 
-class _StatusText(msgspec.Struct):
+class _StatusTextMessage(msgspec.Struct):
     severity: int
     text: str
     id: int = 0
@@ -417,7 +417,7 @@ class ListedParameter(
 _FIXES: Final = ("no_gps", "no_fix", "fix_2d", "fix_3d", "fix_dgps", "rtk_float", "rtk_fixed")
 
 
-class _GpsRawInt(msgspec.Struct):
+class _GpsRawIntMessage(msgspec.Struct):
     fix_type: int
 
     def value(self, _: Receive) -> str | Unusable:
@@ -434,8 +434,8 @@ def _pulses(m: Any, _: Receive) -> tuple[int, ...] | Unusable:
     return tuple(getattr(m, f"chan{n}_raw") for n in range(1, min(m.chancount, _RC_CHANNELS) + 1))
 
 
-_RcChannels = msgspec.defstruct(
-    "_RcChannels",
+_RcChannelsMessage = msgspec.defstruct(
+    "_RcChannelsMessage",
     [("chancount", int), ("rssi", int), *((f"chan{n}_raw", int, 65535) for n in range(1, _RC_CHANNELS + 1))],
     namespace={"value": _pulses},
 )
@@ -489,7 +489,7 @@ class MessageEntry(msgspec.Struct, frozen=True):
 
 HIGHRES_IMU = MessageEntry(
     "HIGHRES_IMU",
-    _HighresImu,
+    _HighresImuMessage,
     "body FRD",
     "m/s², rad/s",
     "a value is NaN or over 600 m/s² or 75 rad/s, or fields_updated lacks accelerometer or gyro",
@@ -499,14 +499,14 @@ HIGHRES_IMU = MessageEntry(
 )
 ATTITUDE_QUATERNION = MessageEntry(
     "ATTITUDE_QUATERNION",
-    _AttitudeQuaternion,
+    _AttitudeQuaternionMessage,
     "body FRD to NED",
     "unit quaternion, ms",
     "a value is NaN, or the length is not 1",
 )
 ODOMETRY = MessageEntry(
     "ODOMETRY",
-    _Odometry,
+    _OdometryMessage,
     "frame_id and child_frame_id LOCAL_NED, as PX4 sends from 1.14 on",
     "m, m/s",
     "a value is NaN, the position is over 10 km, the velocity is over 100 m/s, or the quality is -1",
@@ -516,21 +516,21 @@ ODOMETRY = MessageEntry(
 )
 HEARTBEAT = MessageEntry(
     "HEARTBEAT",
-    _Heartbeat,
+    _HeartbeatMessage,
     "-",
     "PX4's main and sub mode, MAV_STATE",
     "the autopilot is not PX4, or there is no custom mode",
 )
 CURRENT_MODE = MessageEntry(
     "CURRENT_MODE",
-    _CurrentMode,
+    _CurrentModeMessage,
     "-",
     "PX4's main and sub mode",
     "the mode is 0 (not supplied)",
 )
 EXTENDED_SYS_STATE = MessageEntry(
     "EXTENDED_SYS_STATE",
-    _ExtendedSysState,
+    _ExtendedSysStateMessage,
     "-",
     "MAV_LANDED_STATE",
     "the state is 0 (undefined)",
@@ -557,7 +557,7 @@ ESC_STATUS = MessageEntry(
 )
 BATTERY_STATUS = MessageEntry(
     "BATTERY_STATUS",
-    _BatteryStatus,
+    _BatteryStatusMessage,
     "-",
     "voltage in mV (per cell or total), charge in %",
     "voltage and charge are missing, or the voltage is under 3 V or over 150 V",
@@ -584,7 +584,7 @@ SYS_STATUS = MessageEntry(
 )
 STATUSTEXT = MessageEntry(
     "STATUSTEXT",
-    _StatusText,
+    _StatusTextMessage,
     "-",
     "MAV_SEVERITY; text in UTF-8, in parts of 50 bytes",
     "the severity is over 7, or the text is empty",
@@ -606,14 +606,14 @@ PARAM_VALUE = MessageEntry(
 )
 GPS_RAW_INT = MessageEntry(
     "GPS_RAW_INT",
-    _GpsRawInt,
+    _GpsRawIntMessage,
     "-",
     "GPS_FIX_TYPE",
     "the type of fix is unknown",
 )
 RC_CHANNELS = MessageEntry(
     "RC_CHANNELS",
-    _RcChannels,
+    _RcChannelsMessage,
     "-",
     "pulses in µs",
     "there are no channels, or the signal is 0",
