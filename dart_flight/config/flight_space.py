@@ -6,7 +6,6 @@ If a check fails, the function raises an `InputError` that names the key in the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import msgspec
 
@@ -148,30 +147,6 @@ def check_clear_of_posts(
     for post in posts.values():
         if post.distance_to_segment(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:
             raise document.error((*key, "position_m"), f"is in or at post {post.name}")
-
-
-def walls_as_written(walls: Iterable[Wall]) -> dict[str, WallSpec]:
-    """Return resolved walls in the form of a mission file: one entry for both faces of a partition."""
-    return {_name_of_entry(wall): _wall_as_written(wall) for wall in walls if not wall.is_back}
-
-
-def _name_of_entry(wall: Wall) -> str:
-    return wall.name if wall.thickness_m is None else wall.name.removesuffix(FRONT)
-
-
-def _wall_as_written(wall: Wall) -> WallSpec:
-    # Rounding restores the angle as the user wrote it.
-    yaw_sd_deg = None if wall.yaw_sd_rad is None else round(math.degrees(wall.yaw_sd_rad), 12)
-    return WallSpec(
-        point_m=wall.point,
-        normal=wall.normal,
-        length_m=wall.length_m,
-        material=wall.material,
-        given_at="centre",
-        position_sd_m=wall.position_sd_m,
-        yaw_sd_deg=yaw_sd_deg,
-        thickness_m=wall.thickness_m,
-    )
 
 
 def check_place(

@@ -1,15 +1,16 @@
-"""The checked mission that the flight core flies, and its conversion from and to a mission file.
+"""The checked mission that the flight core flies, and its conversion from a mission file.
 
 The file contains what a person writes (`config.mission_file`). `Mission` is the resolved form with unit
 normals, gains in the wall's axes, and impact points. A wall is the plane in which the vehicle's centre lies
-when the vehicle first touches the wall.
+when the vehicle first touches the wall. A mission keeps the keys of its file, and only `Mission.replace`
+changes the resolved parts.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,18 +33,13 @@ from dart_flight.config.flight_space import (
     resolve_space,
     resolve_walls,
     tangent_wall,
-    walls_as_written,
 )
 from dart_flight.config.mission_file import (
-    ApproachSpec,
     BoundsSpec,
     CollisionKeys,
     CollisionSpec,
     MissionFile,
     MissionKeys,
-    PostSpec,
-    ProbeSpec,
-    StartSpec,
     TrajectoryPieces,
     WaypointKeys,
     WaypointSpec,
@@ -95,44 +91,6 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
         if self.approach_m_s is None:
             return (0.0, 0.0, 0.0)
         return self.wall.from_collision((self.approach_m_s[0], self.approach_m_s[1], 0.0))
-
-    def as_written(self, start: Vec2) -> CollisionSpec:
-        """Return the collision as in a file; omit an impact point that follows from the approach."""
-        if self.probe is not None:
-            return self._probe_as_written(self.probe)
-        approach: ApproachSpec | None = None
-        impact: Vec2 | None = self.impact_point
-        if self.wall.post_radius_m > 0.0:
-            impact = self.wall.point
-        elif self.approach_m_s is not None and impact == _default_impact(self, start):
-            impact = None
-        along = None
-        if self.wall.sought and self.impact_point is not None:
-            impact, along = None, self.wall.along(self.impact_point)
-        if self.approach_m_s is not None:
-            approach = ApproachSpec(*self.approach_m_s)
-        return CollisionSpec(
-            **shared_keys(self, CollisionKeys),
-            wall=self.wall.name,
-            approach=approach,
-            impact_point_m=impact,
-            impact_along_m=along,
-            alpha_wall_m_per_n=(self.alpha_normal_m_per_n, self.alpha_tangential_m_per_n),
-        )
-
-    def _probe_as_written(self, probe: Probe) -> CollisionSpec:
-        (bx, by), (ex, ey) = probe.begin, probe.end
-        length = math.hypot(ex - bx, ey - by)
-        written = ProbeSpec(
-            from_m=probe.begin,
-            length_m=length,
-            direction=((ex - bx) / length, (ey - by) / length),
-            speed_m_s=probe.speed_m_s,
-            back_m=probe.back_m,
-            from_here=probe.from_here,
-            material=self.wall.material if self.wall.sought and self.wall.material_known else None,
-        )
-        return CollisionSpec(**shared_keys(self, CollisionKeys), wall=self.wall.name, probe=written)
 
 
 class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
@@ -191,7 +149,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         simulated_walls: additional walls that exist only in simulation.
         posts: the posts.
         vehicle_source: origin of the vehicle's configuration, or None if built in Python.
-        written: the keys as written, or None if built in Python.
+        written: the keys as written, or None if read from a log that lacks them.
     """
 
     source: str
@@ -269,27 +227,15 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return hashlib.sha256(msgspec.json.encode(tree, order="sorted")).hexdigest()[:32]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the resolved mission and its vehicle with the keys of a file; `load_mission` can read them.
+        """Return all keys of the mission's file, and all keys of its vehicle; `load_mission` can read them.
 
-        Walls have `given_at: centre`, and gains are in the wall's axes. An impact point that follows from
-        start and approach is omitted. The name of the vehicle's file is not included.
+        The name of the vehicle's file is not included.
+
+        Raises:
+            InputError: code has changed walls or other resolved parts of the mission without `replace`.
         """
-        return {**self._own_keys(), "vehicle": self.vehicle.to_dict()}
-
-    def _own_keys(self) -> dict[str, Any]:
-        written = MissionFile(
-            **shared_keys(self, MissionKeys),
-            version=1,
-            start=StartSpec(self.start, self.altitude_m),
-            bounds_m=self.bounds,
-            walls=walls_as_written(self.flat_walls),
-            simulated_walls=walls_as_written(self.simulated_walls),
-            posts={post.name: PostSpec(post.centre, post.radius_m, post.material) for post in self.posts},
-            collisions=[collision.as_written(self.start) for collision in self.collisions],
-            waypoints=list(_waypoints_as_written(self)),
-        )
-        tree: dict[str, Any] = msgspec.to_builtins(written)
-        return tree
+        file = Document.from_tree(self._keys_as_written(self.vehicle_as_written())).convert(MissionFile)
+        return {**msgspec.to_builtins(file), "vehicle": self.vehicle.to_dict()}
 
     def replace(self, changes: Mapping[str, Any]) -> Mission:
         """Return the mission that the file would define with some keys changed.
@@ -301,7 +247,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
         Raises:
             InputError: a key is unknown, a value has the wrong type or is out of range, or the parts
-                contradict each other.
+                contradict each other; or code has changed resolved parts without `replace`.
         """
         own = {key: value for key, value in changes.items() if key.partition(".")[0] != "vehicle"}
         own_vehicle = self.vehicle_as_written()
@@ -335,17 +281,15 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return vehicle if apply_limits(vehicle, self.limits) == self.vehicle else self.vehicle
 
     def _keys_as_written(self, vehicle: VehicleConfig) -> dict[str, Any]:
-        """Return the keys of the file; if Python code has changed the resolved parts, return those."""
+        """Return the keys of the file, with the keys that code has changed since, such as `standoff_m`."""
         if self.written is None:
-            return self._own_keys()
-        try:
-            same = parse_mission(Document.from_tree(self.written.tree), vehicle)
-        except InputError:  # another vehicle
-            return self._own_keys()
+            raise InputError("does not contain the keys of its mission", source=self.source)
+        same = parse_mission(Document.from_tree(self.written.tree), vehicle)
         unequal = {n for n in self.__struct_fields__ if getattr(self, n) != getattr(same, n)}
         unequal -= {"source", "vehicle", "vehicle_source"}
-        if unequal - set(MissionKeys.__struct_fields__):
-            return self._own_keys()
+        resolved = sorted(unequal - set(MissionKeys.__struct_fields__))
+        if resolved:
+            raise InputError(f"the program has changed {', '.join(resolved)} of a mission without `replace`")
         changed: dict[str, Any] = msgspec.to_builtins({name: getattr(self, name) for name in unequal})
         return self.written.tree | changed
 
@@ -360,25 +304,6 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
             north += takeoff_ned[0] - offset[0]
             east += takeoff_ned[1] - offset[1]
         return MissionFrame(north, east, takeoff_ned[2], math.radians(self.frame.heading_deg))
-
-
-def _waypoints_as_written(mission: Mission) -> Iterator[WaypointSpec]:
-    """Yield waypoints and pauses in the form of a file, and omit values that follow from others."""
-    altitude_m, usual_m_s = mission.altitude_m, mission.vehicle.flying.transit_speed_m_s
-    for one in mission.waypoints:
-        keys = shared_keys(one, WaypointKeys)
-        if one.position is None:
-            yield WaypointSpec(**keys, pause="operator", timeout_s=one.hold_s)
-            continue
-        x, y, z = one.position
-        yield WaypointSpec(
-            **keys,
-            position_m=(x, y) if one.at_wall is None else None,
-            altitude_m=None if z == altitude_m else z,
-            speed_m_s=None if one.speed_m_s == usual_m_s else one.speed_m_s,
-            hold_s=one.hold_s,
-        )
-        altitude_m = z
 
 
 def load_mission(
@@ -739,13 +664,6 @@ def _impact_point(
         text = f"{along:g} m is beyond the wall, which extends from {-reach:g} to {reach:g} m"
         raise document.error((*key, "impact_along_m"), text)
     return (x + along * tx, y + along * ty)
-
-
-def _default_impact(collision: Collision, start: Vec2) -> Vec2:
-    assert collision.approach_m_s is not None
-    if collision.trajectory is not None:
-        return collision.wall.foot(collision.trajectory.states()[-1].position)
-    return _project_onto_wall(start, collision.wall, collision.approach_m_s)
 
 
 def _project_onto_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:
