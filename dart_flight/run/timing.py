@@ -17,31 +17,23 @@ import msgspec
 
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import (
-    ActuatorSample,
-    AttitudeSample,
     CommandResult,
     ContactAnswer,
     ContactRequest,
     ImuSample,
     Input,
-    OdometrySample,
     PlanAnswer,
     PlanRequest,
     PoseSample,
     Setpoint,
 )
+from dart_flight.base.streams import SAMPLED_NAME
 from dart_flight.core.pace import BATCH_S
 from dart_flight.planning.contact_fit import FIT_US
 from dart_flight.sim.pipe import Stepped
 from dart_flight.vehicle.clock import Clock, SimulatedTime, host_us
 
 Answer = PlanAnswer | ContactAnswer
-_STREAMS: Final[dict[type, str]] = {
-    ImuSample: "imu",
-    AttitudeSample: "attitude",
-    OdometrySample: "odometry",
-    ActuatorSample: "actuator",
-}
 _ANSWERS: Final[dict[type, type]] = {PlanRequest: PlanAnswer, ContactRequest: ContactAnswer}
 _BATCH_US: Final = round(1e6 * BATCH_S)
 _MARGIN_US: Final = 40_000  # an answer must precede its trajectory by at least this time
@@ -182,7 +174,7 @@ class LockstepTime(RealTime):
             if batched is not None:
                 self._batched = batched and self._batches
             for item in items:
-                stream = _STREAMS.get(type(item))
+                stream = SAMPLED_NAME.get(type(item))
                 if stream is not None:
                     self._streams[stream] = max(item.t_us, self._streams.get(stream, 0))  # type: ignore[union-attr]
                 elif isinstance(item, PoseSample):

@@ -10,7 +10,7 @@ from collections import deque
 from typing import Protocol
 
 from dart_flight.base.records import RoundTrip
-from dart_flight.base.streams import LeapFilter
+from dart_flight.base.stamps import LeapFilter
 
 _WINDOW = 8  # seconds; each second keeps its best value
 _LOCKSTEP_STEP_US = 2000

@@ -33,6 +33,7 @@ from dart_flight.base.records import (
     StatusSample,
     StatusText,
 )
+from dart_flight.base.streams import BY_MESSAGE, SAMPLED
 from dart_flight.config.document import InputError
 from dart_flight.config.link_url import mavsdk_url
 from dart_flight.config.parameter_file import Value
@@ -73,11 +74,11 @@ def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
     """Return {stream: reason} for each stream from the vehicle that had no usable message."""
     found: dict[str, Source] = {}
     for source in sources:
-        stream = messages.STREAM_OF[source.sender.message]
+        stream = BY_MESSAGE.get(source.sender.message)
         if stream is None or not source.is_vehicle or not source.reason:
             continue
-        if stream not in found or source.arriving_hz > found[stream].arriving_hz:
-            found[stream] = source
+        if stream.name not in found or source.arriving_hz > found[stream.name].arriving_hz:
+            found[stream.name] = source
     return {
         name: f"{s.arriving_hz:.0f} Hz arrive, but no message is usable: {s.reason}"
         for name, s in found.items()
@@ -130,7 +131,6 @@ _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
 _MAX_UNANSWERED = 2  # unanswered requests before giving up; MAVSDK repeats each for seconds
 _WAIT_POLL_S = 0.1  # interval of the requests for the vehicle's time while waiting
 _FUSION_S = 10.0  # timeout until PX4 has a position from the forwarded poses
-_RATED = ("imu", "attitude", "odometry", "actuator")  # streams whose rates are reported
 
 
 class _Listener:
@@ -420,7 +420,9 @@ class GroundLink:
         def store_fix(fix: str, _: int) -> None:
             seen.gps_fix = fix
 
-        asyncio.run(session.set_rates(_RATED))  # the measured rates reveal a refusal
+        asyncio.run(
+            session.set_rates([stream.name for stream in SAMPLED])
+        )  # the measured rates reveal a refusal
         motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
         session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
         session.listen(messages.GPS_RAW_INT, store_fix)
@@ -436,12 +438,10 @@ class GroundLink:
             none = seen.poses.rate_hz == 0.0
             seen.pose_problem = self._bridge.problem if none else self._bridge.missing
         seen.rates_hz = {
-            name: sum(
-                s.usable_hz
-                for s in seen.sources
-                if s.is_vehicle and messages.STREAM_OF[s.sender.message] == name
+            stream.name: sum(
+                s.usable_hz for s in seen.sources if s.is_vehicle and s.sender.message == stream.message
             )
-            for name in _RATED
+            for stream in SAMPLED
         }
         batteries = session.batteries
         seen.batteries, seen.other_batteries = (

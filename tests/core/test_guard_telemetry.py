@@ -25,7 +25,8 @@ from dart_flight.base.records import (
     VehicleAction,
     VehicleCommand,
 )
-from dart_flight.base.streams import BY_NAME, FASTEST
+from dart_flight.base.stamps import FASTEST
+from dart_flight.base.streams import BY_NAME
 from dart_flight.core.guard.flight_conditions import _PAUSE_MEMORY_US, _PAUSE_US
 from dart_flight.core.guard.rules import _STALE_SAMPLES, RULES
 from dart_flight.core.guard.second_vehicle import (

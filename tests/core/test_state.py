@@ -22,7 +22,7 @@ from dart_flight.base.records import (
     StatusText,
     Tick,
 )
-from dart_flight.base.streams import FASTEST, LEAP_US
+from dart_flight.base.stamps import FASTEST, LEAP_US
 from dart_flight.core.sense.state import (
     _FASTEST_M_S,
     _FURTHEST_M,

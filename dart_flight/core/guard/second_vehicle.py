@@ -13,8 +13,9 @@ from typing import Final
 
 from dart_flight.base.geometry import norm
 from dart_flight.base.records import OdometrySample
-from dart_flight.base.streams import leaps
-from dart_flight.core.guard.stream_watch import SAMPLED, STAMP_TOLERANCE_S, Stamped
+from dart_flight.base.stamps import leaps
+from dart_flight.base.streams import SAMPLED_NAME
+from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S, Stamped
 
 POSITION_JUMP_M: Final = 0.3  # step between two samples beyond the motion; no estimator corrects as much
 _TURNS: Final = 3  # alternations within the window
@@ -116,7 +117,7 @@ class OtherVehicles:
 
     def __init__(self) -> None:
         self.same_system: str | None = None
-        self._clocks = {name: SecondClockDetector(1e6 * STAMP_TOLERANCE_S) for name in SAMPLED}
+        self._clocks = {name: SecondClockDetector(1e6 * STAMP_TOLERANCE_S) for name in SAMPLED_NAME.values()}
         self._places = SecondPositionDetector(POSITION_JUMP_M)
         self._other_system: int | None = None
 

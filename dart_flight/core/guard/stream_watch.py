@@ -19,7 +19,8 @@ from dart_flight.base.records import (
     Override,
     RoundTrip,
 )
-from dart_flight.base.streams import BY_NAME, leaps
+from dart_flight.base.stamps import leaps
+from dart_flight.base.streams import BY_NAME
 from dart_flight.config.vehicle.flying import GuardThresholds
 from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.sense.state import FlightState
@@ -204,7 +205,6 @@ def _late(flight: Any) -> str | None:
     return flight.streams.delay.describe(flight.has_paused) if flight.streams.delay.late else None
 
 
-SAMPLED: Final = ("imu", "attitude", "odometry", "actuator")
 _LINK: Final = ("status", "imu", "attitude", "odometry")
 _AIR, _LAND = Scope.AIR, Override.LAND
 _SLOWING: Final = frozenset({"stream_rate"})  # when a stream ends, its rate falls first

@@ -26,7 +26,7 @@ from dart_flight.base.records import (
     StatusText,
     Tick,
 )
-from dart_flight.base.streams import LEAP_US, LeapFilter
+from dart_flight.base.stamps import LEAP_US, LeapFilter
 
 _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
 _TEXT_AGE_US: Final = 15_000_000  # PX4's older texts are not given as reasons
