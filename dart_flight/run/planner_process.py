@@ -121,7 +121,7 @@ class Planner:
 def kinds_of_requests(mission: Mission) -> list[type[PlanRequest | ContactRequest]]:
     """Return the kinds of requests that the core makes on this mission."""
     kinds = list[type[PlanRequest | ContactRequest]]()
-    if mission.walls:
+    if mission.walls or mission.collisions:
         kinds.append(ContactRequest)
     if mission.after_impact is AfterImpact.REPLAN:
         kinds.append(PlanRequest)

@@ -75,7 +75,7 @@ class Poses(Protocol):
     def withhold(self, *, attitude_only: bool) -> None: ...
 
 
-class Planner(Protocol):
+class PlannerLink(Protocol):
     """A planner that works beside the core; its answers go to `Shell.take_answer`."""
 
     def send(self, item: PlanRequest | ContactRequest | WallEstimate | FrameAnchor) -> None: ...
@@ -108,7 +108,7 @@ class Shell:
         self.core, self.time = core, time
         self.lock: LockOrders | None = None
         self.poses: Poses | None = None
-        self.planners: Mapping[type, Planner] = {}
+        self.planners: Mapping[type, PlannerLink] = {}
         self._transport, self._observe = transport, observe
         self._number = 0
         self._held: Setpoint | None = None
