@@ -1,7 +1,8 @@
 """What a map shows, as data: the room of a mission, and the paths, places and vehicles in it.
 
-`lab/report/figures/map_drawing.py` draws a map from above and from the side. Points are in the mission frame,
-metres, (x, y, z), z up.
+`lab/report/figures/map_drawing.py` draws a map from above and from the side, `lab/report/player.py` draws the
+animation of a page, and `lab/scene/drawing.py` the scene of a viewer. Points are (x, y, z) in the mission
+frame, metres, z up.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import msgspec
 import numpy as np
 
 from dart_flight.base.geometry import Vec2, Vec3
-from dart_flight.base.records import Mode
+from dart_flight.base.records import AfterImpact, Mode
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.mission_file import BoundsSpec
 from dart_flight.config.vehicle import Airframe
 from dart_flight.lab.flight_arrays import Array
+from dart_flight.planning.predicted_flight import PredictedFlight, predicted_segments
 
 THICKNESS_M = 0.12  # drawn thickness of a wall; the true one is unknown
 _OPPOSED, _SAME_PLANE_M = -0.9, 0.01  # cosine between opposite normals; distance of faces in one plane
@@ -135,6 +137,12 @@ class DrawnWall(NamedTuple):
         """The wall's name, with its material unless the two are equal."""
         return named_material(self.plane)
 
+    @property
+    def outline(self) -> Array:
+        """The corners (4, 2), m: both ends of the surface, then both corners behind it."""
+        surface = np.array(self.surface.ends)
+        return np.vstack([surface, (surface - self.thickness_m * np.array(self.surface.normal))[::-1]])
+
 
 def named_material(thing: Wall | Post) -> str:
     """Return the name of a wall or post, with its material unless the two are equal."""
@@ -146,12 +154,16 @@ class RoomMap(msgspec.Struct):
 
     Attributes:
         north_rad: direction of north, counter-clockwise from x.
+        goal: end of the flight, at its altitude after all waypoints.
         newton_per_m: scale of the arrows of forces.
     """
 
     airframe: Airframe
     bounds: BoundsSpec
     north_rad: float
+    start: Vec3
+    goal: Vec3
+    capture_radius_m: float
     walls: tuple[DrawnWall, ...]
     posts: tuple[Post, ...]
     areas: list[Line] = []
@@ -179,17 +191,21 @@ class RoomMap(msgspec.Struct):
 
 def room_map(mission: Mission) -> RoomMap:
     """Return a map of the mission's bounds, walls, posts, waypoints, start and goal."""
+    start = (*mission.start, mission.altitude_m)
     goal = (*mission.goal.position_m, mission.altitude_at(len(mission.collisions)))
     return RoomMap(
         mission.vehicle.airframe,
         mission.bounds,
         math.radians(mission.frame.heading_deg),
+        start,
+        goal,
+        mission.goal.capture_radius_m,
         tuple(_drawn_walls(mission)),
         mission.posts,
         paths=[Line(MapKind.CAPTURE, circle(goal, mission.goal.capture_radius_m))],
         places=[
             *(Place(MapKind.WAYPOINT, w.position) for w in mission.waypoints if w.position is not None),
-            Place(MapKind.START, (*mission.start, mission.altitude_m)),
+            Place(MapKind.START, start),
             Place(MapKind.GOAL, goal),
         ],
         labels=[Label(named_material(post), post.centre, colour="#333333") for post in mission.posts],
@@ -214,6 +230,25 @@ def _gap_behind_m(own: Wall, surfaces: Sequence[Wall]) -> float:
             gap_m = -own.signed_distance(face.point)
             gaps += [gap_m] if gap_m > -_SAME_PLANE_M else []
     return max(0.0, min(gaps))
+
+
+def planned_lines(mission: Mission, planned: PredictedFlight) -> list[Array]:
+    """Return the predicted path in the air as lines (n, 3).
+
+    If a recovery has no predicted leg, its line leads straight from the hit to the setpoint. With
+    `after_impact: replan`, the last recovery leads to the goal instead.
+    """
+    last = len(mission.collisions)
+    replans = mission.after_impact is AfterImpact.REPLAN and mission.goal_trajectory is None
+    to_goal = last if replans and mission.recovers_to_goal else None
+    legs = {index: leg for index, leg in planned.legs.items() if index != to_goal}
+    found = [np.array([s.begin or s.end, s.end]) for s in predicted_segments(mission, planned.hits)]
+    for index, hit in planned.hits.items():
+        if index not in legs and mission.standoff_m is None:
+            end = mission.goal.position_m if index == to_goal else hit.setpoint
+            found.append(at_altitude([hit.position, end], mission.altitude_at(index - 1)))
+    lines: list[tuple[int, FlatLine]] = [*planned.approaches.items(), *legs.items()]
+    return found + [at_altitude(line, mission.altitude_at(index - 1)) for index, line in lines]
 
 
 def circle(centre: Sequence[float], radius_m: float) -> Array:

@@ -141,3 +141,14 @@ def test_rings_of_a_ring_guard_end_where_the_vehicle_touches_a_wall() -> None:
     assert len(airframe.guards_m) == 4
     reach = max(x for ring in airframe.guards_m for x, _ in ring)
     assert reach == pytest.approx(airframe.contact_distance_m)
+
+
+def test_faces_back_to_back_are_drawn_up_to_the_middle_between_them() -> None:
+    reach = mission_in_room().vehicle.airframe.contact_distance_m
+    behind = wall(1.6 + 2.0 * reach, 0.0, [1.0, 0.0])
+    shown = room_map(mission_in_room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "behind": behind}))
+    middle = 1.55 + reach
+    for one, face in zip(shown.walls, (middle - 0.05, middle + 0.05), strict=True):
+        assert one.outline[:2, 0] == pytest.approx(face)
+        assert one.outline[2:, 0] == pytest.approx(middle)
+        assert one.name_in_front
