@@ -29,7 +29,7 @@ _OFF_TIME_S: Final = 0.1  # largest correction for an impact that comes sooner o
 _CLOSES_M_S: Final = 0.3
 # [ours] Share of the attitude's delay that the jerk term leaves out; chosen on six seeds with PX4.
 _STRAIGHT_SHARE: Final = 0.5
-_NONE: Final[Vec3] = (0.0, 0.0, 0.0)
+_NONE: Vec3 = (0.0, 0.0, 0.0)
 
 
 class SetpointSelection:
