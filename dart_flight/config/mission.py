@@ -337,12 +337,30 @@ def parse_mission(
     """Resolve a parsed mission as `load_mission` does; `config` may be a loaded configuration."""
     refuse_other_keys(document, FileKind.MISSION)
     spec = document.convert(MissionFile)
-    if isinstance(config, VehicleConfig):
-        return resolve(spec, config, document)
-    if not isinstance(config, LoadedVehicle):
+    if not isinstance(config, VehicleConfig | LoadedVehicle):
         config = _find_vehicle(spec, config, document, settings)
-    mission = resolve(spec, config.config, document)
-    return msgspec.structs.replace(mission, vehicle_source=config.source)
+    vehicle, source = (config, None) if isinstance(config, VehicleConfig) else config
+    space = FlightSpace(spec, vehicle, document)
+    space.check_mode(spec.transit_mode, ("transit_mode",))
+    _add_tangent_walls(spec, space)
+    _check_goal_trajectory(spec, space)
+    walls = space.walls | unknown_walls(spec, space)
+    tree = {key: value for key, value in document.tree.items() if key != "vehicle"}
+    return Mission(
+        **shared_keys(spec, MissionKeys),
+        source=document.source,
+        vehicle=space.vehicle,
+        start=spec.start.position_m,
+        altitude_m=spec.start.altitude_m,
+        bounds=spec.bounds_m,
+        walls=tuple(space.walls.values()),
+        collisions=tuple(_resolve_collisions(spec, walls, space)),
+        waypoints=tuple(_resolve_waypoints(spec, walls, space)),
+        posts=tuple(space.posts.values()),
+        simulated_walls=tuple(space.resolve_walls(spec.simulated_walls, "simulated_walls").values()),
+        vehicle_source=source,
+        written=WrittenForm(tree, vehicle.flying),
+    )
 
 
 def _find_vehicle(
@@ -356,30 +374,6 @@ def _find_vehicle(
     if config is None and isinstance(spec.vehicle, str):
         config = Path(document.source).parent / spec.vehicle
     return find_vehicle(config, settings)
-
-
-def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mission:
-    tree = {key: value for key, value in document.tree.items() if key != "vehicle"}
-    written = WrittenForm(tree, vehicle.flying)
-    space = FlightSpace(spec, vehicle, document)
-    space.check_mode(spec.transit_mode, ("transit_mode",))
-    _add_tangent_walls(spec, space)
-    _check_goal_trajectory(spec, space)
-    walls = space.walls | unknown_walls(spec, space)
-    return Mission(
-        **shared_keys(spec, MissionKeys),
-        source=document.source,
-        vehicle=space.vehicle,
-        start=spec.start.position_m,
-        altitude_m=spec.start.altitude_m,
-        bounds=spec.bounds_m,
-        walls=tuple(space.walls.values()),
-        collisions=tuple(_resolve_collisions(spec, walls, space)),
-        waypoints=tuple(_resolve_waypoints(spec, walls, space)),
-        posts=tuple(space.posts.values()),
-        simulated_walls=tuple(space.resolve_walls(spec.simulated_walls, "simulated_walls").values()),
-        written=written,
-    )
 
 
 def _add_tangent_walls(spec: MissionFile, space: FlightSpace) -> None:

@@ -47,7 +47,6 @@ from dart_flight.core.guard.second_vehicle import (
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
-from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
@@ -56,7 +55,6 @@ from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, Pose
 from dart_flight.vehicle.motion_capture.source import AbsentSourceError
 from dart_flight.vehicle.own_system import send_as
 from dart_flight.vehicle.parameters import VehicleParameters
-from dart_flight.vehicle.timesync import make_request
 from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleError, VehicleSession
 
 
@@ -390,7 +388,7 @@ class GroundLink:
         try:
             while not times_us or times_us[-1] - times_us[0] < 1e6 * seconds:
                 before = len(times_us)
-                self._session.send_message(make_request(host_us()))
+                self._session.request_time()
                 time.sleep(_WAIT_POLL_S)
                 if len(times_us) > before:
                     moved_s = time.monotonic()

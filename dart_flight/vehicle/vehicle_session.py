@@ -59,7 +59,6 @@ from dart_flight.vehicle.command_server import CommandServer, Press, Result
 from dart_flight.vehicle.messages import AUTOPILOT, MessageEntry, Unusable
 from dart_flight.vehicle.own_system import send_as
 from dart_flight.vehicle.text_parts import TextAssembler, split_text
-from dart_flight.vehicle.timesync import make_request
 
 _ACTION_TIMEOUT_S = 5.0
 _CLOSE_S = 3.0
@@ -178,7 +177,7 @@ class VehicleSession:
         self.listen(messages.ODOMETRY, self._on_odometry)
         self.listen(messages.ACTUATOR_OUTPUT_STATUS, self._on_actuator)
         self.listen(messages.HEARTBEAT, self._on_heartbeat)
-        self.listen(messages.EXTENDED_SYS_STATE, self._on_landed)
+        self.listen(messages.EXTENDED_SYS_STATE, lambda landed, _: self._on_status(landed=landed))
         self.listen(messages.BATTERY_STATUS, self._on_battery, self._on_battery_gone)
         self.listen(messages.STATUSTEXT, self._on_status_text)
         if estimation.uses_esc:
@@ -337,11 +336,17 @@ class VehicleSession:
     async def keep_measuring(self) -> None:
         """Send TIMESYNC requests periodically; the subscription of `measure_link` handles the answers."""
         while True:
-            now = host_us()  # real time, because in lockstep simulated time may stand still
-            self._requests_us.append(now)
             with contextlib.suppress(Exception):  # a broken link is detected by missing answers
-                self._direct.send_message(make_request(now))
+                self.request_time()
             await asyncio.sleep(_REQUEST_PERIOD_S)
+
+    def request_time(self) -> None:
+        """Send a TIMESYNC request; the answer repeats the host time and adds the autopilot's time."""
+        now = host_us()  # real time, because in lockstep simulated time may stand still
+        self._requests_us.append(now)
+        fields = {"tc1": 0, "ts1": 1000 * now, "target_system": 0, "target_component": 0}
+        text = msgspec.json.encode(fields).decode()
+        self.send_message(MavlinkMessage("TIMESYNC", 0, 0, 0, 0, text))
 
     def _handle_answer(self, answer: messages.Timesync, _: int) -> Unusable | None:
         if answer.sent_us not in self._requests_us:
@@ -436,9 +441,6 @@ class VehicleSession:
     def _on_mode(self, mode: FlightMode, _: int) -> None:
         if mode is not self._status.flight_mode:
             self._on_status(flight_mode=mode)
-
-    def _on_landed(self, landed: LandedState, _: int) -> None:
-        self._on_status(landed=landed)
 
     def _on_battery(self, reading: messages.BatteryReading, _: int) -> None:
         self.batteries.update(reading)
