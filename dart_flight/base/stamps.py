@@ -17,7 +17,7 @@ def leaps(ahead_us: int, elapsed_us: int = 0) -> bool:
 
 
 class LeapFilter:
-    """Rejects stamps that leap, until so many leap in a row that the clock itself must have jumped."""
+    """Rejects stamps that leap, until so many in a row leap that the clock itself must have jumped."""
 
     def __init__(self, accepted_after: int) -> None:
         self._accepted_after = accepted_after

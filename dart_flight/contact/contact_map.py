@@ -26,8 +26,8 @@ no elementary form. If a is not 0, the time of release has none either. A safegu
 both to machine precision. If a = 0, this module uses the table, which is six times faster than the general
 solution in `oscillator.py`.
 
-All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); a negative normal velocity
-approaches.
+All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); a negative normal velocity is
+towards the wall.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
         peak = late_decay
         scale, entry = np.ones_like(zeta), np.full_like(zeta, math.inf)
     else:
-        light = zeta < 0.5  # otherwise the force falls from the onset on
+        light = zeta < 0.5  # otherwise the force falls from the onset
         time = 2.0 * quarter
         depth = late_decay
         scale = np.exp(zeta * np.where(light, half - time, 0.0))

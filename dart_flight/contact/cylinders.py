@@ -66,7 +66,7 @@ class NearestPoint(NamedTuple):
     Attributes:
         x_m: distance to the cylinder's face; negative inside the cylinder.
         normal: NED, horizontal, from the cylinder into the vehicle.
-        share: stiffness and damping at this point, as a share of the whole side's k and f.
+        share: stiffness and damping at this point, divided by the whole side's k and f.
         deflections: index and deflection per metre of depth, for each guard whose spring supports the point.
     """
 
@@ -259,7 +259,7 @@ class WallWithEnds:
             edge.share, edge.stood_in = None, near.x_m < 0.0
 
     def holds(self, number: int, q: Quaternion, position: Vec3) -> bool:
-        """Return whether a guard is in the wall from the front, or bears a force of the wall."""
+        """Return whether a guard has entered the wall from the front, or carries a force of the wall."""
         if number in self.bearing or number in self.beside:
             return number in self.bearing
         height, along = self._foot_point(number, q, position)

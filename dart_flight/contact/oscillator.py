@@ -1,7 +1,7 @@
 """A contact as a damped oscillator: initial state, motion in time, and times of its events.
 
-This is the only evaluation of the point law over time. `contact_map` takes the outcome of a contact from it,
-`planning/contact_stage.py` its events and speeds, `lab/predict/path.py` the whole course. The simulated
+This is the only evaluation of the point law over time. `contact_map` uses a contact's outcome,
+`planning/contact_stage.py` its events and speeds, and `lab/predict/path.py` its whole course. The simulated
 vehicle integrates `law.py` instead.
 
 The symbols are those of `contact_map`. V is the speed scale, the force is lx = m V omega (phi - alpha), and

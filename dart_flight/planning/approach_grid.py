@@ -1,4 +1,4 @@
-"""Run-ups and approaches of all candidates at once, by the core's rules (`core.mission.approach`)."""
+"""Run-ups and approaches of all candidates together, by the core's rules (`core.mission.approach`)."""
 
 from __future__ import annotations
 

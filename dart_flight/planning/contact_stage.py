@@ -22,7 +22,7 @@ In these equations, lx is the normal force of the contact law alone, at the spee
 also determines the peak friction force. The recovery setpoint (`core/mission/recovery.py`) is the position at
 the force peak plus the peak normal and friction forces, each times its gain. All equations along the normal
 are linear. One constant matrix per material and mode therefore describes the motion along the normal. The
-matrix exponential gives this matrix exactly.
+matrix exponential gives this constant matrix exactly.
 
 The motion along the wall needs only integrals of exp(-c (1 + xi')). Here c is mu times the normal speed at
 the onset, and xi' is the normal velocity divided by this speed. Gauss quadrature is accurate to about 1e-10.
@@ -51,8 +51,8 @@ Array = NDArray[np.float64]
 
 _NODES = 10  # Gauss nodes in each of the two phases of a contact
 _SUB = 12
-# Delay after the force has fallen by the detector's share: one more IMU sample, and on average half a period
-# of PX4's position controller (125 Hz).
+# Delay from the detected force drop (PEAK_DROP_FRACTION) until PX4 uses the setpoint: one IMU sample plus, on
+# average, half a period of PX4's position controller (125 Hz).
 _SETPOINT_USED_S = 0.004
 _MIN_AFTER_PEAK_S = 0.008  # the detector needs two samples after the maximum
 
@@ -193,7 +193,7 @@ class ContactStage:
         flat = c.reshape(-1, 1)
         slip = np.exp(-flat * self._depths)  # u at the nodes per unit of u at the onset
         slip_end = np.exp(-flat * self._depth_end)
-        kept = np.exp(-flat * (self._depth_end - self._depths))  # share at T of a push at the nodes
+        kept = np.exp(-flat * (self._depth_end - self._depths))  # fraction left at T of a push at the nodes
         values = slip @ self._by_speed.T
         push = kept @ self._push
         push_v = np.einsum("nj,nj->n", kept, slip @ self._push_speed.T)

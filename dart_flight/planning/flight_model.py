@@ -1,7 +1,7 @@
-"""Free flight under PX4's position loop, in closed form, for many candidates at once.
+"""Free flight under PX4's position loop, in closed form, for many candidates together.
 
 The equations hold for each axis of the mission frame. p is the position relative to the setpoint, v the
-velocity, and a the acceleration at the present attitude. i is the velocity loop's integral, and b the air
+velocity, and a the acceleration at the current attitude. i is the velocity loop's integral, and b the air
 drag. `core/mission/position_loop.py` defines kp, kv, ki, kd and tau:
 
     p' = v,   v' = a - b v,   i' = ki (-kp p - v)
@@ -33,9 +33,9 @@ Rows = NDArray[np.intp]
 
 GRID_S = 0.05
 WINDOW = 20  # grid steps evaluated together; most events are within the first second
-_ORDER = 11  # one grid step away, the fastest mode's (9 1/s) next term is 1e-13 of the position
+_ORDER = 11  # series order; one grid step away, the fastest mode's next term is 1e-13 of the position
 _NEWTON_STEPS = 6
-_SINGLE_M = 1e-4  # well above the rounding of single precision
+_SINGLE_M = 1e-4  # tolerance, well above the rounding of single precision
 
 
 class SetpointResponse(NamedTuple):
@@ -210,7 +210,7 @@ class SeriesSolution:
 def first_crossing(position: Array, lead_s: float, low: float, high: float) -> Array:
     """Return the time between `low` and `high` at which x + lead_s x' falls below 0.
 
-    `position` is the power series (order + 1, n) of x about the grid point, from which times count.
+    `position` is the power series (order + 1, n) of x about the grid point; times count from that point.
     """
     g = position
     if lead_s:

@@ -1,4 +1,4 @@
-"""Polynomials of the planner, many at once: between two states, and with their derivatives.
+"""The planner's polynomials, many together: between two states, and with their derivatives.
 
 Coefficients have the constant term first. `core/mission/trajectories.py` evaluates one trajectory in floats.
 """

@@ -7,7 +7,7 @@ end, the polynomial and its first two derivatives reach zero. The trajectory the
 shape, the end and the final velocity of the plan, with small additional accelerations.
 
 In the last tenths of a second before a wall, only two differences from the plan remain. The end is shifted to
-the estimated wall, and the final acceleration gives the wanted tilt of the vehicle. If the correction lasted
+the estimated wall, and the final acceleration gives the desired tilt of the vehicle. If the correction lasted
 until the impact, the vehicle would still be rotating at the impact.
 """
 
@@ -31,16 +31,16 @@ _SAMPLES = 24
 _STEP_S = 0.03  # step between the possible starting times on the planned trajectory
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
 _LEAST_S = 0.2  # shortest trajectory
-_SAME_S = 1e-6  # shorter pieces are dropped
-SETTLED_S = 0.2  # the last part before a wall follows the plan for this time, the attitude's lag
-_SETTLED_SHARE = 0.3  # largest share of a trajectory that this part takes
+_SAME_S = 1e-6  # duration below which pieces are dropped
+SETTLED_S = 0.2  # duration of the last part before a wall, which follows the plan: the attitude's lag
+_SETTLED_SHARE = 0.3  # largest fraction of a trajectory for this part
 
 
 class RejoiningTrajectories(NamedTuple):
     """The n candidate trajectories back to a planned trajectory, sampled at k times each.
 
     Attributes:
-        shares: (k,) sampling times, as shares of each duration.
+        shares: (k,) sampling times, as fractions of each duration.
         from_s: (n,) time on the planned trajectory at which the candidate begins.
         slower: (n,) factor, 1 or larger, by which the candidate slows down the planned trajectory.
         duration_s: (n,) duration of the candidate.

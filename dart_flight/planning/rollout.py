@@ -42,7 +42,7 @@ from dart_flight.planning.flight_model import (
 )
 from dart_flight.planning.task import Task, drag_along
 
-_HORIZON_S = 6.0  # later events do not occur, because the loop has settled
+_HORIZON_S = 6.0  # time of the last events, because the loop has then settled
 MIN_FACTOR = 0.1  # lower limit of a drawn coefficient relative to its nominal value
 Outcome = TypeVar("Outcome", NormalOut, TangentialOut)
 Stages = dict[tuple[str, Mode], ContactStage]
@@ -178,7 +178,7 @@ def draw_wall(wall: Wall, rng: np.random.Generator) -> Wall:
 
 
 def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stages]:
-    """Return the contact stages by wall and mode, for every draw; None stands for the nominal values.
+    """Return the contact stages by wall and mode, for every draw; None means the nominal values.
 
     Only walls with gains (`task.alphas`) have stages.
     """
@@ -204,9 +204,9 @@ class Rollout:
     """One sequence of walls, in the order of the impacts, for any approach velocities.
 
     Args:
-        flight: the loop's tables, shared between rollouts.
+        flight: precomputed tables of the position loop, shared between rollouts.
         constraints: constraints of the task, or None to fly every candidate to its end (for comparisons).
-        keep_hits: whether arrivals contain their collisions.
+        keep_hits: whether each returned arrival includes its hits.
     """
 
     def __init__(
@@ -574,7 +574,7 @@ def _actual_approach(
     later_s = before / -into
     x, y = grid.impact_x + vx * later_s, grid.impact_y + vy * later_s
     codes = grid.codes.copy()
-    # The wall's position is drawn, so no margin for uncertainty is needed beside half a vehicle.
+    # The wall's position is drawn, so half the vehicle's width suffices, without a margin for uncertainty.
     beyond = wall.end_distance_m((x, y)) < wall.half_vehicle_m
     codes[(codes == 0) & beyond] = CODE[Refusal.BEYOND_WALL]
     actual = grid._replace(codes=codes, impact_x=x, impact_y=y, impact_s=grid.impact_s + later_s)

@@ -46,8 +46,8 @@ from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, Pose
 from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
 _RATE_WINDOW_S = 1.0
-_HEARTBEAT_S = 2.0  # longest wait; the autopilot sends one per second
-_WORK_S = 0.05  # a faster screen is not useful, and a log is written at this period
+_HEARTBEAT_S = 2.0  # longest wait for a heartbeat; the autopilot sends one per second
+_WORK_S = 0.05  # period of processing: a faster screen is not useful, and a log is written at this period
 _INPUTS = get_args(Input)
 
 

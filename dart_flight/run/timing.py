@@ -36,17 +36,17 @@ from dart_flight.vehicle.clock import Clock, SimulatedTime, host_us
 Answer = PlanAnswer | ContactAnswer
 _ANSWERS: Final[dict[type, type]] = {PlanRequest: PlanAnswer, ContactRequest: ContactAnswer}
 _BATCH_US: Final = round(1e6 * BATCH_S)
-_MARGIN_US: Final = 40_000  # an answer must precede its trajectory by at least this time
+_MARGIN_US: Final = 40_000  # shortest time from an answer to the start of its trajectory
 _UNUSED: Final = (None, None, None)
 
 
 class RealTime:
     """Real time: no world waits, so reports of the application's progress have no effect.
 
-    An answer of a planner is due at once. Every method is thread-safe.
+    A planner's answer is due immediately. Every method is thread-safe.
 
     Args:
-        clock: relation of the autopilot's clock to the host's, or None to let the session estimate it.
+        clock: relation of the autopilot's clock to the host's, or None if the session estimates it.
     """
 
     waits: ClassVar[bool] = False  # whether the world waits for the application
@@ -55,7 +55,7 @@ class RealTime:
         self.clock = clock
         self.host_us: Callable[[], int] = host_us if clock is None else clock.host_us
         self._guard = threading.Lock()
-        # Due time of an answer, by its kind and the number of the request.
+        # Due time of an answer, by its kind and the request's number.
         self._due: dict[tuple[type, int], int] = {}
         self._answers: list[Answer] = []  # answers that are not due yet
 
@@ -95,7 +95,7 @@ class RealTime:
         """Count a request to a planner as unfinished until the core has processed the answer."""
 
     def hold_answer(self, answer: Answer) -> None:
-        """Store an answer of a planner until it is due."""
+        """Hold a planner's answer until it is due."""
         with self._guard:
             self._answers.append(answer)
 
@@ -117,7 +117,7 @@ class RealTime:
 
 
 class InProcessTime(RealTime):
-    """Simulated time in one process with the vehicle: a planner takes the time of the simulated computer."""
+    """Simulated time in one process with the vehicle: planning takes the simulated computer's time."""
 
     def __init__(self, clock: Clock, plan_us: int) -> None:
         super().__init__(clock)
@@ -134,8 +134,9 @@ class LockstepTime(RealTime):
     Args:
         send: writes one line to the world; must not block.
         plan_us: time from a replanning request to its answer.
-        batches: whether the world may advance by a batch of ticks at once. This must be False if poses are
-            forwarded, because the order of poses and samples in a batch would depend on the computer's load.
+        batches: whether the world may advance by a batch of ticks in one step. This must be False if poses
+            are forwarded, because the order of poses and samples in a batch would depend on the computer's
+            load.
     """
 
     waits = True

@@ -1,8 +1,8 @@
 """A small model of PX4's EKF2: it assumes that every pose arrives EKF2_EV_DELAY after its measurement.
 
 `Estimator` uses the true age of every pose, so it cannot model a wrong delay. This filter works like EKF2. A
-Kalman filter runs about 0.15 s behind the present and fuses each pose at its time of arrival minus the
-configured delay. An output predictor propagates the filter's state to the present by the IMU. If the
+Kalman filter runs about 0.15 s behind the current time and fuses each pose at its time of arrival minus the
+configured delay. An output predictor propagates the filter's state to the current time with the IMU. If the
 configured delay is wrong, the filter attributes the error to velocity, tilt and accelerometer bias, and it
 rejects poses beyond the gate. The estimate therefore oscillates. Gains, gates and time constants are from
 PX4's defaults and `configs/px4/indoor.params`.
@@ -38,7 +38,7 @@ _TICKS: Final = 2  # ticks of 4 ms per filter step: EKF2_PREDICT_US 10000 at 250
 _STEP_S: Final = 0.004 * _TICKS
 _PREDICT_S: Final = 0.01
 _DELAY_MAX_S: Final = 0.2  # EKF2_DELAY_MAX; a longer EKF2_EV_DELAY raises it
-_REACH_S: Final = 0.1  # a pose this much older than the filter's time is not fused
+_REACH_S: Final = 0.1  # age relative to the filter's time above which a pose is not fused
 _ACCELERATION_M_S2, _RATE_RAD_S, _BIAS_M_S3 = 0.35, 0.015, 0.003  # EKF2_ACC_NOISE, GYR_NOISE, ACC_B_NOISE
 _POSITION_M, _YAW_RAD = 0.01, 0.02  # EKF2_EVP_NOISE, EKF2_EVA_NOISE
 _POSITION_GATE, _YAW_GATE = 5.0, 2.6  # EKF2_EVP_GATE, EKF2_HDG_GATE, standard deviations
@@ -56,15 +56,15 @@ class DelayedFilter:
     """A filter that assumes the same age for every arriving pose, and writes an estimator's state.
 
     Args:
-        estimator: the filter writes this estimator's state from now on, so call its own `predict`, `correct`
-            and `shift` no more.
+        estimator: the filter writes this estimator's state from now on, so do not call its own `predict`,
+            `correct` and `shift` any more.
         delay_s: assumed age of a pose on arrival (EKF2_EV_DELAY).
     """
 
     def __init__(self, estimator: Estimator, now_s: float, delay_s: float) -> None:
         self._of = estimator
         self._now_s, self._delay_s = now_s, delay_s
-        # The filter runs this many steps behind the present.
+        # The filter runs this many steps behind the current time.
         self._behind = int(np.ceil(max(_DELAY_MAX_S, delay_s) / _PREDICT_S))
         self._at_p, self._at_v, self._at_q = estimator.position, estimator.velocity, estimator.q
         self._accelerometer_bias: Vec3 = (0.0, 0.0, 0.0)  # FRD

@@ -193,7 +193,7 @@ class Autopilot:
         self.assume_pose_delay(1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
 
     def assume_pose_delay(self, delay_s: float) -> None:
-        """Assume that every further pose is `delay_s` old on arrival, like PX4 with EKF2_EV_DELAY."""
+        """Assume that every subsequent pose is `delay_s` old on arrival, like PX4 with EKF2_EV_DELAY."""
         self.pose_filter = DelayedFilter(self.estimator, self.now_s, delay_s)
 
     def fuse_external_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> None:
@@ -254,7 +254,7 @@ class Autopilot:
         self.motors = self.cascade.update_attitude(e.q, e.rate, TICK_S)
 
     def _correct_by_gps(self, receiver: GpsReceiver, pose: tuple[float, Vec3, Quaternion] | None) -> None:
-        """Correct position and velocity by the GPS fix, and the attitude by the simulated pose."""
+        """Correct position and velocity with the GPS fix, and the attitude with the simulated pose."""
         if pose is not None:
             self.estimator.correct_attitude(pose[0], pose[2])
         fix = receiver.measure(self.plant)
@@ -284,7 +284,7 @@ class Autopilot:
         return self._hold
 
     def _hold_here(self) -> None:
-        """Hold the present heading, and the position at which the vehicle would stop."""
+        """Hold the current heading, and the position at which the vehicle would stop."""
         e = self.estimator
         # PX4 brakes before it holds, which takes about 0.5 s with the gains 0.95 1/s and 1.8 1/s.
         ahead = 0.5 if self.armed and self.landed is not LandedState.ON_GROUND else 0.0
@@ -356,7 +356,8 @@ def default_parameters(
     parameters |= rotor_parameters(vehicle.airframe.motors)
     parameters["SYS_AUTOSTART"] = 4001
     parameters["MAV_SYS_ID"] = 1
-    # The values that `check` wants; GPS parameters too, because missing parameters are requested repeatedly.
+    # The values that `check` requires; GPS parameters too, because missing parameters are requested
+    # repeatedly.
     for source in (PositionSource.RTK, PositionSource.MOCAP, position_from):
         parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
     parameters |= vehicle.mocap.measured_parameters()

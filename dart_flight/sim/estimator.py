@@ -66,7 +66,7 @@ class Estimator:
         return None if self._gps is None else self._gps.position_sd_m
 
     def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
-        """Predict the state by one IMU tick that ends at `t_s`."""
+        """Advance the state by one IMU tick, which ends at `t_s`."""
         if not self.updates:
             return
         self.rate = rate_frd
@@ -93,7 +93,7 @@ class Estimator:
         self._history = deque((t, p, v, quaternion_multiply(turn, q)) for t, p, v, q in self._history)
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion | None) -> None:
-        """Correct the estimate with a pose measured at `t_s`, which may be past; `q` may be None."""
+        """Correct the estimate with a pose measured at `t_s`, possibly some time ago; `q` may be None."""
         self.updates += 1
         if self.updates == 1 or not self._history:
             self.position, self.q = position_ned, q or self.q
@@ -117,7 +117,7 @@ class Estimator:
             self.q = q
 
     def correct_gps(self, t_s: float, position_ned: Vec3, velocity_ned: Vec3, weights: GpsWeights) -> None:
-        """Correct the estimate with a fix measured at `t_s`, which may be past; `weights` has the noise."""
+        """Correct the estimate with a fix measured at `t_s`, possibly some time ago."""
         self.updates += 1
         if self._gps is None or not self._history:
             self._gps, self._bias = GpsFilter(weights), weights.standing_bias_ned

@@ -1,6 +1,6 @@
 """The embedded autopilot's MAVLink side: it sends and answers like PX4, over UDP.
 
-Message rates are PX4's onboard defaults until a client requests others by SET_MESSAGE_INTERVAL. As in PX4,
+Message rates are PX4's onboard defaults until a client requests others with SET_MESSAGE_INTERVAL. As in PX4,
 periods are rounded to ticks of 4 ms. An endpoint has one or more links. Each link is a UDP socket that sends
 to a fixed port: 14540 for a companion computer, 14550 for a ground station.
 """
@@ -396,7 +396,7 @@ class MavlinkEndpoint:
             return
         value = message.param_value
         whole = message.param_type == mavlink.MAV_PARAM_TYPE_INT32
-        # A value of the wrong type is ignored and answered with the present value.
+        # A value of the wrong type is ignored, and the answer contains the current value.
         if isinstance(self.autopilot.parameters[name], int) is whole and (whole or math.isfinite(value)):
             self.autopilot.parameters[name] = (
                 struct.unpack("<i", struct.pack("<f", value))[0] if whole else value

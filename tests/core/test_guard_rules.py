@@ -440,13 +440,13 @@ def test_a_scope_selects_the_phases_in_which_a_rule_is_evaluated(phase: Phase, s
 
 def test_the_table_of_the_manual_names_scope_and_inputs_of_every_rule() -> None:
     header, _, *rows = table().splitlines()
-    assert header == "| rule | fires when | threshold | action | judged by |"
+    assert header == "| rule | fires when | threshold | action | evaluated by |"
     assert [row.split("`")[1] for row in rows] == [rule.name for rule in RULES]
     by_name = {row.split("`")[1]: row for row in rows}
     assert by_name["imu_stuck"].endswith(f" | {IMU_STUCK_S:g} s | land | guard, in the air |")
     assert by_name["peak_force"].endswith(" | `limits.peak_force_n` | break off | mission |")
     for name, kinds in (("altitude", "`OdometrySample`"), ("disarmed", "`StatusSample`, `ActuatorSample`")):
-        assert by_name[name].endswith(f", at once after {kinds} |")
+        assert by_name[name].endswith(f", immediately after {kinds} |")
 
 
 def test_thresholds_named_in_the_table_exist() -> None:

@@ -54,11 +54,11 @@ _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 _STOPPED_M_S: Final = 0.3
 _ELSEWHERE_M: Final = 0.3
-_MOST_M_S2: Final = 5.0  # largest acceleration, a lean of 27 degrees, while PX4's heading is wrong
-# PX4 disarms by itself after landing; if it has not disarmed by now, the guard does.
+_MOST_M_S2: Final = 5.0  # acceleration limit while PX4's heading is wrong; corresponds to 27 degrees of tilt
+# PX4 disarms by itself after landing; if PX4 has not disarmed after this time, the guard disarms.
 _DISARM_AFTER_US: Final = 15_000_000
 _UNSURE_US: Final = 15_000_000
-_LANDING_US: Final = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
+_LANDING_US: Final = 60_000_000  # limit of a landing's duration; from 2 m at 0.7 m/s it takes 5 s
 
 
 class _PhaseRules(NamedTuple):
@@ -78,7 +78,7 @@ class Guard:
         self._rules_by_phase = {phase: _rules_in(phase, rules) for phase in Phase}
         self._evaluated_us = 0  # host time of the last complete evaluation
         self._flight = FlightConditions(mission)
-        # Wait for a landing for longer than until the guard stops the motors.
+        # Wait longer for a landing than the guard waits before it stops the motors.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._flight.landing_timeout_s or 0.0)))
         self.action = Override.NONE
         self.overrules = False  # whether a rule has fired, so that the mission is ignored
@@ -92,7 +92,7 @@ class Guard:
         self._sent_us: int | None = None
         self._down_us: int | None = None  # time since which the vehicle is landed and disarmed
         self._hold: Vec3 | None = None
-        self._held_impact: ImpactOnset | None = None  # the impact from which the guard keeps its distance
+        self._held_impact: ImpactOnset | None = None  # the impact whose wall the guard keeps away from
         self._yaw_ned = 0.0
         self._altitude_m = mission.altitude_m
 
@@ -162,7 +162,7 @@ class Guard:
         for rule, rank, cause in due:
             if landing and rule.scope is Scope.GUIDED:
                 continue  # a landing leaves the flight space at the bottom
-            # A rule whose action is already active adds nothing, except for rules that explain it.
+            # If a rule's action is already active, evaluate the rule only if it can explain the active rule.
             if rank > self._rank:
                 detail = cause(self._flight)
                 if detail is not None:
@@ -192,7 +192,7 @@ class Guard:
             self._apply_reason(rule, detail)
 
     def _apply_reason(self, rule: Rule, detail: str) -> None:
-        """Make `rule` the reason, unless the present reason is a rule that `rule` does not explain.
+        """Make `rule` the reason, unless the current reason is a rule that `rule` does not explain.
 
         A release ends the program's control, so it always has its own reason.
         """
@@ -304,14 +304,14 @@ class Guard:
         return make_setpoint(frame, trigger, reference, frame.yaw_from_ned(self._yaw_ned + error_rad), free)
 
     def _motion(self, state: FlightState) -> tuple[Vec3, Vec3]:
-        """Return position and velocity, mission frame, by dead reckoning if PX4's are wrong."""
+        """Return position and velocity in the mission frame, by dead reckoning if PX4's are wrong."""
         reckoned, frame = self._flight.estimator.resets.reckoned, state.frame
         if reckoned is None or frame is None:
             return state.position, state.velocity
         return frame.point_from_ned(reckoned.position_ned), frame.vector_from_ned(reckoned.velocity_ned)
 
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
-        """Return whether a vehicle that broke off rests far from `hold`, for example because it tilted.
+        """Return whether a vehicle that broke off rests far from `hold`, for example because of its tilt.
 
         The guard then holds position where the vehicle rests. On the way back to `hold`, PX4's integrator
         would push the vehicle past `hold`, towards the wall.
@@ -335,7 +335,7 @@ class Guard:
         return state.now_us - self._down_us >= DOWN_US
 
     def _hold_point(self, state: FlightState) -> Vec3:
-        """Return the point to hold: the present position, at the mission's altitude.
+        """Return the point to hold: the current position, at the mission's altitude.
 
         After a break-off, the point keeps the retreat distance from the mission's walls, and from an unknown
         wall that was just touched.

@@ -37,16 +37,16 @@ from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 from dart_flight.core.sense.bias import THRUST_SCALE_LIMIT
 
 LYING_S: Final = 0.5
-IMU_STUCK_S: Final = 0.1  # noise changes every reading of a working IMU
-IMU_CLIPPED_S: Final = 0.25  # longer than any contact lasts
-BATTERY_LOW_S: Final = 1.0  # longer than a burst of thrust lasts
-ALTITUDE_TOLERANCE_M: Final = 0.25  # the vertical contact force moves the vehicle by about 0.15 m
+IMU_STUCK_S: Final = 0.1  # limit of a repeated reading; noise changes every reading of a working IMU
+IMU_CLIPPED_S: Final = 0.25  # limit of the time at full scale, longer than any contact
+BATTERY_LOW_S: Final = 1.0  # time below the limit before the rule fires, longer than a burst of thrust
+ALTITUDE_TOLERANCE_M: Final = 0.25  # an impact's vertical force moves the vehicle by about 0.15 m
 FORCE_MARGIN: Final = 1.15  # margin for the noise of one sample; `peak_force` checks the peak itself
 _SPEED_TOLERANCE: Final = 1.1
 _STALE_SAMPLES: Final = 5  # consecutive samples; one late datagram does not mean that the clock restarted
 _FALL_S: Final = 0.1
 _ALTITUDE_SLACK_M: Final = 0.05
-_GUARD_STRAYS_M: Final = 0.2  # a break-off from a wall at the edge of the bounds may leave them this far
+_GUARD_STRAYS_M: Final = 0.2  # limit outside the bounds for a break-off from a wall at their edge
 _AFTER_CLIMB: Final = frozenset({Phase.WAYPOINT, Phase.PAUSE, Phase.TRANSIT, Phase.PREPARE})
 
 
@@ -80,7 +80,7 @@ def _by_px4(flight: FlightConditions) -> bool:
 
 @condition("PX4 reports that it disarmed in the air, or the motors stand still and the vehicle falls")
 def _disarmed(flight: FlightConditions) -> str | None:
-    # A kill switch stops the motors at once; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
+    # A kill switch stops the motors immediately; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
     if flight.kill_asked:
         return None  # the guard itself has stopped the motors
     falling_s = flight.duration_s(flight.falling_since_us)
@@ -283,7 +283,7 @@ _OPERATOR_RELEASES = RuleCondition(
 def _found(
     name: str, action: Override, description: str, threshold: str = "", of_streams: bool = False
 ) -> Rule:
-    """Return a rule that fires on a finding; only the mission, which knows the plan, can make the finding."""
+    """Return a rule that fires on a finding; only the mission, which has the plan, can report the finding."""
     return Rule(name, action, Scope.ALWAYS, RuleCondition(description, threshold), of_streams=of_streams)
 
 
@@ -371,12 +371,12 @@ RULES_BY_NAME = {rule.name: rule for rule in RULES}
 
 
 def table() -> str:
-    rows = ["| rule | fires when | threshold | action | judged by |", "|---|---|---|---|---|"]
+    rows = ["| rule | fires when | threshold | action | evaluated by |", "|---|---|---|---|---|"]
     for rule in RULES:
         description, threshold, cause = rule.condition
         judged_by = f"guard, {rule.scope.value}" if cause is not None else "mission"
         if rule.at_once:
-            judged_by += ", at once after " + ", ".join(f"`{kind.__name__}`" for kind in rule.at_once)
+            judged_by += ", immediately after " + ", ".join(f"`{kind.__name__}`" for kind in rule.at_once)
         parts = [part if part[0].isdigit() else f"`{part}`" for part in threshold.split(", ") if part]
         limits = ", ".join(parts) or "-"
         action = rule.action.value.replace("_", " ")

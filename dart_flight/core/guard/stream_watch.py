@@ -27,18 +27,18 @@ from dart_flight.core.sense.state import FlightState
 
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
-LINK_LOST_S: Final = 5.0  # by then, PX4's own failsafe for a lost link has acted
-ACTUATOR_TIMEOUT_S: Final = 0.3  # without motor outputs for longer, thrust and force cannot be separated
+LINK_LOST_S: Final = 5.0  # silence after which PX4's own failsafe for a lost link has acted
+ACTUATOR_TIMEOUT_S: Final = 0.3  # limit of a silence in which thrust and force cannot be separated
 STATUS_TIMEOUT_S: Final = 3.0  # three heartbeats
 STAMP_TOLERANCE_S: Final = 0.5  # largest delay of a datagram
-_OTHERS_SINCE: Final = 12  # samples of all other streams together; they arrive in less than 0.1 s
+_OTHERS_SINCE: Final = 12  # number of samples of all other streams together, which arrive in less than 0.1 s
 _GAP_US: Final = 500_000  # silence in which an announcement of PX4 may have been lost
-_GAP_MEMORY_US: Final = 3_000_000  # a gap explains a mode change for this long
+_GAP_MEMORY_US: Final = 3_000_000  # time for which a gap explains a mode change
 _RATE_WINDOW_US: Final = 1_000_000
-_SHARE: Final = 0.15  # limit for the share of late samples; a batch after a pause counts as no time
+_SHARE: Final = 0.15  # limit of the fraction of late samples; a batch after a pause counts as no time
 _SHARE_US: Final = 1_000_000
-_FORGOTTEN: Final = 0.01  # share below which earlier late samples no longer matter
-_STEP_MAX_US: Final = 20_000  # a sample stands for the time since the previous one, up to this limit
+_FORGOTTEN: Final = 0.01  # fraction below which earlier late samples no longer matter
+_STEP_MAX_US: Final = 20_000  # limit of the time that one sample represents
 _DRIFT: Final = 2e-4  # largest drift of two clocks, seconds per second
 _LAST: Final = 3  # round trips kept; the shortest counts if the clocks cannot be compared
 _AGE_MAX_S: Final = 999.0  # age reported for a stream that never arrived
@@ -56,7 +56,7 @@ class TelemetryDelay:
     def __init__(self, limit_s: float) -> None:
         self._limit_us = limit_s * 1e6
         self._offset_us: float | None = None  # autopilot's time minus the host's
-        self._error_us = 0.0  # largest error of the offset
+        self._error_us = 0.0  # error bound of the offset
         self._measured_us = 0  # host time of the offset's measurement
         self._last: deque[int] = deque(maxlen=_LAST)
         self._received_us = 0
@@ -175,7 +175,7 @@ def _silence(
         limit: seconds, or the key of the guard's threshold.
         words: format of the message; the fields `s` and `ms` are replaced by the duration in seconds and
             milliseconds.
-        alone: key of a further limit that applies while other streams continue. Link and host are then not
+        alone: key of a second limit that applies while other streams continue. Link and host are then not
             the cause.
     """
     message = BY_NAME[streams[0]].message if streams[0] in BY_NAME else ""

@@ -58,14 +58,14 @@ from dart_flight.core.mission.wall_uncertainty import late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_TRAJECTORY_WAIT_S: Final = 1.5  # after a contact; a running planner answers twice within this time
-_NEAR_S: Final = 0.3  # an impact planned within this time is near
+_TRAJECTORY_WAIT_S: Final = 1.5  # longest wait after a contact; a running planner answers twice within it
+_NEAR_S: Final = 0.3  # time to the planned impact below which the impact is near
 _NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows its setpoints late
 _RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
-_LEFT_SHARE: Final = 0.5  # largest remaining share of a probe's retreat when the next leg begins
-_RETRY_US: Final = 1_000_000  # between retries: telemetry of mode and arming lags by up to a second
+_LEFT_SHARE: Final = 0.5  # largest remaining fraction of a probe's retreat when the next leg begins
+_RETRY_US: Final = 1_000_000  # period of retries; telemetry of mode and arming lags by up to a second
 _EVENTS: Final = frozenset({PlanAnswer, OperatorRequest})
 
 
@@ -500,7 +500,7 @@ class Executive:
         if rests or (following is not None and following.approach_m_s is not None):
             elapsed_us = self.progress.elapsed_us(state)
             rested = elapsed_us > _REST_AFTER_US and self._arrival.is_slow(state)
-            if probe is not None:  # PX4's integrators may still lean the vehicle after a slow contact
+            if probe is not None:  # PX4's integrators may still tilt the vehicle after a slow contact
                 left_m = distance2(state.position, self.progress.course.target)
                 rested = rested and left_m < _LEFT_SHARE * probe.back_m
             if rested or elapsed_us > _REST_TIMEOUT_US:
@@ -520,7 +520,7 @@ class Executive:
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
         """Return the mode of the lock after a contact: the mode of the following collision.
 
-        If the vehicle flies to waypoints or the goal next, it is the transit mode.
+        If the vehicle flies to waypoints or the goal next, the result is the transit mode.
         """
         return self.mission.transit_mode if following is None or stops else following.mode
 

@@ -13,7 +13,7 @@ from dart_flight.core.mission.phases import DOWN_US, PhaseTrigger
 from dart_flight.core.mission.proposal import MissionFinding
 from dart_flight.core.sense.state import FlightState
 
-_STREAMING_US: Final = 200_000  # PX4 accepts offboard only while setpoints are streaming
+_STREAMING_US: Final = 200_000  # time of setpoints before the request for offboard; PX4 requires them
 _DISARM_AFTER_US: Final = 8_000_000
 
 
@@ -73,7 +73,7 @@ class GroundPhases:
         return Change(action=action, finding=finding)
 
     def arm(self, progress: MissionProgress, state: FlightState) -> Change:
-        """Request arming; the climb begins at the vehicle's present position."""
+        """Request arming; the climb begins at the vehicle's current position."""
         if not state.status.armed:
             finding = None
             if progress.is_late(state):

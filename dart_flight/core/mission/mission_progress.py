@@ -30,7 +30,7 @@ class MissionProgress:
         asked_us: time of the last vehicle command in this phase, or None.
         collisions: collisions of the mission; if a probe has found a wall, the found wall replaces the wall
             of the mission file.
-        index: index of the next or present collision.
+        index: index of the next or current collision.
         stops: number of completed waypoints and pauses.
         approaches: trajectories of the approaches, by the index of their collision.
         walls: walls as estimated from contacts.
@@ -73,7 +73,7 @@ class MissionProgress:
 
     @property
     def collision(self) -> Collision | None:
-        """The next or present collision, or None."""
+        """The next or current collision, or None."""
         collisions = self.collisions
         return collisions[self.index] if self.index < len(collisions) else None
 
@@ -84,7 +84,7 @@ class MissionProgress:
 
     @property
     def waypoint(self) -> Waypoint | None:
-        """The present or next waypoint or pause, if it comes before the next collision; otherwise None."""
+        """The current or next waypoint or pause, if it comes before the next collision; otherwise None."""
         waypoints = self.mission.waypoints
         if self.stops < len(waypoints) and waypoints[self.stops].after == self.index:
             return waypoints[self.stops]
@@ -119,7 +119,7 @@ class Change(NamedTuple):
         phase_trigger, reason: trigger of a phase transition, and the reason to record for it. The transition
             is applied after all other changes.
         action: vehicle command, repeated until telemetry confirms it.
-        mode: wanted mode of the lock.
+        mode: requested mode of the lock.
         approach: trajectory of the approach to the next collision.
         frame, stood_at_ned: the mission frame, and the vehicle's position when the frame was set.
     """

@@ -4,7 +4,8 @@
 
 Here t_c is the time of the peak normal force, n the wall's outward normal, t its tangent, A_n and A_t gains.
 The normal force moves the setpoint away from the wall, and the friction force moves it onward along the wall.
-The height is unchanged. The core uses the equation with the measured peaks, the planner with the predicted.
+The height is unchanged. The core uses the equation with the measured peaks, the planner with the predicted
+peaks.
 """
 
 from __future__ import annotations

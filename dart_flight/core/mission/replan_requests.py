@@ -25,11 +25,11 @@ from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
 _FELT_WITHIN_US = 150_000  # longest wait for a fit: three times its latency (docs/felt.md)
-# A request along a trajectory keeps these times from the previous request and from the trajectory's end.
+# Shortest times from the previous request to a request along a trajectory, and to the trajectory's end.
 _AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000
 _HELD_TO_M = 0.2
-_TRIES = 6  # requests for a trajectory after one contact
-_LATER_S = 0.15  # largest delay of a new trajectory's end relative to the active one
+_TRIES = 6  # limit of the requests for a trajectory after one contact
+_LATER_S = 0.15  # a new trajectory may end at most this much later than the active one
 # Allowed offset of the vehicle from a trajectory's beginning; the loop corrects it within tenths of a second.
 _BESIDE_M, _BESIDE_M_S = 0.08, 0.25
 
@@ -85,7 +85,7 @@ class ReplanRequests:
             setpoint_mission=progress.course.target,
             lock_ready_us=None if ready_us is None else max(ready_us, square_us),
             under_way=again and replan.trajectory is not None and not turned,
-            # The planner needs the height for the lean at the end of a mission's trajectory.
+            # The planner needs the height for the tilt at the end of a mission's trajectory.
             contact_height_m=sensed.height_m if along else None,
             coasts=coasts or turned,
         )
@@ -215,7 +215,7 @@ def _is_consistent(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> b
 
 
 def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> str:
-    """Return the reason not to fly an answer's trajectory from the present state, or ""."""
+    """Return the reason not to fly an answer's trajectory from the current state, or ""."""
     if _active_is_faster(replan, trajectory, answer, state):
         return "the trajectory flown is quicker"
     at = trajectory.at((state.now_us - answer.begin_us) * 1e-6)

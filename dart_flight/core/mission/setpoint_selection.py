@@ -18,16 +18,16 @@ from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, Setpoi
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
-_COASTING_S: Final = 0.25  # longest coasting before an impact: the response time of the attitude
-_COASTS_US: Final = 500_000  # coasting after a contact: time for an answer, even to a second request
+_COASTING_S: Final = 0.25  # longest coasting before an impact: the attitude's response time
+_COASTS_US: Final = 500_000  # limit of coasting after a contact: time for an answer, even to a second request
 _SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s rotates the vehicle little
 _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 # Phases that begin with a trajectory to the target; a rehearsal adds the recovery.
 _UNDERWAY: Final = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
-_OFF_TIME_S: Final = 0.1  # largest correction for an impact that comes sooner or later than planned
+_OFF_TIME_S: Final = 0.1  # largest correction for an impact that is earlier or later than planned
 _CLOSES_M_S: Final = 0.3
-# [ours] Share of the attitude's delay that the jerk term leaves out; chosen on six seeds with PX4.
+# [ours] Fraction of the attitude's delay that the jerk term leaves out; chosen on six seeds with PX4.
 _STRAIGHT_SHARE: Final = 0.5
 _NONE: Vec3 = (0.0, 0.0, 0.0)
 
@@ -58,7 +58,7 @@ class SetpointSelection:
     # -- heading --
 
     def wanted_yaw(self, progress: MissionProgress, state: FlightState) -> float:
-        """Return the heading that the phase wants: parallel or square to the next wall."""
+        """Return the phase's desired heading: parallel or square to the next wall."""
         collision, phase, heading = progress.collision, progress.phase, progress.heading
         led_back = self._control is not None and phase is Phase.RECOVERY
         if collision is None or not (led_back or phase in TO_IMPACT):
@@ -75,7 +75,7 @@ class SetpointSelection:
         return state.now_us + round(1e6 * self._control.time_to_s(off, _yaw_rate(state), _SQUARE_RAD))
 
     def heading(self, progress: MissionProgress, state: FlightState) -> Heading:
-        """Return the heading and the command that leads back to the wanted heading after a contact."""
+        """Return the heading and the command that leads back to the desired heading after a contact."""
         heading, control = progress.heading, self._control
         if control is None or progress.phase not in _TURNED:
             if heading.before != heading.yaw or heading.asked is not None:
@@ -150,7 +150,7 @@ class SetpointSelection:
         """Return the acceleration of the mission's trajectory, as if it began at the end of the contact.
 
         The acceleration is zero during a contact. It is also zero if the vehicle is already as fast as the
-        trajectory, for example because it leans off the wall.
+        trajectory, for example because it tilts away from the wall.
         """
         trajectory, end_us = self._next_trajectory(progress), progress.lock.contact_end_us
         if trajectory is None or end_us is None:
@@ -164,8 +164,7 @@ class SetpointSelection:
     def _wall_ahead(self, progress: MissionProgress, state: FlightState, since_us: int | None) -> Wall | None:
         """Return the wall that a trajectory of the mission is about to meet.
 
-        A vehicle that is late must not lean into the wall to catch up: a contact rolls a leaning vehicle
-        over.
+        A vehicle that is late must not tilt into the wall to catch up: a contact rolls a tilted vehicle over.
         """
         collision, trajectory = progress.collision, progress.course.trajectory
         if collision is None or collision.trajectory is None or since_us is None or trajectory is None:
@@ -191,7 +190,7 @@ class SetpointSelection:
 
         The vehicle's actual time to impact corresponds to a point of the trajectory. The result is the
         planned thrust at this point minus the planned thrust at `since_s`. Without this correction, a vehicle
-        ahead of its trajectory would meet the wall before it leans off the wall. `free` has the wall's
+        ahead of its trajectory would reach the wall before it tilts away from the wall. `free` has the wall's
         normal, and the motion at the time at which PX4 executes the setpoint.
         """
         trajectory, (nx, ny) = progress.course.trajectory, free.along[0]
@@ -218,7 +217,7 @@ class SetpointSelection:
         """Return the reference of a trajectory for the time at which PX4 executes the setpoint.
 
         The acceleration is taken at an even later time, because the attitude lags. If the trajectory ends at
-        rest or leaning, this time is limited to its end. Drag and the response of PX4's D term are added, so
+        rest or tilted, this time is limited to its end. Drag and the response of PX4's D term are added, so
         that no error builds up in the position loop.
         """
         flown_s = since_s + self._delay_s

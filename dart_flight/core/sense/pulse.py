@@ -1,6 +1,6 @@
 """Peaks of a contact, from a fit of the contact model's pulse to the IMU readings (docs/force.md).
 
-The contact model is a damped oscillator that the vehicle's own thrust drives. The coefficients of the contact
+The contact model is a damped oscillator driven by the vehicle's own thrust. The coefficients of the contact
 are k, f and mu, and m is the vehicle's mass. B is the force that pushes towards the wall, and C is the slope
 of the normal force at the onset. With sigma = f/(2m) and w^2 = k/m, the normal force F obeys
 
@@ -143,7 +143,7 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 
 
 class _Ends:
-    """The pulse at the end of a reading: force, impulse for a slope of 1, impulse, impulse's derivative.
+    """The pulse at the end of a reading: force, impulse for a slope of 1, impulse, and its derivative.
 
     The derivative is with respect to the log frequency. It is a finite difference between two frequencies
     whose logarithms differ by 1e-4, with the same damping and decay. Each frequency's constants are computed
@@ -231,7 +231,7 @@ class _PulseFit:
         return p, c
 
     def _linearise(self) -> float:
-        """Return the cost at the present parameters and store the normal equations."""
+        """Return the cost at the current parameters and store the normal equations."""
         start, slope, omega, sigma, push = self.start, self.slope, self.omega, self.sigma, self._push
         ends = _Ends(omega, sigma, push, slope)
         cost = squares = 0.0

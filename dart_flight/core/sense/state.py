@@ -29,9 +29,9 @@ from dart_flight.base.records import (
 from dart_flight.base.stamps import LEAP_US, LeapFilter
 
 _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
-_TEXT_AGE_US: Final = 15_000_000  # PX4's older texts are not given as reasons
+_TEXT_AGE_US: Final = 15_000_000  # age above which PX4's texts are not given as reasons
 _MAX_REASONS: Final = 6
-_FURTHEST_M: Final = 1e5  # larger positions in PX4's local frame are implausible
+_FURTHEST_M: Final = 1e5  # limit of a plausible position in PX4's local frame
 _FASTEST_M_S: Final = 1e3
 _LEAPS_ACCEPTED: Final = 25
 _VELOCITIES_KEPT_US: Final = 1_000_000
@@ -42,8 +42,8 @@ class FlightState:
 
     `now_us` is the estimate of the autopilot's time: the newest stamp, or the host's time plus the clock
     offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick. Without a
-    lock, `lock` is settled and rigid. An `update_` that returns False has discarded the sample, whose stamp
-    does not increase or which is implausible.
+    lock, `lock` is settled and rigid. An `update_` method returns False if it has discarded the sample,
+    because the stamp does not increase or the sample is implausible.
     """
 
     def __init__(self, has_lock: bool = True) -> None:
@@ -235,7 +235,7 @@ class FlightState:
     # -- derived --
 
     def anchor(self, frame: MissionFrame) -> None:
-        """Set the mission frame, and convert the present positions, velocities and yaw."""
+        """Set the mission frame, and convert the current positions, velocities and yaw."""
         self.frame = frame
         if self.odometry is not None:
             self.position = frame.point_from_ned(self.odometry.position_ned)
@@ -244,7 +244,7 @@ class FlightState:
             self.yaw = frame.yaw_from_ned(yaw_ned_of(self.attitude.q_frd_to_ned))
 
     def position_at(self, t_us: int) -> Vec3:
-        """Extrapolate the position to a stamp, mission frame, from odometry at constant velocity."""
+        """Extrapolate the last odometry position (mission frame) to `t_us` at constant velocity."""
         if self.odometry is None:
             return self.position
         return add(self.position, scale(self.velocity, (t_us - self.odometry.t_us) * 1e-6))
@@ -257,7 +257,7 @@ class FlightState:
         return self.velocity
 
     def mean_velocity(self, over_s: float) -> Vec3:
-        """Return the mean odometry velocity of the last `over_s`, at most 1 s, mission frame.
+        """Return the mean odometry velocity (mission frame) over the last `over_s`, at most 1 s.
 
         PX4's velocity estimate follows accelerometer vibration. Use this mean to test whether the vehicle is
         slow.
@@ -277,7 +277,7 @@ class FlightState:
         """Return the reasons why PX4 does not act, from faults found on the link and PX4's own texts.
 
         The result is empty, or text to append such as "; PX4 reports: No offboard signal". If there is no
-        other reason, it is PX4's answer to the refused `command`.
+        other reason, the result is PX4's answer to the refused `command`.
         """
         own = self._recent(self._found_on_link)
         here = "; " + ", ".join(own) if own else ""
