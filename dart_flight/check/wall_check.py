@@ -47,11 +47,11 @@ def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedContact]) -
     before = (x + ON_PLANE_M * nx, y + ON_PLANE_M * ny)
     for wall in mission.walls:
         if is_blocked(wall, before, mission.goal.position_m, 0.0, 0.0):
-            says = (
+            message = (
                 f"wall {wall.name} is between the last impact and the goal: the vehicle would fly into it; "
                 "move the goal, or lead around the wall by waypoints"
             )
-            yield CheckFinding("way_to_goal", False, says)
+            yield CheckFinding("way_to_goal", False, message)
             return
 
 
@@ -71,18 +71,18 @@ def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
         names = f"walls {one.name} and {other.name}"
         figures = {"gap_m": min(gaps, key=abs)}
         if _SAME_PLACE_M < min(gaps) < 2.0 * contact_m:
-            says = (
+            message = (
                 f"{names} face each other at {min(gaps):.3f} m, minimum {2.0 * contact_m:.2f} m for the "
                 "vehicle: check their places; if they are one partition, their normals must point apart, and "
                 "one entry with thickness_m gives both"
             )
-            yield CheckFinding("opposite_walls", False, says, figures=figures)
+            yield CheckFinding("opposite_walls", False, message, figures=figures)
         elif -contact_m < max(gaps) <= _SAME_PLACE_M:
-            says = (
+            message = (
                 f"{names} are back to back at {max(0.0, -max(gaps)):.3f} m, less than the contact distance "
                 f"{contact_m:.2f} m: enter the partition as one wall with thickness_m"
             )
-            yield CheckFinding("opposite_walls", False, says, figures=figures)
+            yield CheckFinding("opposite_walls", False, message, figures=figures)
 
 
 def _places_before(one: Wall, other: Wall) -> list[Vec2]:
@@ -115,17 +115,17 @@ def _check_ends(mission: Mission, hits: Mapping[int, PredictedContact]) -> Itera
     wall = nearest.wall
     distance_m, slack = float(wall.end_distance_m(place)), float(position_margin_m(wall, place))
     side = "from" if distance_m >= 0.0 else "beyond"
-    says = f"the impact on wall {wall.name} is {abs(distance_m):.2f} m {side} the wall's end"
+    message = f"the impact on wall {wall.name} is {abs(distance_m):.2f} m {side} the wall's end"
     needed = f"half a vehicle ({wall.half_vehicle_m:.2f} m)"
     if slack > 0.0:
         needed += f" plus {SURE_SD:g} standard deviations of the wall's position ({slack:.2f} m)"
     figures = {"distance_m": distance_m, "margin_m": wall.half_vehicle_m + slack}
     if room_m((nearest, place)) < 0.0:
-        says += f", minimum {needed}"
+        message += f", minimum {needed}"
         if distance_m < mission.vehicle.airframe.guard_along_m + slack:
-            says += "; at this place not all guards touch the wall, so the contact rotates the vehicle"
-        says += ": move the impact along the wall"
-    yield CheckFinding("wall_end", room_m((nearest, place)) >= 0.0, says, figures=figures)
+            message += "; at this place not all guards touch the wall, so the contact rotates the vehicle"
+        message += ": move the impact along the wall"
+    yield CheckFinding("wall_end", room_m((nearest, place)) >= 0.0, message, figures=figures)
 
 
 def _check_collision(
@@ -140,8 +140,8 @@ def _check_collision(
         yield CheckFinding(item, False, f"within {SURE_SD:g} standard deviations {', '.join(problems)}")
     elif wall.is_uncertain:
         slack = float(position_margin_m(wall, impact_place(collision, hits)))
-        says = f"wall {wall.name}: the impact tolerates a position error of {slack:.2f} m ({SURE_SD:g} sd)"
-        yield CheckFinding(item, True, says)
+        message = f"wall {wall.name}: the impact tolerates a position error of {slack:.2f} m ({SURE_SD:g} sd)"
+        yield CheckFinding(item, True, message)
     planned_deg, most_deg = (
         incidence_deg(mission, collision),
         max_incidence_deg(mission.vehicle, collision.mode),

@@ -128,7 +128,7 @@ def describe_end(name: str, fly: bool, ended: Ended) -> list[str]:
             return [f"{name}: go"]
         bad = [f for f in report["findings"] if not f["go"] and not f.get("overruled")]
         more = f" and {len(bad) - _NO_GOES} more" if len(bad) > _NO_GOES else ""
-        return [f"{name}: no-go{more}", *(f"{f['item']}: {f['says']}" for f in bad[:_NO_GOES])]
+        return [f"{name}: no-go{more}", *(f"{f['item']}: {f['message']}" for f in bad[:_NO_GOES])]
     return [f"{name}: {ended.last_line or f'ended with status {ended.status}'}"]
 
 

@@ -284,12 +284,12 @@ class GroundLink:
     async def _round_trip_s(self) -> float | None:
         unanswered = await self._session.measure_link(_ROUND_TRIP_MAX_S)
         if unanswered:
-            says = (
+            message = (
                 "sends telemetry but does not answer requests"
                 if self._system.is_connected()
                 else "has stopped sending and has not answered these requests"
             )
-            raise NoAnswerError(f"the vehicle {says}: {', '.join(unanswered)}", source=self._url)
+            raise NoAnswerError(f"the vehicle {message}: {', '.join(unanswered)}", source=self._url)
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._session.keep_measuring(), _ROUND_TRIPS_S)
         found = self._listener.round_trips_us
@@ -310,14 +310,14 @@ class GroundLink:
                 self._answered = True
                 raise
             if not self._system.is_connected():
-                says = f"the vehicle stopped responding; no answer to {what}"
-                raise NoAnswerError(says, source=self._url) from None
+                message = f"the vehicle stopped responding; no answer to {what}"
+                raise NoAnswerError(message, source=self._url) from None
             self._unanswered.append(what)
             if not self._answered and len(self._unanswered) >= _MAX_UNANSWERED:
-                says = (
+                message = (
                     f"the vehicle sends telemetry but does not answer requests: {', '.join(self._unanswered)}"
                 )
-                raise NoAnswerError(says, source=self._url) from None
+                raise NoAnswerError(message, source=self._url) from None
             raise
         self._answered = True
         return answer

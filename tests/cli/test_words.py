@@ -250,7 +250,7 @@ def test_an_autopilot_that_is_not_px4_is_named(autopilot: int, problem: str | No
     _, value = messages.HEARTBEAT.reader()(msgspec.json.encode(fields).decode())
     reason = value.reason if isinstance(value, Unusable) else ""
     found = evaluate_autopilot(HeartbeatMode(armed=False, hil=False, not_px4=reason))
-    assert [problem in f.says and not f.go for f in found if problem] == [True] * (problem is not None)
+    assert [problem in f.message and not f.go for f in found if problem] == [True] * (problem is not None)
     assert bool(found) == (problem is not None)
 
 
