@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dart_flight.base.arithmetic import Number
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2
 from dart_flight.base.walls import Post, Wall
+from dart_flight.contact.coefficients import Array
 from dart_flight.core.mission.commitment import (
     SETPOINT_OUTSIDE_M,
     SETTLED_BEFORE_S,
@@ -30,7 +31,6 @@ from dart_flight.core.mission.wall_uncertainty import spans_with_margin
 from dart_flight.planning.flight_model import GridWindow, SetpointResponse
 from dart_flight.planning.task import Task
 
-Array = NDArray[np.float64]
 Codes = NDArray[np.int8]
 
 MIN_REBOUND_M_S = 0.05

@@ -49,11 +49,10 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.contact_recorder import undecided
-
-Array = NDArray[np.float64]
 
 FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/felt.md)
 CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall

@@ -36,18 +36,15 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
-from dart_flight.contact.coefficients import CoefficientArrays
+from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.contact_map import friction_per_speed
 from dart_flight.contact.law import Onset
 from dart_flight.contact.oscillator import Oscillation, begin_contact, find_contact_times, time_of_drop
 from dart_flight.core.mission.position_loop import PositionLoop
 from dart_flight.core.mission.recovery import recovery_offset
 from dart_flight.core.sense.detector import PEAK_DROP_FRACTION
-
-Array = NDArray[np.float64]
 
 _NODES = 10  # Gauss nodes in each of the two phases of a contact
 _SUB = 12

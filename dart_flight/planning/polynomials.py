@@ -9,9 +9,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dart_flight.contact.coefficients import Array
 
 
 def quintic(begin: Array | Sequence[Array | float], end: Sequence[Array | float], duration_s: Array) -> Array:

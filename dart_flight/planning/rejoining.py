@@ -18,14 +18,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dart_flight.base.geometry import Vec2
+from dart_flight.contact.coefficients import Array, Rows
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.polynomials import derivative, quintic
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
 
 _SAMPLES = 24
 _STEP_S = 0.03  # step between the possible starting times on the planned trajectory

@@ -368,17 +368,3 @@ RULES: tuple[Rule, ...] = (
 # fmt: on
 
 RULES_BY_NAME = {rule.name: rule for rule in RULES}
-
-
-def table() -> str:
-    rows = ["| rule | fires when | threshold | action | evaluated by |", "|---|---|---|---|---|"]
-    for rule in RULES:
-        description, threshold, cause = rule.condition
-        judged_by = f"guard, {rule.scope.value}" if cause is not None else "mission"
-        if rule.at_once:
-            judged_by += ", immediately after " + ", ".join(f"`{kind.__name__}`" for kind in rule.at_once)
-        parts = [part if part[0].isdigit() else f"`{part}`" for part in threshold.split(", ") if part]
-        limits = ", ".join(parts) or "-"
-        action = rule.action.value.replace("_", " ")
-        rows.append(f"| `{rule.name}` | {description} | {limits} | {action} | {judged_by} |")
-    return "\n".join(rows) + "\n"
