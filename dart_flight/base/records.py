@@ -272,7 +272,7 @@ class HealthReport(Record, frozen=True, gc=False):
 
 
 class OtherVehicle(Record, frozen=True, gc=False):
-    """Another autopilot on the same link, identified by its system id; its messages are kept apart."""
+    """Another autopilot on the same link, identified by its system id; its messages are not mixed in."""
 
     topic: ClassVar[str] = "/in/other_vehicle"
     t_us: int

@@ -101,7 +101,7 @@ class Wall(msgspec.Struct, frozen=True):
     def crossing(
         self, a: tuple[Number, ...], b: tuple[Number, ...], a_off_m: float = 0.0, b_off_m: float = 0.0
     ) -> tuple[Number, tuple[Number, Number]]:
-        """Return whether a segment crosses the wall's infinite plane, and where its line meets the plane.
+        """Return whether a segment crosses the wall's infinite plane, and where the line meets this plane.
 
         Coordinates may be numbers or arrays. If the line is parallel to the plane, the place is `a`.
 

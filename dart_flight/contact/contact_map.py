@@ -125,7 +125,7 @@ class _Shape(NamedTuple):
     zeta: Array
     w: Array  # 1 at and above (nearly) critical damping, where other formulas hold
     late_decay: Array  # exp(-zeta tau) at the force peak of the lcp solution
-    scale: Array  # a `touch` contact is an `lcp` contact at a speed higher by this factor, entered late
+    scale: Array  # speed factor: a `touch` contact is the late part of a faster `lcp` contact
     entry: Array  # the largest possible r = phi'/phi, at the onset (infinite for lcp)
 
 

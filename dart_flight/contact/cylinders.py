@@ -42,7 +42,7 @@ from dart_flight.contact.propeller_guards import (
     WallLoad,
 )
 
-EDGE_RADIUS_M: Final = 0.01  # a sharp edge has no normal; a board is about this thick
+EDGE_RADIUS_M: Final = 0.01  # radius of an edge, about that of a board; a sharp edge has no normal
 _DOWN: Final = (0.0, 0.0, 1.0)  # NED
 
 

@@ -17,7 +17,7 @@ from dart_flight.config.vehicle import LockConfig
 
 # A servo with a range of 360 degrees needs 5.5 us per degree; a common servo needs 10.
 _LEAST_US_PER_DEG = 5.0
-STEP_US = 10.0  # about one degree, so that a jammed rod takes no damage
+STEP_US = 10.0  # small step, about one degree, so that a jammed rod is not damaged
 HELP = (
     "+ or - moves the pulse by 10 us, +25 or -40 moves it by that amount, and 1500 sets it to 1500 us; "
     "ok stores this position, and quit changes nothing"

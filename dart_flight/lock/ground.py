@@ -21,7 +21,7 @@ from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.persistence import LastCommand
 
 POLL_S = 0.02
-CALIBRATION_STEP_S = 0.04  # two frames of the servo per small step
+CALIBRATION_STEP_S = 0.04  # duration of a small step: two frames of the servo
 
 
 def clock_us() -> int:

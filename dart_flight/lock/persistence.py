@@ -133,7 +133,7 @@ class ServoDevice(NamedTuple):
     """The hardware that only one process at a time may use to move a servo.
 
     Attributes:
-        key: identifier of the hardware, the same for every name of the same hardware.
+        key: identifier of the hardware, the same for all of the hardware's names.
         words: name of the hardware in messages.
     """
 

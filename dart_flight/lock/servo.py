@@ -75,7 +75,7 @@ class ServoModel:
         self._target_us = None if pulse_us is None else self._within_stops(pulse_us)
 
     def pulse_at(self, t_us: int) -> float:
-        """Return the position of the horn, as the pulse width in us that would hold it there."""
+        """Return the horn's position, as the pulse width in us that would hold the horn there."""
         self._advance(t_us)
         return self._horn_us
 

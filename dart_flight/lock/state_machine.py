@@ -365,7 +365,7 @@ class LockStateMachine:
         feedback: bool = False,
         commanded_us: int | None = None,
     ) -> None:
-        """Change the phase by the table (no other method does); an event without an entry has no effect."""
+        """Change the phase according to the table (only here); an event without an entry has no effect."""
         after = TRANSITIONS[self._state.phase].get(event)
         if after is None:
             return

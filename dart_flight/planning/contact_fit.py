@@ -56,15 +56,13 @@ from dart_flight.core.sense.contact_recorder import undecided
 
 FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/felt.md)
 CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall
-SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong (docs/felt.md)
+SURE_LOG_ODDS: Final = 5.3  # odds of 200 to 1; at most one mode in a thousand is then wrong (docs/felt.md)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
 _PLACE_M: Final = 0.1  # minimum deviation of a wall's position; wide, because the force determines it
 _WALL_RAD: Final = math.radians(4.0)  # minimum deviation of a planned wall's direction and of the attitude
-_UNPLANNED_RAD: Final = math.radians(
-    15.0
-)  # the same for an unplanned wall, with the force's direction as normal
+_UNPLANNED_RAD: Final = math.radians(15.0)  # the same for an unplanned wall: the normal is the force's
 _UNKNOWN_SPREAD: Final = 0.8  # relative deviation of the coefficients if the material is unknown
 _KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations above which the material is not in the table
 _MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which the law does not fit
@@ -76,7 +74,7 @@ _LEVER_SD: Final = 0.3  # prior standard deviation of b: a contact may also have
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
-_TORQUE_ERROR: Final = 0.05  # errors of successive ticks are correlated
+_TORQUE_ERROR: Final = 0.05  # larger than for independent ticks, because their errors are correlated
 _SURE_SIGMA: Final = 5.0  # standard deviations of the readings' sum below which there was no contact
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
@@ -86,7 +84,7 @@ _SCREENED: Final = 3  # steps after which only the best starts are kept
 _KEPT: Final = 4
 _STEPS: Final = 10
 _SETTLED: Final = 1e-2  # reduction of the cost below which the search ends
-_DAMPINGS = np.array([1.0, 10.0, 100.0])  # all are tried at every step
+_DAMPINGS = np.array([1.0, 10.0, 100.0])  # damping factors, all tried at every step
 _DIFFERENCE: Final = 1e-5  # step of a parameter for the numerical derivatives
 _SUBSTEPS: Final = 2  # integration steps per tick
 _FINE: Final = 4  # integration steps per tick for the torque's peak

@@ -51,7 +51,7 @@ _SUB = 12
 # Delay from the detected force drop (PEAK_DROP_FRACTION) until PX4 uses the setpoint: one IMU sample plus, on
 # average, half a period of PX4's position controller (125 Hz).
 _SETPOINT_USED_S = 0.004
-_MIN_AFTER_PEAK_S = 0.008  # the detector needs two samples after the maximum
+_MIN_AFTER_PEAK_S = 0.008  # minimum delay, because the detector needs two samples after the maximum
 
 
 class _Quadrature(NamedTuple):

@@ -144,7 +144,7 @@ def _sampled(planned: Trajectory, times: Array) -> Array:
 
 
 def _shift_polynomial(coefficients: tuple[float, ...], by: float) -> list[float]:
-    """Return the coefficients of the same polynomial with its origin of time shifted by `by`."""
+    """Return a polynomial's coefficients after shifting the origin of time by `by`."""
     return [
         sum(math.comb(n, k) * coefficients[n] * by ** (n - k) for n in range(k, len(coefficients)))
         for k in range(len(coefficients))

@@ -57,7 +57,7 @@ _LAST = 3  # number of samples that count as a trajectory's end
 _PUSH_SAMPLES = 12  # samples at which acceleration and jerk are checked, before the other constraints
 # Usable fraction of PX4's tilt limit; the rest is for wind, errors and the position loop's corrections.
 _TILT_SHARE = 0.6
-_JERK_M_S3 = 25.0  # about 150 degrees of tilt per second, which the attitude loop can follow
+_JERK_M_S3 = 25.0  # jerk limit: about 150 degrees of tilt per second, which the attitude loop can follow
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
 _GENTLE_REJOINING_S = 0.05  # the same for rejoining, because the joined trajectory is within limits
 _REJOINING_ALLOWANCE = 1.25  # factor on the limit, because the planned trajectory may already reach the limit
@@ -67,7 +67,7 @@ _SPEED_TOLERANCE = 1.01  # largest ratio of planned to flown speed
 _THRUST_OFF_SHARE = 0.5  # rigid arms: fraction of the plan's final thrust off the wall; lag removes the rest
 _LEANS_IN_M_S3 = 8.0  # final jerk into the wall above which another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
-_COMPRESSED_M = 0.15  # greatest depth behind a wall, from compressed arms and its position error
+_COMPRESSED_M = 0.15  # largest depth behind a wall, due to compressed arms and the wall's position error
 _OFF_PLACE_S = 1.0  # cost of a contact as far from the planned point as the mission tolerates
 
 

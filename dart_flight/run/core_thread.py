@@ -24,7 +24,7 @@ from dart_flight.vehicle.clock import host_us
 
 _TICK_S: Final = 0.02
 _STOP_S: Final = 2.0
-_BACKLOG: Final = 64  # inputs; if more are queued, older samples of the state streams are dropped
+_BACKLOG: Final = 64  # number of queued inputs above which older samples of the state streams are dropped
 _STATE_STREAMS: Final = (AttitudeSample, OdometrySample, ActuatorSample)
 
 

@@ -38,7 +38,7 @@ class Deadman:
 
     Args:
         starve_s: longest permitted time without a feed from the core thread or the event loop.
-        note: text file that gets a line when the app is killed.
+        note: text file to which a line is written when the app is killed.
 
     Attributes:
         feed_period_s: period at which core thread and event loop should feed the deadman.
@@ -73,7 +73,7 @@ class Deadman:
         return self._process.pid
 
     def arm(self) -> None:
-        """Arm the deadman, which from now on kills the app if a feed is missing."""
+        """Arm the deadman, which then kills the app if a feed is missing."""
         self._armed = True
         self._write(_ARM)
 

@@ -22,8 +22,8 @@ class LockThread:
     In lockstep the thread polls the driver in simulated time, whenever `poll_if_due` finds a poll due.
 
     Args:
-        make_session: makes the session from a callback for each state. It is called only when the autopilot's
-            time is known, because otherwise the lock's stamps could be later than that time.
+        make_session: makes the session from a callback for each state. The thread calls it only when the
+            autopilot's time is known, because the lock's stamps could otherwise be later than that time.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """Download of PX4's own log into the flight's folder, for `fly` and `px4-log`.
 
-Both functions raise VehicleError if no vehicle answers at the URL, and DownloadError if it does not answer
-the request.
+Both functions raise VehicleError if no vehicle answers at the URL, and DownloadError if the vehicle does not
+answer the request.
 """
 
 from __future__ import annotations

@@ -156,7 +156,7 @@ def fly_simulated(
     """Start a world, fly in this world, end the world and close the log; return the world.
 
     Args:
-        record: gets the truth of the world.
+        record: receives the truth of the world.
         spec: the text log of the world goes into the flight's folder.
         make_app: makes the app once the world is ready.
 

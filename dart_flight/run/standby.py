@@ -266,7 +266,7 @@ class Standby:
     def _holding_lock(self, config: LockConfig, session: VehicleSession) -> Iterator[LockThread]:
         """Within the context, run the lock; the servo does not move without a command.
 
-        Standby owns the servo from now on until its process ends. A flight takes the servo over from standby.
+        Standby then owns the servo until its process ends, but a flight takes the servo over.
 
         Raises:
             ServoInUseError: another process moves the servo.

@@ -56,7 +56,7 @@ class DelayedFilter:
     """A filter that assumes the same age for every arriving pose, and writes an estimator's state.
 
     Args:
-        estimator: the filter writes this estimator's state from now on, so do not call its own `predict`,
+        estimator: the filter writes this estimator's state, so do not call the estimator's own `predict`,
             `correct` and `shift` any more.
         delay_s: assumed age of a pose on arrival (EKF2_EV_DELAY).
     """

@@ -29,8 +29,8 @@ from dart_flight.base.errors import FlightError
 from dart_flight.sim.embedded_autopilot import TICK_US
 from dart_flight.sim.pipe import Stepped
 
-_SILENT_S: Final = 10.0  # the flight ends after this host time without an answer
-_LOST_S: Final = 1.0  # after this host time, an unanswered message counts as lost and the log names it
+_SILENT_S: Final = 10.0  # host time without an answer after which the flight ends
+_LOST_S: Final = 1.0  # host time after which an unanswered message counts as lost and is logged
 _POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
 _STEP_MAX_S: Final = 0.2  # longest host time counted between two polls; a longer one is a suspension
 _SENDER_S: Final = 0.2  # host time in which a sender catches up

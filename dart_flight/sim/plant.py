@@ -68,8 +68,8 @@ from dart_flight.contact.propeller_guards import (
 )
 
 STEP_S: Final = 0.001
-CONTACT_STEPS: Final = 10  # steps of 0.1 ms in one step of 1 ms
-_END_STEPS: Final = 40  # steps near a wall's end, where a force may jump as a guard leaves the surface
+CONTACT_STEPS: Final = 10  # number of steps of 0.1 ms in one step of 1 ms
+_END_STEPS: Final = 40  # the same near a wall's end, where a force may jump as a guard leaves the surface
 _NEAR_WALL_M: Final = 0.08  # largest distance at which a contact below 5 m/s begins
 _NEAR_END_M: Final = 0.03  # largest distance from which a guard reaches an edge (1 cm) in one step
 _BEHIND_M: Final = -0.6  # limit behind a plane, beyond which a vehicle is on the wall's other side

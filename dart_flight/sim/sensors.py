@@ -65,7 +65,7 @@ class ImuSensor:
 class _Ringing:
     """A vibration of the frame: white noise, and a tone of wandering frequency with a phase for each axis."""
 
-    _WANDER_S = 1.0  # time in which the tone's frequency crosses its band
+    _WANDER_S = 1.0  # time for the tone's frequency to cross its band
 
     def __init__(self, config: ImuRinging, tick_s: float, noise: GaussianNoise) -> None:
         self._config, self._tick_s, self._noise = config, tick_s, noise

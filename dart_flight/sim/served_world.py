@@ -26,7 +26,7 @@ from dart_flight.sim.pipe import (
 from dart_flight.sim.plant import Plant
 
 _TRUTH_EVERY = 2  # ticks between two records of the truth
-STALL_S = 0.25  # after a longer stall the world pauses and does not catch up
+STALL_S = 0.25  # length of a stall above which the world pauses instead of catching up
 
 
 class Pacer:

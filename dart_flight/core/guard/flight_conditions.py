@@ -45,7 +45,7 @@ _DOUBT_US: Final = 100_000  # host time within which another vehicle's first sam
 _CLIP_SHARE: Final = 0.99
 # No flying vehicle keeps such a tilt near the ground; PX4 does not detect that a vehicle lies on its side.
 LYING_TILT_DEG: Final = 60.0
-_FALLING_M_S2: Final = 4.9  # half of the specific force in hover
+_FALLING_M_S2: Final = 4.9  # specific force below which the vehicle falls: half of that in hover
 _LYING_BELOW_M: Final = 0.5  # limit of the height above take-off, because a fall disturbs the height estimate
 # The body rates are not tested: PX4's rate loop shakes a vehicle that lies on its side at up to 2.5 rad/s.
 _STILL_M_S: Final = 0.5

@@ -69,7 +69,7 @@ class PoseWatch:
         self._jump = ""
         self._wrong = self._turned_wrong = ""  # why poses are withheld, and why only their attitudes are
         self._withheld_us = 0
-        self._not_recovering_us = 0  # host time of the newest pose in another phase than the recovery
+        self._not_recovering_us = 0  # host time of the newest pose in a phase other than the recovery
         self._recent, self._recent_us = "", -_RECENT_US  # newest fault and its time
         self._apart_us: int | None = None
         self._turned_us: int | None = None

@@ -40,13 +40,13 @@ LYING_S: Final = 0.5
 IMU_STUCK_S: Final = 0.1  # limit of a repeated reading; noise changes every reading of a working IMU
 IMU_CLIPPED_S: Final = 0.25  # limit of the time at full scale, longer than any contact
 BATTERY_LOW_S: Final = 1.0  # time below the limit before the rule fires, longer than a burst of thrust
-ALTITUDE_TOLERANCE_M: Final = 0.25  # an impact's vertical force moves the vehicle by about 0.15 m
+ALTITUDE_TOLERANCE_M: Final = 0.25  # tolerance after an impact, which changes the altitude by about 0.15 m
 FORCE_MARGIN: Final = 1.15  # margin for the noise of one sample; `peak_force` checks the peak itself
 _SPEED_TOLERANCE: Final = 1.1
-_STALE_SAMPLES: Final = 5  # consecutive samples; one late datagram does not mean that the clock restarted
+_STALE_SAMPLES: Final = 5  # number in a row, because one late datagram does not mean that the clock restarted
 _FALL_S: Final = 0.1
 _ALTITUDE_SLACK_M: Final = 0.05
-_GUARD_STRAYS_M: Final = 0.2  # limit outside the bounds for a break-off from a wall at their edge
+_GUARD_STRAYS_M: Final = 0.2  # distance outside the bounds that a break-off may reach
 _AFTER_CLIMB: Final = frozenset({Phase.WAYPOINT, Phase.PAUSE, Phase.TRANSIT, Phase.PREPARE})
 
 

@@ -23,7 +23,7 @@ from dart_flight.base.walls import Wall
 
 START_SD_M: Final = 0.3  # accuracy of the vehicle's placement at the mission's start
 WALL_SD_M: Final = 0.02  # standard deviation of a surveyed wall without a configured one
-_SAME_NORMAL: Final = 0.98  # cosine: an anchor in nearly the same direction replaces the previous one
+_SAME_NORMAL: Final = 0.98  # cosine above which an anchor replaces the previous one in that direction
 
 
 class Anchor(NamedTuple):

@@ -60,7 +60,7 @@ from dart_flight.core.sense.state import FlightState
 
 _TRAJECTORY_WAIT_S: Final = 1.5  # longest wait after a contact; a running planner answers twice within it
 _NEAR_S: Final = 0.3  # time to the planned impact below which the impact is near
-_NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows its setpoints late
+_NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows setpoints with a delay
 _RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000

@@ -95,7 +95,7 @@ class ImpactResponse:
         return ahead.name != wall.name and distance_m < abs(ahead.signed_distance(place))
 
     def _on_bounce(self, event: ImpactOnset, progress: MissionProgress, state: FlightState) -> Change:
-        """Record a bounce, and get clear of the wall until a new trajectory is planned."""
+        """Record a bounce, and keep clear of the wall until a new trajectory is planned."""
         course = None
         if progress.replan.trajectory is not None:
             hit = progress.last_collision.wall

@@ -10,7 +10,7 @@ from dart_flight.contact.law import Onset
 
 
 def impact_velocity(collision: Collision) -> tuple[float, float] | None:
-    """Return the planned or else the predicted (normal, tangential) impact velocity in m/s, collision frame.
+    """Return the planned, otherwise the predicted (normal, tangential) impact velocity, m/s, collision frame.
 
     If a recovery leads to the wall, the mission may contain neither velocity; the result is then None.
     """

@@ -23,7 +23,7 @@ from dart_flight.core.mission.wall_uncertainty import position_margin_m
 ATTITUDE_LAG_S = 0.15
 
 
-STOP_TIME_S = 0.5  # the loop's stopping distance is about half a second times the speed
+STOP_TIME_S = 0.5  # stopping distance of the loop, divided by the speed
 _STEP_S = 0.01
 _BEHIND_M = 0.3  # distance behind the plane above which the vehicle is on the wall's other side
 

@@ -20,7 +20,7 @@ from dart_flight.core.sense.state import FlightState
 
 _COASTING_S: Final = 0.25  # longest coasting before an impact: the attitude's response time
 _COASTS_US: Final = 500_000  # limit of coasting after a contact: time for an answer, even to a second request
-_SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s rotates the vehicle little
+_SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s hardly rotates the vehicle
 _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 # Phases that begin with a trajectory to the target; a rehearsal adds the recovery.
@@ -162,7 +162,7 @@ class SetpointSelection:
         return (x, y, 0.0)
 
     def _wall_ahead(self, progress: MissionProgress, state: FlightState, since_us: int | None) -> Wall | None:
-        """Return the wall that a trajectory of the mission is about to meet.
+        """Return the wall that a trajectory of the mission is about to reach.
 
         A vehicle that is late must not tilt into the wall to catch up: a contact rolls a tilted vehicle over.
         """

@@ -20,8 +20,8 @@ from dart_flight.config.vehicle import Estimation
 HOVER_SPEED_M_S: Final = 0.4
 HOVER_RATE_RAD_S: Final = 0.3  # limit of the sum of the body rates' magnitudes
 LEARNING_S: Final = 2.0  # time constant of bias and thrust scale, longer than any contact
-BIAS_LIMIT_M_S2: Final = 0.4  # per axis; PX4 has already removed most of the bias
-THRUST_SCALE_LIMIT: Final = 0.25  # 4.3 standard deviations if the mass spreads by 3 % and the battery by 5 %
+BIAS_LIMIT_M_S2: Final = 0.4  # limit per axis; PX4 has already removed most of the bias
+THRUST_SCALE_LIMIT: Final = 0.25  # 4.3 standard deviations: 3 % for the mass, 5 % for the battery
 BASELINE_S: Final = 0.25  # time constant: wind and thrust errors are slower, and contacts are shorter
 _NOISE_TIME_S: Final = 0.5
 _MIN_NOISE2: Final = 1e-4  # m2/s4

@@ -33,7 +33,7 @@ PEAK_DROP_FRACTION: Final = 0.12  # drop, as a fraction of the top, that ends th
 CONTACT_END_S: Final = 0.012  # time below the release level; three samples, because one may be noise
 SURE_SIGMA: Final = 2.5  # deviations over the threshold from which one sample is sufficient
 SHORT_WINDOW_S: Final = 0.032  # window whose mean keeps 85 % of the peak of rigid contacts (46 to 54 ms)
-LONG_WINDOW_S: Final = 0.1  # window whose mean keeps 83 % of the peak of flexible contacts (145 to 183 ms)
+LONG_WINDOW_S: Final = 0.1  # the same for 83 % of the peak of flexible contacts (145 to 183 ms)
 PULSE_MISFIT: Final = 3.0  # mean square of the normalised residuals above which the model does not fit
 _RISE_SHARE: Final = 0.3  # fraction of the threshold above which earlier samples belong to the contact
 _PEAK_DROP_SHARE: Final = 0.25  # fraction of the threshold below which a drop is noise
@@ -489,7 +489,7 @@ def confirmed_force(
 
 
 def _onset_of_mean(samples: list[_Sample], along: Vec2) -> int:
-    """Return the stamp of the onset of a pulse that a window mean has detected.
+    """Return the onset's stamp for a pulse that a window mean has detected.
 
     Half of the mean of the newest forces is subtracted from each force. The reduced forces are summed from
     each stamp to the newest. The stamp with the largest sum is the onset.

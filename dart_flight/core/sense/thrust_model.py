@@ -21,7 +21,7 @@ Each = tuple[float, ...]  # one value per motor
 
 # `auto` uses no slower telemetry, because switching between sources would look like forces.
 _ESC_PERIOD_US: Final = 20_000
-_PENDING: Final = 16  # commands ahead of the IMU: a few ticks at most
+_PENDING: Final = 16  # limit of the commands ahead of the IMU, normally a few ticks
 
 
 class LaggedCommands:

@@ -66,7 +66,7 @@ class MockDriver:
         self._servo.set_faults(now, faults.servo)
 
     def horn_pulse_us(self, t_us: int) -> float:
-        """Return the true position of the horn at a time of the mock's clock, as a pulse width in us."""
+        """Return the horn's true position, as a pulse width in us, at a time of the mock's clock."""
         if self._reset_at_us is not None:
             self._advance(t_us)
         return self._servo.pulse_at(t_us)

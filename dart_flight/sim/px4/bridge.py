@@ -317,7 +317,7 @@ def odometry_message(time_us: int, position_ned: Vec3, q: Quaternion, vehicle: A
 
 
 def gps_message(time_us: int, fix: GpsFix, receiver: GpsReceiver) -> Any:
-    """Return HIL_GPS, in its units: 1e-7 degrees, millimetres, centimetres per second."""
+    """Return HIL_GPS, in the message's units: 1e-7 degrees, millimetres, centimetres per second."""
     latitude, longitude = geodetic(fix.position_ned)
     vn, ve, vd = fix.velocity_ned
     return mavlink.MAVLink_hil_gps_message(

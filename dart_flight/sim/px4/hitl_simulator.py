@@ -30,7 +30,7 @@ _FIRST_S = 10.0  # longest wait for the first actuator outputs
 # Time for PX4's estimator to align and its biases to settle, which arming requires.
 _ALIGN_S = {source: 10.0 if source is PositionSource.MOCAP else 20.0 for source in PositionSource}
 _ORPHAN_S = 25.0  # time for PX4's failsafe after the end of the app
-_SILENT_S = 0.1  # the plant pauses after this time without outputs, which arrive at 200 Hz
+_SILENT_S = 0.1  # time without outputs (200 Hz) after which the plant pauses
 _STALL_TICKS = round(STALL_S / TICK_S)
 
 

@@ -1,4 +1,4 @@
-"""Start and stop of a real PX4 (SITL) from the user's own build or installation, for one flight.
+"""Starting and stopping a real PX4 (SITL), from the user's own build or installation, for one flight.
 
 PX4 runs in a new working folder and in a separate session. PX4 gets the first free instance number, which
 defines the ports. PX4's own client sets the parameters while PX4 waits for its simulator. Every version since
