@@ -370,7 +370,7 @@ class PlanAnswer(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/in/plan"
     received_us: int
-    number: int  # number of the request
+    number: int  # request number
     begin_us: int  # autopilot's time at which the trajectory begins
     duration_s: float = 0.0  # total duration of the polynomials
     x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
@@ -389,7 +389,7 @@ class ContactAnswer(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/in/contact"
     received_us: int
-    number: int  # number of the request
+    number: int  # request number
     body: ImpactBody | None = None  # geometry and torque, or None if the fit gives none
     wall: WallEstimate | None = None  # estimate of the wall, or None if the contact was not planned
     problem: str = ""  # reason why the fit gives no result
@@ -482,7 +482,7 @@ class PlanRequest(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/out/plan_request"
     t_us: int  # time of the vehicle's state in this record
-    number: int  # number of the request, counting up
+    number: int  # request number, counting up
     begin_us: int  # start of the trajectory; a later answer is rejected
     collision: int | None  # 1-based index of the next collision, or None if the goal is next
     position_mission: Vec3
@@ -503,7 +503,7 @@ class ContactRequest(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/out/contact_request"
     t_us: int  # stamp of the newest sample
-    number: int  # number of the request, counting up
+    number: int  # request number, counting up
     onset: ImpactOnset
     wall: Wall | None  # the expected wall, or None if the contact was not planned
     normal: Vec2  # outward normal of that wall, or else the direction of the force
@@ -727,7 +727,7 @@ class PlanTaken(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/event/plan"
     t_us: int
-    number: int  # number of the request
+    number: int  # request number
     taken: bool  # whether the trajectory is accepted
     reason: str = ""  # reason for the rejection
 

@@ -107,7 +107,7 @@ class Wall(msgspec.Struct, frozen=True):
 
         Args:
             a, b: ends of the segment, mission frame, metres.
-            a_off_m, b_off_m: distance by which the plane is moved along its normal, at each end.
+            a_off_m, b_off_m: displacement of the plane along its normal, at each end.
         """
         here, there = self.signed_distance(a) - a_off_m, self.signed_distance(b) - b_off_m
         gap = here - there

@@ -106,7 +106,7 @@ class WorldLink(NamedTuple):
 
 
 class AppOptions(NamedTuple):
-    """Settings of the command that flies.
+    """Settings from the command that starts the flight.
 
     Attributes:
         progress: callback for every record. It runs on a separate thread, because a terminal may block.

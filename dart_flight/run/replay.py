@@ -221,7 +221,7 @@ def _same(a: Any, b: Any, tolerance: float) -> bool:
         if math.isnan(a) or math.isnan(b):
             return math.isnan(a) and math.isnan(b)
         return math.isclose(a, b, rel_tol=tolerance, abs_tol=tolerance)
-    if isinstance(a, msgspec.Struct) and type(a) is type(b):  # a record within a record
+    if isinstance(a, msgspec.Struct) and type(a) is type(b):  # a nested record
         return _same(msgspec.structs.astuple(a), msgspec.structs.astuple(b), tolerance)
     return bool(a == b)
 

@@ -157,7 +157,7 @@ def fly_simulated(
 
     Args:
         record: receives the truth of the world.
-        spec: the text log of the world goes into the flight's folder.
+        spec: specification of the world, whose text log goes into the flight's folder.
         make_app: makes the app once the world is ready.
 
     Raises:

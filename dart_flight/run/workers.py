@@ -55,7 +55,7 @@ class Interrupt(StopSignals):
         self._announce: Callable[[int], None] | None = announce
 
     def report(self, under_way: int) -> None:
-        """Announce the first interrupt, if it is new; an engine calls this method several times a second."""
+        """Announce the first interrupt, if it is new; an engine calls this several times per second."""
         if self.count and self._announce is not None:
             announce, self._announce = self._announce, None
             announce(under_way)

@@ -193,7 +193,7 @@ class DelayedFilter:
             p[axis, :] = p[:, axis] = 0.0
             p[axis, axis] = _POSITION_M**2
 
-    # -- the output predictor, at the present --
+    # -- the output predictor, at the current time --
 
     def _follow(self, then: tuple[Vec3, Vec3, Quaternion]) -> None:
         """Correct the outputs towards the filter's state; `then` is the output stored at the state's time."""

@@ -25,7 +25,7 @@ from dart_flight.lock.servo import ServoFaults
 Drawn = dict[str, float | str]
 
 _RINGING_M_S2 = (2.0, 3.0)  # range of one sample's deviation in recorded hover (docs/results/real_data.md)
-_RINGING_WHITE_M_S2 = 0.8  # white part of the deviation, from 32 ms means of the same recordings
+_RINGING_WHITE_M_S2 = 0.8  # white-noise part of the deviation, from 32 ms means of the same recordings
 _MIN_FACTOR = 0.1  # lower limit of a factor on a nominal value
 # Default spreads: standard deviations, relative if there is no unit.
 SPREADS: Final[Mapping[str, float]] = {
@@ -43,7 +43,7 @@ SPREADS: Final[Mapping[str, float]] = {
     "replan_latency_s": 0.02,  # 15 to 25 ms on one core (docs/replanning.md)
 }
 NAMES = tuple(SPREADS)
-LOCK_TRUE_MODE, AS_COMMANDED = "lock_true_mode", "as commanded"  # value in `drawn` of a lock without a fault
+LOCK_TRUE_MODE, AS_COMMANDED = "lock_true_mode", "as commanded"  # value of a faultless lock in `drawn`
 _OF_LOCK = (LOCK_TRUE_MODE, "servo")
 
 

@@ -28,7 +28,7 @@ from dart_flight.core.sense.state import FlightState
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
 LINK_LOST_S: Final = 5.0  # silence after which PX4's own failsafe for a lost link has acted
-ACTUATOR_TIMEOUT_S: Final = 0.3  # limit of a silence in which thrust and force cannot be separated
+ACTUATOR_TIMEOUT_S: Final = 0.3  # silence after which thrust and contact force cannot be separated
 STATUS_TIMEOUT_S: Final = 3.0  # timeout of three heartbeats
 STAMP_TOLERANCE_S: Final = 0.5  # largest delay of a datagram
 _OTHERS_SINCE: Final = 12  # number of samples of all other streams together, which arrive in less than 0.1 s

@@ -552,7 +552,7 @@ class Executive:
             p.add_finding("lock_late", detail)
 
     def _replan(self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        """Request a trajectory after the contact, and follow the trajectory from its begin time."""
+        """Request a trajectory after the contact, and follow the trajectory from its start time."""
         progress, planning = self.progress, self._replanning
         square_us = state.now_us if following is None else self._setpoints.square_us(progress, state)
         coasts = self._setpoints.coasts(progress, state)

@@ -50,7 +50,7 @@ class GroundPhases:
         return Change(mode=mode, finding=finding)
 
     def _lay_frame(self, progress: MissionProgress, state: FlightState) -> Change:
-        """Set the mission frame from the vehicle's position on its take-off point."""
+        """Set the mission frame from the vehicle's position at its take-off point."""
         assert state.odometry is not None
         assert state.attitude is not None
         stood_at_ned = state.odometry.position_ned

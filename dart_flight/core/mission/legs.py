@@ -52,7 +52,7 @@ def update_waypoint(waypoint: Waypoint, walls: EstimatedWalls) -> Waypoint:
 def update_mission(mission: Mission, walls: EstimatedWalls, now_us: int, here: Vec2) -> Mission:
     """Return a mission with estimated walls and waypoints, and with its start at the resting position.
 
-    Waypoints that are skipped are omitted.
+    Skipped waypoints are omitted.
     """
     return msgspec.structs.replace(
         mission,

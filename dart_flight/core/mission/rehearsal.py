@@ -40,7 +40,7 @@ class Rehearsal(Executive):
         progress.index += 1
 
     def _recovery(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        """Replace the recovery by a transit: to the next wall, or to the goal."""
+        """Replace the recovery with a transit: to the next wall, or to the goal."""
         following, stops = self.progress.collision, self.progress.waypoint is not None
         locked = self._move_lock(self._mode_after(following, stops), state, p)
         if stops:

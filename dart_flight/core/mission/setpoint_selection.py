@@ -137,7 +137,7 @@ class SetpointSelection:
         return end_us is None or state.now_us - end_us < _COASTS_US
 
     def _trajectory_since_us(self, progress: MissionProgress) -> int | None:
-        """Return the begin time of the flown trajectory; None if the target is commanded as a step."""
+        """Return the start time of the active trajectory; None if the target is commanded as a step."""
         if progress.phase in self._underway:
             return progress.entered_us
         return progress.replan.since_us if progress.phase is Phase.RECOVERY else None

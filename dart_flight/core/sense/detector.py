@@ -56,7 +56,7 @@ class ExpectedContact(NamedTuple):
     """The next contact that the mission expects; the core passes it from the mission to the detector.
 
     Attributes:
-        watching: whether a contact counts as an impact; False on the ground, in the climb and on landing.
+        watching: whether a contact counts as an impact; False on the ground, in the climb and while landing.
         normal: outward normal of the next planned wall, mission frame, or None if no wall is expected.
         material: key of the materials table; the coefficients are the prior of the pulse fit.
         wall: the next planned wall, with its name and plane. The contact's wall estimate gets the same name.

@@ -45,7 +45,7 @@ from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name, find_
 
 MODEL = "none_iris"  # PX4's airframe for an external simulator: a quadrotor in X
 ENVIRONMENT = "DART_PX4_DIR"
-# Flown versions, with results in docs/px4.md; versions before 1.14 have other parameter names.
+# Tested versions, with results in docs/px4.md; versions before 1.14 have other parameter names.
 TESTED: tuple[tuple[int, int], ...] = ((1, 14), (1, 15), (1, 16), (1, 17), (1, 18))
 OLDEST = (1, 14)
 SIMULATOR_PORT, ONBOARD_PORT = 4560, 14540
