@@ -25,7 +25,7 @@ from dart_flight.core.mission.commitment import SETPOINT_OUTSIDE_M, setpoint_out
 from dart_flight.core.mission.planned_impact import describe_force, expected_hit, impact_velocity
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.mission.recovery import recovery_point
-from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
+from dart_flight.core.mission.wall_uncertainty import position_margin_m
 from dart_flight.core.sense.detector import ImpactDetector
 from dart_flight.planning.constraints import leads_behind
 from dart_flight.planning.envelope import (

@@ -46,7 +46,8 @@ def shared_file(name: str) -> Path:
                 return folder / f"dart-flight-{name}"
     places = " nor ".join(str(folder) for folder in _SHARED)
     raise InputError(
-        f"cannot reserve the servo: neither {places} is world-writable; run: sudo install -d -m 1777 {_SHARED[0]}"
+        f"cannot reserve the servo: neither {places} is world-writable; run: "
+        f"sudo install -d -m 1777 {_SHARED[0]}"
     )
 
 

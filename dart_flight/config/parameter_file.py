@@ -275,7 +275,7 @@ def _parse(fields: Iterable[str], reason: str, versions: tuple[str, str | None])
 
 
 def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) -> list[ParameterDifference]:
-    """Return the differences between the vehicle's parameters and the desired parameters, in the file's order."""
+    """Return the differences of the vehicle's parameters from the desired ones, in the file's order."""
     found = []
     for parameter in wanted.values():
         name = parameter.name

@@ -27,7 +27,8 @@ def state_dir() -> Path:
         return (Path(xdg) if xdg else Path.home() / ".local" / "state") / "dart-flight"
     except RuntimeError:
         raise InputError(
-            "this account has no home folder for the program's state: set DART_FLIGHT_STATE_DIR to a folder that you can write to"
+            "this account has no home folder for the program's state: set DART_FLIGHT_STATE_DIR "
+            "to a folder that you can write to"
         ) from None
 
 

@@ -128,12 +128,12 @@ class SteppedSimulation:
         self.reset()
 
     def reset(self, seed: int | None = None) -> SteppedObservation:
-        """Begin again with the vehicle hovering at the mission's start, and return the first observation.
+        """Restart with the vehicle hovering at the mission's start, and return the first observation.
 
         The same seed gives the same simulation.
 
         Args:
-            seed: new seed; by default the present seed.
+            seed: new seed; by default the current seed.
         """
         self._seed = self._seed if seed is None else seed
         mission = self.mission

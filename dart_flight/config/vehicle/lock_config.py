@@ -244,7 +244,7 @@ NO_LOCK = "none"  # value of `driver` for a vehicle without a lock, which ignore
 
 
 class LockConfig(Section, frozen=True):
-    """The locking mechanism (docs/lock.md); without this section, or with the driver `none`, there is no lock.
+    """The locking mechanism (docs/lock.md); absent without this section or with the driver `none`.
 
     Attributes:
         driver: driver of the servo; mock: a modelled servo; none: there is no lock, and other keys are

@@ -47,7 +47,7 @@ class CampaignFolder(NamedTuple):
         return self.campaign.asked.runs * len(self.points)
 
     def log_of(self, item: Item) -> Path:
-        """Return the path of a flight's log, whether it is kept or not."""
+        """Return the path of a flight's log, whether the log is kept or not."""
         return self.folder / LOGS / log_name(self.points[item.point - 1], item.seed) / LOG_NAME
 
 
@@ -110,7 +110,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def read_rows(opened: CampaignFolder) -> list[JudgedRow]:
-    """Return the existing rows of a campaign, which must have a judge function."""
+    """Return the existing rows of a campaign with a judge function."""
     return list(judged_rows(opened.campaign, rows_in(opened.folder / TABLE)))
 
 

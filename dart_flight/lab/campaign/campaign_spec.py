@@ -1,7 +1,7 @@
 """The specification of a campaign: missions x settings x cases x seeds, and the resulting points and items.
 
 `dart-flight campaign` builds the specification from its options. For each measurement in the manual, a file
-(`tools/campaigns/*.yaml`) contains a specification and names a function that judges each flight.
+(`tools/campaigns/*.yaml`) contains a specification and names a function that evaluates each flight.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from dart_flight.lab.campaign.campaign_summary import CampaignSummary
 from dart_flight.lab.report.figures.success import success_figure, varied_figure
 from dart_flight.lab.report.render import PageTable, Row, picture, render
 
-_SHOWN = 12  # number of figures and failed flights shown; further ones are folded
+_SHOWN = 12  # number of figures and failed flights shown; the rest is folded
 
 
 def campaign_page(summary: CampaignSummary) -> str:

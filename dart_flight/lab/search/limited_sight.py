@@ -29,9 +29,9 @@ from dart_flight.lab.search.plan import MotionLimits, Plan
 from dart_flight.lab.search.routes import room_of
 from dart_flight.lab.search.scenario import Scenario, SightSpec
 
-_BEFORE_WALL_M = 0.02  # stopping distance to a wall that must not be touched
+_BEFORE_WALL_M = 0.02  # distance kept when stopping before a wall that must not be touched
 _STEP_M_S = 0.05  # step of the cruise speeds
-_AT_LIMIT = 0.998  # share of a limit for cruising, because the solver needs some room
+_AT_LIMIT = 0.998  # fraction of a limit used for cruising, because the solver needs some room
 
 
 def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> float:
