@@ -43,7 +43,7 @@ from dart_flight.planning.predicted_flight import (
     predicted_segments,
 )
 
-_FLAT_DEG = 10.0  # at a larger incidence angle, one guard carries most of the force
+_FLAT_DEG = 10.0  # incidence angle above which one guard carries most of the force
 _CLEARANCE_M = 0.15  # minimum distance of start and goal from a wall's plane
 _WEAK = 1.3  # required multiple of the detection threshold; a weaker impact may be missed
 _SAME_M = 1e-6

@@ -43,7 +43,7 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
 _MOCAP_SOURCE, _GPS_SOURCE = "EKF2_EV_CTRL", "EKF2_GPS_CTRL"  # parameters that determine the position source
 _FIX_S = 1.5
-_SETTLE_S = 3.0  # on the vehicle's clock; for 2 s after a write, PX4's modules may still limit the value
+_SETTLE_S = 3.0  # wait on the vehicle's clock; PX4's modules may limit the value up to 2 s after a write
 # Values of one flight controller and its sensors. PX4's start-up script keeps most of them when it resets all
 # parameters: SYS_PARAM_VER SYS_AUTOCFG_CAL CAL_* LND_FLIGHT* TC_* COM_FLIGHT*.
 _OF_ONE_BOARD = re.compile(

@@ -22,7 +22,7 @@ from dart_flight.planning.envelope import incidence_deg, max_incidence_deg
 from dart_flight.planning.predicted_flight import PredictedContact, PredictedFlight, impact_place
 
 _INCIDENCE_SD = 2.0
-_OPPOSITE = -0.9  # largest dot product of two opposite walls' normals: up to 26 degrees from antiparallel
+_OPPOSITE = -0.9  # maximum dot product of two opposite walls' normals: up to 26 degrees from antiparallel
 _SAME_PLACE_M = 0.005  # gap below measuring accuracy: the walls are back to back
 
 

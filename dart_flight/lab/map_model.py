@@ -28,7 +28,7 @@ THICKNESS_M = 0.12  # drawn thickness of a wall; the true thickness is unknown
 _OPPOSED, _SAME_PLANE_M = (
     -0.9,
     0.01,
-)  # maxima: cosine between opposite normals, distance of faces in one plane
+)  # maximum cosine of opposite normals; maximum distance in one plane
 _BACK_TO_BACK_M = 0.4  # minimum distance of two faces for a name behind a face instead of in front of it
 _LONGEST_ARROW_M = 0.45  # length of the arrow of the largest force
 

@@ -38,7 +38,7 @@ _PLAUSIBLE = {
     "battery_status": {"voltage_v": 1e3},
 }
 _MAX_OUT_OF_STEP_US = 100_000  # maximum difference of a valid stamp from its neighbours
-_MAX_SPAN_US = 86_400e6  # longest duration of a log: a day
+_MAX_SPAN_US = 86_400e6  # maximum duration of a log: a day
 ARMED = 2  # vehicle_status.arming_state
 _OLDEST = (1, 9, 0)
 _ROTARY_WING = 1  # vehicle_status.vehicle_type
@@ -187,7 +187,7 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 
 
 def seconds(data: dict[str, Any]) -> Array:
-    """Return a topic's stamps, s on the autopilot's clock: of the measurement if logged, or else of logging."""
+    """Return a topic's stamps, s on the autopilot's clock: of measurement if logged, or else of logging."""
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
     )

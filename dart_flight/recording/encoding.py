@@ -49,7 +49,7 @@ def _spell(value: Any) -> Any:
 
 
 def _restore(value: Any, kind: Any) -> Any:
-    """Restore omitted None values and spelled numbers, also in nested records."""
+    """Restore omitted None values and spelled numbers, including those in nested records."""
     if isinstance(value, list):
         return [_restore(part, kind) for part in value]
     parts = list(_parts(kind))

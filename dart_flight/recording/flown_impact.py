@@ -115,7 +115,7 @@ class OtherContact(msgspec.Struct):
 
 
 class FlownImpact(CollisionVerdict, kw_only=True):
-    """A planned collision as flown: its verdict, and further data for figures.
+    """A planned collision as flown: its verdict, and additional data for figures.
 
     Attributes:
         onset, peak: records of the flight core; peak is None if not measured.

@@ -30,8 +30,8 @@ from dart_flight.check.telemetry_check import StreamRate
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.config.vehicle.mocap import MotionCapture
 
-_WINDOW_US = 500_000  # minimum time for which the vehicle is held still
-_STILL_M_S2 = 0.6  # largest standard deviation of the specific force in a steady hand
+_WINDOW_US = 500_000  # minimum duration of the vehicle being held still
+_STILL_M_S2 = 0.6  # maximum standard deviation of the specific force in a steady hand
 _TILTED_DEG = (20.0, 60.0)
 _AXIS_DEG = 30.0  # direction tolerance when the operator tilts, pushes or carries the vehicle
 _LEVEL_DEG = 12.0
@@ -39,7 +39,7 @@ _PUSH_M_S2 = 3.0
 _PUSH_US = 30_000  # averaging time; longer than a bump, shorter than a push
 _CARRIED_M = 0.4
 _RESTING_M_S = 0.15
-_TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # smallest motion that shows all axes
+_TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # minimum motion that shows all axes
 _SAME_RATES, _SAME_FORCES = 0.9, 0.7  # minimum correlations; the rates of unrelated motions reached 0.8
 _POSE_AXIS_DEG = 10.0
 _SCALE = 0.1

@@ -31,7 +31,7 @@ _GROUND_MARGIN_S = 1.0  # maximum delay of PX4's land detector
 _MIN_IMU, _MIN_MOTOR = 10, 3  # minimum samples in a window; PX4's default logging has motors at 10 Hz
 _MAX_RATE_RAD_S = 0.6
 _MAX_LATERAL_M_S2 = (
-    1.5  # limit of the mean specific force across the thrust axis; drag, wind, contacts exceed it
+    1.5  # limit of the mean force per kg across the thrust axis; drag, wind, contacts exceed it
 )
 _MAX_JOLT_M_S2 = 3.0  # maximum difference of a part's mean from the window's; bumps and touch-downs exceed it
 _MAX_ACCELERATION_M_S2 = 1.5
@@ -42,10 +42,10 @@ MIN_POINTS = 8
 _FACTOR_ERROR = 0.1  # maximum standard error of a fitted factor
 _MIN_VOLTAGE_SPREAD = 0.02  # minimum relative standard deviation of the voltage for a fit of the exponent
 _MIN_SPREAD_V = 1e-6  # a smaller spread counts as constant voltage
-_MAX_EXPONENT = 3.0  # largest exponent of the voltage ratio
+_MAX_EXPONENT = 3.0  # maximum exponent of the voltage ratio
 _FOLDS = 4  # parts for cross-validation
 _BLOCK = 5  # number of consecutive windows held out together, 2.5 s
-_MAX_ERROR = 0.1  # largest error on held-out segments, as a fraction of the thrust
+_MAX_ERROR = 0.1  # maximum error on held-out segments, as a fraction of the thrust
 
 # Tests of a window in their order, with the reason for rejection.
 TESTS = {

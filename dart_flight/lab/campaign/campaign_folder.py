@@ -142,7 +142,7 @@ def fly(
         rows, failed = len(have), 0
         progress(rows, failed)
         missing = (item for item in items_of(campaign.asked, opened.points) if item not in have)
-        # Closing the engine ends its processes, also after an exception.
+        # Closing the engine ends its processes, even after an exception.
         with contextlib.closing(engine(flyer, missing, interrupt)) as landings:
             for item, result in landings:
                 flown = flyer.failed(item, result.what) if isinstance(result, Failure) else result

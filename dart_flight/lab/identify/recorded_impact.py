@@ -18,8 +18,8 @@ _LONGEST_STEP_S = 0.03  # maximum sampling interval; the shortest contacts last 
 _FASTEST_M_S = 15.0
 _DEEPEST_M = 0.4
 _SLOWEST_M_S = 0.05
-_TURN_M_S2 = 1.2  # smallest mean acceleration of an impact's turn
-_NEAREST_M = 0.08  # largest distance of an impact's turning point in front of the assumed plane
+_TURN_M_S2 = 1.2  # minimum mean acceleration of an impact's turn
+_NEAREST_M = 0.08  # maximum distance of an impact's turning point in front of the assumed plane
 
 
 class TrialImpact(NamedTuple):

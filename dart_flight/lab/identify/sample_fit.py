@@ -333,7 +333,7 @@ class SampleFit(LawFit):
                 products += float(np.sum(e[1:] * e[:-1]))
                 squares += float(np.sum(e * e))
                 n += e.size
-        rho = min(products / squares if squares > 0.0 else 0.0, 0.95)  # between neighbours
+        rho = min(products / squares if squares > 0.0 else 0.0, 0.95)  # correlation between neighbours
         sure = rho - 2.0 / math.sqrt(n)  # correlation beyond chance
         correlated = (1.0 + rho) / (1.0 - rho) if sure > 0.0 else 1.0
         return max(squares / max(data - self.size, 1), 1e-12) * correlated

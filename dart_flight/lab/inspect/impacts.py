@@ -206,7 +206,7 @@ class ImpactScan:
     Args:
         vehicle: the result of `vehicle_for`.
         flying: intervals in which impacts are searched, s.
-        listener: called with every estimate, also on the ground.
+        listener: called with every estimate, including those on the ground.
     """
 
     def __init__(

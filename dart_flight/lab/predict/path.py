@@ -141,7 +141,7 @@ class ContactMotion:
         self._horizon = min(self.end_s, _SETTLED / (slowest * self._omega))
 
     def normal(self, time_s: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return position (m), velocity (m/s) and force (N) along the normal, also in free flight."""
+        """Return position (m), velocity (m/s) and force (N) along the normal, in contact and free flight."""
         t = np.asarray(time_s, dtype=float)
         a = self.acceleration_m_s2
         if not self.has_contact:

@@ -16,7 +16,7 @@ _SHOWN = 12  # number of figures and failed flights shown; the rest is folded
 def campaign_page(summary: CampaignSummary) -> str:
     correlated = {trend.figure for trend in summary.varied}
     success = _pictures(
-        (success_figure(drawn), f"{drawn.name}: share of completed flights over the drawn value")
+        (success_figure(drawn), f"{drawn.name}: fraction of completed flights over the drawn value")
         for drawn in summary.drawn
     )
     varied = _pictures(

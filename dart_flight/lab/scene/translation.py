@@ -66,7 +66,7 @@ SCENES = (ROOM, PLAN, VEHICLE, PATH, FORCES, SET_POINT, HITS)
 # Each message on these channels is complete, so a viewer that connects late needs only the newest one.
 LASTING = frozenset((*SCENES, *OUTLINES, TRANSFORMS))
 
-_MIN_ARROW_N = 3.0  # smallest force that is drawn, above the noise of the estimate
+_MIN_ARROW_N = 3.0  # minimum force that is drawn, above the estimate's noise
 _PATH_STEP_M = 0.03
 _PATH_US = 250_000
 _MAX_PATH = 500  # maximum number of points; above it, every other point is dropped and the step doubles

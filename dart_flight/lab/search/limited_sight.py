@@ -75,7 +75,7 @@ def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | N
     """Return the fastest flight that cruises at `speed_m_s` until the reaction ends."""
     (wall,) = scenario.walls.values()
     (nx, ny), (x, y) = wall.normal, wall.foot(scenario.start)
-    begins_m = sight.distance_m - sight.reaction_s * speed_m_s  # before the wall
+    begins_m = sight.distance_m - sight.reaction_s * speed_m_s  # distance from the wall
     seen: Vec2 = (x + begins_m * nx, y + begins_m * ny)
     off_m = 0.0 if hit else _BEFORE_WALL_M
     keep = (*room_of(scenario), HalfPlane(wall.normal, nx * x + ny * y + off_m))

@@ -96,7 +96,8 @@ def plan_table(result: SearchResult) -> Table:
     )
     edge = _at_edge(result.scenario, result.best)
     if edge:
-        table.caption += f"\nplan 1 is at the edge of `search` ({edge}): a wider grid may have a better one"
+        table.caption += f"\nplan 1 is at the edge of the search grid ({edge}): "
+        table.caption += "widen `search` to look for a better plan"
     table.caption += "\n" + describe_free(result.free_time, result.best)
     table.caption_justify = "left"
     return table

@@ -24,7 +24,7 @@ GAP_US: Final = 100_000  # minimum duration of a gap; at 50 Hz, PX4 misses five 
 _RATE_US: Final = 2_000_000  # time window for the rate and the senders
 _BEST_S: Final = 60  # window for the shortest age, in which clocks drift apart by a few ms
 _AGE_POSES: Final = 25  # number of poses in the median age
-_FRESH_US: Final = 500_000  # largest age of PX4's estimate for a comparison with the poses
+_FRESH_US: Final = 500_000  # maximum age of PX4's estimate for a comparison with the poses
 
 
 class PoseFigures(msgspec.Struct, frozen=True):
