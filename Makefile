@@ -15,7 +15,7 @@ $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "dart-flight needs Python 3.11 or newer; set PYTHON=/path/to/python3"; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || \
-	  { echo "cannot make a virtual environment; on Debian and Pi OS: apt install python3-venv"; exit 1; }
+	  { echo "cannot create a virtual environment; on Debian and Pi OS: apt install python3-venv"; exit 1; }
 
 $(STAMP): pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev]'

@@ -1,14 +1,14 @@
-"""DART flight: fly a dual-stiffness quadrotor into walls on purpose and profit from it.
+"""DART flight: fly a dual-stiffness quadrotor into walls on purpose, and use the impacts.
 
-Scripts use the names in this package (`dart_flight.simulate`, ...; docs/python.md). Each name is imported
-when a script first uses this name. `docs/architecture.md` shows the folders and the path of one IMU sample.
+Scripts use the names in this package (`dart_flight.simulate`, ...; docs/python.md). Names are imported
+lazily, on first use. `docs/architecture.md` shows the folders and the path of one IMU sample.
 """
 
 import os
 from typing import TYPE_CHECKING, Any
 
 # Set this before NumPy is first imported. On small matrices, the threads of its linear algebra only wait for
-# each other, and the processor time that they use is missing to a flight on the same machine.
+# each other and take processor time from a flight on the same machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __version__ = "0.1.0"

@@ -64,9 +64,9 @@ from dart_flight.vehicle.command_server import Press, Result
 class Stage(StrEnum):
     """The stage of a check; all checks of a stage need the same kind of inputs."""
 
-    FILE = "file"  # the mission alone
+    FILE = "file"  # the mission file, without a vehicle
     COMPUTER = "computer"  # the onboard computer
-    DESK = "desk"  # values that nothing has measured, and the operator's claims
+    DESK = "desk"  # inherited values, and the position source that the operator claims
     VEHICLE = "vehicle"
     HITL = "hardware in the loop"
 
@@ -80,7 +80,7 @@ class FlightContext:
         log_dir: the folder of the flight log.
         url: MAVSDK connection URL of the vehicle, or None without a vehicle.
         position_from: the position source that the operator claims; None uses the vehicle's parameters.
-        answer: answers the ground station's buttons while the vehicle is read, or None.
+        answer: responds to the ground station's buttons while the vehicle is read, or None.
         reading: the vehicle's parameters and telemetry; None until the first check with a vehicle.
         found: the findings of the earlier checks.
     """
@@ -112,7 +112,7 @@ class FlightContext:
     # -- checks that need more than one line --
 
     def check_claim(self) -> list[CheckFinding]:
-        """Judge the position source that the operator claims, if no vehicle is connected."""
+        """Check the position source that the operator claims, if no vehicle is connected."""
         if self.url is not None or self.position_from is None:
             return []
         return evaluate_claim(self.mission, self.position_from)
@@ -122,7 +122,7 @@ class FlightContext:
         return evaluate_parameters(self.mission, v.values, self.position_from or v.position_from, v.version)
 
     def check_own_parameters(self) -> list[CheckFinding]:
-        """If all earlier checks have passed, judge the parameters that are not in `hitl.params`."""
+        """If all earlier checks have passed, check the parameters that are not in `hitl.params`."""
         if not all(finding.go for finding in self.found):
             return []
         return evaluate_own_parameters(self.mission, self.vehicle.values, self.position_from)

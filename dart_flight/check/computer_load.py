@@ -27,7 +27,7 @@ _HOT_C, _TOO_HOT_C = 70.0, 80.0  # a Raspberry Pi 4 throttles its clock from 80 
 # Cost of the step that finds a contact's peak force, relative to a mean step (docs/results/raspberry_pi.md).
 _PEAK_FACTOR = 12.0
 _FLIGHT_FACTOR = 2.5  # cost of a step in flight (0.07 to 0.08 ms) relative to one at rest (0.03 ms)
-_LEAST_MARGIN = 4.0  # with a smaller margin, core, log and link together need more than one processor
+_LEAST_MARGIN = 4.0  # minimum ratio; below it, core, log and link together need more than one processor
 
 
 def check_lateness(mission: Mission) -> CheckFinding:
@@ -45,7 +45,7 @@ def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> Ch
     """Measure the core's processor time per IMU sample and compare it with the sample interval.
 
     If the core refuses the mission, the finding is a no-go with the core's reason. If a finding in `found`
-    already gives this reason, the no-go only names that finding.
+    already gives this reason, the no-go refers to that finding.
     """
     interval_s = 1.0 / mission.vehicle.imu.rate_hz
     try:
@@ -58,7 +58,7 @@ def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> Ch
 
 
 def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
-    """Judge whether the core keeps up with the samples and finds a contact's peak before the next sample.
+    """Check that the core keeps up with the samples and finds a contact's peak before the next sample.
 
     Args:
         step_s: mean processor time of one sample in free flight, seconds.
@@ -112,7 +112,7 @@ def _inputs_at(k: int, period_us: int, motors: int) -> list[Input]:
 
 
 def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
-    """Judge temperature, power supply and clock, as far as the kernel reports them."""
+    """Check temperature, power supply and clock, as far as the kernel reports them."""
     now = read_computer() if sample is None else sample
     findings = []
     if now.temperature_c is not None:
@@ -126,9 +126,7 @@ def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
         if now.undervoltage:
             message = "power supply: undervoltage now; the computer may restart when the servo moves"
         elif now.was_undervoltage:
-            message = (
-                "power supply: undervoltage since the start of the computer; give the servo its own supply"
-            )
+            message = "power supply: undervoltage since the computer started; give the servo its own supply"
         findings.append(
             CheckFinding("supply", not now.undervoltage, message, remark=bool(now.was_undervoltage))
         )

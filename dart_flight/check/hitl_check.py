@@ -46,20 +46,20 @@ def evaluate_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
 def evaluate_own_parameters(
     mission: Mission, values: Mapping[str, float], position_from: PositionSource | None
 ) -> list[CheckFinding]:
-    """Judge the vehicle's parameters like before a real flight, except those in `hitl.params`."""
+    """Check the vehicle's parameters as before a real flight, except those in `hitl.params`."""
     wanted = hitl_parameters()
     return [f for f in evaluate_parameters(mission, values, position_from) if f.item not in wanted]
 
 
 def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """Judge whether the flight controller is disarmed, and has restarted since SYS_HITL was set to 1."""
+    """Check that the flight controller is disarmed and has restarted since SYS_HITL was set to 1."""
     if mode is None:
         return [CheckFinding("heartbeat", False, "no heartbeat that contains a mode arrived within 3 s")]
     if mode.armed:
         return [CheckFinding("disarmed", False, "the flight controller is armed: disarm it first")]
     set_up = round(values.get(HITL, 0)) == 1
     if set_up and not mode.hil:
-        message = f"{HITL} is 1, but the flight controller does not fly from simulated sensors: restart it"
+        message = f"{HITL} is 1, but the flight controller does not use simulated sensors: restart it"
         return [CheckFinding("hil_mode", False, message)]
     return [CheckFinding("disarmed", True, "disarmed")]
 

@@ -20,7 +20,7 @@ def check_inherited(mission: Mission) -> list[CheckFinding]:
     parts = []
     if found.contradictions:
         groups = [f"{', '.join(keys)} (this vehicle has {why})" for why, keys in found.contradictions.items()]
-        parts.append(f"{found.file} contradicts values that it takes from {found.base}: {'; '.join(groups)}")
+        parts.append(f"{found.file} contradicts values inherited from {found.base}: {'; '.join(groups)}")
     if found.keys:
         parts.append(f"values from {found.base} to measure on this vehicle: {_by_section(found.keys)}")
     wrong = sum(len(keys) for keys in found.contradictions.values())

@@ -25,7 +25,7 @@ from dart_flight.core.mission.commitment import SETPOINT_OUTSIDE_M, setpoint_out
 from dart_flight.core.mission.planned_impact import describe_force, expected_hit, impact_velocity
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.mission.recovery import recovery_point
-from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
+from dart_flight.core.mission.wall_uncertainty import position_margin_m
 from dart_flight.core.sense.detector import ImpactDetector
 from dart_flight.planning.constraints import leads_behind
 from dart_flight.planning.envelope import (
@@ -43,9 +43,9 @@ from dart_flight.planning.predicted_flight import (
     predicted_segments,
 )
 
-_FLAT_DEG = 10.0  # at a larger incidence angle, one guard carries most of the force
-_CLEARANCE_M = 0.15  # required distance of start and goal from a wall's plane
-_WEAK = 1.3  # multiple of the detection threshold; a weaker impact may be missed
+_FLAT_DEG = 10.0  # incidence angle above which one guard carries most of the force
+_CLEARANCE_M = 0.15  # minimum distance of start and goal from a wall's plane
+_WEAK = 1.3  # required multiple of the detection threshold; a weaker impact may be missed
 _SAME_M = 1e-6
 _NOT_MEASURED = ("assumed", "[example]")  # in a material's source, these mean "not measured"
 _LEG_POINTS = 50
@@ -77,16 +77,18 @@ def check_places(mission: Mission) -> list[CheckFinding]:
     places += [(w.name, w.position[:2]) for w in mission.waypoints if w.position is not None]
     for name, point in places:
         near = [
-            (wall.signed_distance(point), wall.name)
+            wall
             for wall in mission.walls
             if wall.spans(point)
             and abs(wall.signed_distance(point)) < _CLEARANCE_M + position_margin_m(wall, point)
             and wall.signed_distance(point) >= -wall.behind_m
         ]
-        for distance, wall_name in near:
-            message = f"{name} is {distance:.2f} m from wall {wall_name}, minimum {_CLEARANCE_M:g} m"
+        for wall in near:
+            distance = wall.signed_distance(point)
+            message = f"{name} is {distance:.2f} m from wall {wall.name}, minimum {_CLEARANCE_M:g} m"
             if distance >= _CLEARANCE_M:
-                message += f", but the true wall may be nearer by {SURE_SD:g} standard deviations"
+                margin_m = position_margin_m(wall, point)
+                message += f"; the wall's position is uncertain, so it may be up to {margin_m:.2f} m nearer"
             findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, message))
         for post in mission.posts:
             if is_blocked_by_post(mission, post, point, point):
@@ -149,7 +151,7 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
 
 
 def check_collisions(mission: Mission, planned: PredictedFlight | None) -> Iterator[CheckFinding]:
-    """Judge each collision: approach, force, noise, envelope, recovery and time for the lock."""
+    """Check each collision: approach, force, noise, envelope, recovery and time for the lock."""
     for collision in mission.collisions:
         if collision.wall.sought and collision.probe is None:
             yield from check_located_wall(collision)
@@ -198,7 +200,7 @@ def _check_approach(
 def _describe_arrival(
     mission: Mission, collision: Collision, planned: PredictedFlight | None
 ) -> CheckFinding:
-    """Describe the predicted impact to which the previous recovery leads, with a constant heading."""
+    """Describe the predicted impact to which the previous recovery leads, at constant heading."""
     way = "recovery" if collision.trajectory is None else "trajectory"
     message = f"the {way} from the previous collision reaches wall {collision.wall.name}"
     incidence = incidence_deg(mission, collision)
@@ -428,7 +430,7 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
 
 
 def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, message: str, first: str) -> CheckFinding:
-    """Judge how far a recovery setpoint lies outside the bounds.
+    """Check how far a recovery setpoint lies outside the bounds.
 
     A setpoint slightly outside is only a remark, because the vehicle reaches something else (`first`, a text)
     before the setpoint. A setpoint far outside is a no-go, because the collision's gain alpha is probably
@@ -485,7 +487,7 @@ def check_flown(mission: Mission) -> CheckFinding:
     try_it = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
     if flown is None or flown.digest != mission.digest:
         why = (
-            "this mission contains no record of simulated flights, which `plan` writes"
+            "this mission contains no record of simulated flights; `plan` writes one"
             if flown is None
             else "mission or vehicle has changed since `plan` flew it in simulation"
         )

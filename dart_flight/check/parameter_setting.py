@@ -1,4 +1,4 @@
-"""Reading and writing of the PX4 parameters that differ from the wanted values: `dart-flight parameters`."""
+"""Read and write the PX4 parameters that differ from the desired values, for `dart-flight parameters`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
 _MOCAP_SOURCE, _GPS_SOURCE = "EKF2_EV_CTRL", "EKF2_GPS_CTRL"  # parameters that determine the position source
 _FIX_S = 1.5
-_SETTLE_S = 3.0  # on the vehicle's clock; for 2 s after a write, PX4's modules may still limit the value
+_SETTLE_S = 3.0  # wait on the vehicle's clock; PX4's modules may limit the value up to 2 s after a write
 # Values of one flight controller and its sensors. PX4's start-up script keeps most of them when it resets all
 # parameters: SYS_PARAM_VER SYS_AUTOCFG_CAL CAL_* LND_FLIGHT* TC_* COM_FLIGHT*.
 _OF_ONE_BOARD = re.compile(
@@ -55,11 +55,11 @@ Progress = Callable[[int, int], None]  # number of parameters read, total number
 
 
 class ParameterReading(msgspec.Struct, frozen=True):
-    """The parameters of a vehicle that do not have the wanted values.
+    """The parameters of a vehicle that do not have the desired values.
 
     Attributes:
         rows: one row for each of these parameters.
-        position_from: the wanted position source, or None if the wanted values are from a file or if the
+        position_from: the assumed position source, or None if the desired values are from a file or if the
             source is unknown.
         version: PX4's version, empty if not reported.
         restart_source: source of the list of parameters that need a restart, or None if there are no rows.
@@ -88,7 +88,7 @@ class WriteReport(msgspec.Struct):
     """The result of writing parameters.
 
     Attributes:
-        written: names whose wanted value was read back: without `problem`, all names except `refused`.
+        written: names whose new value was read back; without `problem`, all names except `refused`.
         refused: reason by name.
         problem: reason why the link was lost, or None. `written` then has the acknowledged names, which were
             not read back.
@@ -142,17 +142,17 @@ def read_differences(
     restored: RestoredFile | None,
     progress: Progress = lambda done, of: None,
 ) -> ParameterReading:
-    """Read a vehicle's parameters and compare them with the wanted values.
+    """Read a vehicle's parameters and compare them with the desired values.
 
     Args:
         mission: provides the vehicle and the frame.
         claimed: position source that the operator claims. If None, the source is motion capture if it is
             configured; otherwise the vehicle's parameters select the source.
-        restored: file whose values are the wanted values, or None.
+        restored: file whose values are the desired values, or None.
         progress: receives the number of parameters read and the total number.
 
     Raises:
-        VehicleError: another autopilot answers.
+        VehicleError: the autopilot that answers is not PX4.
         NoAnswerError: the vehicle does not answer requests.
     """
     wanted: dict[str, Parameter] = {}
@@ -230,12 +230,12 @@ def _restart_names(link: GroundLink) -> tuple[frozenset[str], str]:
 def save_previous(
     rows: Iterable[ParameterRow], folder: Path, head: str, system_id: int, now: datetime | None = None
 ) -> Path:
-    """Save the vehicle's present values to a dated file that QGroundControl can load; return its path.
+    """Save the vehicle's current values to a dated file that QGroundControl can load; return its path.
 
     Args:
         head: description of the vehicle, one line.
         system_id: the vehicle's MAVLink system id.
-        now: time for the file's name, or None for the present.
+        now: time for the file's name; None: the current time.
     """
     now = now or datetime.now(UTC)
     path = folder / f"px4_before_{now:%Y-%m-%d_%H%M%S}.params"

@@ -15,8 +15,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.anchors import START_SD_M
 from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 
-START_TOLERANCE_M: Final = 1.0  # largest distance of a vehicle, placed by hand, from the mission's start
-_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # largest deviation of a correct heading, and smallest of a wrong one
+START_TOLERANCE_M: Final = 1.0  # maximum distance between a vehicle placed by hand and the mission's start
+_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # deviation of a correct heading (maximum) and of a wrong one (minimum)
 _NEAR_RAD: Final = 0.01  # tolerance for rounded values such as 1.57 and 3.14
 _SIDES: Final = ("ahead", "right", "behind", "left")
 
@@ -36,7 +36,7 @@ def check_heading(mission: Mission) -> list[CheckFinding]:
 def evaluate_place(
     mission: Mission, position_ned: Vec3 | None, q_frd_to_ned: Quaternion | None
 ) -> list[CheckFinding]:
-    """Judge the vehicle's distance from start, its surroundings and its heading, before take-off."""
+    """Check the vehicle's distance from start, its surroundings and its heading, before take-off."""
     if position_ned is None or q_frd_to_ned is None:
         return []
     frame = mission.frame_at(position_ned)
@@ -107,7 +107,7 @@ def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator
 
 
 def _walls_facing_away(mission: Mission, place: Vec2) -> Iterator[str]:
-    """Yield the names of the walls whose back faces the vehicle, unless they are hit only later."""
+    """Yield the names of the walls whose back faces the vehicle, except walls that are hit only later."""
     later = {collision.wall.name for collision in mission.collisions[1:]}
     for wall in mission.walls:
         if wall.name not in later and wall.spans(place) and -wall.behind_m <= wall.signed_distance(place) < 0:

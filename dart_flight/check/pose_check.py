@@ -8,8 +8,8 @@ from dart_flight.vehicle.ground_link import Observation
 from dart_flight.vehicle.motion_capture.pose_statistics import GAP_US
 
 _ITEM = "pose_source"
-_RATE_SHARE = 0.8  # required share of mocap.rate_hz
-_LOST = 0.05  # allowed share of poses without a tracked body
+_RATE_SHARE = 0.8  # required fraction of mocap.rate_hz
+_LOST = 0.05  # allowed fraction of poses without a tracked body
 _AGE_MS, _GROWTH_MS = 100.0, 20.0
 _APART_M, _APART_DEG = 0.2, 10.0  # allowed deviation of PX4's estimate from the poses, at rest
 _ARRIVES_HZ = 0.2

@@ -19,7 +19,7 @@ from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
 
 _REST_S, _RECOVERY_S = 1.5, 1.5  # assumed times: from a contact to rest, and to a recovery's next wall
-_LEAST_FLEXIBLE_M_S = 0.3  # in slower contacts, flexible arms give less force than the noise
+_LEAST_FLEXIBLE_M_S = 0.3  # minimum speed; in slower contacts, the force of flexible arms is below the noise
 
 
 def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterator[CheckFinding]:
@@ -47,7 +47,7 @@ def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterato
         if reach_m < margin_m:
             message += (
                 f"; the probe ends {reach_m:.2f} m behind the planned wall, but the wall may be "
-                f"{margin_m:.2f} m further away ({SURE_SD:g} standard deviations)"
+                f"{margin_m:.2f} m farther away ({SURE_SD:g} standard deviations)"
             )
             yield CheckFinding(item, True, message, remark=True)
             return

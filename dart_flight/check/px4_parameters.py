@@ -238,7 +238,7 @@ def _is_absent(
     """Return whether this PX4 lacks a parameter; if the version is unknown, other parameters decide."""
     if version is not None:
         return missing.is_absent_in(version)
-    # If a parameter that only older versions have is present, a newer parameter is absent, and vice versa.
+    # A parameter of older versions only excludes the parameter that replaced it, and vice versa.
     when = {"before": "after", "after": "before"}.get(missing.absent.partition(" ")[0])
     return any(
         one.absent.startswith(f"{when} ") and (one.name in values) for one in wanted.values() if one.absent
@@ -260,9 +260,9 @@ def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[Chec
             )
         else:
             message = (
-                f"{shown} m on the vehicle, {show_value(difference.wanted)} m in imu.position_m: PX4's "
-                "velocity or the estimated force mistakes rotation for motion; measure from the centre of "
-                "mass and set both"
+                f"{shown} m on the vehicle, {show_value(difference.wanted)} m in imu.position_m: rotation "
+                "corrupts PX4's velocity or the force estimate; measure the IMU's offset from the centre of "
+                "mass and set both values"
             )
         findings.append(CheckFinding(name, name not in GAINS, message, remark=name not in GAINS))
     return findings
@@ -342,7 +342,7 @@ def evaluate_position(
 
 
 def evaluate_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
-    """Judge a position source for a mission; append `addition` to a finding about plain GPS."""
+    """Check a position source for a mission; append `addition` to a finding about plain GPS."""
     findings = []
     source = effective_source(mission, source)
     if source is PositionSource.ANCHORED:

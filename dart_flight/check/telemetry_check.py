@@ -16,8 +16,8 @@ from dart_flight.vehicle.batteries import describe_reading
 from dart_flight.vehicle.ground_link import Observation, Source, unusable_streams
 
 LOOPBACK = "MAV_ODOM_LP"  # only PX4 versions before 1.14 have this parameter
-_REST_TOLERANCE = 0.3  # share of g; a wrong unit gives an error of a factor of ten or more
-_ARRIVES_HZ = 0.2  # messages at a lower rate are not a stream
+_REST_TOLERANCE = 0.3  # fraction of g; a wrong unit gives an error of a factor of ten or more
+_ARRIVES_HZ = 0.2  # minimum rate of a stream
 
 
 class StreamRate(NamedTuple):
@@ -41,7 +41,7 @@ class StreamRate(NamedTuple):
 
 
 def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> list[StreamRate]:
-    """Compare the rates of usable samples with the rates that a mission needs.
+    """Check the rates of usable samples against the rates that a mission needs.
 
     Args:
         rates_hz: rate of each stream by its name in the stream table.
@@ -55,7 +55,7 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
 
 
 def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Judge the rate of each stream; the only parameter used is MAV_ODOM_LP (`LOOPBACK`), if present."""
+    """Check the rate of each stream; the only parameter used is MAV_ODOM_LP (`LOOPBACK`), if present."""
     findings = []
     for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):
         go, message = stream.enough, stream.describe
@@ -66,7 +66,7 @@ def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[C
 
 
 def evaluate_sources(observed: Observation) -> list[CheckFinding]:
-    """List the used messages with their sender, and the senders that are not used."""
+    """List the messages in use with their senders, and the senders that are ignored."""
     taken = [s for s in observed.sources if s.is_vehicle and s.usable_hz > 0.0]
     if not taken:
         return []
@@ -117,7 +117,7 @@ def _describe(source: Source) -> str:
 
 
 def evaluate_battery(mission: Mission, observed: Observation) -> CheckFinding:
-    """Judge the charge of the flight battery with the worst reading."""
+    """Check the charge of the flight battery with the worst reading."""
     guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
     low = (left is not None and left < 2.0 * guard.battery_remaining) or (
         volts is not None and volts < guard.battery_v
@@ -136,7 +136,7 @@ def evaluate_battery(mission: Mission, observed: Observation) -> CheckFinding:
 
 
 def evaluate_resting_force(observed: Observation) -> list[CheckFinding]:
-    """Return a no-go if the accelerometer of a vehicle at rest does not measure gravity."""
+    """Return a no-go if the accelerometer does not measure gravity while the vehicle is at rest."""
     force = observed.specific_force_m_s2
     if force is None or abs(force - GRAVITY_M_S2) <= _REST_TOLERANCE * GRAVITY_M_S2:
         return []

@@ -23,7 +23,7 @@ def round_trip_limit_s(mission: Mission) -> float:
 
 
 def evaluate_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
-    """Judge the round trip, an upper bound of the samples' delay; `seconds` is None without an answer."""
+    """Check the round trip, an upper bound of the samples' delay; `seconds` is None without an answer."""
     item, limit_s = "round_trip", round_trip_limit_s(mission)
     if seconds is None:
         return CheckFinding(item, True, "the vehicle does not answer TIMESYNC", remark=True)
@@ -32,7 +32,7 @@ def evaluate_round_trip(mission: Mission, seconds: float | None) -> CheckFinding
 
 
 def evaluate_observation(observed: Observation) -> list[CheckFinding]:
-    """Judge version, other vehicles and estimator."""
+    """Check the PX4 version, the estimator, and whether other vehicles share the link."""
     findings = [
         CheckFinding(
             "version",
@@ -49,7 +49,7 @@ def evaluate_observation(observed: Observation) -> list[CheckFinding]:
         message += f"; PX4 reports: {reasons}" if reasons else ""
     findings.append(CheckFinding("estimator", observed.local_position_ok, message))
     if observed.blocking or observed.texts:
-        # This is only a remark: PX4 judges its present mode, but `fly` arms in offboard mode.
+        # This is only a remark: PX4 checks for its current mode, but `fly` arms in offboard mode.
         begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 reports: "
         findings.append(CheckFinding("px4_checks", True, begin + reasons, remark=True))
     return findings
@@ -66,7 +66,7 @@ def evaluate_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
 def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return a no-go if the vehicle has used simulated sensors since its start.
 
-    The present value of SYS_HITL does not matter, because a new value takes effect only after a restart.
+    The current value of SYS_HITL does not matter, because a new value takes effect only after a restart.
     """
     if mode is None or not mode.hil:
         return []
@@ -75,7 +75,7 @@ def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
 
 
 def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Compare PX4's motors with the motors of the configuration.
+    """Check PX4's motors against the motors of the configuration.
 
     A different number, order or direction of the motors invalidates the estimated thrust and torque. A
     different distance is only a remark, because distances only scale the torque, and PX4 accepts them in any

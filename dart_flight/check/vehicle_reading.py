@@ -61,10 +61,9 @@ def read_vehicle(
 ) -> VehicleReading:
     """Read the parameters and telemetry that the checks of a vehicle need.
 
-    Meanwhile, `answer` answers the buttons of the ground station; without it, they get no answer.
+    Meanwhile, `answer` responds to the ground station's buttons; if it is None, they get no response.
 
-    Raises:
-        EndOfStageError: another autopilot answers, the link is too slow to read the parameters, or a
+    Raises: EndOfStageError: the autopilot is not PX4, the link is too slow to read the parameters, or a
             parameter has no answer.
         VehicleError: no autopilot is found at the URL.
         NoAnswerError: the autopilot does not answer requests.
@@ -109,7 +108,7 @@ def _read_outputs(link: GroundLink, motors: int, unanswered: set[str]) -> dict[s
 
 
 def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
-    """Read a flight controller before it receives simulated sensors; raises as `read_vehicle` does.
+    """Read a flight controller before it receives simulated sensors; raises the errors of `read_vehicle`.
 
     The URL is that of the application's link, not that of the link for simulated sensors.
     """

@@ -22,8 +22,8 @@ from dart_flight.planning.envelope import incidence_deg, max_incidence_deg
 from dart_flight.planning.predicted_flight import PredictedContact, PredictedFlight, impact_place
 
 _INCIDENCE_SD = 2.0
-_OPPOSITE = -0.9  # product of the normals of two opposite walls: up to 26 degrees from antiparallel
-_SAME_PLACE_M = 0.005  # a gap that nobody measures: the walls are back to back
+_OPPOSITE = -0.9  # maximum dot product of two opposite walls' normals: up to 26 degrees from antiparallel
+_SAME_PLACE_M = 0.005  # gap below measuring accuracy: the walls are back to back
 
 
 def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
@@ -49,14 +49,14 @@ def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedContact]) -
         if is_blocked(wall, before, mission.goal.position_m, 0.0, 0.0):
             message = (
                 f"wall {wall.name} is between the last impact and the goal: the vehicle would fly into it; "
-                "move the goal, or lead around the wall by waypoints"
+                "move the goal, or add waypoints around the wall"
             )
             yield CheckFinding("way_to_goal", False, message)
             return
 
 
 def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
-    """Judge each pair of opposite walls: whether a vehicle fits between, and whether they are one partition.
+    """Check each pair of opposite walls: whether the vehicle fits between them or they are one partition.
 
     Walls of a corner are not opposite, and the two faces of one partition are meant to be close.
     """
@@ -98,7 +98,7 @@ def _places_before(one: Wall, other: Wall) -> list[Vec2]:
 
 
 def _check_ends(mission: Mission, hits: Mapping[int, PredictedContact]) -> Iterator[CheckFinding]:
-    """Judge the collision nearest to a wall's end, because the whole vehicle must meet the wall.
+    """Check the collision nearest to a wall's end, because the whole vehicle must meet the wall.
 
     Posts have no ends and are skipped.
     """
@@ -116,7 +116,7 @@ def _check_ends(mission: Mission, hits: Mapping[int, PredictedContact]) -> Itera
     distance_m, slack = float(wall.end_distance_m(place)), float(position_margin_m(wall, place))
     side = "from" if distance_m >= 0.0 else "beyond"
     message = f"the impact on wall {wall.name} is {abs(distance_m):.2f} m {side} the wall's end"
-    needed = f"half a vehicle ({wall.half_vehicle_m:.2f} m)"
+    needed = f"half the vehicle's width ({wall.half_vehicle_m:.2f} m)"
     if slack > 0.0:
         needed += f" plus {SURE_SD:g} standard deviations of the wall's position ({slack:.2f} m)"
     figures = {"distance_m": distance_m, "margin_m": wall.half_vehicle_m + slack}
@@ -147,7 +147,7 @@ def _check_collision(
         max_incidence_deg(mission.vehicle, collision.mode),
     )
     off_deg = planned_deg + _INCIDENCE_SD * math.degrees(wall.yaw_sd_rad or 0.0)
-    if planned_deg <= most_deg < off_deg:  # `check_collisions` reports a planned incidence beyond the limit
+    if planned_deg <= most_deg < off_deg:  # `check_collisions` reports a larger planned incidence
         yield CheckFinding(
             f"incidence_{collision.index}",
             False,

@@ -1,7 +1,7 @@
-"""The wanted values of a vehicle's PX4 parameters, from `configs/px4/`, configuration and measurements.
+"""The desired values of a vehicle's PX4 parameters, from `configs/px4/`, configuration and measurements.
 
-`check` compares the vehicle's parameters with the wanted values. `dart-flight parameters` lists the
-differences and writes the wanted values.
+`check` compares the vehicle's parameters with the desired values. `dart-flight parameters` lists the
+differences and writes the desired values.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _POSITION_TOLERANCE_M = 0.005
 _DELAY_TOLERANCE_MS = 0.5
 
 METADATA = "/etc/extras/parameters.json.xz"  # path on the flight controller, read by MAVLink FTP
-# Parameters written by this program that PX4's source marks @reboot_required (release/1.18, 2026-08-08).
+# Parameters that this program writes and PX4's source marks @reboot_required (release/1.18, 2026-08-08).
 _RESTART = (
     "CBRK_FLIGHTTERM EKF2_EV_DELAY EKF2_GPS_DELAY EKF2_HGT_REF EKF2_MAG_TYPE IMU_GYRO_RATEMAX IMU_INTEG_RATE "
     "MAV_0_FORWARD MAV_1_CONFIG MAV_1_FLOW_CTRL MAV_1_FORWARD MAV_1_MODE MAV_1_RATE SDLOG_PROFILE "
@@ -54,7 +54,7 @@ class MetadataError(FlightError):
 
 
 class ParameterState(StrEnum):
-    """What is known of a parameter that was requested from a vehicle."""
+    """The state of a parameter that was requested from a vehicle."""
 
     PRESENT = "present"
     ABSENT = "absent"
@@ -62,12 +62,12 @@ class ParameterState(StrEnum):
 
 
 class ParameterRow(msgspec.Struct, frozen=True):
-    """A parameter that does not have its wanted value.
+    """A parameter that does not have its desired value.
 
     Attributes:
         vehicle: the vehicle's value (an int is an INT32), or None if the parameter is not present.
-        wanted: the wanted value, in the vehicle's type.
-        why: the reason for the wanted value.
+        wanted: the desired value, in the vehicle's type.
+        why: the reason for the desired value.
         restart: whether a new value takes effect only after a restart of the flight controller.
     """
 
@@ -80,7 +80,7 @@ class ParameterRow(msgspec.Struct, frozen=True):
 
 
 def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[str, Parameter]:
-    """Return the wanted parameters by name; measured values replace the placeholders of the files.
+    """Return the desired parameters by name; measured values replace the placeholders of the files.
 
     Without a position source, return only the parameters that every vehicle needs.
     """
@@ -110,7 +110,7 @@ def with_lock_output(
 ) -> dict[str, Parameter]:
     """If PX4 drives the lock's servo, add the parameters of the servo's output.
 
-    If a wanted parameter has a bit mask, keep the bits outside the mask from the vehicle's `values`.
+    If a desired parameter has a bit mask, keep the bits outside the mask from the vehicle's `values`.
     """
     lock, found = mission.vehicle.lock, dict(wanted)
     if lock is None or lock.driver is not LockDriver.PX4:
@@ -129,7 +129,7 @@ def list_differences(
     restart: Collection[str],
     unanswered: Collection[str] = (),
 ) -> list[ParameterRow]:
-    """Return the parameters that do not have their wanted values, in the order of the files.
+    """Return the parameters that do not have their desired values, in the order of the files.
 
     Args:
         values: the vehicle's values, in its types.
@@ -154,7 +154,7 @@ def list_differences(
 
 
 def state_of(name: str, values: Collection[str], unanswered: Collection[str]) -> ParameterState:
-    """Return what is known of a requested parameter, from the names with a value and without an answer."""
+    """Return the state of a requested parameter, from the names with a value and those without an answer."""
     if name in values:
         return ParameterState.PRESENT
     return ParameterState.NOT_ANSWERED if name in unanswered else ParameterState.ABSENT

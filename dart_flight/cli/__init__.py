@@ -33,7 +33,7 @@ COMMANDS = {
     "campaign": "fly thousands of simulated missions into a resumable results table",
     "simulate": "run a simulated vehicle; `fly` in another terminal or a ground station connects to it",
     "check": "check a mission before a flight and, with --connection, the vehicle",
-    "parameters": "list PX4's parameters that differ from the wanted values, write or restore them",
+    "parameters": "list PX4's parameters that differ from the desired values, write or restore them",
     "bringup": "bring up a vehicle on the bench step by step, and record the measurements",
     "mocap": "forward motion-capture poses to PX4, and show their rate, gaps and age",
     "survey": "touch a mission's walls gently, and write the mission with the measured walls",
@@ -59,7 +59,7 @@ RENAMED = {"feel": "inspect"}
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
 _OWN_OPTIONS = ("-h", "--help", "--version")
-_EXIT_S = 4.0  # a forced end takes at most one second more than this
+_EXIT_S = 4.0  # timeout of the exit; a forced end takes at most one second more
 EXIT_INTERRUPTED = 130  # a shell's status for SIGINT
 
 
@@ -98,7 +98,7 @@ class _Parser(argparse.ArgumentParser):
         return self
 
     def _suggest_choice(self, message: str) -> str:
-        """If the message is about a wrong value, add the nearest allowed value."""
+        """If the message is about a wrong value, add the most similar allowed value."""
         wrong = _WRONG_VALUE.match(message)
         if wrong is None:
             return message
@@ -117,7 +117,7 @@ def _names(action: argparse.Action) -> list[str]:
 
 
 def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
-    """Return the parser with the arguments of the wanted commands; import no other command."""
+    """Return the parser with the arguments of the requested commands; import no other command."""
     parser = _Parser(prog="dart-flight", description="Fly a dual-stiffness quadrotor into walls on purpose.")
     parser.add_argument("--version", action="version", version=f"dart-flight {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -194,7 +194,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run() -> NoReturn:
-    """Run `dart-flight` as a program, which ends at most 5 s after its command."""
+    """Run `dart-flight` as a program that ends at most 5 s after its command."""
     exit_within(main(), _EXIT_S)
 
 

@@ -1,4 +1,4 @@
-"""`dart-flight bringup [MISSION]`: bring up a vehicle on the bench, step by step, and judge each step."""
+"""`dart-flight bringup [MISSION]`: bring up a vehicle on the bench, step by step, and evaluate each step."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from dart_flight.vehicle.link import LinkLease
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "mission", nargs="?", metavar="MISSION", help="mission that gives the vehicle and the frame"
+        "mission", nargs="?", metavar="MISSION", help="mission file that specifies the vehicle and the frame"
     )
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     parser.add_argument(
         "--state", type=Path, metavar="DIR", help="folder in which progress and records are saved"
     )
-    parser.add_argument("--again", action="store_true", help="repeat the steps that have passed")
+    parser.add_argument("--again", action="store_true", help="repeat the steps that have already passed")
     parser.add_argument(
         "--wait",
         type=number(1.0, 600.0),

@@ -1,4 +1,4 @@
-"""`dart-flight check MISSION`: go or no-go, on the ground."""
+"""`dart-flight check MISSION`: decide between go and no-go, on the ground."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 ONLY_NOISE = (
     "the flights differ only in sensor noise; --vary all also draws vehicle, walls and lock (docs/draws.md)"
 )
-_LEAST_SHOWN = 10.0  # a lower rate per minute is shown per hour, and a lower rate per hour with a decimal
+_LEAST_SHOWN = 10.0  # a rate below this per minute is shown per hour; below this per hour, with a decimal
 _SHOWN_IN_MINUTES_S = 120.0
 
 
@@ -20,7 +20,7 @@ class FlightProgress:
 
     Args:
         name: text before the counts.
-        line_every_s: interval of the lines without a terminal, seconds.
+        line_every_s: interval between lines if the output is not a terminal, seconds.
     """
 
     def __init__(self, console: Console, flights: int, name: str = "", line_every_s: float = 10.0) -> None:
@@ -51,7 +51,7 @@ class FlightProgress:
         self._bar.stop()
 
     def __call__(self, flown: int, failed: int) -> None:
-        """Show how many flights were flown since the beginning, and how many of them did not complete."""
+        """Show how many flights have been flown so far and how many of them did not complete."""
         now_s = time.monotonic()
         if self._begun_with is None:
             self._begun_with = flown
@@ -71,7 +71,7 @@ class FlightProgress:
         self._console.print(", ".join([*parts, *([bad] if bad else [])]), soft_wrap=True)
 
     def interrupted(self, under_way: int) -> None:
-        """Report the operator's interrupt; `under_way` flights are being ended."""
+        """Report the operator's interrupt; `under_way` flights are still in progress."""
         flights = "1 flight" if under_way == 1 else f"{under_way} flights"
         self._console.print(
             f"interrupted: waiting for {flights} in progress to land; interrupt again to abandon them",

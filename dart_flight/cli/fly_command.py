@@ -84,7 +84,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     context = FlightContext(mission, arguments.log_dir, url, arguments.position_from, answer)
     findings = run_checks(context, Stage.FILE, Stage.COMPUTER, Stage.VEHICLE)
     if cancelled:
-        message = "a landing was requested during the check: the vehicle does not take off"
+        message = "landing requested during the check: the vehicle will not take off"
         findings.append(CheckFinding("operator", False, message))
     before = _listed(mission, url) if arguments.px4_log else None
     verdict = fly_if_go(arguments, mission, url, lease, findings)
@@ -98,7 +98,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
 
 
 def _listed(mission: Mission, url: str) -> list[Px4LogEntry] | None:
-    """Return the logs that PX4 has before the flight, or None if they cannot be listed."""
+    """Return the logs that PX4 had before the flight, or None if they cannot be listed."""
     try:
         return list_px4_logs(url, mission.vehicle.connection.timeout_s)
     except FlightError as error:

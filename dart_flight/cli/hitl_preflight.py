@@ -76,9 +76,9 @@ def _confirm() -> None:
 
 
 def print_hitl_exit() -> None:
-    """Print how to switch hardware in the loop off."""
+    """Print how to leave HITL mode."""
     others = ", ".join(p.name for p in hitl_parameters().values() if p.name != "SYS_HITL")
     print_status(
-        f"to end hardware in the loop: set SYS_HITL to 0, restore GPS_1_CONFIG, {others}, and restart the "
-        "flight controller; until then, `fly` and `check` refuse the flight controller"
+        f"to leave HITL mode: set SYS_HITL to 0, restore GPS_1_CONFIG, {others}, and restart the "
+        "flight controller; until then, `fly` and `check` reject it"
     )

@@ -28,8 +28,8 @@ _CLEAR = "\r\x1b[K"
 class LiveLine:
     """Line with phase, position, speed, force, lock and battery, updated five times per second.
 
-    The class does not use `Live` from rich, because a refresh of `Live` blocks the core's interpreter for
-    half a millisecond.
+    `Live` from rich is not used, because each of its refreshes blocks the core's interpreter for half a
+    millisecond.
     """
 
     def __init__(

@@ -64,7 +64,7 @@ def add_live_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--live-host",
         metavar="ADDRESS",
-        help=f"address to listen at (default {DEFAULT_HOST}: this computer only; 0.0.0.0: every computer)",
+        help=f"address to listen on (default {DEFAULT_HOST}: this computer only; 0.0.0.0: every computer)",
     )
 
 
@@ -79,7 +79,7 @@ def live_view(
 ) -> Iterator[LiveView | None]:
     """Open the live view and print the address; close the view at the end of the context.
 
-    The context yields None without `--live`, or if the view cannot be opened.
+    Yields None without `--live`, or if the view cannot be opened.
 
     Args:
         show_room: whether to show the mission's room.

@@ -31,7 +31,7 @@ from dart_flight.vehicle.link import LinkLease
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("action", choices=("rigid", "flexible", "toggle", "status", "calibrate"))
     add_driver_option(parser)
-    parser.add_argument("--connection", metavar="URL", help="autopilot, for the px4 driver")
+    parser.add_argument("--connection", metavar="URL", help="connection to the autopilot, for the px4 driver")
     parser.add_argument(
         "--release",
         action="store_true",
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _owned(arguments: argparse.Namespace, config: LockConfig, path: Path, link: ActuatorLink | None) -> int:
-    """Own the servo and carry out the action; for `status`, report another owner and the last command.
+    """Reserve the servo and carry out the action; for `status`, report another owner and the last command.
 
     Raises:
         ServoInUseError: another process owns the servo, and the action is not `status`.
@@ -173,7 +173,10 @@ def _report(
 def _calibrate(arguments: argparse.Namespace, config: LockConfig, path: Path, driver: Driver) -> int:
     steps = calibration(config, driver)
     if driver.read().pulse_us is None:
-        print_status(f"The servo moves to {steps.pulse_us:g} us at once. Are the rods free to move? [y/N]")
+        print_status(
+            f"If you answer y, the servo immediately moves to {steps.pulse_us:g} us. "
+            "Are the rods free to move? [y/N]"
+        )
         if not _yes(arguments):
             return _unchanged(arguments, config, "the servo was not moved")
     delete_last()

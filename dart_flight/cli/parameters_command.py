@@ -1,4 +1,4 @@
-"""`dart-flight parameters MISSION`: list or write the PX4 parameters that differ from the wanted values."""
+"""`dart-flight parameters MISSION`: list or write the PX4 parameters that differ from the desired values."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("mission", metavar="MISSION", help="mission that gives the vehicle and the frame")
+    parser.add_argument("mission", metavar="MISSION", help="mission that specifies the vehicle and the frame")
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     parser.add_argument(
-        "--write", action="store_true", help="write the wanted values; the vehicle must be disarmed"
+        "--write", action="store_true", help="write the desired values; the vehicle must be disarmed"
     )
     parser.add_argument(
         "--restore", type=Path, metavar="FILE", help="write the values of a .params file instead"
@@ -59,7 +59,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Return 0 if no parameter differs or all differing parameters were written.
 
-    A parameter without an answer gives 1, because its value is unknown.
+    A missing answer also gives 1, because the parameter's value is unknown.
     """
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
     mission = with_driver(mission, arguments.driver)
@@ -120,7 +120,7 @@ def _show(found: ParameterReading) -> None:
     if found.position_from is not None:
         print_status(f"position from {found.position_from} (--position-from)")
     if not found.rows:
-        print_status("all parameters have the wanted values")
+        print_status("all parameters have the desired values")
         return
     table = Table()
     table.add_column("parameter", no_wrap=True)

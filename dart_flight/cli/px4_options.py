@@ -24,7 +24,7 @@ def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> 
         group.add_argument(
             "--hitl",
             metavar="URL",
-            help="fly a real flight controller on the table, with its propellers off; URL is its port for "
+            help="fly a real flight controller on the table, with the propellers off; URL is its port for "
             "simulated sensors, such as serial:///dev/ttyACM0:921600, or UDP (docs/hitl.md)",
         )
         group.add_argument(

@@ -121,7 +121,7 @@ def _print(name: str, result: Replay) -> None:
 def _changes(before: str, after: str) -> tuple[str, str]:
     """Return the parts in which two descriptions of a decision differ.
 
-    If the recording or the replay lacks the decision, return both descriptions unchanged.
+    If the decision is missing in the recording or in the replay, return both descriptions unchanged.
     """
     one, other = _PARTS.split(before), _PARTS.split(after)
     if len(one) != len(other) or "-" in (before, after):

@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "mission",
         metavar="MISSION",
         nargs="?",
-        help=f"mission that gives walls and start (default: {_DEFAULT_ROOM} if the vehicle can fly it, "
+        help=f"mission that specifies walls and start (default: {_DEFAULT_ROOM} if the vehicle can fly it, "
         "otherwise an empty room)",
     )
     parser.add_argument(
@@ -67,9 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
         lock = mission.vehicle.lock
         flown = arguments.mission or (_DEFAULT_ROOM if mission.walls else "MISSION")
-        servo = (
-            "" if lock is None else f"; its lock servo listens to PX4's actuator {lock.px4.actuator_index}"
-        )
+        servo = "" if lock is None else f"; its lock servo follows PX4's actuator {lock.px4.actuator_index}"
         driver = "" if lock is None else "--driver px4 "
         where = f"for {mission.name}" if mission.walls else "in an empty room"
         console.print(
@@ -101,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _load_room(arguments: argparse.Namespace) -> Mission:
-    """Return the mission that gives walls and start."""
+    """Return the mission that specifies walls and start."""
     if arguments.mission is not None:
         return load_mission(arguments.mission, arguments.config, arguments.set)
     vehicle = find_vehicle(arguments.config, arguments.set)

@@ -1,4 +1,4 @@
-"""`dart-flight standby [MISSION ...]`: keep link and lock ready, and obey a ground station's buttons."""
+"""`dart-flight standby [MISSION ...]`: keep link and lock ready, respond to a ground station's buttons."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ from dart_flight.sim.motion_capture import KINDS
 from dart_flight.vehicle.link import LinkLease
 
 _SPEED_M_S = 0.5
-_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # for an unknown room: probes per flight, and largest number of flights
+_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # in an unknown room: probes per flight, maximum number of flights
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_emulated_mocap(arguments, mission)
     output = arguments.output
     for path in (output, arguments.plot):
-        if path is not None and not path.absolute().parent.is_dir():  # refuse a wrong path before the flight
+        if path is not None and not path.absolute().parent.is_dir():  # reject a wrong path before the flight
             raise InputError("cannot write: no such folder", source=str(path))
     if not mission.flat_walls:
         return _survey_room(arguments, document.tree, mission)

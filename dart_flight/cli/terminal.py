@@ -98,7 +98,7 @@ _OUTPUT, _MESSAGES = cast("IO[str]", _OutputStream("stdout")), cast("IO[str]", _
 def open_closed_streams() -> None:
     """Open a descriptor for each closed standard stream (`>&-`), before any file or link is opened.
 
-    Otherwise a log or serial link would get the descriptor number of the closed stream, and the text that
+    Otherwise a log or serial link would get the descriptor number of the closed stream, and any text that
     libraries print to this number would end up in the log or on the link. Writing to a closed standard output
     still fails.
     """
@@ -211,7 +211,7 @@ def _printable(value: Any) -> Any:
 
 @contextlib.contextmanager
 def keep_status(outcome: str) -> Iterator[None]:
-    """If the result of completed work cannot be printed, keep the exit status of the work.
+    """If the result of completed work cannot be printed, keep the exit status of that work.
 
     `outcome` is the result in one line, printed on standard error if standard output fails.
     """

@@ -14,7 +14,7 @@ def print_vehicle(
     """Print the configuration's path and the vehicle's mass.
 
     A note follows if another configuration was found but not used. There is no note if the arguments contain
-    --config, or if the configuration is that of a log (`flown`).
+    --config, or if the configuration comes from a log (`flown`).
     """
     if source is None:
         return

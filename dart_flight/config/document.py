@@ -32,8 +32,8 @@ Key = tuple[str | int, ...]
 
 IN_PYTHON = "<dict>"  # source of a document that did not come from a file
 _MAX_BYTES = 1_000_000
-MAX_TABLE_BYTES = 200_000_000  # limit for CSV files: an hour of trials at 1 kHz
-MAX_LOG_BYTES = 2_000_000_000  # limit for logs: PX4 writes up to 500 MB an hour
+MAX_TABLE_BYTES = 200_000_000  # maximum size of CSV files: an hour of trials at 1 kHz
+MAX_LOG_BYTES = 2_000_000_000  # maximum size of logs: PX4 writes up to 500 MB an hour
 _MAX_DEPTH = 32
 # YAML 1.1 reads 1e-3 as a string; read it as a number, like YAML 1.2.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
@@ -100,9 +100,9 @@ def write_problem(path: str | Path, error: OSError) -> str:
         return reason
     owner = near.stat().st_uid
     if owner == os.geteuid():
-        return f"{reason}: the mode of {near} forbids it; chmod u+w {shlex.quote(str(near))}"
+        return f"{reason}: the mode of {near} does not permit it; chmod u+w {shlex.quote(str(near))}"
     *_, theirs = itertools.takewhile(lambda p: p.stat().st_uid == owner, (near, *near.parents))
-    remedy = "choose a folder that you can write"
+    remedy = "choose a folder that you can write to"
     if os.access(theirs.parent, os.W_OK, effective_ids=True):
         heir = account_name(theirs.parent.stat().st_uid)
         remedy = f"sudo chown -R {heir} {shlex.quote(str(theirs))}"
@@ -142,7 +142,7 @@ def replace_file(path: Path, data: bytes) -> None:
         part.unlink(missing_ok=True)
 
 
-Stamp = tuple[int, int, int] | None  # a file's time of change, size and inode, or None without a file
+Stamp = tuple[int, int, int] | None  # a file's modification time, size and inode, or None without a file
 _noting: list[dict[Path, Stamp]] = []
 
 
@@ -157,7 +157,7 @@ def stamp_of(path: Path) -> Stamp:
 
 @contextlib.contextmanager
 def noting_files() -> Iterator[dict[Path, Stamp]]:
-    """Collect the files opened within the context, each with its stamp from before it was opened."""
+    """Collect the files opened within the context, each with the stamp that it had before it was opened."""
     noted: dict[Path, Stamp] = {}
     _noting.append(noted)
     try:

@@ -57,7 +57,7 @@ def _scalar(root: yaml.Node | None, key: Key, source: str) -> yaml.ScalarNode:
         node = next((value for name, value in children if name.value == part), None)
     if not isinstance(node, yaml.ScalarNode) or not node.value:
         raise InputError(
-            "the command replaces the value of this key, but the file has no value there",
+            "the command replaces the value of this key, but the file has no such value",
             source=source,
             key=key,
         )

@@ -1,4 +1,4 @@
-"""The kind of a named file, for error messages about a file of the wrong kind."""
+"""The kinds of input files, for error messages about a file of the wrong kind."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class FileKind(Enum):
 
 
 EXTENDS = "extends"  # a configuration with this key contains only differences from another configuration
-# Top-level keys, each of which only one kind of file has.
+# Top-level keys that occur in only one kind of file.
 _MARKS = {
     FileKind.MISSION: ("collisions", "waypoints"),
     FileKind.SCENARIO: ("search", "sequence"),
@@ -41,7 +41,7 @@ _MAGIC = {
 
 
 def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:
-    """Return the kind that a YAML file's keys show, or None if the keys match no kind or several kinds."""
+    """Return the kind of a YAML file by its keys, or None if the keys match no kind or several kinds."""
     found = [kind for kind, marks in _MARKS.items() if any(mark in tree for mark in marks)]
     return found[0] if len(found) == 1 else None
 

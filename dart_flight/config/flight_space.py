@@ -1,4 +1,4 @@
-"""The flight space of a mission or scenario: walls, posts, bounds, and the vehicle that flies there.
+"""The flight space of a mission or scenario: walls, posts, bounds, and the vehicle.
 
 If parts contradict each other, a method raises an `InputError` that names the key in the document.
 """
@@ -20,7 +20,7 @@ from dart_flight.config.vehicle import VehicleConfig
 _AXIS_TOLERANCE = 1e-6
 _UNIT_TOLERANCE = 1e-15
 _ON_POST_M = 0.01  # tolerance for the position of an impact point on a post
-_LIKE_CONTACT_DISTANCE_M = 0.03  # deviation at which a distance counts as the contact distance
+_LIKE_CONTACT_DISTANCE_M = 0.03  # maximum deviation of a distance that counts as the contact distance
 LIMITED_KEYS = ("acceleration_m_s2", "transit_speed_m_s", "jerk_m_s3")  # the mission's limits set these
 
 
@@ -136,8 +136,7 @@ class FlightSpace:
 
         The plane contains the vehicle's centre at the first touch of the post, so `impact` must be at that
         distance from the post's axis. The wall's length is the range in which the vehicle's leading side
-        touches the post. Beyond this range the vehicle passes the post, or another part of the vehicle
-        touches it.
+        touches the post. Beyond this range, the vehicle passes the post or touches it with another part.
         """
         reach = post.radius_m + self._contact_m
         dx, dy = impact[0] - post.centre[0], impact[1] - post.centre[1]

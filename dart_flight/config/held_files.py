@@ -46,7 +46,7 @@ def shared_file(name: str) -> Path:
                 return folder / f"dart-flight-{name}"
     places = " nor ".join(str(folder) for folder in _SHARED)
     raise InputError(
-        f"cannot reserve the servo: neither {places} is writable for every account; "
+        f"cannot reserve the servo: neither {places} is world-writable; run: "
         f"sudo install -d -m 1777 {_SHARED[0]}"
     )
 
@@ -57,7 +57,7 @@ def lock_file(descriptor: int, path: Path, remedy: str, *, shared: bool = False)
     Args:
         descriptor: descriptor of the open file; closing it ends the lock.
         path: path of the file, for the error.
-        remedy: advice to the operator if the file system cannot lock files (NFS without a lock daemon).
+        remedy: advice for the operator if the file system cannot lock files (NFS without a lock daemon).
         shared: whether the lock tolerates other shared locks.
     """
     kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
@@ -130,7 +130,7 @@ class HeldFile:
             raise _cannot("write", self._path, error) from None
 
     def keep(self) -> None:
-        """Hold the file until this process ends, even if it is released and acquired again."""
+        """Hold the file until this process ends, even if `release` and `acquire` are called again."""
         assert self._descriptor is not None
         if self._path not in _kept_files():
             _kept_files()[self._path] = os.dup(self._descriptor)
@@ -153,7 +153,7 @@ class HeldFile:
     def _lock(self) -> int:
         other = b""
         for attempt in range(_ATTEMPTS):
-            if attempt:  # wait: the holder may be a process that only checks the lock
+            if attempt:  # wait, because the holder may be a process that only checks the lock
                 time.sleep(_PAUSE_S)
             descriptor = self._open(last=attempt == _ATTEMPTS - 1)
             if descriptor is None:
@@ -162,7 +162,7 @@ class HeldFile:
             try:
                 if not lock_file(descriptor, self._path, REMEDY):
                     other = os.pread(descriptor, _LONGEST, 0)
-                elif _is_at(descriptor, self._path):  # otherwise the previous holder has removed the file
+                elif _is_at(descriptor, self._path):  # if not, the previous holder has removed the file
                     locked = True
                     return descriptor
             finally:

@@ -10,13 +10,13 @@ from dart_flight.config.document import Document, dotted, iterate_leaves
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
-_COPIED: Final = 0.5  # a file with a larger share of a packaged file's values counts as its copy
-_SAME: Final = 0.1  # largest difference of equal values, relative to the inherited value
+_COPIED: Final = 0.5  # minimum fraction of a packaged file's values in a file that counts as its copy
+_SAME: Final = 0.1  # maximum difference of equal values, relative to the inherited value
 _SIZE: Final = ("airframe.arm_x_m", "airframe.arm_y_m", "airframe.motors")
 _TURNING: Final = ("airframe.mass_kg", "airframe.inertia_kg_m2", "thrust.full_n", *_SIZE)
 LOCK: Final = "lock"
 
-# Keys that each vehicle must measure -> the keys on which they depend.
+# Keys that must be measured for each vehicle -> the keys on which they depend.
 FOLLOWS_FROM: Final[Mapping[str, tuple[str, ...]]] = {
     "airframe.mass_kg": (),
     "airframe.contact_distance_m": _SIZE,
@@ -79,7 +79,7 @@ def find_inherited(
 ) -> Inherited | None:
     """Return the values that a vehicle's file inherits from a packaged file or from the file in `extends`.
 
-    A copy of a packaged example inherits every value that it has not changed, because nobody measured it.
+    A copy of a packaged example inherits every value that it has not changed, because it was not measured.
 
     Args:
         vehicle: the whole configuration.
@@ -97,7 +97,7 @@ def find_inherited(
     own, inherited = _values(vehicle), _values(load_vehicle(base.path))
     materials = {f"{_MATERIALS}{name}": ("airframe.mass_kg", LOCK) for name in vehicle.materials}
     measured = {**FOLLOWS_FROM, **materials}
-    of_vehicle = base.given if base.is_original else given  # `--set` alone makes no other vehicle of DART
+    of_vehicle = base.given if base.is_original else given  # `--set` does not make DART another vehicle
     if own[LOCK] == inherited[LOCK] and not any(_is_given(key, of_vehicle) for key in measured):
         if base.is_dart:
             return None
@@ -170,7 +170,7 @@ def _is_given(key: str, given: set[str]) -> bool:
 
 
 def _differ(a: Any, b: Any) -> bool:
-    """Return whether a value differs from the inherited `b` by more than the error of a measurement."""
+    """Return whether a value differs from the inherited `b` by more than the measurement error."""
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) > _SAME * abs(b)
     if isinstance(a, Sequence) and isinstance(b, Sequence) and len(a) == len(b) and not isinstance(a, str):

@@ -90,7 +90,7 @@ def device_key(path: str | Path) -> str:
 
 
 def _network() -> str:
-    """Return the number of the network namespace: containers may share a folder but not their ports."""
+    """Return the number of the network namespace; containers may share a folder but not their ports."""
     with contextlib.suppress(OSError):
         return str(os.stat("/proc/self/ns/net").st_ino)
     return ""

@@ -1,8 +1,8 @@
 """The checked mission that the flight core flies, and its conversion from a mission file.
 
-The file contains what a person writes (`config.mission_file`). `Mission` is the resolved form with unit
-normals, gains in the wall's axes, and impact points. A wall is the plane in which the vehicle's centre lies
-when the vehicle first touches the wall. A mission keeps the keys of its file, and only `Mission.replace`
+The file contains the keys that a person writes (`config.mission_file`). `Mission` is the resolved form with
+unit normals, gains in the wall's axes, and impact points. A wall is the plane in which the vehicle's centre
+lies when the vehicle first touches the wall. A mission keeps the keys of its file, and only `Mission.replace`
 changes the resolved parts.
 """
 
@@ -39,7 +39,7 @@ from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import Flying, VehicleConfig, load_vehicle
 
 _PAUSE_S = 60.0
-# After power-on, the estimated position of a resting vehicle still moves; until arming, the frame follows it.
+# After power-on, the position estimate of a resting vehicle drifts; until arming, the frame follows it.
 ESTIMATE_MOVED_M = 0.05
 # A trajectory is rounded, and it ends at the onset of the force, slightly before the plane.
 _TRAJECTORY_OFF_M, _TRAJECTORY_OFF_M_S = 0.05, 0.05
@@ -88,7 +88,7 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
         index: number in the list, from 1.
         position: mission frame, metres; None for a pause, which holds position. If the position
             is relative to a wall that a probe must find, the wall is assumed at the end of the probe.
-        speed_m_s: largest speed of the leg to the waypoint.
+        speed_m_s: maximum speed of the leg to the waypoint.
         hold_s: hold time at a waypoint; for a pause, the timeout after which the vehicle lands.
         wall_at: the wall that `at_wall` names, or None.
     """
@@ -334,7 +334,7 @@ def parse_mission(
     config: str | Path | VehicleConfig | LoadedVehicle | None = None,
     settings: Sequence[str] = (),
 ) -> Mission:
-    """Resolve a parsed mission as `load_mission` does; `config` may be a loaded configuration."""
+    """Resolve a parsed mission, for `load_mission`; `config` may be a loaded configuration."""
     refuse_other_keys(document, FileKind.MISSION)
     spec = document.convert(MissionFile)
     if not isinstance(config, VehicleConfig | LoadedVehicle):

@@ -27,7 +27,7 @@ Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
-_MOST_BROKEN_OFF = 0.1  # largest share of drawn flights that may fail in an acceptable plan
+_MOST_BROKEN_OFF = 0.1  # maximum fraction of drawn flights that fail in an acceptable plan
 # In 20 drawn flights of a mission, the tilt reached 74 degrees; in the next 20, one vehicle tumbled.
 _MOST_TILT_DEG = 60.0
 Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
@@ -71,7 +71,7 @@ class GoalSpec(Section, frozen=True):
 
     Attributes:
         position_m: [x, y], mission frame.
-        capture_radius_m: largest distance at which the goal counts as reached.
+        capture_radius_m: maximum distance at which the goal counts as reached.
         hold_s: hold time at the goal before landing.
     """
 
@@ -84,8 +84,8 @@ class BoundsSpec(Section, frozen=True):
     """The flight space, mission frame: [low, high] per axis.
 
     Attributes:
-        x, y: limits of the measured position, and of the position at which the vehicle would stop after
-            braking at once, m.
+        x, y: limits of the measured position, and of the position at which the vehicle would stop if it
+            braked immediately, m.
         z: limits above the take-off point, m; take-off and landing are exempt.
     """
 
@@ -146,7 +146,7 @@ class PostSpec(Section, frozen=True):
 
 
 # Acceleration (m/s2) and jerk (m/s3) of each preset: PX4's default MPC_ACC_HOR and MPC_JERK_AUTO, its default
-# MPC_ACC_HOR_MAX and MPC_JERK_MAX, and the largest values in replanning.
+# MPC_ACC_HOR_MAX and MPC_JERK_MAX, and the limits used in replanning.
 MOTIONS = {"automatic": (3.0, 4.0), "position": (5.0, 8.0), "replanning": (5.9, 25.0)}
 
 
@@ -158,7 +158,7 @@ class Limits(Section, frozen=True):
     peak force of 191 N.
 
     Attributes:
-        speed_m_s: largest speed of an approach and of the flight.
+        speed_m_s: maximum speed of an approach and of the flight.
         motion: preset of acceleration and jerk. automatic: 3 m/s2 and 4 m/s3, as in PX4's automatic modes;
             position: 5 and 8, as in PX4's position mode; replanning: 5.9 and 25, as in replanning after an
             impact. acceleration_m_s2 and jerk_m_s3 override the preset.
@@ -225,7 +225,7 @@ class ProbeSpec(Section, frozen=True):
         from_m: [x, y] of the leg's start, mission frame.
         from_here: true: the leg starts at the vehicle's resting position, which is assumed to be near from_m;
             false: the leg starts at from_m. Direction and length are the same in both cases. With true, the
-            vehicle omits the transit to from_m, during which a drifting frame drifts further.
+            vehicle omits the transit to from_m, during which a drifting frame drifts farther.
         direction: [x, y], any length; may be omitted for a wall of the mission, which is then approached
             along its normal.
         length_m: length of the leg, for the vehicle's centre.
@@ -494,7 +494,7 @@ class FlownRecord(Section, frozen=True):
 
     Attributes:
         software: version of the software that flew the mission.
-        digest: fingerprint of mission and vehicle at that time; `check` compares the present fingerprint with
+        digest: fingerprint of mission and vehicle at that time; `check` compares the current fingerprint with
             this value.
         nominal, drawn: the flight in the nominal world, and the flights with random differences; drawn is
             null if the nominal flight failed.
@@ -579,8 +579,8 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
         after_impact: setpoint: fly the paper's recovery setpoint; replan: fly this setpoint, meanwhile plan a
             trajectory that starts from the measured impact, and switch to the trajectory once it is ready.
         tolerance: allowed differences between flight and plan; for the goal, goal.capture_radius_m applies.
-        mode_mismatch: response to a contact that indicates another mode than the lock reports; go_on:
-            record it in log and verdict; land: the guard lands.
+        mode_mismatch: response to a contact that indicates another mode than the lock reports; go_on: record
+            it in log and verdict; land: the guard lands the vehicle.
         standoff_m: rehearsal: the vehicle stops this far before each wall instead of touching it, as with
             --standoff; null: contacts are flown.
     """
@@ -601,7 +601,7 @@ class MissionFile(MissionKeys, frozen=True, kw_only=True):
     Attributes:
         version: version of the file format.
         walls: walls by name.
-        simulated_walls: further walls by name, which exist only in simulation; the flight finds them by
+        simulated_walls: additional walls by name, which exist only in simulation; the vehicle finds them with
             probes.
         posts: posts by name; a post and a wall cannot have the same name.
         collisions: collisions in the order of flight; may be empty.

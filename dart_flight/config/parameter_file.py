@@ -64,13 +64,13 @@ class Parameter(msgspec.Struct, frozen=True):
 
     Attributes:
         name: PX4's name, at most 16 characters.
-        value: wanted value; an int for INT32, a float for REAL32.
+        value: desired value; an int for INT32, a float for REAL32.
         reason: comment lines directly above the parameter's line, joined; empty without a comment.
         absent: builds of PX4 that do not have the parameter under this name, such as "before v1.16" or
             "without gyro_fft"; empty for none.
         renamed: name of the parameter in the builds of `absent`; or None if these builds do not need the
             parameter.
-        tolerance: largest difference from the vehicle's value that counts as equal.
+        tolerance: maximum difference from the vehicle's value that counts as equal.
     """
 
     name: str
@@ -130,7 +130,7 @@ def is_storable(value: Value) -> bool:
 
 
 def is_same_value(a: float, b: float, tolerance: float = 0.0) -> bool:
-    """Return whether a parameter with value `a` needs no change to `b`.
+    """Return whether a parameter with value `a` need not be changed to `b`.
 
     An INT32 must be equal, and a REAL32 must be equal after rounding; otherwise the values may differ by at
     most `tolerance`.
@@ -197,7 +197,7 @@ def read_parameter_file(path: str | Path) -> ParameterFile:
                 )
             versions = (found["where"], found["name"])
         elif _COLUMNS.match(line):
-            reason.clear()  # the file's head is not the reason for a parameter
+            reason.clear()  # the file's header is not the reason for a parameter
         elif line.startswith("#"):
             reason.append(line.lstrip("# "))
         else:
@@ -243,7 +243,7 @@ def format_parameters(values: Mapping[str, Value], head: Iterable[str], vehicle:
     lines = [
         f"# {line}" for line in (*head, "vehicle-id\tcomponent-id\tname\tvalue\ttype (6 INT32, 9 REAL32)")
     ]
-    lines.append("")  # the file's head is not the reason for a parameter
+    lines.append("")  # the file's header is not the reason for a parameter
     for name, value in values.items():
         kind = 6 if isinstance(value, int) else 9
         lines.append(f"{vehicle}\t{AUTOPILOT_COMPONENT}\t{name}\t{show_value(value)}\t{kind}")
@@ -275,7 +275,7 @@ def _parse(fields: Iterable[str], reason: str, versions: tuple[str, str | None])
 
 
 def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) -> list[ParameterDifference]:
-    """Return how the vehicle's parameters differ from the wanted parameters, in the file's order."""
+    """Return the differences of the vehicle's parameters from the desired ones, in the file's order."""
     found = []
     for parameter in wanted.values():
         name = parameter.name

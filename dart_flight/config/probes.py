@@ -48,8 +48,8 @@ class Probe(msgspec.Struct, frozen=True):
 def unknown_walls(spec: MissionFile, space: FlightSpace) -> dict[str, Wall]:
     """Return the walls at unknown positions, by name; each is perpendicular to its probe's leg at its end.
 
-    Raise InputError if a probe has no direction, an unknown material or a name in use; if a collision at an
-    unknown wall comes before the wall's probe; or if a condition names a wall without an earlier probe.
+    Raise InputError if a probe has no direction, an unknown material or a name in use; if a collision with an
+    unknown wall precedes the wall's probe; or if a condition names a wall without an earlier probe.
     """
     walls, materials = space.walls, space.vehicle.materials
     stiffest = max(materials, key=lambda name: materials[name].coefficients(Mode.RIGID).k)
@@ -64,13 +64,13 @@ def unknown_walls(spec: MissionFile, space: FlightSpace) -> dict[str, Wall]:
                 _check_waypoint_wall(waypoint, probed, ("waypoints", j), space)
         if one.probe is None:
             if one.wall not in walls and one.wall not in probed and one.wall in looked_for:
-                raise space.error((*key, "wall"), f"no earlier probe looks for wall {one.wall}")
+                raise space.error((*key, "wall"), f"no earlier probe searches for wall {one.wall}")
             continue
         if one.wall in walls:
             probed.add(one.wall)
             continue
         if one.wall in probed:
-            text = f"two probes look for {one.wall}; give the second wall another name"
+            text = f"two probes search for {one.wall}; give the second wall another name"
             raise space.error((*key, "wall"), text)
         probed.add(one.wall)
         if one.wall in spec.simulated_walls:

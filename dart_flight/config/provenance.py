@@ -76,12 +76,12 @@ def display_path(path: str | Path) -> str:
 
 def _is_packaged(path: Path) -> bool:
     taken = path.resolve()
-    # In a checkout, the packaged file is at the same time the working folder's own file.
+    # In a checkout, the packaged file is also the working folder's own file.
     return taken == packaged("configs", "dart.yaml").resolve() and taken != _LOCAL.resolve()
 
 
 def unused_configurations(source: VehicleSource) -> list[str]:
-    """Return configurations that the operator may have wanted instead of the packaged configuration.
+    """Return configurations that the operator may have meant instead of the packaged configuration.
 
     Candidates are the file that $DART_FLIGHT_CONFIG names, and the files in the working folder and in its
     subfolder `configs/`. The result is empty unless the packaged configuration is used.

@@ -10,9 +10,9 @@ from dart_flight.config.vehicle import Motor
 COUNT = "CA_ROTOR_COUNT"
 MAV_TYPES = {4: 2, 6: 13, 8: 14}  # motors: quadrotor, hexarotor, octorotor
 _AXES = ("PX", "PY", "KM")
-_MAX = 12  # the largest number of motors in PX4
+_MAX = 12  # maximum number of motors in PX4
 _PLACE_TOLERANCE_M = 0.03
-_KM_TOLERANCE = 0.5  # relative tolerance, because PX4 ships one value for all propellers
+_KM_TOLERANCE = 0.5  # relative tolerance; wide, because PX4 ships one value for all propellers
 
 
 def rotor_parameters(motors: Sequence[Motor]) -> dict[str, int | float]:

@@ -13,8 +13,8 @@ from dart_flight.config.document import Document, InputError, Key, to_plain, unk
 def apply_settings(settings: Sequence[str], *documents: Document) -> list[Document]:
     """Change documents in place and return those that were changed.
 
-    A setting changes the first document that contains the first part of the setting's key. A value of the
-    wrong type is found later, by `Document.convert`, whose error names the setting.
+    A setting changes the first document that contains the first part of the setting's key. `Document.convert`
+    later rejects a value of the wrong type; its error names the setting.
 
     Args:
         settings: `KEY=VALUE` with a dotted key, such as `detection.force_threshold_n=8`,

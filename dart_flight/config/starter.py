@@ -16,7 +16,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import extended_file
 
 DART = "dart"
-# DART, and the vehicles with missions
+# DART, and the other vehicles with missions
 VEHICLES = (DART, "rigid_cage", "ring_guard_250g")
 
 _PARTS = (("configs", ".yaml"), ("configs", ".params"), ("missions", ".yaml"), ("docs/schemas", ".json"))

@@ -17,8 +17,7 @@ REMEDY = "set DART_FLIGHT_STATE_DIR to a local disk"
 def state_dir() -> Path:
     """Return `$DART_FLIGHT_STATE_DIR`, `$XDG_STATE_HOME/dart-flight` or `~/.local/state/dart-flight`.
 
-    Raises:
-        InputError: none of them is known, because this account has no home folder.
+    Raises: InputError: all are unknown, because this account has no home folder.
     """
     named = os.environ.get("DART_FLIGHT_STATE_DIR")
     if named:
@@ -28,8 +27,8 @@ def state_dir() -> Path:
         return (Path(xdg) if xdg else Path.home() / ".local" / "state") / "dart-flight"
     except RuntimeError:
         raise InputError(
-            "this account has no home folder for the program's state: set DART_FLIGHT_STATE_DIR to a "
-            "folder that you can write"
+            "this account has no home folder for the program's state: set DART_FLIGHT_STATE_DIR "
+            "to a folder that you can write to"
         ) from None
 
 
@@ -46,7 +45,7 @@ def cannot(do: str, path: Path, error: OSError, remedy: str = REMEDY) -> InputEr
 
     Args:
         do: the failed action, such as `write`.
-        remedy: advice to the operator, used unless the permissions of the file are the reason.
+        remedy: advice for the operator, used unless the file's permissions are the reason.
     """
     advice = "" if error.errno in (errno.EACCES, errno.EPERM) else f"; {remedy}"
     return InputError(f"cannot {do}: {write_problem(path, error)}{advice}", source=str(path))

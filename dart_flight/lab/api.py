@@ -146,7 +146,7 @@ def simulate(
     fault: str | Fault | None = None,
     log_dir: str | Path | None = None,
 ) -> Flight:
-    """Fly a mission in simulated time, as `dry-run --fast` does; the same seed gives the same flight.
+    """Fly a mission in simulated time, like `dry-run --fast`; the same seed gives the same flight.
 
     Args:
         mission: a mission, or a file or mapping for `load_mission`.

@@ -34,9 +34,9 @@ class ShuttleEnv(gymnasium.Env[Numbers, Numbers]):
 
     Action, shape (3,), -1 to 1: acceleration along x and y (times 5 m/s2), and the lock (positive: rigid).
     Observation, shape (10,): position x, y and velocity x, y (mission frame, m and m/s), vector to the next
-    point (m), external force x, y (as a share of 150 N), mode (1 rigid, 0 flexible or moving), and the share
-    of points reached. Reward: -0.04 per step, plus 1 for each point. If the vehicle is down, or |x| or |y|
-    exceeds 3 m, the reward is reduced by 10 and the episode ends.
+    point (m), external force x, y (as a fraction of 150 N), mode (1 rigid, 0 flexible or moving), and the
+    fraction of points reached. Reward: -0.04 per step, plus 1 for each point. If the vehicle is down, or |x|
+    or |y| exceeds 3 m, the reward is reduced by 10 and the episode ends.
 
     Args:
         mission: vehicle, walls and start; default: the packaged mission `shuttle`.

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from dart_flight.base.records import ImuSample
 from dart_flight.recording.reader import Log
 
-_INTERVALS, _LEAST_S = 10.0, 0.1  # shorter intervals are jitter, or one or two lost samples
+_INTERVALS, _LEAST_S = 10.0, 0.1  # minimum hole, in intervals and s; shorter ones are jitter or a lost sample
 _SHOWN = 3
 
 
 def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None = None) -> list[str]:
     """Return a line for each of the longest holes between increasing stamps, and one for the remaining holes.
 
-    The printed times count from `begin_s`, by default from the first stamp.
+    The printed times count from `begin_s`, by default the first stamp.
     """
     if len(time_s) < 3:
         return []

@@ -24,9 +24,12 @@ from dart_flight.config.vehicle import Airframe
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.planning.predicted_flight import PredictedFlight, predicted_segments
 
-THICKNESS_M = 0.12  # drawn thickness of a wall; the true one is unknown
-_OPPOSED, _SAME_PLANE_M = -0.9, 0.01  # cosine between opposite normals; distance of faces in one plane
-_BACK_TO_BACK_M = 0.4  # distance of two faces below which a name goes in front, not behind
+THICKNESS_M = 0.12  # drawn thickness of a wall; the true thickness is unknown
+_OPPOSED, _SAME_PLANE_M = (
+    -0.9,
+    0.01,
+)  # maximum cosine of opposite normals; maximum distance in one plane
+_BACK_TO_BACK_M = 0.4  # minimum distance of two faces for a name behind a face instead of in front of it
 _LONGEST_ARROW_M = 0.45  # length of the arrow of the largest force
 
 
@@ -95,7 +98,7 @@ class DrawnVehicle(NamedTuple):
 
     Attributes:
         mode: mode of the arms; None: unknown.
-        number: number of the hit, if it is one.
+        number: number of the hit, or None if the vehicle is not at a hit.
     """
 
     at: Vec2 | Vec3
@@ -122,7 +125,7 @@ class DrawnWall(NamedTuple):
 
     Attributes:
         plane: the plane of first touch, where the vehicle's centre is.
-        surface: the surface, which the vehicle's side touches.
+        surface: the wall's surface, which the vehicle's side touches.
         thickness_m: drawn thickness behind the surface: at most half of a partition.
         name_in_front: whether the name is in front of the wall, because the space behind it is too narrow.
     """
@@ -252,7 +255,7 @@ def planned_lines(mission: Mission, planned: PredictedFlight) -> list[Array]:
 
 
 def circle(centre: Sequence[float], radius_m: float) -> Array:
-    """Return points on a horizontal circle, of the dimension of its centre."""
+    """Return points on a horizontal circle, with as many coordinates as its centre."""
     angle = np.linspace(0.0, 2.0 * math.pi, 49)
     around = np.zeros((angle.size, len(centre)))
     around[:, :2] = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -260,6 +263,6 @@ def circle(centre: Sequence[float], radius_m: float) -> Array:
 
 
 def at_altitude(line: FlatLine, z: float) -> Array:
-    """Return a line (n, 2 or more), of which x and y come first, as (n, 3) at an altitude."""
+    """Return a line (n, 2 or more), whose first columns are x and y, as (n, 3) at an altitude."""
     points = np.asarray(line, dtype=float)[:, :2]
     return np.column_stack([points, np.full(len(points), z)])

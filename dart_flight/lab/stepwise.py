@@ -33,7 +33,7 @@ _NO_CONTACT: Final = ExpectedContact()
 _FREE: Final = (math.nan, math.nan, math.nan)
 _LONGEST_CLIMB_S: Final = 20.0
 _AT_START_M, _AT_REST_M_S = 0.05, 0.05
-_DOWN_RAD: Final = 0.5 * math.pi  # at a larger tilt, the vehicle counts as turned over
+_DOWN_RAD: Final = 0.5 * math.pi  # tilt above which the vehicle counts as turned over
 
 
 class FlightSetpoint(NamedTuple):
@@ -128,12 +128,12 @@ class SteppedSimulation:
         self.reset()
 
     def reset(self, seed: int | None = None) -> SteppedObservation:
-        """Begin again with the vehicle hovering at the mission's start, and return the first observation.
+        """Restart with the vehicle hovering at the mission's start, and return the first observation.
 
         The same seed gives the same simulation.
 
         Args:
-            seed: new seed; by default the present seed.
+            seed: new seed; by default the current seed.
         """
         self._seed = self._seed if seed is None else seed
         mission = self.mission

@@ -167,7 +167,7 @@ def _ground(log: ULogFile) -> list[tuple[float, float]]:
 
 
 def _intervals(times: Array, holds: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return an interval (begin, end) in s for each sample for which `holds` is True.
+    """Return an interval (begin, end) in s for each sample at which `holds` is True.
 
     Each interval ends at the next sample; the interval of the last sample ends at infinity.
     """

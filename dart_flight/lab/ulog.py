@@ -37,8 +37,8 @@ _PLAUSIBLE = {
     "actuator_motors": {"control": 1.01},
     "battery_status": {"voltage_v": 1e3},
 }
-_MAX_OUT_OF_STEP_US = 100_000  # largest difference of a valid stamp from its neighbours
-_MAX_SPAN_US = 86_400e6  # longest duration of a log: a day
+_MAX_OUT_OF_STEP_US = 100_000  # maximum difference of a valid stamp from its neighbours
+_MAX_SPAN_US = 86_400e6  # maximum duration of a log: a day
 ARMED = 2  # vehicle_status.arming_state
 _OLDEST = (1, 9, 0)
 _ROTARY_WING = 1  # vehicle_status.vehicle_type
@@ -87,7 +87,7 @@ class ULogFile(msgspec.Struct):
 class MotorCommands(msgspec.Struct):
     """Commands to the motors, 0 to 1, (n, motors), at stamps in s, (n,).
 
-    `description` names the topic and the way in which its values were decoded.
+    `description` names the topic and how its values were decoded.
     """
 
     time_s: Array
@@ -187,7 +187,7 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 
 
 def seconds(data: dict[str, Any]) -> Array:
-    """Return a topic's stamps, s on the autopilot's clock: of the measurement if logged, else of logging."""
+    """Return a topic's stamps, s on the autopilot's clock: of measurement if logged, or else of logging."""
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
     )
@@ -220,7 +220,7 @@ def motor_commands(log: ULogFile) -> MotorCommands:
 
 
 def _motor_count(log: ULogFile) -> int:
-    """Return the number of motors in the parameters, or four if the parameters do not give it."""
+    """Return the number of motors in the parameters, or four if the parameters do not contain it."""
     count = log.parameters.get(COUNT, 0.0) or _MOTORS_OF_TYPE.get(int(log.parameters.get("MAV_TYPE", 0.0)), 4)
     return int(min(count, _LONGEST_COUNT))
 

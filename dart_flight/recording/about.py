@@ -1,8 +1,8 @@
 """The description of a flight in its log, and the mission reconstructed from it.
 
 The log contains everything that a replay needs: the mission as written, the mission as flown (with the
-vehicle's configuration and all command-line options), the software and the machine. If the description lacks
-or contradicts what a function needs, the function raises InputError.
+vehicle's configuration and all command-line options), the software and the machine. Functions raise
+InputError if the data that they need is missing or contradictory.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
     """Return the description of a flight that is about to begin.
 
     `mission_text` is the mission as written, `flown` the resolved mission with its vehicle. `started_utc` and
-    `started_monotonic_us` are the same moment by the host's calendar and by the host's monotonic clock.
+    `started_monotonic_us` are the same moment on the host's calendar clock and on its monotonic clock.
     """
     about = {
         "mission": mission.name,
@@ -47,7 +47,7 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
     try:
         about["mission_text"] = Path(mission.source).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):  # the mission was built in Python, or its file no longer exists
-        with contextlib.suppress(InputError):  # it no longer has the keys of a file
+        with contextlib.suppress(InputError):  # after changes by code, the mission has no keys of a file
             tree = msgspec.json.encode(mission.to_dict())
             about["mission_text"] = msgspec.json.format(tree, indent=2).decode()
     return about
@@ -107,7 +107,7 @@ def parse_written(mission: Document, vehicle: Document) -> Mission:
 
 
 def armed_span(log: Log) -> tuple[datetime, datetime] | None:
-    """Return the first and the last time at which the vehicle of a log was armed, by the host's calendar.
+    """Return when the vehicle of a log was first and last armed, on the host's calendar clock.
 
     Return None if the log does not contain these times, or the flight was in the fast world.
     """

@@ -10,7 +10,7 @@ from dart_flight.config.mission import ESTIMATE_MOVED_M, Mission
 
 
 class MissionFrameReader:
-    """Tracks the mission frame during a flight; `add` receives the flight's records in order.
+    """A tracker of the mission frame during a flight; `add` receives the flight's records in order.
 
     `frame` is in local NED. It is None until the mission leaves `READYING` and is then anchored at the
     take-off point. If the position estimate then changes before the climb, the frame is anchored again at the

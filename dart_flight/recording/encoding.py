@@ -3,7 +3,7 @@
 JSON has no NaN and no infinity. These numbers become the strings "nan", "inf" and "-inf". Every other float
 is written as the shortest decimal number that is read back as exactly the same float.
 
-A value that is None is left out. The schema of the log cannot allow null: Foxglove refuses a topic if its
+A value that is None is left out. The schema of the log cannot allow null: Foxglove rejects a topic if its
 schema has a type with alternatives.
 """
 
@@ -31,7 +31,7 @@ def encode(record: Record) -> bytes:
 
 
 def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
-    """Return the record in `data`; raise msgspec.MsgspecError if it has not the decoder's type."""
+    """Return the record in `data`; raise msgspec.MsgspecError if its type is not the decoder's."""
     try:
         return decoder.decode(data)
     except msgspec.ValidationError:
@@ -49,7 +49,7 @@ def _spell(value: Any) -> Any:
 
 
 def _restore(value: Any, kind: Any) -> Any:
-    """Restore omitted None values and spelled numbers, also in nested records."""
+    """Restore omitted None values and spelled numbers, including those in nested records."""
     if isinstance(value, list):
         return [_restore(part, kind) for part in value]
     parts = list(_parts(kind))

@@ -39,7 +39,7 @@ class Event(NamedTuple):
     """One event.
 
     Attributes:
-        source: part that reports the event: mission, contact, guard, lock, px4, link or log.
+        source: part of the program that reports the event: mission, contact, guard, lock, px4, link or log.
         head: what happened.
         detail: reason or amount; may be empty.
     """
@@ -66,8 +66,8 @@ _SEVERITIES = {
 class EventFormatter:
     """Converts the records of a flight, in order, to events.
 
-    PX4's problems in the present flight mode are always reported. With `every_problem`, its problems in other
-    modes are also reported, as long as there are none in the present mode.
+    PX4's problems in the current flight mode are always reported. With `every_problem`, its problems in other
+    modes are also reported, as long as there are none in the current mode.
     """
 
     def __init__(self, every_problem: bool = False) -> None:
@@ -129,7 +129,7 @@ class EventFormatter:
         changed, self._problems = problems != self._problems, problems
         if not changed or not problems:
             return None
-        text = f"PX4 would not arm at present: {', '.join(problems)}"
+        text = f"PX4 would not arm now: {', '.join(problems)}"
         if not self._ready:
             text += "; this is usual until PX4 has started, and the flight waits for it"
         return Event(Level.WARNING, "px4", text)

@@ -32,7 +32,7 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.recording.anchor import MissionFrameReader
 
-_TRUTH_MATCH_US = 60_000  # largest time between a measured impact and the true contact
+_TRUTH_MATCH_US = 60_000  # maximum time between a measured impact and its true contact
 
 
 class Velocities(msgspec.Struct):
@@ -60,7 +60,7 @@ class Velocities(msgspec.Struct):
 
 
 class LockTimes(msgspec.Struct):
-    """Times of the lock's change of mode after a collision, autopilot time."""
+    """Times at which the lock changes mode after a collision, autopilot time."""
 
     contact_end_us: int | None = None
     relaxed_us: int | None = None
@@ -115,7 +115,7 @@ class OtherContact(msgspec.Struct):
 
 
 class FlownImpact(CollisionVerdict, kw_only=True):
-    """A planned collision as flown: its verdict, and further data for figures.
+    """A planned collision as flown: its verdict, and additional data for figures.
 
     Attributes:
         onset, peak: records of the flight core; peak is None if not measured.
@@ -154,7 +154,7 @@ class ImpactCollector:
         self._mission, self._anchor = mission, anchor
         lock = mission.vehicle.lock
         self._relaxation_us = None if lock is None else round(lock.relaxation_s * 1e6)
-        self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # walls with unique names
+        self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # found by probes
         self.impacts: list[FlownImpact] = []
         self._others: list[OtherContact] = []  # contacts as detected
         self._phase = Phase.READYING
@@ -162,7 +162,7 @@ class ImpactCollector:
         self._truths: list[TruthContact] = []
         self._onset: ImpactOnset | None = None
         self._lock_mode: Mode | None = Mode.RIGID if lock is None else None
-        self._left_us: int | None = None  # end of the last contact, until the velocity after it is known
+        self._left_us: int | None = None  # end of the last contact; None once its outgoing velocity is known
         self.handlers: dict[type, Callable[[Any], None]] = {
             ImpactOnset: self._handle_onset,
             PhaseChange: self._handle_phase,

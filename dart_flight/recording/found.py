@@ -47,7 +47,7 @@ def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def read_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callable[[str], None]) -> list[T]:
-    """Return the result of `read` for every log that has the wanted data.
+    """Return the result of `read` for every log that has the required data.
 
     `read` raises `MissingDataError` for a log without the data, and `left_out` receives one line about this
     log. If no log has the data, the first such error is raised.

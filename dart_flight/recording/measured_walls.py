@@ -13,7 +13,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 
-_SAME_US = 60_000  # largest time between a measured contact and the true contact
+_SAME_US = 60_000  # maximum time between a measured contact and its true contact
 
 
 class MeasuredWall(msgspec.Struct):
@@ -49,7 +49,7 @@ class MeasuredWall(msgspec.Struct):
 
 
 class WallMeasurements:
-    """Collects the measured walls of one flight from its records, in order."""
+    """A collector of one flight's measured walls, from the flight's records in order."""
 
     def __init__(self, mission: Mission) -> None:
         self._walls = {c.wall.name: c.wall for c in mission.collisions}

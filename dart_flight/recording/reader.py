@@ -35,7 +35,7 @@ DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
 class MissingDataError(InputError):
-    """The flight log lacks the wanted data: the flight ended early, or the log was cut near its start.
+    """The flight log lacks the required data: the flight ended early, or the log was cut near its start.
 
     If several logs are given, a log without the data is skipped, and a message reports this.
     """
@@ -46,7 +46,7 @@ class DamagedLogError(Exception):
 
 
 class LogEntry(msgspec.Struct, frozen=True, gc=False):
-    """One record of a log, with its own number if it is an input, else the number of its cause."""
+    """One record of a log, with its own number if the record is an input, otherwise its cause's number."""
 
     number: int
     record: Record

@@ -1,7 +1,7 @@
 """Definition of an uncontrolled flight, from the truth of a simulated vehicle.
 
-A flight is uncontrolled if one of these events occurs:
-    The vehicle leaves the mission's bounds by more than half a metre.
+A flight is uncontrolled if one of these events occurs: The vehicle leaves the mission's bounds by more than
+half a metre.
     The vehicle meets the ground at more than 1.5 m/s.
     The vehicle tilts by more than 80 degrees.
     The flight does not complete and gives no reason.
@@ -52,7 +52,7 @@ def find_uncontrolled(
     """Yield a phrase for each reason why a flight is uncontrolled; yield nothing for a controlled flight.
 
     Args:
-        explained: whether a reason is known why the flight did not complete.
+        explained: whether the reason for an incomplete flight is known.
         allowed_m: allowed distance outside the bounds.
         falls: whether the vehicle is meant to fall, for example after a kill switch.
     """

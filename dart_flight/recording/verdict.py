@@ -51,7 +51,7 @@ from dart_flight.recording.reader import IN_MEMORY, Log
 from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 
 _TICK_US = 20_000
-_KEPT = 1024  # samples of estimate or truth that wait for a counterpart: 8 s at 125 Hz
+_KEPT = 1024  # maximum number of estimates or true positions that wait for a counterpart: 8 s at 125 Hz
 
 
 class ResetFigures(msgspec.Struct):
@@ -120,8 +120,8 @@ class Verdict(msgspec.Struct):
     px4: Px4Figures | None = None
     drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # simulated world (`--vary`)
     vehicle: VehicleSource | None = None
-    plan_followed: bool | None = None  # whether as predicted; None without a prediction, as in a rehearsal
-    goal_reached: bool | None = None  # whether within the capture radius; None if the log lacks the end
+    plan_followed: bool | None = None  # None without a prediction, as in a rehearsal
+    goal_reached: bool | None = None  # within the capture radius; None if the log lacks the end
     goal_miss_planned_m: float | None = None  # None if unknown, or if the vehicle flies to the goal from rest
     deviations: list[Deviation] = msgspec.field(default_factory=list)
     walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as measured by the contacts
@@ -375,7 +375,7 @@ def _chain(handlers: Sequence[Callable[[Any], None]]) -> Callable[[Any], None]:
 def evaluate(log: Log) -> tuple[Verdict, list[FlownImpact]]:
     """Return the verdict on a recorded flight, and its impacts.
 
-    This verdict equals the verdict at the end of the flight, except for two values that the log does not
+    It equals the verdict at the end of the flight, except for two values that the log does not
     contain: `px4` and the reason for missing records. A log without its mission raises InputError.
     """
     builder = VerdictBuilder(flown_mission(log.about, log.source))
@@ -389,5 +389,5 @@ def evaluate(log: Log) -> tuple[Verdict, list[FlownImpact]]:
 
 
 def verdict_of(log: Log) -> Verdict:
-    """Return the verdict on a recorded flight; raises what `evaluate` raises."""
+    """Return the verdict on a recorded flight; raises the errors of `evaluate`."""
     return evaluate(log)[0]

@@ -36,9 +36,9 @@ PART_BYTES = 64 * 1024 * 1024  # about ten minutes of a flight (docs/log.md)
 MAX_PARTS = 16
 BYTES_PER_S = 150_000  # per second of flight, rounded up from a measured 8.7 MB per minute (docs/log.md)
 
-_FLUSH_S = 0.15  # each flush costs a chunk with its index; a killed process loses at most this time
+_FLUSH_S = 0.15  # period of flushes, each of which costs a chunk; a killed process loses one period
 _SYNC_S = 1.0
-_MAX_WAITING = 200_000  # records; about two minutes of flight while the disk does not respond
+_MAX_WAITING = 200_000  # maximum number of queued records; two minutes of flight without the disk
 
 
 class LogPart:
@@ -146,7 +146,7 @@ class FlightLog:
         If the disk does not respond, the file stays incomplete and can be read up to its last whole chunk.
         """
         self._closing.set()
-        for _ in range(2):  # in a process that was stopped, the first wait may end at once
+        for _ in range(2):  # in a process that was stopped, the first wait may end immediately
             self._thread.join(self.patience_s)
         if self._thread.is_alive():  # the index must not be written into the middle of a record
             self.failure = "the disk does not respond"

@@ -6,7 +6,7 @@ from typing import Any
 
 from dart_flight.vehicle.messages import SEVERITIES, Sensors
 
-_BAD_AT_MAX = 4  # the log level of a warning; the level of an emergency is 0
+_BAD_AT_MAX = 4  # log level of a warning; 0 is an emergency
 SEVERE = frozenset(SEVERITIES[: _BAD_AT_MAX + 1])
 _PREARM = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
 # Bits of MAV_SYS_STATUS_SENSOR that apply to a multirotor.

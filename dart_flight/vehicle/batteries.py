@@ -5,7 +5,7 @@ from __future__ import annotations
 from dart_flight.base.text import battery_figures
 from dart_flight.vehicle.messages import BatteryReading
 
-# A battery that never exceeds this share of the landing voltage is not a flight battery.
+# A battery that never exceeds this fraction of the landing voltage is not a flight battery.
 _LEAST_SHARE = 0.5
 
 
@@ -41,7 +41,7 @@ class Batteries:
         return [reading for reading in self._readings.values() if reading not in counted]
 
     def worst(self) -> BatteryReading | None:
-        """Return a flight battery below the lowest voltage if any, otherwise that with the least charge."""
+        """Return a flight battery below the lowest voltage, or else the one with the least charge."""
         return min(self.flight_batteries(), key=self._rank, default=None)
 
     def _is_flight_battery(self, reading: BatteryReading) -> bool:

@@ -20,7 +20,7 @@ _LISTEN_S = 0.6
 _SPEED = 4, 5  # indices of input and output speed in the termios list
 
 
-_CONSOLE_BAUDS = (115200, 57600)  # of login consoles and of PX4's shell
+_CONSOLE_BAUDS = (115200, 57600)  # usual rates of login consoles and of PX4's shell
 
 
 class PortFinding(msgspec.Struct, frozen=True):

@@ -1,6 +1,6 @@
 """Python's thread state for the thread on which MAVSDK runs callbacks.
 
-MAVSDK, not Python, starts this thread. The interpreter therefore creates and releases a thread state for
+MAVSDK starts this thread, not Python. The interpreter therefore creates and releases a thread state for
 every callback, which takes a third of the time of an empty callback (docs/latency.md).
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import threading
 
-_own = threading.local()  # the interpreter releases this together with the thread state
+_own = threading.local()  # the interpreter releases this with the thread state
 
 
 def pin_thread_state() -> None:

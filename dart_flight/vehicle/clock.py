@@ -14,7 +14,7 @@ from dart_flight.base.stamps import LeapFilter
 
 _WINDOW = 8  # seconds; each second keeps its best value
 _LOCKSTEP_STEP_US = 2000
-_LEAPS_ACCEPTED = 50  # consecutive stamps; this clock serves all streams, which the core filters singly
+_LEAPS_ACCEPTED = 50  # consecutive leaping stamps until a leap is accepted; one clock serves all streams
 _STEP_US = 200  # smaller changes of the estimate are not reported
 
 
@@ -50,10 +50,10 @@ class _RealHost:
     """A clock whose host time is the computer's monotonic time."""
 
     host_us = staticmethod(host_us)
-    _PACE_KNOWN = True  # whether the autopilot's time advances at the host's pace
+    _PACE_KNOWN = True  # whether the autopilot's clock runs at the pace of host time
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Leave out the autopilot's time if it may advance at another pace than host time."""
+        """Return the round trip, without the autopilot's time if that may advance at another pace."""
         return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
 
     @staticmethod
@@ -103,7 +103,7 @@ class ClockEstimate(_RealHost):
 
 
 class SimulatedTime:
-    """The single clock of a world that waits for the application; it shows the vehicle's newest stamp.
+    """The single clock of a world that waits for the application; its time is the vehicle's newest stamp.
 
     Host time and autopilot time are equal, so a busy computer does not affect ages and timeouts.
     """

@@ -45,10 +45,10 @@ class CommandServer:
     """A receiver of the commands of one ground station; answers are sent on MAVSDK's thread.
 
     Args:
-        system_id: system id of the only ground station that may command.
-        answer: returns the result of a press and the reason for this result.
+        system_id: system id of the only ground station that is allowed to send commands.
+        answer: returns the result of a button press and the reason for this result.
         note: receives one line about every command, for log and ground station. All commands of other systems
-            together give only one line.
+            together cause only one line.
 
     Attributes:
         refused: number of commands from other systems; all of them are denied.
@@ -71,7 +71,7 @@ class CommandServer:
         if message.system_id != self._system_id:
             self.refused += 1
             result = Result.DENIED
-            text = f"system {message.system_id} is not allowed to command (ground_station.system_id)"
+            text = f"system {message.system_id} is not allowed to send commands (ground_station.system_id)"
         else:
             result, text = self._answer(_press_of(message.fields_json))
         fields = {
@@ -96,5 +96,5 @@ def _press_of(fields_json: str) -> Press:
 
 
 def _whole(value: float | None) -> int:
-    """Return a parameter as an integer: -1 for a number that is not whole, 0 for NaN."""
+    """Return a parameter as an integer: -1 if it is not whole, 0 for NaN."""
     return 0 if value is None else int(value) if float(value).is_integer() else -1

@@ -20,9 +20,9 @@ from mavsdk.plugins.log_files import Entry, LogFiles
 from dart_flight.base.errors import FlightError
 
 _SILENT_S = 3.0  # timeout without progress
-_LOG_SILENT_S = 15.0  # timeout for a log, which is longer because a lossy link repeats every chunk
+_LOG_SILENT_S = 15.0  # timeout for a log; longer, because a lossy link repeats chunks
 _CANCELLED_S = 2.0  # timeout of the callback after a cancellation
-_RATED_S = 2.0  # the duration of a download is estimated this long after its start
+_RATED_S = 2.0  # time from a download's start until its duration is estimated
 _CLOCK_SET = datetime(2020, 1, 1, tzinfo=UTC)  # earlier dates come from flight controllers without a clock
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
 
@@ -117,7 +117,7 @@ def logs_of_flight(
     armed: tuple[datetime, datetime] | None,
     before: Collection[Px4LogEntry] | None,
 ) -> list[Px4LogEntry]:
-    """Return the logs that may belong to a flight; return only one log if the flight's log is identified.
+    """Return the logs that may belong to a flight; a single log if the flight's log is identified.
 
     Args:
         armed: arming time and end time of the flight, or None if unknown.
@@ -158,7 +158,7 @@ class Px4Logs:
 
         Args:
             entry: element of `entries` of this connection.
-            progress: receives the received share, 0 to 1.
+            progress: receives the fraction received so far, 0 to 1.
 
         Raises:
             DownloadError: the download failed, or the data is not a ULog.
@@ -199,7 +199,7 @@ class DownloadTime:
         self._size_bytes, self._began_s, self._is_reported = size_bytes, began_s, False
 
     def line(self, share: float, now_s: float) -> str | None:
-        """Return the remaining time as text, once it is known; `share` is the received share, 0 to 1."""
+        """Return the remaining time as text, once it is known; `share` is the fraction received so far."""
         elapsed_s = now_s - self._began_s
         if self._is_reported or elapsed_s < _RATED_S or share <= 0.0:
             return None

@@ -92,10 +92,10 @@ class Observation(msgspec.Struct):
     battery_remaining: float | None = None  # 0 to 1
     local_position_ok: bool = False
     gps_fix: str | None = None  # MAVLink's fix type in lower case; None if no receiver reports
-    blocking: tuple[str, ...] = ()  # PX4's reasons for not arming in its present mode
+    blocking: tuple[str, ...] = ()  # PX4's reasons for not arming in its current mode
     other_vehicle: str | None = None  # description of another vehicle on the same link
     texts: list[str] = []  # PX4's messages and events with severity warning or higher
-    own_findings: list[str] = []  # this program's own findings on the link
+    own_findings: list[str] = []  # this program's own findings about the link
     sources: tuple[Source, ...] = ()
     battery_id: int | None = None
     batteries: tuple[BatteryReading, ...] = ()  # flight batteries
@@ -124,10 +124,10 @@ class HeartbeatMode(msgspec.Struct, frozen=True):
 
 
 _HEARTBEAT_S = 3.0
-_REPORT_S = 5.0  # additional wait for PX4's reasons: MAVSDK must first fetch their descriptions
+_REPORT_S = 5.0  # additional wait for PX4's reasons, because MAVSDK must first fetch their descriptions
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
 _MAX_UNANSWERED = 2  # unanswered requests before giving up; MAVSDK repeats each for seconds
-_WAIT_POLL_S = 0.1  # interval of the requests for the vehicle's time while waiting
+_WAIT_POLL_S = 0.1  # interval between requests for the vehicle's time during a wait
 _FUSION_S = 10.0  # timeout until PX4 has a position from the forwarded poses
 
 
@@ -143,7 +143,7 @@ class _Listener:
         self._forces_m_s2, self._imu_samples = 0.0, 0
 
     def update(self, record: Input) -> None:
-        """Process a record, on MAVSDK's thread or on the thread of the motion capture."""
+        """Process a record, on MAVSDK's thread or on the motion capture's thread."""
         seen = self.seen
         self.poses.update(record)
         if isinstance(record, PoseSample):
@@ -190,7 +190,7 @@ class GroundLink:
     Args:
         url: MAVSDK connection URL.
         timeout_s: timeout of the first heartbeat.
-        viewer: receives every record on MAVSDK's thread; telemetry arrives only after the call of `observe`.
+        viewer: receives every record on MAVSDK's thread; telemetry arrives only after `observe` is called.
 
     Raises:
         VehicleError: on entering, if the URL cannot be opened or no autopilot answers.
@@ -210,7 +210,7 @@ class GroundLink:
         self._mocap = mocap or MotionCapture()
         self._forwarding = contextlib.ExitStack()
         self._bridge: MotionCaptureBridge | None = None
-        self._absent: str | None = None  # why the source of the poses could not be opened
+        self._absent: str | None = None  # reason why the source of the poses could not be opened
         self._mavsdk: Any = None
         self._answered = False  # whether the vehicle has answered any request
         self._unanswered: list[str] = []  # names of unanswered requests
@@ -341,11 +341,11 @@ class GroundLink:
         return Px4Logs(self._system)
 
     def kill(self) -> None:
-        """Force PX4 to disarm at once, even in the air; raise MAVSDK's exception if PX4 refuses."""
+        """Force PX4 to disarm immediately, even in the air; raise MAVSDK's exception if PX4 refuses."""
         Action(self._system).kill()
 
     def serve_operator(self, system_id: int, answer: Callable[[Press], tuple[Result, str]]) -> None:
-        """Answer a ground station's commands while the link is open (`VehicleSession.serve_operator`)."""
+        """Respond to a ground station's commands while the link is open (`VehicleSession.serve_operator`)."""
         self._session.serve_operator(system_id, answer)
 
     def set_actuator(self, index: int, value: float) -> None:
@@ -379,7 +379,7 @@ class GroundLink:
         self._parameters.write(name, value)
 
     def wait(self, seconds: float) -> None:
-        """Block for some seconds of the vehicle's time, or of this computer's if the vehicle's is unknown."""
+        """Block for some seconds of the vehicle's time, or of host time if the vehicle's time is unknown."""
         times_us: list[int] = []
         handle = self._session.listen(
             messages.TIMESYNC, lambda answer, _: times_us.append(answer.autopilot_us)

@@ -4,7 +4,7 @@ MAVSDK opens UDP ports and serial devices without excluding other programs. A se
 half of the datagrams or bytes, and the flight would fail. Every command that talks to a vehicle therefore
 acquires a `LinkLease` first. Each link has one file in the state folder, and a lease is an advisory lock on
 this file. The kernel releases the lock when the process ends. The file names the holder and the flight's log,
-for `monitor`. Programs that do not use leases are found by their open ports and devices.
+for `monitor`. Programs that do not use leases are detected by their open ports and devices.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class Holder(msgspec.Struct, frozen=True):
 def feed_name(port: int) -> str:
     """Return the name of the lease that a simulated vehicle acquires before it sends to a UDP port.
 
-    A program that receives on the port acquires a different lease, that of the port's URL, so both can use
-    the port.
+    A program that receives on the port acquires the lease of the port's URL instead, so both can use the
+    port.
     """
     return f"feed:{port}"
 
@@ -138,7 +138,7 @@ class LinkLease(Lease):
         port = self._endpoint.udp_port
         if port is None:
             return
-        # A starting `simulate` listens on the port briefly to detect other senders.
+        # When `simulate` starts, it listens on the port briefly to detect other senders.
         end = time.monotonic() + (_STARTING_S if find_holder(feed_name(port)) is not None else 0.0)
         while not udp_port_is_free(port, self._endpoint.host) and time.monotonic() < end:
             time.sleep(_PAUSE_S)
@@ -175,7 +175,7 @@ def acquire_free_link(command: str, log: Path | None = None) -> tuple[int, LinkL
         try:
             lease.acquire()
             return port, lease
-        except LinkInUseError:  # another program has opened or leased the port in the meantime
+        except LinkInUseError:  # another program has since opened or leased the port
             attempts -= 1
             if not attempts:
                 raise

@@ -44,10 +44,12 @@ class Unusable(NamedTuple):
     reason: str
 
 
-# Host time of a message's receipt by its stamp, both in microseconds; call it only for a usable message.
+# Function from a message's stamp to the host time of its receipt, both in microseconds; call it only for a
+# usable message.
 Receive = Callable[[int], int]
 
-# --- values of messages that are no record by themselves ----------------------------------------------------
+# --- values of messages that are not records by themselves
+# ----------------------------------------------------
 
 
 class Heartbeat(NamedTuple):
@@ -280,7 +282,7 @@ class Outputs(msgspec.Struct, rename={"t_us": "time_usec"}):
 class EscGroup(msgspec.Struct, rename={"t_us": "time_usec", "first": "index"}):
     """Speeds of four motors, revolutions per minute; `first` is the number of the first motor, from 0.
 
-    Several messages make one record, `EscSample`.
+    Several messages form one record, `EscSample`.
     """
 
     t_us: int
@@ -350,7 +352,7 @@ class Sensors(
 ):
     """Enabled, healthy and present sensors (bits of MAV_SYS_STATUS_SENSOR) and errors of the links.
 
-    `drop_rate_comm` is the share of lost packets in units of 0.01 %.
+    `drop_rate_comm` is the fraction of lost packets in units of 0.01 %.
     """
 
     enabled: int
@@ -401,7 +403,7 @@ class Timesync(msgspec.Struct):
 class ListedParameter(
     msgspec.Struct, rename={"name": "param_id", "place": "param_index", "entries": "param_count"}
 ):
-    """Name of a parameter, its index in the list of parameters, and the number of entries in the list.
+    """Name of a parameter, its index in the list of parameters, and the length of the list.
 
     `place` is at least `entries` for a parameter that is not in the list.
     """

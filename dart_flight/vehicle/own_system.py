@@ -1,4 +1,4 @@
-"""The MAVLink system id of this program, which must be that of the vehicle.
+"""The MAVLink system id of this program, which must equal the vehicle's.
 
 PX4 forwards a ground station's command to a component only if the component belongs to the vehicle's system.
 """
@@ -14,10 +14,10 @@ from mavsdk.mavsdk import Configuration
 
 
 def send_as(mavsdk: Any, component: ComponentType, system_id: int) -> int:
-    """Send all further messages of a connection as a component of system `system_id`.
+    """Send all subsequent messages of a connection as a component of system `system_id`.
 
     MAVSDK's C library has a function for this; its Python package does not. Return the system id that the
-    messages then have, which is MAVSDK's default if the library has no such function.
+    messages then have, which is MAVSDK's default if the library lacks this function.
     """
     configuration = Configuration.create_with_component_type(component)
     if configuration.system_id == system_id:

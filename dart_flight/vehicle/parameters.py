@@ -24,19 +24,19 @@ from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession
 
 _READ_S = 90.0  # timeout for all parameters read by name; a name without an answer takes 3 s
 _LIST_S = 60.0  # timeout for the list
-_SILENT_S = 1.5  # if no new entry arrives for this time, the missing entries are requested
-_ROUNDS = 3  # the list ends after this many requests in a row without a new entry
-_CHUNK = 40  # entries requested together; a slow radio would drop more
-_AGAIN, _AGAIN_S = 3, 0.5  # requests for a name without an answer, and the wait after each
+_SILENT_S = 1.5  # timeout without a new entry, after which the missing entries are requested
+_ROUNDS = 3  # consecutive requests without a new entry until the list counts as ended
+_CHUNK = 40  # number of entries requested together; a slow radio would drop more
+_AGAIN, _AGAIN_S = 3, 0.5  # number of requests for a name without an answer, and the wait after each
 _POLL_S = 0.02
 
-Perform = Callable[[str, Callable[[], Any]], Any]  # args: a request's name and function
+Perform = Callable[[str, Callable[[], Any]], Any]  # arguments: name and function of a request
 
 
 class ParameterList:
     """The names of a vehicle's parameters, from PARAM_VALUE messages.
 
-    `restarts` counts how often the list began again: PX4's indices change when a module starts to use more
+    `restarts` counts how often the list started over: PX4's indices change when a module starts to use more
     parameters.
     """
 
@@ -173,7 +173,7 @@ class VehicleParameters:
             time.sleep(_POLL_S)
 
     def _ask_again(self, names: Collection[str]) -> set[str]:
-        """Request all parameters in `names` together, up to 3 times; return the names that were answered.
+        """Request all parameters in `names` together, up to 3 times; return the names that PX4 answered.
 
         PX4 lists only the parameters that its modules use, but also answers for the other parameters.
         """

@@ -23,13 +23,13 @@ _logger = logging.getLogger("dart_flight.mavsdk")
 _lock = threading.Lock()
 _closing = 0  # connections that are being closed
 _NUMBER = re.compile(r"\d+")
-_MAX_KINDS = 1000  # kinds of messages stored; a damaged link may produce new ones without end
+_MAX_KINDS = 1000  # maximum number of stored kinds; a damaged link may produce new ones without end
 # Message without its numbers -> level, first text, number of repetitions.
 _repeated: dict[str, tuple[int, str, int]] = {}
 
 
 def redirect() -> None:
-    """Send every further message to the logger `dart_flight.mavsdk` only."""
+    """Send every subsequent message to the logger `dart_flight.mavsdk` only."""
     log_subscribe(log_message)
 
 
@@ -60,7 +60,7 @@ def _log_repetitions() -> None:
 
 @contextmanager
 def closing() -> Iterator[None]:
-    """Suppress errors of a socket within the context, in which the caller must close the connection."""
+    """Suppress socket errors within the context, in which the caller must close the connection."""
     global _closing  # noqa: PLW0603  (MAVSDK has one log for the whole process)
     with _lock:
         _closing += 1

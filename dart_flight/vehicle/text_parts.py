@@ -1,4 +1,4 @@
-"""Splitting and assembly of STATUSTEXTs: a text over 50 bytes is sent as several messages with one id."""
+"""Splitting and assembly of STATUSTEXTs: a text over 50 bytes becomes several messages with one id."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A MAVSDK connection to one autopilot: it delivers telemetry as records and sends setpoints and commands.
+"""A MAVSDK connection to one autopilot: telemetry as records, setpoints and commands.
 
 MAVSDK's callbacks run on MAVSDK's thread. Each callback builds a record and passes it to `deliver`. An
 acknowledgement does not prove success: PX4 acknowledges a take-off even while disarmed. The core therefore
@@ -68,10 +68,10 @@ _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _REPEATED_US = 100_000  # interval at which an unchanged setpoint is sent again
 _REQUEST_PERIOD_S = 0.1  # interval of the TIMESYNC requests
-_MAX_REQUESTS = 256  # number of stored requests; an answer may arrive seconds later
+_MAX_REQUESTS = 256  # maximum number of stored requests; an answer may arrive seconds later
 _MAX_TEXT_ID = 65535
 _AIRBORNE = (LandedState.IN_AIR, LandedState.TAKING_OFF)
-_REPORTED_US = 3_000_000  # shortest time between reports that a stream is unusable
+_REPORTED_US = 3_000_000  # minimum time between reports of an unusable stream
 _ENOUGH_MESSAGES = 10  # consecutive unusable messages before a report
 
 
@@ -137,7 +137,7 @@ class VehicleSession:
         self._texts = TextAssembler()
         self._reported_us: dict[str, int] = {}  # time of the last report, by unusable message
         self._reports_unusable = False
-        self._rpm: list[float] = []  # speeds with the same stamp; a message contains four motors
+        self._rpm: list[float] = []  # speeds with the same stamp; each message contains four motors
         self._rpm_us: int | None = None
         self._reset_counter: int | None = None
         self.clock: Clock = clock if clock is not None else ClockEstimate()
@@ -306,9 +306,9 @@ class VehicleSession:
             await asyncio.to_thread(self._request_interval, number, -1)
 
     async def measure_link(self, timeout_s: float) -> list[str]:
-        """Wait for the first answer to a request; if none arrives, return the names of the requests.
+        """Wait for the first answer to a request; return the unanswered requests if none arrives.
 
-        The request is TIMESYNC, or a rate request if the vehicle does not answer TIMESYNC.
+        The requests are TIMESYNC and, if the vehicle does not answer TIMESYNC, a rate request.
         """
         loop, heard = asyncio.get_running_loop(), asyncio.Event()
 
@@ -342,7 +342,7 @@ class VehicleSession:
 
     def request_time(self) -> None:
         """Send a TIMESYNC request; the answer repeats the host time and adds the autopilot's time."""
-        now = host_us()  # real time, because in lockstep simulated time may stand still
+        now = host_us()  # real time, because simulated time may stop in lockstep
         self._requests_us.append(now)
         fields = {"tc1": 0, "ts1": 1000 * now, "target_system": 0, "target_component": 0}
         text = msgspec.json.encode(fields).decode()
@@ -581,7 +581,7 @@ class VehicleSession:
         return self._status.armed
 
     def silence(self) -> None:
-        """Send no further messages; MAVSDK repeats the last setpoint until PX4 leaves offboard mode."""
+        """Stop sending messages; MAVSDK repeats the last setpoint until PX4 leaves offboard mode."""
         self._silent = True
 
     def set_actuator(self, index: int, value: float) -> None:
@@ -604,7 +604,7 @@ class VehicleSession:
                 )
 
     def serve_operator(self, system_id: int, answer: Callable[[Press], tuple[Result, str]]) -> None:
-        """Answer the commands of a ground station, on MAVSDK's thread (`CommandServer`).
+        """Respond to a ground station's commands, on MAVSDK's thread (`CommandServer`).
 
         Each answer is also sent to the ground station as a text and delivered as a record.
         """

@@ -244,7 +244,7 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("COM_FAIL_ACT_T", 5.0, "COM_FAIL_ACT_T is 5, wanted 0: Land at once"),
+        ("COM_FAIL_ACT_T", 5.0, "COM_FAIL_ACT_T is 5, wanted 0: Land immediately"),
         ("EKF2_GPS_CTRL", 7.0, "wanted 0: No GPS in the room"),
         (
             "COM_OBL_RC_ACT",

@@ -1,4 +1,4 @@
-"""The command `parameters`: wanted values with types and reasons; writing, reading back, restoring."""
+"""The command `parameters`: desired values with types and reasons; writing, reading back, restoring."""
 
 import json
 import lzma

@@ -46,7 +46,7 @@ def test_a_probe_that_may_end_before_its_wall_is_a_remark() -> None:
     uncertain = {"walls.wood.position_sd_m": 0.6}
     probe = findings("dual_collision_gps", uncertain)["probe_1"]
     assert (probe.go, probe.remark) == (True, True)
-    assert "may be 1.80 m further away" in probe.message
+    assert "may be 1.80 m farther away" in probe.message
 
 
 def test_the_age_and_uncertainty_of_an_anchor_are_reported() -> None:

@@ -32,8 +32,8 @@ def test_failed_preflight_checks_are_explained_before_the_flight_only() -> None:
     report = HealthReport(1, 1, False, ("preflight checks failed",), ())
     first = events.format_event(report)
     assert first is not None
-    assert "PX4 would not arm at present: preflight checks failed; this is usual" in first.head
+    assert "PX4 would not arm now: preflight checks failed; this is usual" in first.head
     events.format_event(PhaseChange(2, Phase.CLIMB, Phase.TRANSIT, "ready"))
     later = events.format_event(HealthReport(3, 3, False, ("no position",), ()))
     assert later is not None
-    assert later.head == "PX4 would not arm at present: no position"
+    assert later.head == "PX4 would not arm now: no position"

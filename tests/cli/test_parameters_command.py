@@ -46,7 +46,7 @@ def test_parameters_are_listed_written_and_restored(
         assert (written["refused"], set(written["written"])) == ({}, set(differing))
         assert "previous values: " in output
         assert exit_status("parameters", SINGLE, "--connection", url) == 0
-        assert "all parameters have the wanted values" in capsys.readouterr().err
+        assert "all parameters have the desired values" in capsys.readouterr().err
         restored, _ = parameters("--restore", written["saved"], "--yes")
         assert {row["name"]: row["wanted"] for row in restored["parameters"]} == {
             name: row["vehicle"] for name, row in differing.items()

@@ -82,10 +82,12 @@ def test_a_file_left_by_root_is_named_with_its_owner_and_the_remedy(
 
 @needs_root
 def test_a_folder_of_the_system_is_not_to_be_given_away(account: Path, mission: Mission) -> None:
-    with pytest.raises(InputError, match=r"/usr belongs to root; choose a folder that you can write$"):
+    with pytest.raises(InputError, match=r"/usr belongs to root; choose a folder that you can write to$"):
         FlightRecord(mission, World.FAST, 1, Path("/usr/flights"))
     (account / "own").mkdir(mode=0o555)
-    with pytest.raises(InputError, match=f"the mode of {account}/own forbids it; chmod u\\+w {account}/own$"):
+    with pytest.raises(
+        InputError, match=f"the mode of {account}/own does not permit it; chmod u\\+w {account}/own$"
+    ):
         FlightRecord(mission, World.FAST, 1, account / "own")
 
 
@@ -109,7 +111,7 @@ def test_an_account_without_a_home_is_told_to_name_the_state_folder(
     finally:
         os.setresuid(0, -1, -1)
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "home" in line]
-    assert line.endswith(": set DART_FLIGHT_STATE_DIR to a folder that you can write")
+    assert line.endswith(": set DART_FLIGHT_STATE_DIR to a folder that you can write to")
 
 
 @pytest.mark.parametrize(

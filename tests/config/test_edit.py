@@ -60,7 +60,7 @@ def test_an_edit_replaces_the_value_and_keeps_the_layout(
 
 @pytest.mark.parametrize(("text", "key"), [("a: 1", ("b",)), ("a: {b: 1}", ("a",)), ("a:\nb: 1", ("a",))])
 def test_an_edit_without_a_value_to_replace_is_refused(text: str, key: tuple[str, ...]) -> None:
-    with pytest.raises(InputError, match="but the file has no value there"):
+    with pytest.raises(InputError, match="but the file has no such value"):
         edit_values(text, {key: 1.0}, "f.yaml")
 
 

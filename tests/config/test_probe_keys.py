@@ -189,7 +189,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
             WALLS,
             "probe.length_m: wall board is 1.50 m away; length_m must be this distance",
         ),
-        ([EAST, EAST], {}, r"collisions\[1\].wall: two probes look for east"),
+        ([EAST, EAST], {}, r"collisions\[1\].wall: two probes search for east"),
         ([EAST], {"simulated_walls": {"east": BOARD}}, "a simulated wall already has the name east"),
         (
             [EAST],
@@ -198,7 +198,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         ),
         ([EAST | {"if_met": "east"}], {}, r"collisions\[0\].if_met: there is no earlier probe"),
         ([EAST, AGAIN | {"if_not_met": "west"}], {}, r"collisions\[1\].if_not_met: .*west"),
-        ([AGAIN, EAST], {}, r"collisions\[0\].wall: no earlier probe looks for wall east"),
+        ([AGAIN, EAST], {}, r"collisions\[0\].wall: no earlier probe searches for wall east"),
         ([EAST, AGAIN | {"impact_point_m": [1.8, 0.0]}], {}, "the position of wall east is unknown"),
         (
             [EAST, {k: v for k, v in AGAIN.items() if k != "approach"}],

@@ -73,7 +73,7 @@ def test_dart_is_the_default_among_several_packaged_vehicles(
     assert default_config_path().name == "dart.yaml"
     with (tmp_path / "configs" / "hexarotor.yaml").open("a") as file:
         file.write("detection: {force_threshold_n: 7.0}\n")
-    with pytest.raises(InputError, match="choose one by --config"):
+    with pytest.raises(InputError, match="choose one with --config"):
         default_config_path()
 
 

@@ -1,4 +1,4 @@
-"""The margin of impacts and paths from a wall's ends: half a vehicle plus the wall's position uncertainty."""
+"""The margin of impacts and paths from a wall's ends: half the vehicle's width plus the wall's position uncertainty."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_an_impact_sixteen_millimetres_from_the_end_of_a_door_is_no_go() -> None
     finding = wall_end_finding(mission_with_impact(0.016))
     assert not finding.go
     assert finding.figures == pytest.approx({"distance_m": 0.016, "margin_m": HALF_M})
-    assert "0.02 m from the wall's end, minimum half a vehicle (0.20 m)" in finding.message
+    assert "0.02 m from the wall's end, minimum half the vehicle's width (0.20 m)" in finding.message
     assert wall_end_finding(mission_with_impact(HALF_M + 0.01)).go
     assert "at this place not all guards touch the wall" in finding.message
     assert "guards" not in wall_end_finding(mission_with_impact(HALF_M - 0.01)).message

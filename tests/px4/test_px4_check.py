@@ -24,7 +24,7 @@ def test_the_shipped_setup_is_go_and_every_change_is_reported(px4_dir: Path, tmp
     # Not every version's answer to TIMESYNC reaches MAVSDK (docs/px4.md).
     remarks = {item for item, f in found.items() if f.remark} - {"round_trip"}
     assert remarks == {"COM_FAIL_ACT_T", "EKF2_EV_DELAY", "px4_checks"}  # mocap.delay_ms is unmeasured
-    assert "Land at once" in found["COM_FAIL_ACT_T"].message
+    assert "Land immediately" in found["COM_FAIL_ACT_T"].message
     assert found["motor_outputs"].message == "PWM 1000 to 2000 us, on PWM_MAIN"
     assert " component 1: ACTUATOR_OUTPUT_STATUS, ATTITUDE" in found["sources"].message
 

@@ -213,7 +213,7 @@ def test_landing_during_the_check_cancels_the_take_off(laboratory: Laboratory) -
     wait_until(is_cancelled, 60.0, "the land button is accepted")
     station.wait_for_text("take-off cancelled")
     station.wait_for_text("one: no-go", timeout_s=60.0)
-    station.wait_for_text("operator: a landing was requested during the check")
+    station.wait_for_text("operator: landing requested during the check")
     assert not station.was_armed
 
 

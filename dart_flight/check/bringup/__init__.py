@@ -1,1 +1,1 @@
-"""The bring-up of a vehicle on the bench in measured and judged steps (docs/bringup.md)."""
+"""Bring up a vehicle on the bench in steps, each measured and evaluated (docs/bringup.md)."""

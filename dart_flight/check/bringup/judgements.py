@@ -30,17 +30,17 @@ from dart_flight.check.telemetry_check import StreamRate
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.config.vehicle.mocap import MotionCapture
 
-_WINDOW_US = 500_000  # time for which the vehicle must be held still
-_STILL_M_S2 = 0.6  # largest standard deviation of the specific force in a steady hand
+_WINDOW_US = 500_000  # minimum duration of the vehicle being held still
+_STILL_M_S2 = 0.6  # maximum standard deviation of the specific force in a steady hand
 _TILTED_DEG = (20.0, 60.0)
-_AXIS_DEG = 30.0  # tolerance for a direction in which the operator tilts, pushes or carries by hand
+_AXIS_DEG = 30.0  # direction tolerance when the operator tilts, pushes or carries the vehicle
 _LEVEL_DEG = 12.0
 _PUSH_M_S2 = 3.0
-_PUSH_US = 30_000  # averaging time: shorter than a push, longer than a bump
+_PUSH_US = 30_000  # averaging time; longer than a bump, shorter than a push
 _CARRIED_M = 0.4
 _RESTING_M_S = 0.15
-_TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # smallest motion that shows all axes
-_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # least correlations; the rates of unrelated motions reached 0.8
+_TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # minimum motion that shows all axes
+_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # minimum correlations; the rates of unrelated motions reached 0.8
 _POSE_AXIS_DEG = 10.0
 _SCALE = 0.1
 _OLDEST_POSE_MS = 100.0
@@ -81,7 +81,7 @@ def failed(message: str, **measured: float | str | None) -> StepFinding:
 def evaluate_link(
     rates: Sequence[StreamRate], round_trip_s: float | None, limit_s: float, errors: Mapping[str, float]
 ) -> StepFinding:
-    """Judge the rates of the streams that a mission needs, the round trip and the link's errors.
+    """Check the rates of the streams that a mission needs, the round trip and the link's errors.
 
     Args:
         round_trip_s: shortest round trip, or None if the vehicle did not answer TIMESYNC.
@@ -166,7 +166,7 @@ def evaluate_level(level: Vec3) -> StepFinding | None:
 
 
 def evaluate_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
-    """Judge the IMU's forward and right axes from the mean specific forces in three attitudes, m/s2, FRD."""
+    """Check the IMU's forward and right axes by the mean specific forces in three attitudes, m/s2, FRD."""
     wrong = evaluate_level(level)
     if wrong is not None:
         return wrong
@@ -214,7 +214,7 @@ def find_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
 
 
 def evaluate_push(push: Vec2, force: Vec2) -> StepFinding:
-    """Judge whether a forward push points forward in the IMU and in the force estimate.
+    """Check that a forward push points forward in the IMU and in the force estimate.
 
     Args:
         push: acceleration measured by the IMU, FRD x and y, m/s2.
@@ -249,7 +249,7 @@ def evaluate_push(push: Vec2, force: Vec2) -> StepFinding:
 
 
 def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool | None]]) -> StepFinding:
-    """Judge whether the lock reaches the commanded modes, and report its travel times.
+    """Check that the lock reaches the commanded modes, and report its travel times.
 
     Args:
         moves: commanded mode, final state and confirmation of each move. The operator confirms whether the
@@ -272,7 +272,7 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
     measured["travel_by"] = "switch" if all(state.feedback for _, state, _ in moves) else "configured time"
     if len(wrong) == len(moves):
         message = (
-            "the lock moves in the wrong direction: exchange lock.servo.rigid_pulse_us and flexible_pulse_us "
+            "the lock moves in the wrong direction: swap lock.servo.rigid_pulse_us and flexible_pulse_us "
             "(`dart-flight lock calibrate`)"
         )
         return failed(message, **measured)
@@ -311,7 +311,7 @@ def measure_displacement(samples: Sequence[OdometrySample], q: Quaternion) -> Ve
 
 
 def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
-    """Judge the estimated displacements of a vehicle carried forward and then to its right, metres."""
+    """Check the estimated displacements of a vehicle carried forward and then to its right, metres."""
     f = math.degrees(math.atan2(forward[1], forward[0]))
     r = wrap_deg(math.degrees(math.atan2(right[1], right[0])) - 90.0)
     measured: Measured = {
@@ -329,7 +329,7 @@ def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
         )
         return failed(message, **measured)
     message = (
-        "left and right are exchanged: the source's frame is probably ENU, or its y axis points left; set "
+        "left and right are swapped: the source's frame is probably ENU, or its y axis points left; set "
         "the frame to north, east, down"
     )
     return failed(message, **measured)
@@ -343,7 +343,7 @@ def is_moved_enough(motion: MotionEstimate) -> bool:
 def evaluate_motion(
     motion: MotionEstimate, config: MotionCapture, round_trip_s: float | None, heading_off_deg: float | None
 ) -> StepFinding:
-    """Judge the motion-capture poses of a vehicle that the operator has moved by hand.
+    """Evaluate the motion-capture poses of a vehicle that the operator has moved by hand.
 
     Args:
         motion: estimate from poses, gyro and accelerometer.
@@ -370,7 +370,7 @@ def evaluate_motion(
             f"{motion.rate_correlation:.2f}): the body belongs to another vehicle, or its markers are swapped"
         )
     elif motion.force_correlation < -_SAME_FORCES:
-        wrong = "the room is mirrored: its axes are left-handed; exchange the sign of one axis at the source"
+        wrong = "the room is mirrored: its axes are left-handed; change the sign of one axis at the source"
     elif _angle_deg(motion.up_room, (0.0, 0.0, -1.0)) > _POSE_AXIS_DEG:
         axis = _axis_of_room(motion.up_room, config)
         wrong = f"wrong axis: the room's {axis} axis points up, but mocap.up is {config.up}"
@@ -386,7 +386,7 @@ def evaluate_motion(
         wrong = (
             "the body's motion does not match the accelerometer (correlation "
             f"{motion.force_correlation:.2f}): "
-            "carry the vehicle further; if the step fails again, check mocap.body_offset_m"
+            "carry the vehicle farther; if the step fails again, check mocap.body_offset_m"
         )
     elif abs(motion.scale - 1.0) > _SCALE:
         wrong = (

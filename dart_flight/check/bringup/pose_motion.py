@@ -30,8 +30,8 @@ _RATE_FILTER_S: Final = 0.04  # standard deviation of the Gaussian
 _FORCE_FILTER_S: Final = 0.12
 _LATENCY_S: Final = (-0.1, 0.5)  # range in which the latency is searched
 _COARSE_S: Final = 0.01
-_GAP_S: Final = 0.1  # longest gap between poses that is interpolated
-_MIN_S: Final = 5.0  # shortest duration of comparable motion
+_GAP_S: Final = 0.1  # maximum gap between poses that is interpolated
+_MIN_S: Final = 5.0  # minimum duration of comparable motion
 
 
 class MotionEstimate(NamedTuple):

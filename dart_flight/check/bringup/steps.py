@@ -1,4 +1,4 @@
-"""The steps of a bring-up: instruct the operator, wait for the action, measure and judge.
+"""The steps of a bring-up: instruct the operator, wait for the action, measure and evaluate.
 
 Each step detects the operator's action in the telemetry (held still, tilted, pushed, carried). The operator
 therefore keeps both hands on the vehicle and does not need the keyboard.
@@ -59,9 +59,9 @@ _ATTITUDE_S = 2.0
 _STATUS_S = 1.5  # SYS_STATUS arrives at least once per second
 _RADIO_S = 2.0
 _POLL_S = 0.05
-_KEPT = 4000  # number of stored samples per stream
+_KEPT = 4000  # maximum number of stored samples per stream
 _MOTION_S = 12.0  # duration of the motion by hand that is compared with the poses
-_NEW_MOTION_S = 2.0  # interval at which the motion is compared again
+_NEW_MOTION_S = 2.0  # interval between comparisons of the motion
 
 Found = TypeVar("Found")
 
@@ -225,7 +225,7 @@ class Bringup:
         return judgements.evaluate_link(self._rates, round_trip_s, round_trip_limit_s(self._mission), errors)
 
     def evaluate_axes(self) -> StepFinding:
-        """Judge the IMU's axes from readings with the vehicle level, nose down and right side down."""
+        """Check the IMU's axes by readings with the vehicle level, nose down and right side down."""
         self._connect()
         level = self._wait_until_held("Level the vehicle and do not touch it.", lambda force: True)
         wrong = judgements.evaluate_level(level)
@@ -243,7 +243,7 @@ class Bringup:
         return judgements.evaluate_axes(level, nose, right)
 
     def evaluate_force(self) -> StepFinding:
-        """Judge the direction of the force that is estimated during a push."""
+        """Check the direction of the force that is estimated during a push."""
         self._connect()
         self._telemetry.clear()
         level = self._wait_until_held("Hold the vehicle level and still.", lambda force: True)
@@ -257,7 +257,7 @@ class Bringup:
         return judgements.evaluate_push(push.acceleration_m_s2, force)
 
     def evaluate_servo(self) -> StepFinding:
-        """Move the lock to both ends and judge the moves."""
+        """Move the lock to both ends and evaluate the moves."""
         config = self._mission.vehicle.lock
         if config is None:
             return StepFinding(StepOutcome.SKIPPED, "this vehicle has no lock")
@@ -289,7 +289,7 @@ class Bringup:
         return mode, state, self._operator.confirm(f"Commanded {mode}. Are the arms {how}?")
 
     def evaluate_position(self) -> StepFinding:
-        """Judge the poses of a motion capture, if any, and the estimated position of a carried vehicle."""
+        """Check the motion capture's poses, if any, and the estimated position of a carried vehicle."""
         link = self._connect()
         poses = None
         if self._mission.vehicle.mocap.url is not None:

@@ -46,7 +46,7 @@ class Airframe(Section, frozen=True, kw_only=True):
 
     Attributes:
         mass_kg: take-off mass, battery included.
-        contact_distance_m: distance from the centre of mass to the wall's plane at the first contact.
+        contact_distance_m: distance from the centre of mass to the wall's surface at the first contact.
         incidence_rigid_deg: smallest angle of incidence at which unlocked arms do not fold. At this angle and
             above, the rigid coefficients hold in both modes. Unused without a lock.
         drag_per_s: [b_x, b_y, b_z] along the mission's axes: acceleration by air drag = -b * air speed.
@@ -149,7 +149,7 @@ class Thrust(Section, frozen=True):
     Attributes:
         motor_lag_s: time constant of motor and propeller.
         full_n: thrust at full command and at the battery voltage estimation.battery.reference_v.
-        model_factor: share of the square term, PX4's THR_MDL_FAC.
+        model_factor: fraction of the square term, PX4's THR_MDL_FAC.
         table: measured pairs [[command, newton], ...], interpolated linearly (full_n and model_factor are
             then null). Both columns increase, and the last command is 1.
     """

@@ -31,7 +31,7 @@ class ConnectionConfig(Section, frozen=True):
 
 
 class GroundStation(Section, frozen=True):
-    """The ground station whose buttons the program obeys (docs/ground_station.md).
+    """The ground station whose buttons control the program (docs/ground_station.md).
 
     Attributes:
         system_id: MAVLink system id of the ground station; commands from any other system are denied.
@@ -48,15 +48,16 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
         mpc_z_p: velocity per vertical position error, 1/s.
         mpc_xy_vel_p_acc: acceleration per horizontal velocity error, 1/s.
         mpc_xy_vel_i_acc: acceleration per integral of the horizontal velocity error, 1/s2.
-        mpc_xy_vel_d_acc: share of the measured horizontal acceleration that PX4 subtracts from its command.
+        mpc_xy_vel_d_acc: fraction of the measured horizontal acceleration that PX4 subtracts from its
+            command.
         mpc_z_vel_p_acc: acceleration per vertical velocity error, 1/s.
         mpc_z_vel_i_acc: acceleration per integral of the vertical velocity error, 1/s2.
-        mpc_z_vel_d_acc: share of the measured vertical acceleration that PX4 subtracts from its command.
+        mpc_z_vel_d_acc: fraction of the measured vertical acceleration that PX4 subtracts from its command.
         mpc_xy_vel_max: largest horizontal velocity setpoint, m/s.
-        mpc_z_vel_max_up: largest climbing velocity setpoint, m/s.
-        mpc_z_vel_max_dn: largest sinking velocity setpoint, m/s.
+        mpc_z_vel_max_up: largest climb velocity setpoint, m/s.
+        mpc_z_vel_max_dn: largest descent velocity setpoint, m/s.
         mpc_tiltmax_air: largest tilt setpoint in the air, degrees.
-        mpc_land_speed: sinking speed of a landing, m/s.
+        mpc_land_speed: descent speed of a landing, m/s.
         mpc_thr_min: smallest collective thrust, 0 to 1.
         mpc_thr_max: largest collective thrust, 0 to 1.
         mc_roll_p: roll rate per roll error, 1/s.

@@ -145,7 +145,7 @@ def default_config_path() -> Path:
         names = ", ".join(path.name for path in last)
         extended = ", ".join(sorted(path.name for path in there if path in bases))
         others = f"; not {extended}, which they extend" if extended else ""
-        text = f"contains several vehicles ({names}{others}): choose one by --config or $DART_FLIGHT_CONFIG"
+        text = f"contains several vehicles ({names}{others}): choose one with --config or $DART_FLIGHT_CONFIG"
         raise InputError(text, source=str(local.parent))
     return local if local.exists() else packaged("configs", "dart.yaml")
 

@@ -23,7 +23,7 @@ class BatteryModel(Section, frozen=True):
 
     Attributes:
         reference_v: battery voltage at which thrust.full_n was calibrated.
-        exponent: 0: thrust is independent of the voltage; `calibrate thrust` fits it.
+        exponent: 0: thrust is independent of the voltage; `calibrate thrust` fits the exponent.
     """
 
     reference_v: Volts
@@ -36,7 +36,7 @@ class ArmVibration(Section, frozen=True):
     Attributes:
         frequency_hz: undamped natural frequency.
         damping_ratio: 0: none, 1: critical.
-        mass_fraction: the arms' share of the vehicle's mass.
+        mass_fraction: the arms' fraction of the vehicle's mass.
     """
 
     frequency_hz: Annotated[float, Meta(ge=0.1, le=1000.0)]

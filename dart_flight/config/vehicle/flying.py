@@ -19,7 +19,7 @@ class GuardThresholds(Section, frozen=True):
         retreat_m: distance that the vehicle keeps from the wall after breaking off.
         imu_timeout_s: if the IMU is silent for longer than this while the other streams continue, the vehicle
             lands.
-        battery_remaining: if the remaining charge is below this share, the vehicle lands.
+        battery_remaining: if the remaining charge is below this fraction, the vehicle lands.
         battery_v: if the battery voltage is below this, the vehicle lands.
         kill_after_s: the motors are stopped if the vehicle is still armed in PX4's land mode after this time
             and after three times the expected duration of the descent; null: never.
@@ -61,13 +61,14 @@ class Flying(Section, frozen=True):
         acceleration_m_s2: largest acceleration of the reference, the motion that the setpoints command.
         jerk_m_s3: largest jerk of the reference; null: derived from speed and acceleration.
         yaw_rate_deg_s: largest yaw rate of the reference.
-        steady_run_s: time at constant speed before the wall, so that the impact velocity is reached.
+        steady_run_s: time at constant speed before the wall, for the vehicle to settle at the impact
+            velocity.
         setpoint_delay_s: delay from the stamp of an odometry sample until the autopilot executes the setpoint
             computed from this sample. The setpoint is the reference at the sample's time plus this delay.
             null: 0.024 with PX4, none in the embedded simulator.
-        attitude_delay_s: delay that adds to setpoint_delay_s, because the attitude's rate loop responds late.
-            The setpoint's acceleration and jerk are those of the reference at the sample's time plus both
-            delays. null: 0.05 with PX4, none in the embedded simulator.
+        attitude_delay_s: delay in addition to setpoint_delay_s, because the attitude's rate loop responds
+            late. The setpoint's acceleration and jerk are those of the reference at the sample's time plus
+            both delays. null: 0.05 with PX4, none in the embedded simulator.
         ready_timeout_s: longest wait for telemetry, for offboard mode, for arming, or for the end of a climb
             or transit.
         replan_within_s: time from the end of a contact to the start of a trajectory planned in flight; the

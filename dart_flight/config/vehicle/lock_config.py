@@ -124,7 +124,7 @@ class DriverSection(Section, frozen=True):
 
 
 class Maestro(DriverSection, frozen=True):
-    """Serial servo controller (Pololu Maestro), for the driver maestro.
+    """Serial servo controller (Pololu Maestro), for the `maestro` driver.
 
     Attributes:
         port: serial port, such as /dev/ttyACM0.
@@ -152,7 +152,7 @@ class Maestro(DriverSection, frozen=True):
 
 
 class Pwm(DriverSection, frozen=True):
-    """Hardware PWM of the Raspberry Pi through sysfs, for the driver pwm.
+    """Hardware PWM of the Raspberry Pi through sysfs, for the `pwm` driver.
 
     Attributes:
         sysfs_dir: folder of the kernel's PWM chips.
@@ -174,15 +174,15 @@ class Pwm(DriverSection, frozen=True):
 
 
 class Px4Output(DriverSection, frozen=True):
-    """PX4's own servo output through `set_actuator`, for the driver px4.
+    """PX4's own servo output through `set_actuator`, for the `px4` driver.
 
     Attributes:
         actuator_index: index of PX4's output function "Peripheral via Actuator Set", 1 to 6.
         bank: bank of the pin to which the servo is connected.
         pin: number of the pin in its bank.
         timer: number of the pin's timer group, which must run at 50 Hz (`PWM_<bank>_TIM<timer>`).
-        min_pulse_us: pulse of the actuator value -1, `PWM_<bank>_MIN<pin>`.
-        max_pulse_us: pulse of the actuator value 1, `PWM_<bank>_MAX<pin>`.
+        min_pulse_us: pulse width for actuator value -1, `PWM_<bank>_MIN<pin>`.
+        max_pulse_us: pulse width for actuator value 1, `PWM_<bank>_MAX<pin>`.
     """
 
     actuator_index: Annotated[int, Meta(ge=1, le=6)]
@@ -234,29 +234,28 @@ class LockDriver(StrEnum):
 
 
 class LockStartup(StrEnum):
-    """Action of the lock at program start: move to a known end, or keep the present position."""
+    """Action of the lock at program start: move to a known end, or keep the current position."""
 
     HOME = "home"
     ADOPT = "adopt"
 
 
-NO_LOCK = "none"  # value of `driver` for a vehicle without a lock; the other keys are then ignored
+NO_LOCK = "none"  # value of `driver` for a vehicle without a lock, which ignores the other keys
 
 
 class LockConfig(Section, frozen=True):
-    """The locking mechanism (docs/lock.md); without this section, or with driver none, there is no lock.
+    """The locking mechanism (docs/lock.md); absent without this section or with the driver `none`.
 
     Attributes:
         driver: driver of the servo; mock: a modelled servo; none: there is no lock, and other keys are
             ignored.
-        startup: home: move to home_mode; adopt: use the present position.
+        startup: home: move to home_mode; adopt: use the current position.
         home_mode: end to which `home` moves.
         relaxation_s: time that the lock waits after a contact before it may move, so that the arms can spring
             back.
         timeout_s: longest travel time, and longest time without a reading of a limit switch. If one of the
             two is exceeded, the lock is in fault.
-        debounce_s: time for which a change of a limit switch or a loss of the pulse must last; shorter
-            changes are ignored.
+        debounce_s: minimum duration of a limit-switch change or pulse loss; shorter changes are ignored.
         limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, with one or
             both lines; null: there is no switch, and a movement of the lock counts as complete after the
             travel time.

@@ -31,10 +31,10 @@ class ContactBody(Section, frozen=True):
         guard_height_m: height of the guards above the centre of mass.
         guard_height_sd_m: standard deviation of that height between flights; `check` allows for it, and
             `--vary guard_height_m` draws it.
-        friction_lever_share: lever arm of friction about the centre of mass, as a share of the guards' lever
-            arm; 0: friction acts at the centre of mass, 1: at the guards.
+        friction_lever_share: lever arm of friction about the centre of mass, as a fraction of the guards'
+            lever arm; 0: friction acts at the centre of mass, 1: at the guards.
         vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
-        fold_share: movement of an unlocked arm and its motor, as a share of the guard's penetration; 0:
+        fold_share: movement of an unlocked arm and its motor, as a fraction of the guard's penetration; 0:
             motors do not move.
         scatter: relative standard deviation by which the coefficients vary between impacts.
         half_engaged: whether the rods stop half-way, so that the arms are neither locked nor unlocked.

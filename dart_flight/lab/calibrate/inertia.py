@@ -35,12 +35,12 @@ Array = NDArray[np.float64]
 AXES = ("roll", "pitch", "yaw")
 WINDOW_S = 0.1
 _END_SAMPLES = 3  # number of samples averaged on either side of a window's end
-_MIN_HZ = 50.0  # least rate of gyro and motors; a lower rate misses the controller's action
+_MIN_HZ = 50.0  # minimum rate of gyro and motors; a lower rate misses the controller's action
 _MAX_GAP_S = 0.05
-_MAX_SIDEWAYS_M_S2 = 5.0  # mean force per kg across the thrust axis at a window's end; a contact exceeds it
+_MAX_SIDEWAYS_M_S2 = 5.0  # limit of the mean force per kg across the thrust axis; contacts exceed it
 _MIN_WINDOWS = 40
-_MAX_ERROR = 0.1  # largest relative standard error of a slope
-_MAX_RATIO = 1.3  # largest ratio of the inertia's upper bound to its lower bound
+_MAX_ERROR = 0.1  # maximum relative standard error of a slope
+_MAX_RATIO = 1.3  # maximum ratio of the inertia's upper bound to its lower bound
 _GROUND_MARGIN_S = 1.0
 _LAGS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.1)  # multiples of the configured lag
 _SIGMA_95 = 1.96
@@ -292,8 +292,8 @@ def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisIne
     elif most > _MAX_RATIO * least:
         axis.refused = (
             f"the motors explain {100.0 * explained:.0f} % of the changes of the angular rate, so the "
-            f"inertia is only known to be between {least:.4f} and {most:.4f} kg m2; check for wind and small "
-            "commands, and check the motors' order and positions"
+            f"inertia is only known to be between {least:.4f} and {most:.4f} kg m2; check for wind and "
+            "small commands, and check the motors' order and positions"
         )
     else:
         axis.value = value

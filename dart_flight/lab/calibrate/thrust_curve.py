@@ -26,24 +26,26 @@ from dart_flight.lab.track import Track
 Array = NDArray[np.float64]
 
 WINDOW_S = 0.5
-_PART_S = 0.1  # part of a window: longer than the vibration's period, shorter than a bump
-_GROUND_MARGIN_S = 1.0  # PX4's land detector is at most this late
-_MIN_IMU, _MIN_MOTOR = 10, 3  # least samples in a window; PX4's default logging has motors at 10 Hz
+_PART_S = 0.1  # length of a window's part: longer than the vibration's period, shorter than a bump
+_GROUND_MARGIN_S = 1.0  # maximum delay of PX4's land detector
+_MIN_IMU, _MIN_MOTOR = 10, 3  # minimum samples in a window; PX4's default logging has motors at 10 Hz
 _MAX_RATE_RAD_S = 0.6
-_MAX_LATERAL_M_S2 = 1.5  # mean specific force across the thrust axis; drag, wind or a contact may exceed this
-_MAX_JOLT_M_S2 = 3.0  # difference of a part's mean from the window's; a bump or touch-down exceeds this
+_MAX_LATERAL_M_S2 = (
+    1.5  # limit of the mean force per kg across the thrust axis; drag, wind, contacts exceed it
+)
+_MAX_JOLT_M_S2 = 3.0  # maximum difference of a part's mean from the window's; bumps and touch-downs exceed it
 _MAX_ACCELERATION_M_S2 = 1.5
-_MAX_COMMAND_CHANGE = 0.06  # change of the motors' mean between the halves of a window
+_MAX_COMMAND_CHANGE = 0.06  # maximum change of the mean motor command between the two halves of a window
 _MIN_COMMAND, _MAX_COMMAND = 0.05, 0.98  # limits of each motor's mean command
 _MAX_SPEED_M_S = 1.5
 MIN_POINTS = 8
-_FACTOR_ERROR = 0.1  # a factor with a larger standard error is not fitted
-_MIN_VOLTAGE_SPREAD = 0.02  # least relative standard deviation for a fit of the exponent
+_FACTOR_ERROR = 0.1  # maximum standard error of a fitted factor
+_MIN_VOLTAGE_SPREAD = 0.02  # minimum relative standard deviation of the voltage for a fit of the exponent
 _MIN_SPREAD_V = 1e-6  # a smaller spread counts as constant voltage
-_MAX_EXPONENT = 3.0  # largest exponent of the voltage ratio
+_MAX_EXPONENT = 3.0  # maximum exponent of the voltage ratio
 _FOLDS = 4  # parts for cross-validation
-_BLOCK = 5  # consecutive windows held out together, 2.5 s
-_MAX_ERROR = 0.1  # largest error on held-out stretches, as a share of the thrust
+_BLOCK = 5  # number of consecutive windows held out together, 2.5 s
+_MAX_ERROR = 0.1  # maximum error on held-out segments, as a fraction of the thrust
 
 # Tests of a window in their order, with the reason for rejection.
 TESTS = {

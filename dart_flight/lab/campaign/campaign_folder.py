@@ -47,7 +47,7 @@ class CampaignFolder(NamedTuple):
         return self.campaign.asked.runs * len(self.points)
 
     def log_of(self, item: Item) -> Path:
-        """Return the path of a flight's log, whether it is kept or not."""
+        """Return the path of a flight's log, whether the log is kept or not."""
         return self.folder / LOGS / log_name(self.points[item.point - 1], item.seed) / LOG_NAME
 
 
@@ -110,7 +110,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def read_rows(opened: CampaignFolder) -> list[JudgedRow]:
-    """Return the existing rows of a campaign, which must have a judge function."""
+    """Return the existing rows of a campaign with a judge function."""
     return list(judged_rows(opened.campaign, rows_in(opened.folder / TABLE)))
 
 
@@ -142,7 +142,7 @@ def fly(
         rows, failed = len(have), 0
         progress(rows, failed)
         missing = (item for item in items_of(campaign.asked, opened.points) if item not in have)
-        # Closing the engine ends its processes, also after an exception.
+        # Closing the engine ends its processes, even after an exception.
         with contextlib.closing(engine(flyer, missing, interrupt)) as landings:
             for item, result in landings:
                 flown = flyer.failed(item, result.what) if isinstance(result, Failure) else result

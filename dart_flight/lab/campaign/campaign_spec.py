@@ -1,7 +1,7 @@
 """The specification of a campaign: missions x settings x cases x seeds, and the resulting points and items.
 
 `dart-flight campaign` builds the specification from its options. For each measurement in the manual, a file
-(`tools/campaigns/*.yaml`) contains a specification and names a function that judges each flight.
+(`tools/campaigns/*.yaml`) contains a specification and names a function that evaluates each flight.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         runs: number of seeds. Each mission with each combination of values is flown with the seeds `seed`,
             `seed` + 1, and so on.
         keep: the flights whose logs are kept.
-        cases: further variations of the flights. Each case is a mapping key -> value, and the table has one
-            column for each key. Instead of a list, a function that returns the cases can be named.
+        cases: additional variations of the flights. Each case is a mapping key -> value, and the table has
+            one column for each key. Instead of a list, a function that returns the cases can be named.
         fly: function that flies a grid point (`Point`) with a seed and returns the flown flight. If `fly` is
             empty, the mission is flown in simulated time.
         judge: function that converts a flown flight to a `msgspec.Struct`. The fields of the struct are

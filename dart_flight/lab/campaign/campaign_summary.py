@@ -33,11 +33,11 @@ from dart_flight.lab.statistics import (
 )
 from dart_flight.recording.plan_versus_flight import Deviation
 
-_MAX_FAILED = 1000  # listed flights; the table contains all of them
-_CLEAR_Z = 4.0  # significant separation of failed and completed flights, also among fifty quantities
+_MAX_FAILED = 1000  # maximum number of listed flights; the table contains all of them
+_CLEAR_Z = 4.0  # minimum significant separation of failed and completed flights, even among fifty quantities
 _MIN_FAILED = 5
 _MAX_QUANTITIES = 4
-_MAX_OVER = 2  # drawn quantities for one figure
+_MAX_OVER = 2  # maximum number of drawn quantities for one figure
 _MAX_POINTS = 400
 _SIGNIFICANT = 0.05  # p value, corrected for the number of quantities tried
 _OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
@@ -132,7 +132,7 @@ class DifferingQuantity(msgspec.Struct, frozen=True):
 
 
 class EndCause(msgspec.Struct, frozen=True):
-    """A cause of failure: the reason up to its first colon, such as a guard rule.
+    """A cause of failure: a flight's reason up to its first colon, such as a guard rule.
 
     A flight without a reason has its outcome as the cause.
     """
@@ -161,7 +161,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         flights, asked: number of rows in the table, and total number of flights.
         errors: number of flights without a verdict, because a program error ended them. The rates leave out
             these flights.
-        figures: distributions by column, ordered by magnitude: the high of the normal velocities is the
+        figures: distributions by column, ordered by magnitude, so the high of the normal velocities is the
             fastest hit.
         rules: causes of failure.
         drawn: success rate as a function of each drawn quantity; empty if all or no flights completed.

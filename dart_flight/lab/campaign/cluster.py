@@ -24,10 +24,10 @@ from dart_flight.lab.campaign.flight_job import Flown, ItemFlyer
 from dart_flight.recording.about import software_version
 from dart_flight.run.workers import Failure, FinishedItem, Interrupt, attempt
 
-_TIMEOUT_S = 30.0  # for the scheduler's response and for the first worker
+_TIMEOUT_S = 30.0  # timeout of the scheduler's response and of the first worker
 _POLL_S = 0.05
 _END_S = 2.0
-_COUNT_S = 5.0  # interval at which the scheduler's workers are counted
+_COUNT_S = 5.0  # interval between counts of the scheduler's workers
 _ABOUT = "dart_flight.recording.about"
 _AHEAD = 2  # submitted flights per thread, so that no thread waits for the next one
 
@@ -80,7 +80,7 @@ def _connect(url: str) -> Any:
 
 
 def _refuse_unfit(client: Any, url: str) -> None:
-    """Refuse a scheduler without workers, or with a worker that lacks this version of this program."""
+    """Reject a scheduler without workers, or with a worker that lacks this version of this program."""
     try:
         client.wait_for_workers(1, timeout=_TIMEOUT_S)
     except TimeoutError:
@@ -151,7 +151,7 @@ def _hand_out(
         for future in landed:
             try:
                 result = _result(future)
-            except _UnfitWorkerError as error:  # a worker that has joined since the check
+            except _UnfitWorkerError as error:  # a worker that joined after the check
                 _refuse_unfit(client, url)
                 raise FlightError(
                     f"--scheduler {url}: {error}; completed rows are kept; continue with --resume"
@@ -168,7 +168,7 @@ def _result(future: Any) -> Flown | Failure:
     if future.status in ("cancelled", "lost"):
         raise OSError("lost connection to the scheduler")
     error = future.exception()
-    if error is not None:  # of scheduler or worker; a flight returns its own errors as a result
+    if error is not None:  # an error of scheduler or worker; a flight returns its own errors as a result
         if type(error).__name__ != "KilledWorker":
             raise _UnfitWorkerError(_one_line(error))
         return Failure(_one_line(error))

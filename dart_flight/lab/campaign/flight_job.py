@@ -1,7 +1,7 @@
 """The flight of one item of a campaign, in any process. The result is a row, and the log if it is kept.
 
-A specification may name the function that flies and the function that judges; the default columns come from
-`cells_of`.
+A specification may name the function that flies and the function that evaluates; the default columns come
+from `cells_of`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.many_flights import unexplained_modes
 
-ERROR = "error"  # outcome of a flight without a verdict, due to a program error
+ERROR = "error"  # outcome of a flight that has no verdict because of a program error
 Cell = str | float | int | bool | None
 
 
@@ -63,7 +63,7 @@ def fly_point(point: Point, seed: int) -> FlownFlight:
 
 
 class ItemFlyer:
-    """A picklable function that flies the items of a campaign, also on other machines."""
+    """A picklable function that flies campaign items locally or on other machines."""
 
     def __init__(self, campaign: Campaign, points: Sequence[Point]) -> None:
         self._columns, self._keys = campaign.columns, keys_of(campaign.asked, points)

@@ -26,8 +26,8 @@ _SYNC_S = 1.0
 class Table:
     """The table of a campaign; only this process may append rows.
 
-    A missing file is created with its header. A file of another campaign, and a file system without locks,
-    are refused.
+    A missing file is created with its header. A file of another campaign and a file system without locks are
+    rejected.
     """
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
@@ -65,7 +65,7 @@ class Table:
         os.close(self._file)
 
     def append(self, line: bytes) -> None:
-        """Append a row; if the disk rejects it, the part written is removed and a FlightError is raised."""
+        """Append a row; if the disk rejects it, remove the part written and raise a FlightError."""
         try:
             written = os.write(self._file, line)
             if written < len(line):
@@ -114,7 +114,7 @@ def rows_in(path: Path) -> Iterator[dict[str, str]]:
 
 
 def flown_in(path: Path, keys: Sequence[str], points: Sequence[Point]) -> set[Item]:
-    """Return the flights that have a row; refuse duplicates, and rows of no flight of this campaign."""
+    """Return the flights that have a row; reject duplicates and rows of other campaigns' flights."""
     numbers = {(point.path, *point.values): point.number for point in points}
     found: set[Item] = set()
     for line, row in enumerate(rows_in(path), start=2):

@@ -182,7 +182,7 @@ def _table(r: ThrustCalibration) -> Table:
     table.add_row("command at hover", f"{r.hover_command:.3f}", "")
     table.add_row("range of commands", f"{r.command_range[0]:.3f} to {r.command_range[1]:.3f}", "")
     table.add_row(
-        "residual rms, N (share of the thrust)", f"{r.residual_rms_n:.3f}", f"{r.residual_percent:.1f} %"
+        "residual rms, N (fraction of the thrust)", f"{r.residual_rms_n:.3f}", f"{r.residual_percent:.1f} %"
     )
     table.add_row("worst residual, N", f"{r.residual_worst_n:.3f}", "")
     return table

@@ -68,7 +68,7 @@ def _print_result(line: str, complete: bool) -> None:
 
 
 def _folders(logs: list[Path], output: Path | None) -> list[Path]:
-    """Return the output folder of each log; no two are equal."""
+    """Return a different output folder for each log."""
     if output is None:
         return [log.parent / ("csv" if log.stem == "flight" else f"{log.stem}_csv") for log in logs]
     if len(logs) == 1:

@@ -188,7 +188,7 @@ def _print(found: Any) -> None:
         "along m/s",
         "peak N",
         "samples in contact",
-        "set aside",
+        "excluded",
         "used",
     )
     for name in columns:

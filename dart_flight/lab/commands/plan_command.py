@@ -37,7 +37,7 @@ from dart_flight.planning.predicted_flight import describe_goal_miss
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.many_flights import RunsInterruptedError
 
-_LINE_EVERY_S = 5.0  # interval of progress lines without a terminal
+_LINE_EVERY_S = 5.0  # interval between progress lines if the output is not a terminal
 NOT_VERIFIED = "not flown in simulation (--no-verify): the plan may not be flyable"
 
 
@@ -147,7 +147,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _ways_out(plan: Plan, result: SearchResult, record: FlownRecord) -> Iterator[str]:
-    """Yield what to do about a plan that fails in simulation."""
+    """Yield advice on a plan that fails in simulation."""
     drawn = record.drawn
     if drawn is not None and drawn.flights < flown_plan.DRAWN:
         yield f"the other {flown_plan.DRAWN - drawn.flights} flights were not flown: they cannot change this"
@@ -159,7 +159,7 @@ def _ways_out(plan: Plan, result: SearchResult, record: FlownRecord) -> Iterator
 
 
 def _first_flyable(result: SearchResult, rank: int) -> tuple[Plan, Mission, dict[int, str]]:
-    """Return the first plan from a rank on whose mission is not refused, and the refused ranks."""
+    """Return the first plan, from a given rank on, whose mission is accepted, and the refused ranks."""
     refused: dict[int, str] = {}
     for plan in result.plans[rank - 1 :]:
         try:
@@ -172,7 +172,7 @@ def _first_flyable(result: SearchResult, rank: int) -> tuple[Plan, Mission, dict
 
 @contextlib.contextmanager
 def _search_bar() -> Iterator[Progress]:
-    """Show a bar on a terminal during a search; the context is the search's progress callback."""
+    """Show a progress bar if the output is a terminal. Yields the search's progress callback."""
     console = messages()
     with rich.progress.Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("searching", total=None)
@@ -220,7 +220,7 @@ class _Watch(FlightWatch):
         return fly_on_all_cores(mission, seeds, spreads, done, self._interrupted)
 
     def end(self, output: Path | None) -> int:
-        """Report what is known after an interrupt, and return the exit status."""
+        """Report the results known at an interrupt, and return the exit status."""
         self._close()
         kept = "" if output is None else f"; {output} was not written"
         print_status(f"interrupted during the simulated flights{self._known}{kept}")

@@ -26,8 +26,8 @@ class SetAside(NamedTuple):
     """Numbers of samples in the window of a trial's fit.
 
     Attributes:
-        free: ignored samples in free flight. They deviate by more than five standard deviations.
-        contact: ignored samples in contact, at most a tenth of `in_contact`. A sample in contact is ignored
+        free: excluded samples in free flight, which deviate by more than five standard deviations.
+        contact: excluded samples in contact, at most a tenth of `in_contact`. A sample in contact is excluded
             only if the samples before and after it fit well.
         in_contact: all samples in contact, over all channels.
     """
@@ -53,7 +53,7 @@ class TrialFit(NamedTuple):
         force_delay_s: delay of the force samples' clock relative to the position samples' clock; None if
             forces or positions were not recorded.
         misfit: ratio of the residual in contact to the noise in free flight, for the worst channel.
-        set_aside: numbers of ignored samples.
+        set_aside: numbers of excluded samples.
     """
 
     name: str
@@ -93,7 +93,7 @@ class TrialFit(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Median absolute errors on held-out hits; None if not assessable.
+    """Median absolute errors on held-out hits; None if they cannot be assessed.
 
     Attributes:
         peak_force: error of the peak force, relative to the measured peak.

@@ -26,7 +26,7 @@ from dart_flight.lab.identify.sample_result import SampleResult, fit_samples
 from dart_flight.lab.identify.speed_ratios import friction, restitution, tangential_ratio
 from dart_flight.lab.identify.trials import Trial, without_derived
 
-_PREDICTS = 0.1  # error of peak and outgoing speed up to which a fit with large residuals is kept
+_PREDICTS = 0.1  # maximum error of peak and outgoing speed at which a fit with large residuals is kept
 _COEFFICIENTS = ("k", "f", "mu", "nu")
 _UNKNOWN = {
     "mu": "(friction) is unknown, because no trial shows friction that slows a motion along the wall",
@@ -36,8 +36,8 @@ _UNKNOWN = {
 # (docs/results/flight_identification.md).
 _OF_TURNING = 0.75
 _MOST_OF_TURNING = 0.8
-_K_OF_TURNING = 0.03  # rotation loads one guard more than the other, which lowers k by up to 6 %
-_TURNS = 0.1  # ratio from which the rotation is reported
+_K_OF_TURNING = 0.03  # relative error of k: rotation loads one guard more, which lowers k by up to 6 %
+_TURNS = 0.1  # minimum ratio at which the rotation is reported
 
 
 def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identification:
@@ -84,7 +84,7 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
 def _coefficients(
     mode: str, result: SampleResult, problem: LawProblem, notes: list[str]
 ) -> dict[str, Estimate | None]:
-    """Return the coefficients of a mode, from the samples if the law fits them, else from whole hits."""
+    """Return the coefficients of a mode, from the samples if the law fits them, otherwise from whole hits."""
     sampled = result.coefficients.get(mode)
     bad = mode in result.bad
     if bad and sampled is not None:
@@ -108,7 +108,7 @@ def _coefficients(
 def _widen_intervals(
     found: dict[str, Estimate | None], hits: Sequence[MeasuredImpact]
 ) -> tuple[dict[str, Estimate | None], list[str]]:
-    """Widen the intervals of one mode by the systematic errors of its recordings; return notes, too.
+    """Widen the intervals of one mode by the systematic errors of its recordings, and return notes.
 
     More data do not reduce these errors. If a vehicle turns during the contact, its guards slide faster or
     slower than its centre. In the law the vehicle is a point, so the friction depends on the velocity of the

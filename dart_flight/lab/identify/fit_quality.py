@@ -27,14 +27,14 @@ from dart_flight.lab.identify.problem import LawProblem, median
 from dart_flight.lab.identify.recorded_impact import noise_of
 from dart_flight.lab.identify.trials import Trial
 
-_NOISES = 3.0  # residual of a good fit over the recording's noise
-_SHARE = 0.06  # residual relative to the contact's amplitude, for filters and for simplifications of the law
-_CONTACT_S = 0.1  # interval on either side of the turn that contains the contact
+_NOISES = 3.0  # maximum ratio of a good fit's residual to the recording's noise
+_SHARE = 0.06  # allowed residual over the contact's amplitude, for filters and simplifications of the law
+_CONTACT_S = 0.1  # time on either side of the turn within which the contact lies
 # Medians over whole hits: twice the scatter of repeated real drops (docs/results/real_data.md).
 _MOST = (0.25, 0.1)  # peak force, outgoing speed
-_SAME_SPEED = 0.12  # hits whose speeds differ by less are repeats
+_SAME_SPEED = 0.12  # maximum relative speed difference of repeats
 _MIN_HITS = 3
-_EARNED = 0.1  # smallest relative improvement that is not chance with so few hits
+_EARNED = 0.1  # minimum relative improvement that is significant with so few hits
 CONSTANT_RESTITUTION, FORCE_PROPORTIONAL = "constant-restitution", "force-proportional"
 _Prediction = Callable[[LawProblem, LawProblem], tuple[Array, Array]]
 
@@ -79,7 +79,7 @@ def expected_residuals(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) 
     size: dict[str, list[float]] = {}
     for trial, hit in zip(trials, hits, strict=True):
         if hit.turn is None:
-            continue  # accelerometer only, assessed as a whole hit
+            continue  # accelerometer only; assessed as a whole hit
         for name, series in trial.series.items():
             near = np.abs(series.time_s - hit.turn.turn_s) <= _CONTACT_S
             if not near.any():

@@ -15,8 +15,8 @@ from dart_flight.recording.measured_walls import WallMeasurements
 from dart_flight.recording.reader import Log, MissingDataError
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
-_POSES = 40  # poses required within 0.4 s of an onset; at 50 Hz a contact falls between two poses
-_LONGEST_S = 0.15  # duration of a contact whose end was not detected
+_POSES = 40  # number of poses required within 0.4 s of an onset; at 50 Hz, a contact falls between two poses
+_LONGEST_S = 0.15  # assumed duration of a contact whose end was not detected
 # Systematic relative errors measured on simulated flights (docs/results/flight_identification.md): PX4's
 # velocity loop also brakes during the contact.
 ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}

@@ -54,7 +54,7 @@ def identify_trials(
     If the trials contain the vehicle that flew, its mass, modes and onset rule are used, because the forces
     in a log were computed for this vehicle. If there are several logs, a log without a collision is left out,
     and a note names it. Invalid options and trials, options that apply to no file, and trials of different
-    vehicles are refused.
+    vehicles are rejected.
 
     Args:
         paths: trial files, and folders of flight logs.
@@ -154,7 +154,7 @@ def _mass_notes(trials: Sequence[Trial], mass_kg: float, replaced: VehicleConfig
 
 
 def _refuse_idle_options(reading: TrialReading, paths: Sequence[Path]) -> None:
-    """Refuse an option that applies to a kind of file that is not among the trials."""
+    """Reject an option that applies only to a kind of file that is not among the trials."""
     csv, ulogs = (".csv",), (".ulg", ".ulog")
     idle = {"columns": (reading.columns, csv), "wall": (reading.wall, ulogs)}
     given = {path.suffix.lower() for path in paths}

@@ -27,11 +27,11 @@ from dart_flight.lab.identify.solver import (
 # Expected errors of the law: outgoing over incoming speed, and logarithms of the others. Duration and depth
 # are imprecise and count mainly without a peak.
 SD_OUT, SD_PEAK, SD_CONTACT, SD_DEPTH = 0.04, 0.08, 0.3, 0.3
-_PRIOR_SD = 3.0  # of a coefficient's logarithm about its start, which holds undetermined coefficients
+_PRIOR_SD = 3.0  # prior standard deviation of a logarithm; keeps undetermined coefficients near the start
 _LOW, _HIGH = np.log([LOWEST_K, LOWEST_F]), np.log([HIGHEST_K, HIGHEST_F])
-_LONGEST = 3.0  # half periods: assumed contact duration of a hit that never leaves the wall
-_WIDEST_LOG = math.log(3.0)  # a coefficient with a wider interval than a factor of three is unknown
-_ENOUGH_HITS = 3  # fewer hits have no meaningful spread
+_LONGEST = 3.0  # assumed contact duration of a hit that never leaves the wall, in half periods
+_WIDEST_LOG = math.log(3.0)  # maximum half width of the interval of a known coefficient: a factor of three
+_ENOUGH_HITS = 3  # minimum number of hits with a meaningful spread
 
 
 class ImpactFit(LawFit):
@@ -101,7 +101,7 @@ class ImpactFit(LawFit):
         self._moved = (errors - pseudo).ravel()
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:
-        """Return the rows of each hit; with too few hits, all rows as one group."""
+        """Return the rows of each hit as a group; with too few hits, all rows as one group."""
         rows = np.arange(self._counts.size).reshape(4, -1)
         return list(rows.T) if rows.shape[1] >= _ENOUGH_HITS else [rows.ravel()]
 

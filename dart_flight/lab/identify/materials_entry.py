@@ -35,7 +35,7 @@ def materials_entry(
     A value is unidentified if its mode has no trials, or if the trials do not determine the coefficient.
     Unidentified values come from the configuration's entry of the same name. Without that entry, friction,
     damping and the vertical force are written as 0 and marked as assumed. If the stiffness of a mode is
-    unknown, a comment replaces the mode. The entry says if the fit is `poor`.
+    unknown, a comment replaces the mode. The entry states whether the fit is `poor`.
     """
     known = vehicle.materials.get(surface)
     modes = [mode for mode in vehicle.modes if mode.value in found.coefficients]

@@ -24,18 +24,18 @@ from dart_flight.lab.identify.recorded_impact import (
 )
 from dart_flight.lab.identify.trials import Series, Trial
 
-_WINDOW_S = 0.2  # free flight on either side
+_WINDOW_S = 0.2  # duration of free flight used on either side of the contact
 _GUARD_S = 0.03  # interval around the turn that is excluded until the contact's extent is known
 _BEND_SD_M_S2 = 3.0  # standard deviation of a controller's acceleration before and after a wall hit
-_DEVIATES = 4.0  # deviations beyond which a position is not in free flight
-_MIN = 6  # samples in contact required for its duration and depth
-_RINGS = 0.3  # undershoot over peak beyond which the sensor or frame rings
-_DOMINATED = 0.5  # undershoot over peak beyond which the reading is useless, because a wall only pushes
-_BRIDGED_S = 0.015  # longest pause within one contact, in which a corner lands before the rest
-_DETECTED = 8.0  # deviations beyond which a force is a contact
+_DEVIATES = 4.0  # number of standard deviations beyond which a position is not in free flight
+_MIN = 6  # minimum number of samples in contact for its duration and depth
+_RINGS = 0.3  # ratio of undershoot to peak beyond which the sensor or frame rings
+_DOMINATED = 0.5  # ratio of undershoot to peak beyond which the reading is useless; a wall only pushes
+_BRIDGED_S = 0.015  # maximum pause within one contact, if one corner lands before the others
+_DETECTED = 8.0  # number of standard deviations beyond which a force is a contact
 _SHORTEST_FLIGHT_S = 0.04
 _WEIGHTLESS_M_S2 = 5.0
-_FALLS_S = 0.06  # free fall required before a pulse
+_FALLS_S = 0.06  # minimum duration of free fall before a pulse
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class MeasuredImpact:
         normal_out_m_s: normal speed away from the wall at the release.
         tangential_in_m_s, tangential_out_m_s: velocity along the wall before and after the contact.
         sd_in_m_s, sd_out_m_s, sd_tangential_m_s: standard deviations of these speeds.
-        peak_force_n: largest measured normal force; None, too, if the sensor saturated.
+        peak_force_n: largest measured normal force; None also if the sensor saturated.
         compression_m: largest displacement into the wall since first touch.
         notes: remarks for the reader, in sentences.
         turn: reversal from approach to departure in the recorded positions.
@@ -283,8 +283,8 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
     dominated = force.min() < -_DOMINATED * peak
     if dominated:
         notes.append(
-            f"{name}: the force swings from {peak:.3g} N to {float(force.min()):.3g} N: the sensor's "
-            "mounting rings, so peak and duration of the contact are unknown"
+            f"{name}: the force swings from {peak:.3g} N to {float(force.min()):.3g} N: the sensor mount "
+            "resonates; the contact's peak and duration are unknown"
         )
     elif rings:
         notes.append(f"{name}: the force swings to the other sign: the sensor or the frame rings")

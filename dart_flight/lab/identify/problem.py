@@ -1,4 +1,4 @@
-"""The problem of an identification: measured hits, and the vehicle and onset rule of the law to be fitted.
+"""The input of an identification: measured hits, and the vehicle and onset rule of the law to fit.
 
 Every fit, held-out check and quality measure takes a `LawProblem`.
 """
@@ -37,7 +37,7 @@ class LawProblem:
         return np.array([getattr(hit, name) for hit in self.hits], dtype=float)
 
     def of(self, hits: Sequence[MeasuredImpact]) -> LawProblem:
-        """Return the problem of other hits of the same vehicle."""
+        """Return the problem for other hits of the same vehicle."""
         return LawProblem(hits, self.mass_kg, self.onset)
 
     def only(self, which: NDArray[np.bool_]) -> LawProblem:
@@ -59,7 +59,7 @@ class LawProblem:
         return bool(2 * informative.sum() >= informative.size and known.sum() >= 2)
 
     def predict(self, k: float, f: float) -> WallContact[Array]:
-        """Return the outcome of the hits by the law, without friction and vertical force."""
+        """Return the outcome of the hits according to the law, without friction and vertical force."""
         zero = np.zeros_like(self.speed_in)
         push = self.acceleration if self.acceleration.any() else None
         coefficients = CoefficientArrays(zero + k, zero + f, zero, zero)

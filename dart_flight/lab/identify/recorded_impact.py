@@ -14,12 +14,12 @@ from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.trials import Trial
 
-_LONGEST_STEP_S = 0.03  # sampling interval; the shortest contacts last 0.05 s
+_LONGEST_STEP_S = 0.03  # maximum sampling interval; the shortest contacts last 0.05 s
 _FASTEST_M_S = 15.0
 _DEEPEST_M = 0.4
 _SLOWEST_M_S = 0.05
-_TURN_M_S2 = 1.2  # smallest mean acceleration of an impact's turn
-_NEAREST_M = 0.08  # largest distance of an impact's turning point in front of the assumed plane
+_TURN_M_S2 = 1.2  # minimum mean acceleration of an impact's turn
+_NEAREST_M = 0.08  # maximum distance of an impact's turning point in front of the assumed plane
 
 
 class TrialImpact(NamedTuple):
@@ -75,7 +75,7 @@ def _slopes(time: Array, value: Array, half_s: float) -> Array:
 def find_impact(trial: Trial) -> TrialImpact:
     """Find the first strong turn from approach to departure.
 
-    An implausible position or speed, as if a unit were wrong, is refused.
+    An implausible position or speed, as with a wrong unit, is rejected.
     """
     refuse_unusable(trial)
     time, value = trial.normal
@@ -83,7 +83,7 @@ def find_impact(trial: Trial) -> TrialImpact:
     speed = _slopes(time, value, max(0.012, 2.5 * step))
     candidates = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
     found: list[TrialImpact] = []
-    reach = 0.12  # on either side; more than half of the longest contact
+    reach = 0.12  # time on either side; more than half of the longest contact
     for i in candidates:
         at = float(time[i])
         before = (time >= at - reach) & (time < at)
@@ -142,7 +142,7 @@ def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
 
 
 def deviation_of(errors: Array) -> float:
-    """Return the standard deviation, estimated from the median absolute error to ignore outliers."""
+    """Return the standard deviation, estimated robustly from the median absolute error."""
     return max(1.4826 * float(np.median(np.abs(errors))), 1e-9)
 
 

@@ -35,11 +35,11 @@ PUSHES = ("before", "after")
 # Standard deviation of the controller's change in contact, which is shorter than its lag. Positions alone
 # cannot separate this change from stiffness.
 _PUSH_CHANGE_SD_M_S2 = 1.0
-_DELAY_SD_S = 0.01  # between the clocks of positions and forces
-_FREE_S = (0.25, 0.15)  # free flight used before and after a wall contact; later the recovery acts
-_ENOUGH_TRIALS = 5  # trials of a call from which whole trials are resampled
-_STRETCH = 12  # samples of free flight resampled together; a contact is resampled in thirds
-_CURVED = 4.5  # standard deviations beyond which a curvature in free flight is not noise
+_DELAY_SD_S = 0.01  # prior standard deviation of the delay between position and force clocks
+_FREE_S = (0.25, 0.15)  # free flight used before and after a wall contact; later, the recovery acts
+_ENOUGH_TRIALS = 5  # minimum number of trials for resampling whole trials
+_STRETCH = 12  # number of free-flight samples resampled together; a contact is resampled in thirds
+_CURVED = 4.5  # number of standard deviations beyond which a curvature in free flight is not noise
 _SETTLED_S = 0.3  # assumed duration of a contact that never ends
 _POSITIONS = ("normal_m", "tangential_m", "vertical_m")
 # Initial standard deviations of the other channels, replaced by those of the residuals.
@@ -117,7 +117,7 @@ class FittedImpact:
         return _contact(*law, push + self.trial.acceleration_m_s2, self._problem.mass_kg, self._problem.onset)
 
     def span(self, theta: Array) -> tuple[float, float, ContactMotion]:
-        """Return (onset, release, contact) by the law; both times count as in the recording."""
+        """Return (onset, release, contact) according to the law; both times count as in the recording."""
         contact = self.contact(theta)
         begin = float(theta[self.at["onset"]])
         return begin, begin + _duration_s(contact), contact
@@ -333,7 +333,7 @@ class SampleFit(LawFit):
                 products += float(np.sum(e[1:] * e[:-1]))
                 squares += float(np.sum(e * e))
                 n += e.size
-        rho = min(products / squares if squares > 0.0 else 0.0, 0.95)  # between neighbours
+        rho = min(products / squares if squares > 0.0 else 0.0, 0.95)  # correlation between neighbours
         sure = rho - 2.0 / math.sqrt(n)  # correlation beyond chance
         correlated = (1.0 + rho) / (1.0 - rho) if sure > 0.0 else 1.0
         return max(squares / max(data - self.size, 1), 1e-12) * correlated

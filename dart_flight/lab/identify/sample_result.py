@@ -17,9 +17,9 @@ from dart_flight.lab.identify.solver import stiffness_and_damping
 
 _MIN_IN_CONTACT = 4
 _SLOW_SAMPLING_S = 0.006
-_WIDEST_LOG = math.log(10.0)  # a coefficient with a wider interval than a factor of ten is unknown
-_BAD_FIT = 4.0  # residual in contact over the channel's noise in free flight; above it the law does not fit
-_MIN_JUDGED = 4  # samples in contact
+_WIDEST_LOG = math.log(10.0)  # maximum half width of the interval of a known coefficient: a factor of ten
+_BAD_FIT = 4.0  # ratio of residual in contact to noise in free flight above which the law does not fit
+_MIN_JUDGED = 4  # minimum number of samples in contact
 
 
 @dataclass
@@ -71,7 +71,7 @@ def _with_few_samples(fit: SampleFit) -> dict[MeasuredImpact, int]:
 
 
 def _solve(problem: LawProblem) -> SampleFit:
-    """Fit without the controller's accelerations, then, if free flight is curved, with them."""
+    """Fit without the controller's accelerations; if free flight is curved, fit again with them."""
     fit = SampleFit(problem)
     theta = fit.solve(fit.start())
     if _with_few_samples(fit) or not any(fitted.is_curved(theta) for fitted in fit.hits):
@@ -110,7 +110,7 @@ def _conclude(fit: SampleFit) -> SampleResult:
         aside = trial_fit.set_aside
         if aside.contact:
             result.notes.append(
-                f"{trial.name}: {aside.contact} of {aside.in_contact} samples in contact were set aside"
+                f"{trial.name}: {aside.contact} of {aside.in_contact} samples in contact were excluded"
             )
     result.residuals = {
         name: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for name, parts in kept.items()

@@ -21,7 +21,7 @@ from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.estimates import Estimate
 
 LOWEST_K, HIGHEST_K, LOWEST_F, HIGHEST_F = 10.0, 1e6, 1e-3, 1e4  # search range, N/m and N s/m
-_AT_BOUND = 1e-3  # of a logarithm
+_AT_BOUND = 1e-3  # distance of a logarithm from its bound at which it counts as at the bound
 _BY_CHANCE = 1.3
 
 
@@ -29,7 +29,7 @@ class LawFit(ABC):
     """A least-squares fit whose unknowns include the law's coefficients.
 
     Attributes:
-        robust_from: weighted residual from which a robust loss counts less.
+        robust_from: weighted residual beyond which a residual counts less in a robust loss.
         losses: the losses to minimise, one after the other; the data are reweighted between two losses.
         bounds: limits of the unknowns.
         theta: the unknowns, after `solve`.

@@ -15,7 +15,7 @@ from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.problem import LawProblem
 
-_MIN_ALONG_M_S = 0.1  # speed along the wall required for a ratio
+_MIN_ALONG_M_S = 0.1  # minimum speed along the wall for a ratio
 
 
 def _ratio(

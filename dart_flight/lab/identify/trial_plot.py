@@ -36,7 +36,7 @@ def plot_fit(path: str | Path, result: IdentifyResult) -> None:
         time, value = trial.normal
         near = (time - fit.onset_s >= t[0]) & (time - fit.onset_s <= t[-1])
         t = t[(t >= time[near][0] - fit.onset_s) & (t <= time[near][-1] - fit.onset_s)]
-        if trial.acceleration_m_s2 < 0.0:  # before its release a drop does not fall
+        if trial.acceleration_m_s2 < 0.0:  # before its release, a dropped vehicle does not fall
             t = t[t >= fit.normal_m_s / -trial.acceleration_m_s2]
         shade(axis, 0.0, 1e3 * span)
         axis.plot(

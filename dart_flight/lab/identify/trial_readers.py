@@ -122,7 +122,7 @@ def _trial(source: str, series: dict[str, Series], reading: TrialReading) -> Tri
 
     Acceleration is converted to specific force, which excludes gravity, like an accelerometer's reading. If
     there are positions, specific force times mass becomes force. If only the velocity was recorded, it is
-    integrated to a position, because the impact is searched in the position.
+    integrated to a position, because the impact is detected in the position signal.
     """
     series = dict(series)
     acceleration = series.pop("normal_acceleration_m_s2", None)

@@ -29,7 +29,7 @@ COLUMNS = (
     "specific_force_m_s2",
     "normal_acceleration_m_s2",
 )
-_DEAD = 1e-6  # in any unit; a channel that varies less is dead
+_DEAD = 1e-6  # minimum variation of a channel in its unit; a channel that varies less is dead
 
 
 class Series(NamedTuple):

@@ -1,10 +1,10 @@
 """Selection and weights of the samples in a fit.
 
 In *free flight*, a sample that deviates by more than five standard deviations is a recording error and is
-ignored. In *contact*, this test would ignore good samples, because most large deviations are errors of the
-law. The contact therefore has its own scale, estimated from its own residuals, and its outlying samples get
-smaller weights (Huber). A sample in contact is set aside only if the samples before and after it fit well. At
-most a tenth of a contact's samples is set aside, and a note gives their number.
+rejected. In *contact*, this test would reject good samples, because most large deviations there are model
+errors of the law. The contact therefore has its own scale, estimated from its own residuals, and its outlying
+samples get smaller weights (Huber). A sample in contact is excluded only if the samples before and after it
+fit well. At most a tenth of a contact's samples is excluded, and a note gives their number.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from dart_flight.lab.identify.trials import Trial
 
 Mask = NDArray[np.bool_]
 
-_OUTLIER = 5.0  # deviations in free flight
-_HUBER = 3.0  # deviations in contact beyond which a sample is weighted down
-_SPIKE = 8.0  # deviations in contact beyond which a single sample is set aside
-MAX_SET_ASIDE = 0.1  # fraction of the samples of a contact
-_LIKE_FREE = 1.5  # ratio of contact to free-flight residuals below which both have the same noise
+_OUTLIER = 5.0  # number of standard deviations beyond which a sample in free flight is rejected
+_HUBER = 3.0  # number of standard deviations in contact beyond which a sample is weighted down
+_SPIKE = 8.0  # number of standard deviations in contact beyond which a single sample is excluded
+MAX_SET_ASIDE = 0.1  # maximum fraction of a contact's samples that may be excluded
+_LIKE_FREE = 1.5  # ratio of contact to free-flight residuals below which both count as the same noise
 
 CHANNELS = (
     "normal_m", "normal_m_s", "normal_force_n", "tangential_m", "tangential_m_s", "tangential_force_n",
@@ -52,7 +52,7 @@ class Channel(NamedTuple):
 
 
 def cut(trial: Trial, begin: float, end: float) -> dict[str, Channel]:
-    """Return the samples of a trial from `begin` to `end`, all with weight 1; refuse too few samples."""
+    """Return the samples of a trial from `begin` to `end`, all with weight 1; reject too few samples."""
     window = {}
     for name in CHANNELS:
         if name in trial.series:
@@ -95,7 +95,7 @@ def weigh(errors: Sequence[Array], contacts: Sequence[Mask]) -> tuple[list[Array
 
 
 def _spikes(size: Array, contact: Mask, scale: float) -> NDArray[np.intp]:
-    """Return the samples in contact to set aside: outliers between good neighbours, the worst first."""
+    """Return the samples in contact to exclude: outliers between good neighbours, the worst first."""
     far = contact & (size > _SPIKE * scale)
     near = size <= _HUBER * scale
     before = np.concatenate(([True], near[:-1]))

@@ -30,10 +30,10 @@ WANTED_HZ = {
     "vehicle_local_position": 9.0,
     "actuator": 50.0,
 }
-_MIN_IMU_HZ = 90.0  # at a lower rate a rigid contact has at most four samples
+_MIN_IMU_HZ = 90.0  # minimum IMU rate; at a lower rate, a rigid contact has at most four samples
 _RISEN_M = 0.3  # height above the ground after take-off
 _TAKEOFF_S = 5.0  # duration of the take-off if the height is unknown
-_LANDED_S = 1.0  # above `_HIGH_M`, a shorter landed state means that the motors were cut in the air
+_LANDED_S = 1.0  # minimum landed state above `_HIGH_M`; a shorter one means motors cut in the air
 _HIGH_M = 2.0
 _LOW_M = 0.5
 _PROFILE = (
@@ -43,7 +43,7 @@ _PROFILE = (
 
 
 def missing(log: ULogFile) -> list[str]:
-    """Describe the topics that are missing or too slow; refuse a log without IMU or attitude."""
+    """Describe the topics that are missing or too slow; reject a log without IMU or attitude."""
     for name in ("sensor_combined", "vehicle_attitude"):
         if log.first(name) is None:
             raise InputError(f"the log has no {name}: impacts cannot be detected", source=log.source)
@@ -81,7 +81,7 @@ def _stamps(log: ULogFile, name: str) -> NDArray[np.float64]:
 
 
 def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """Return start and end (s) of the intervals on the ground, from PX4's first sign of a landing on."""
+    """Return start and end (s) of the intervals on the ground; each starts at PX4's first sign of landing."""
     close = track.ground
     landed = [(min([a, *(x for x, y in close if x <= a <= y)]), b) for a, b in _landed(log, track)]
     return landed + [(a, b) for a, b in close if height_at(track, a) < _LOW_M]

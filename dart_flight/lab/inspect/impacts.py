@@ -29,18 +29,18 @@ from dart_flight.lab.inspect.specific_thrust import SpecificThrust, is_thrust_kn
 from dart_flight.lab.track import Track
 from dart_flight.lab.ulog import ULogFile
 
-_BEYOND_THRUST = 0.5  # fraction of a contact's impulse beyond the thrust, at up to 45 degrees tilt
-REMEMBERED = 256  # samples that the detector waits for a peak
-_CONFIRMED = 0.3  # of the threshold; the fit may reduce a short pulse just above it to a third
+_BEYOND_THRUST = 0.5  # minimum fraction of a contact's impulse beyond the thrust, at up to 45 degrees tilt
+REMEMBERED = 256  # number of samples for which the detector waits for a peak
+_CONFIRMED = 0.3  # fraction of the threshold; the fit may reduce a short pulse just above it to a third
 _HOVERS_M_S = 1.0  # highest speed at which the assumed hover thrust holds
-_TOUCHDOWN_S = 3.0  # an impact this long before PX4 reports a landing is the touch-down
+_TOUCHDOWN_S = 3.0  # maximum time from the touch-down until PX4 reports a landing
 _FALLING_M_S2 = 0.6 * GRAVITY_M_S2  # magnitude of specific force below which the vehicle falls
 _FALLING_S = 0.25  # averaging window of the fall
-_FALLEN_S = 1.0  # interval before the ground in which the fall is searched
+_FALLEN_S = 1.0  # interval before the ground contact in which the fall is searched
 _JOLT_S = 0.02
 _CRASH_M_S2 = 5.0 * GRAVITY_M_S2
-_CRASH_LASTS_S = 3.0  # including bounces
-_CERTAIN_SD = 4.0  # standard deviations above 0
+_CRASH_LASTS_S = 3.0  # duration of a crash, including bounces
+_CERTAIN_SD = 4.0  # number of standard deviations above 0
 _ASSUMED_THRUST_SD = 0.5  # standard deviation of an assumed hover thrust, as a fraction of gravity
 
 
@@ -169,8 +169,8 @@ class InspectedFlight(msgspec.Struct):
     duration_s: float
     flight_s: float
     noise_n: float | None
-    noise_m_s2: float  # of one sample and axis, median over the flight
-    noise_short_m_s2: float  # of the means over the detector's two windows
+    noise_m_s2: float  # noise of one sample and axis, median over the flight
+    noise_short_m_s2: float  # noise of the means over the detector's two windows
     noise_long_m_s2: float
     threshold_n: float | None
     threshold_m_s2: float  # lowest threshold, median over the flight
@@ -206,7 +206,7 @@ class ImpactScan:
     Args:
         vehicle: the result of `vehicle_for`.
         flying: intervals in which impacts are searched, s.
-        listener: called with every estimate, also on the ground.
+        listener: called with every estimate, including those on the ground.
     """
 
     def __init__(

@@ -36,7 +36,7 @@ def inspect_log(
     mass_kg: float | None = None,
     listen: Callable[[VehicleConfig, list[tuple[float, float]]], Listener] | None = None,
 ) -> InspectedFlight:
-    """Detect the impacts in an open log, as `inspect_file` does.
+    """Detect the impacts in an open log, for `inspect_file`.
 
     `listen` is called with the vehicle that the estimator uses and with the flights. It returns the function
     that receives every estimate.

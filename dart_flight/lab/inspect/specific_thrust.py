@@ -20,7 +20,7 @@ _MAX_DRAG_PER_S = 1.0
 # follow commands in 100 ms. Resolving such a change needs at least two motor outputs in this time.
 _THRUST_CHANGES_S = 0.1
 THRUST_KNOWN_HZ = 2.0 / _THRUST_CHANGES_S
-_JITTER = 1.5  # if motor outputs are more periods apart, an output is missing
+_JITTER = 1.5  # maximum number of periods between motor outputs without a missing output
 _FAST_M_S = 99.0
 
 
@@ -83,7 +83,7 @@ def is_thrust_known(track: Track, curve: SpecificThrust | None, t_s: float) -> b
 
 
 def are_motors_slow(track: Track) -> bool:
-    """Return whether a log has too few motor outputs per second to know the thrust between two outputs."""
+    """Return whether a log has too few motor outputs per second to interpolate the thrust between them."""
     return len(track.motor_s) < 2 or _is_too_far(float(np.median(np.diff(track.motor_s))))
 
 

@@ -27,7 +27,7 @@ from dart_flight.contact.oscillator import begin_contact, find_contact_times
 # relative error is below 1e-9 (force up to 500 N, mu |v| up to 20), or 1e-4 in a contact that never ends.
 _TERMS = 80
 _CROWDING = 3.0
-_SETTLED = 40.0  # time constants of the slower decay after which an endless contact is truncated
+_SETTLED = 40.0  # number of time constants of the slower decay after which an endless contact is truncated
 
 
 class _Nodes(NamedTuple):
@@ -141,7 +141,7 @@ class ContactMotion:
         self._horizon = min(self.end_s, _SETTLED / (slowest * self._omega))
 
     def normal(self, time_s: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return position (m), velocity (m/s) and force (N) along the normal, also in free flight."""
+        """Return position (m), velocity (m/s) and force (N) along the normal, in contact and free flight."""
         t = np.asarray(time_s, dtype=float)
         a = self.acceleration_m_s2
         if not self.has_contact:

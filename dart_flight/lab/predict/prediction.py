@@ -36,7 +36,7 @@ WALL_COLUMNS = (
     "impulse_n_s",
 )
 DROP_NAMES = Drop._fields
-_FASTEST_M_S = 100.0  # a larger input probably has a wrong unit
+_FASTEST_M_S = 100.0  # maximum input speed; a larger input probably has a wrong unit
 
 
 class Condition(NamedTuple):
@@ -120,7 +120,7 @@ class Ratios(NamedTuple):
     tangential_ratio: float | None
 
     def checked(self) -> Ratios:
-        """Refuse ratios above 1, which would create energy, or below 0, which would reverse the motion."""
+        """Reject ratios above 1, which would create energy, or below 0, which would reverse the motion."""
         for key, value in (("restitution", self.restitution), ("tangential-ratio", self.tangential_ratio)):
             if value is not None and not 0.0 <= value <= 1.0:
                 raise InputError(f"{value:g} is not a ratio from 0 to 1", key=(key,))

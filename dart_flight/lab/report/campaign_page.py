@@ -10,13 +10,13 @@ from dart_flight.lab.campaign.campaign_summary import CampaignSummary
 from dart_flight.lab.report.figures.success import success_figure, varied_figure
 from dart_flight.lab.report.render import PageTable, Row, picture, render
 
-_SHOWN = 12  # number of figures and failed flights shown; further ones are folded
+_SHOWN = 12  # number of figures and failed flights shown; the rest is folded
 
 
 def campaign_page(summary: CampaignSummary) -> str:
     correlated = {trend.figure for trend in summary.varied}
     success = _pictures(
-        (success_figure(drawn), f"{drawn.name}: share of completed flights over the drawn value")
+        (success_figure(drawn), f"{drawn.name}: fraction of completed flights over the drawn value")
         for drawn in summary.drawn
     )
     varied = _pictures(

@@ -124,7 +124,7 @@ def comparison_page(flights: Sequence[RecordedFlight]) -> str:
 
 
 def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
-    """Refuse flights of different missions; vehicles and file names may differ."""
+    """Reject flights of different missions; vehicles and file names may differ."""
     first = flights[0]
     for other in flights[1:]:
         alike = msgspec.structs.replace(

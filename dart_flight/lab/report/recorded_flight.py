@@ -63,7 +63,7 @@ class Compared(msgspec.Struct):
 
     @property
     def error_percent(self) -> float | None:
-        """The error of the measured value relative to the true value, or else the predicted or planned value.
+        """The error of the measured value relative to the true, or else the predicted or planned value.
 
         It is None for a velocity near 0, because the ratio is meaningless.
         """
@@ -228,7 +228,7 @@ class RecordedFlight:
 
     @cached_property
     def heading(self) -> Angles:
-        """The estimated attitude, which includes the heading (`yaw`)."""
+        """The estimated attitude, including the heading (`yaw`)."""
         return angles(self.course)
 
     @cached_property

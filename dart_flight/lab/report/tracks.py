@@ -1,4 +1,4 @@
-"""Further arrays of a recorded flight in the mission frame: attitude, setpoints, tracking, power, lock.
+"""Additional arrays of a recorded flight in the mission frame: attitude, setpoints, tracking, power, lock.
 
 Times count in seconds as in `FlightArrays`. If the log lacks a signal, the array has length 0.
 """
@@ -103,7 +103,7 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return, for each of `at_s`, the index of the last of `times` up to then, and whether there is one."""
+    """Return, for each of `at_s`, the index of the latest entry of `times` that is not later, if any."""
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0
 
@@ -153,7 +153,7 @@ def power(course: FlightArrays, mission: Mission) -> Power:
 
 
 def stretches(moments: list[tuple[float, V]], end: float) -> list[tuple[float, float, V]]:
-    """Return (begin, end, value); each value ends where the next begins, and the last value ends at `end`."""
+    """Return (begin, end, value); each value ends when the next begins, and the last value ends at `end`."""
     stops = [t for t, _ in moments[1:]] + [end] if moments else []
     return [(t, stop, value) for (t, value), stop in zip(moments, stops, strict=True)]
 

@@ -44,6 +44,6 @@ class Channels:
         self._typed[message.topic].log(message.content, log_time=time_ns)
 
     def publish_again(self) -> None:
-        """For a new viewer, publish again the messages that are published only on changes."""
+        """Repeat, for a new viewer, the messages that are published only on changes."""
         for message in list(self._lasting.values()):
             self.publish(message)

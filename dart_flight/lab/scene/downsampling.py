@@ -33,7 +33,7 @@ SCALARS_US = 20_000  # period of plots: at most 50 Hz
 
 # For these records, one per period is enough.
 _EVERY: dict[type[Record], int] = {OdometrySample: SCENE_US, AttitudeSample: SCENE_US, Setpoint: SCENE_US}
-# Of these records, the strongest of a period is kept, so that a peak of a few milliseconds remains visible.
+# Of these records, the strongest in a period is kept, so that a peak of a few milliseconds stays visible.
 _STRONGEST = (ForceEstimate, TruthSample)
 _ALL: frozenset[type[Record]] = frozenset(
     {

@@ -31,15 +31,15 @@ from dart_flight.recording.encoding import encode
 _START_S = 30.0
 _TURN_S = 0.03
 _END_S = 2.0
-_MAX_WAITING = 4096  # number of queued records, about four seconds of a flight
-_MAX_BYTES = 1 << 18  # encoded bytes not yet written to the pipe
+_MAX_WAITING = 4096  # maximum number of queued records, about four seconds of a flight
+_MAX_BYTES = 1 << 18  # maximum number of encoded bytes not yet written to the pipe
 
 
 class LiveViewSpec(msgspec.Struct):
     """The content and the address of a live view.
 
     Attributes:
-        host, port: address to listen at.
+        host, port: address to listen on.
         frame_known: whether the origin of the mission frame is known from the beginning of the flight. If
             not, the flight's anchor record provides the origin.
         from_truth: whether to show the true pose of a simulated vehicle (`SceneTranslator`).

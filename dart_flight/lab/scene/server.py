@@ -1,6 +1,6 @@
 """The process of a live view: records arrive on standard input, viewers connect by WebSocket.
 
-The first line is a `LiveViewSpec`. Each further line is one record: its topic, a blank, and its JSON as in
+The first line is a `LiveViewSpec`. Each subsequent line is one record: its topic, a blank, and its JSON as in
 the flight log. The process tries to open the port, prints the result as one line of JSON (`PortStatus`), and
 prints nothing else. The process runs with idle priority and ends when its standard input ends. Viewers cannot
 publish, because the server offers them only the time of the flight (`Capability.Time`).
@@ -26,7 +26,7 @@ from dart_flight.lab.scene.translation import LASTING, SceneTranslator
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.reader import DECODERS
 
-_BACKLOG = 256  # messages queued for a slow viewer; beyond this, the oldest are dropped
+_BACKLOG = 256  # maximum number of messages queued for a slow viewer; then the oldest are dropped
 _CLOCK_US = 50_000
 _JUMP_US = 1_000_000
 
@@ -53,7 +53,7 @@ class Broadcast:
         self._translation = SceneTranslator(mission, given, show.show_room, show.from_truth)
         self._channels, self._newcomers = Channels(), SubscriptionListener()
         self._clock_us = 0
-        self._lock = threading.Lock()  # two threads publish: that of the records and that of new viewers
+        self._lock = threading.Lock()  # two threads publish: one for records, one for new viewers
         self._server = foxglove.start_server(
             name=f"dart-flight: {mission.name}",
             host=show.host,
@@ -83,7 +83,7 @@ class Broadcast:
         self._server.stop()
 
     def _welcome(self) -> None:
-        """For each new viewer, publish again the messages that are published only on changes.
+        """Repeat, for each new viewer, the messages that are published only on changes.
 
         This loop has its own thread, because a viewer may connect while no records arrive.
         """

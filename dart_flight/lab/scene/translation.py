@@ -1,7 +1,7 @@
 """Translation of the flight's records to standard schemas, for the live view and for the export of a log.
 
 The frames are `mission` (x along the mission's heading, y left, z up) and its child `vehicle` (forward, left,
-up). In `lab.scene` only this module converts vectors from PX4's NED and FRD. The conversion uses
+up). In `lab.scene`, only this module converts vectors from PX4's NED and FRD. The conversion uses
 `MissionFrame`.
 """
 
@@ -66,10 +66,10 @@ SCENES = (ROOM, PLAN, VEHICLE, PATH, FORCES, SET_POINT, HITS)
 # Each message on these channels is complete, so a viewer that connects late needs only the newest one.
 LASTING = frozenset((*SCENES, *OUTLINES, TRANSFORMS))
 
-_MIN_ARROW_N = 3.0  # smallest force that is drawn, above the noise of the estimate
+_MIN_ARROW_N = 3.0  # minimum force that is drawn, above the estimate's noise
 _PATH_STEP_M = 0.03
 _PATH_US = 250_000
-_MAX_PATH = 500  # largest number of points; beyond it, every other point is dropped and the step doubles
+_MAX_PATH = 500  # maximum number of points; above it, every other point is dropped and the step doubles
 _LEVELS = {
     Level.DEBUG: LogLevel.Debug,
     Level.INFO: LogLevel.Info,

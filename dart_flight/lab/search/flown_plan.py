@@ -29,7 +29,7 @@ from dart_flight.sim.draws import parse_vary
 
 DRAWN, FIRST_SEED = 20, 700_001  # campaigns and tests begin at seed 1
 TOUCH_M_S = 0.6  # touch speed of the shipped missions
-LEAST_SAVING = 0.01  # share of the free flight's time; a smaller predicted saving is not worth its flights
+LEAST_SAVING = 0.01  # minimum predicted saving worth simulating, as a fraction of the free flight's time
 _DIGITS = 3
 
 # Fly a mission with these seeds and spreads, and call back after each flight.
@@ -44,7 +44,7 @@ class FlightWatch:
         """Announce the flights in drawn worlds of a plan, such as `the plan with collisions`."""
 
     def landed(self, flown: int, failed: int) -> None:
-        """Count the flights in drawn worlds, and those of them that did not complete."""
+        """Count the flights in drawn worlds, and how many of them did not complete."""
 
     def report(self, line: str) -> None:
         """Report a result as soon as it is known."""
@@ -88,7 +88,7 @@ def fly_in_process(
 
 
 class _DecidedError(Exception):
-    """The plan has failed, whatever the remaining flights do."""
+    """The plan has failed, whatever the results of the remaining flights."""
 
 
 def fly_mission(
@@ -183,7 +183,7 @@ class OfferedPlan(NamedTuple):
 
     Attributes:
         plan: the plan to write, or None if no plan is offered.
-        scenario: scenario of the plan, with the touches that the plan needs.
+        scenario: the plan's scenario, with the touches that the plan needs.
         record: record of the plan's flights.
         messages: lines that report the flights and the reason for the choice.
         flown: records of all plans flown, under the keys `free`, `colliding` and `touched`.
@@ -234,7 +234,7 @@ class PlanChoice:
         A plan with hits must succeed in simulation. A successful plan with hits is offered if it saves time
         from take-off to landing, or if the scenario demands its hits or touches. A plan that succeeds only
         with touches before the hits is offered with these touches. A plan whose mission is refused is not
-        flown. Neither is a plan whose hits are optional and hardly save time.
+        flown. A plan whose hits are optional and hardly save time is not flown either.
         """
         free = None if self._free is None else self._fly(self._free, fly)
         if free is not None and free.record.failure is not None:

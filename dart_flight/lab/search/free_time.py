@@ -19,7 +19,7 @@ from dart_flight.lab.search.plan import FreeTime, MotionLimits
 from dart_flight.lab.search.routes import Obstacles, least_length_m, regions, shortest_path
 from dart_flight.lab.search.scenario import Scenario
 
-_AXIS = math.sqrt(0.5)  # share of a vector's limit for each of two axes
+_AXIS = math.sqrt(0.5)  # fraction of a vector's limit available to each of two axes
 _NO_HITS = HitLimits(math.inf, None, None, None, 0.0)
 
 

@@ -26,8 +26,8 @@ from dart_flight.run.prepare import refuse_unflyable
 
 _DIGITS = 4
 _LEAST_GAIN, _USUAL_GAIN = 1e-3, 0.025  # m/N
-_REST_S = 1.0  # rest at the start after a touch
-_LEAST_FRICTION_N = 2.0  # a smaller friction force cannot move the setpoint along the wall
+_REST_S = 1.0  # duration of the rest at the start after a touch
+_LEAST_FRICTION_N = 2.0  # minimum friction force that can move the setpoint along the wall
 
 
 def mission_text(scenario: Scenario, plan: Plan, target: Path, flown: FlownRecord | None = None) -> str:
@@ -162,18 +162,18 @@ def _predicted(hit: PlannedCollision) -> dict[str, Any]:
 
 
 class RefusedPlanError(InputError):
-    """The mission of a plan does not load, or cannot be flown; the search did not apply this rule."""
+    """A plan's mission does not load or cannot be flown, for a reason that the search does not check."""
 
     @property
     def reason(self) -> str:
-        """The reason, with the key of the mission."""
+        """The reason, with the mission's key."""
         return ": ".join(part for part in (dotted(self.key), self.message) if part)
 
 
 def planned_mission(scenario: Scenario, plan: Plan, text: str | None = None) -> Mission:
-    """Return the mission of a plan, parsed from its text (by default `mission_text`), once it is flyable.
+    """Return a plan's mission, parsed from its text (by default `mission_text`), if it can be flown.
 
-    If `dry-run` would refuse the mission, `RefusedPlanError` is raised.
+    Raise RefusedPlanError if `dry-run` would reject the mission.
     """
     source = Path(scenario.source)
     document = Document(text or mission_text(scenario, plan, source), str(source))

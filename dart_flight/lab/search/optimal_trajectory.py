@@ -36,13 +36,13 @@ from dart_flight.planning.task import drag_along
 
 Array = NDArray[np.float64]
 
-INTERVALS = 10  # of a part between two events
+INTERVALS = 10  # number of intervals in a part between two events
 POLISHED = 3 * INTERVALS
-_ANY_JERK_M_S3 = 200.0  # limit if none is given
-_LONGEST_S = 30.0  # of a part
+_ANY_JERK_M_S3 = 200.0  # jerk limit if none is given
+_LONGEST_S = 30.0  # maximum duration of a part
 _LEAST_S = 0.05  # initial guess of a part's shortest duration
-_FORCE_USED = 0.8  # share of limits.peak_force_n, because the stiffness is known to some 15 %
-_FRICTION_RATIO = 0.5  # default, because friction was measured at half a metre per second
+_FORCE_USED = 0.8  # fraction of limits.peak_force_n, because the stiffness is known to about 15 %
+_FRICTION_RATIO = 0.5  # default limit; low, because friction was measured at only 0.5 m/s
 _SMOOTH = 1e-5  # s per (m/s3)^2 s; prefers the smoother of two equally fast flights
 _GUESSED_M_S, _GUESSED_LEFT = 1.5, 0.7  # initial guess of a hit's speed and of its restitution
 _THRUST_M_S2 = {Mode.FLEXIBLE: (-0.05, 0.2), Mode.RIGID: (-0.05, 1.0)}  # see `HitLimits`

@@ -14,7 +14,7 @@ from dart_flight.lab.search.scenario import Scenario
 from dart_flight.planning.constraints import Refusal
 from dart_flight.planning.flight_model import Array, Rows
 
-_SPEED_USED = 0.95  # share of the limit; the rest is a margin for tracking errors
+_SPEED_USED = 0.95  # fraction of the speed limit used; the rest is a margin for tracking errors
 
 
 class PlannedCollision(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -63,7 +63,7 @@ class Plan(msgspec.Struct, frozen=True):
         expected_miss_m, worst_miss_m: mean and largest miss of the goal over the random sets of values
             (draws), only for `robust`. If the plan fails in a draw, its miss is the distance from start to
             goal, or 1 m if this distance is smaller.
-        failed_draws: share of the draws in which the plan fails because it violates a constraint.
+        failed_draws: fraction of the draws in which the plan fails because it violates a constraint.
         time_to_rest_s: time from `start` until the vehicle rests at the goal. In the grid search, the last
             part, from the closest approach to rest, uses the motion limits of the free flight.
         saving_s: time of the fastest flight without a collision minus `time_to_rest_s`; negative if the plan

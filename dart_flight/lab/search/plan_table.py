@@ -14,8 +14,8 @@ from dart_flight.lab.search.plan import FreeTime, MotionLimits, Plan, SearchResu
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import ADVICE
 
-_FORCE = "peak (normal,\nalong) N"  # the force that limits.peak_force_n limits, and its parts
-_SHOWN_S = 0.005  # a smaller gap is not shown
+_FORCE = "peak (normal,\nalong) N"  # the force to which limits.peak_force_n applies, and its parts
+_SHOWN_S = 0.005  # minimum gap that is shown
 _UNITS = {
     Objective.NEAREST: "m",
     Objective.FASTEST: "s",
@@ -96,7 +96,8 @@ def plan_table(result: SearchResult) -> Table:
     )
     edge = _at_edge(result.scenario, result.best)
     if edge:
-        table.caption += f"\nplan 1 is at the edge of `search` ({edge}): a wider grid may have a better one"
+        table.caption += f"\nplan 1 is at the edge of the search grid ({edge}): "
+        table.caption += "widen `search` to look for a better plan"
     table.caption += "\n" + describe_free(result.free_time, result.best)
     table.caption_justify = "left"
     return table

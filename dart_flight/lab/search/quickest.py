@@ -1,7 +1,7 @@
 """The fastest flight from the start through the visits to the goal, with any number of hits that save time.
 
 The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time: the
-sum of the contact times and of the least times along the straight legs of the shortest path through the
+sum of the contact times and of the shortest times along the straight legs of the shortest path through the
 events. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of the
 best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds
 places, velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is faster
@@ -47,15 +47,15 @@ from dart_flight.lab.search.scenario import Scenario
 Progress = Callable[[int, int], None]
 Array = NDArray[np.float64]
 
-MOST_HITS = 16  # limit of the search; longer sequences count as not computed (`gap_s`)
-_TOLERANCE_USED = 0.8  # share of a visit's tolerance; the rest is a margin for tracking errors
-_COMPARED_TO, _POLISHED_TO = 1e-4, 1e-6  # tolerance of the solver
-_SWEEPS = 12  # iterations for the shortest path through discs and walls
+MOST_HITS = 16  # longest sequence searched, in hits; `gap_s` covers the longer ones
+_TOLERANCE_USED = 0.8  # fraction of a visit's tolerance used; the rest is a margin for tracking errors
+_COMPARED_TO, _POLISHED_TO = 1e-4, 1e-6  # solver tolerance for comparing and for refining plans
+_SWEEPS = 12  # number of iterations for the shortest path through discs and walls
 _SLACK = 0.98  # factor on a leg's length, because the iterations end slightly above the shortest path
 _REVERSAL_COSINE = -0.9  # cosine between two legs below which the path reverses between them
 _SPEEDS = 61
 _TRIED_IN_OTHER_MODE = 3  # number of the fastest sequences that are also tried in other modes
-_SEARCHED = 0.94  # share of the time for the search; the rest is for polishing
+_SEARCHED = 0.94  # fraction of the time for the search; the rest is for refining the plan
 
 
 def plan_quickest(
@@ -66,7 +66,7 @@ def plan_quickest(
     The plan must hit the walls of the scenario's sequence, if there is a sequence.
 
     Args:
-        within_s: time limit of the search; the best plan found until then is refined and returned. A search
+        within_s: time limit of the search; the best plan found by then is refined and returned. A search
             with `sight` has no limit.
         progress: called with the number of computed sequences and the number of known sequences.
 
@@ -94,7 +94,7 @@ def plan_quickest(
 
 
 def _ranked(scenario: Scenario, free: Plan | None, colliding: Plan | None) -> tuple[Plan, ...]:
-    """Return the plans in order, with what they save; refuse a scenario that allows neither."""
+    """Return the plans ranked by time to the goal, each with the time it saves; reject an empty result."""
     demanded = _demanded(scenario)
     plans = [plan for plan in (free, colliding) if plan is not None]
     if demanded and colliding is None:
@@ -189,7 +189,7 @@ class _Search:
         self.colliding: tuple[Event, ...] | None = None
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], Plan | None] = {}
-        self.least_open_s = self.left_out_s = math.inf  # lowest bounds: not computed, too many hits
+        self.least_open_s = self.left_out_s = math.inf  # lowest bounds: not computed; too many hits
         # Every bound needs the responses, so compute them once.
         self._responses = {
             (wall.name, mode): ContactResponse.at_wall(self.vehicle, wall, mode)
@@ -290,7 +290,7 @@ class _Search:
     # -- bounds --
 
     def _bound_s(self, events: Sequence[Event]) -> float:
-        """Return a lower bound on the time of a sequence: the sum of the least leg and contact times."""
+        """Return a lower bound on the time of a sequence: the sum of the shortest leg and contact times."""
         places = _shortest_path_through(self.scenario.start, events, self._goal)
         total = 0.0
         for k, (a, b) in enumerate(itertools.pairwise(places)):
@@ -300,7 +300,7 @@ class _Search:
         return total + sum(self._least_contact_s(e.wall) for e in events if isinstance(e, Hit))
 
     def _end_of_leg(self, events: Sequence[Event], places: Sequence[Vec2], k: int) -> LegEnd:
-        """Return what event `k` demands of the two legs that meet there.
+        """Return the constraints of event `k` on the two legs that meet there.
 
         -1 is the start, and len(events) is the goal.
         """
@@ -427,7 +427,7 @@ def _count_hits(events: Sequence[Event]) -> int:
 
 
 def _serves(wall: Wall, visit: Visit) -> bool:
-    """Return whether a hit at a wall can be near enough to a visit's place to count as the visit."""
+    """Return whether a hit at a wall can be close enough to a visit's place to count as the visit."""
     off_m = math.hypot(wall.signed_distance(visit.place), min(0.0, wall.end_distance_m(visit.place)))
     return off_m <= visit.within_m
 

@@ -1,8 +1,8 @@
 """Shortest polylines past walls and posts, and regions that keep each part of a polyline clear of obstacles.
 
 Each part of a path stays on one side of every wall: in front of the wall, behind the wall, or beyond one of
-the wall's ends. The distance of a part from posts and from the ends of walls is at least half a vehicle plus
-a margin.
+the wall's ends. The distance of a part from posts and from the ends of walls is at least half the vehicle's
+width plus a margin.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.lab.search.optimal_trajectory import Disc, HalfPlane, Region
 from dart_flight.lab.search.scenario import Scenario
 
-_PAST_END_M = 0.12  # margin beyond half a vehicle, for a longer wall and for tracking errors
+_PAST_END_M = 0.12  # margin beyond half the vehicle's width, for a longer wall and for tracking errors
 _AFTER_HIT_M = 0.05  # additional margin after a hit, whose outgoing velocity is uncertain
 _ON_LINE_M = 0.01  # distance of a path's corner from the edge of its half-planes
 _OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
-_AROUND = 8  # corners of the polyline around a post
+_AROUND = 8  # number of corners of the polyline around a post
 TOUCH_M = 0.01  # distance that a path to a place at a wall keeps from the wall's plane
 
 
@@ -113,7 +113,7 @@ def _shortest_through(places: Sequence[Vec2], blocked: Callable[[Vec2, Vec2], bo
 
 
 def _surface_ends(wall: Wall) -> tuple[Vec2, Vec2]:
-    """Return the ends of a wall's surface. The surface is half a vehicle behind the wall's plane."""
+    """Return the ends of a wall's surface, which is half the vehicle's width behind the wall's plane."""
     return wall.displaced(-wall.half_vehicle_m).ends
 
 

@@ -38,7 +38,7 @@ from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 
 _MAX_STEPS = 2001
 _MAX_CANDIDATES = 20_000_000
-_MAX_COLLISIONS = 4  # in a grid's sequence; the next limit applies to the objective quickest
+_MAX_COLLISIONS = 4  # maximum number in a grid's sequence; the next limit applies to the objective quickest
 _MAX_QUICKEST = 16
 
 
@@ -266,7 +266,7 @@ def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
 def resolve_scenario(
     spec: ScenarioFile, vehicle: VehicleConfig, vehicle_path: Path | None, document: Document
 ) -> Scenario:
-    """Resolve a scenario for a vehicle; refuse contradictions, and a search that is empty or too large."""
+    """Resolve a scenario for a vehicle; reject contradictions, and a search that is empty or too large."""
     space = FlightSpace(spec, vehicle, document)
     walls = space.walls
     sequences = _sequences(spec, list(walls), document)

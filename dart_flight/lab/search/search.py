@@ -74,7 +74,7 @@ def search(
 
     Raises:
         InputError: no candidate is feasible. The message lists the reasons for rejection, the most frequent
-            reason first, and says what to relax.
+            reason first, and states what to relax.
     """
     began = time.perf_counter()
     planner = ScenarioSearch(scenario, seed, progress or (lambda done, of: None))
@@ -247,7 +247,7 @@ class ScenarioSearch:
         return next(a for a in arrivals if a.modes == c.modes)
 
     def why_infeasible(self) -> str:
-        """List the reasons for rejection in a sentence, the most frequent first, and say what to relax."""
+        """List the reasons for rejection in a sentence, the most frequent first, and state what to relax."""
         counts = sorted(
             ((int(n), r) for r, n in zip(REFUSALS, self.refused[1:], strict=True) if n), reverse=True
         )

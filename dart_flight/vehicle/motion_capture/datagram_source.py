@@ -14,7 +14,7 @@ from dart_flight.vehicle.motion_capture.multicast import card_address, is_group,
 from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose
 
 _MAX_DATAGRAM: Final = 65535
-_POLL_S: Final = 0.2  # the thread detects `stop` within this time
+_POLL_S: Final = 0.2  # maximum time until the thread detects `stop`
 _MAX_REASONS: Final = 32  # distinct reasons counted, so that a hostile sender cannot exhaust the memory
 
 Decoder = Callable[[bytes, str, str], RawPose | str]
@@ -23,20 +23,20 @@ Decoder = Callable[[bytes, str, str], RawPose | str]
 class DatagramSource:
     """A source that decodes each datagram received at an address.
 
-    If the address is a multicast address, the source joins the group on the card that the URL names, or on
-    every card. The constructor raises InputError if the address cannot be bound, or the URL names a wrong
-    card.
+    If the address is a multicast address, the source joins the group on the network interface that the URL
+    names, or on every interface. The constructor raises InputError if the address cannot be bound, or the URL
+    names a wrong interface.
 
     Args:
-        decode: gets datagram, body and sender. It returns the pose, or the reason why the datagram
-            contains no pose of the body.
+        decode: receives datagram, body and sender; returns the pose, or the reason why the datagram contains
+            no pose of the body.
 
     Attributes:
         ignored: number of ignored datagrams by reason.
         problem: the reason why the newest datagram contains no pose of the body.
     """
 
-    remedy = "check the sender's address and port, the cable, the card and the firewall"
+    remedy = "check the sender's address and port, the cable, the network interface and the firewall"
 
     def __init__(self, address: PoseAddress, decode: Decoder) -> None:
         self._address, self._decode = address, decode
@@ -51,7 +51,7 @@ class DatagramSource:
                 f"mocap URL {address.url}: {host} is not a multicast group: remove ?interface=, and give an "
                 "address of this computer, or 0.0.0.0 for all"
             )
-        self.place = f"listening at {host}:{port}"
+        self.place = f"listening on {host}:{port}"
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             if group:
@@ -62,12 +62,12 @@ class DatagramSource:
             self._socket.close()
             reason = error.strerror or str(error)
             how = (
-                "connect a network card that accepts multicast"
+                "connect a network interface that accepts multicast"
                 if group
                 else "give an address of this computer, 0.0.0.0 for all, or a multicast group"
             )
             raise InputError(
-                f"mocap URL {address.url}: cannot listen at {host}:{port}: {reason}; {how}"
+                f"mocap URL {address.url}: cannot listen on {host}:{port}: {reason}; {how}"
             ) from None
 
     @property
@@ -75,7 +75,7 @@ class DatagramSource:
         return int(self._socket.getsockname()[1])
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every further pose on a thread of the source; discard the datagrams received until now."""
+        """Deliver every subsequent pose from the source's own thread; discard earlier datagrams."""
         self._socket.settimeout(0.0)
         with contextlib.suppress(OSError):
             while True:

@@ -1,4 +1,4 @@
-"""Reception of multicast on this computer's network cards."""
+"""Reception of multicast on this computer's network interfaces."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from dart_flight.config.document import InputError
 from dart_flight.vehicle.motion_capture.source import PoseAddress, in_quotes
 
 _ANY: Final = "0.0.0.0"
-_SIOCGIFADDR: Final = 0x8915  # ioctl: address of a card
+_SIOCGIFADDR: Final = 0x8915  # ioctl: address of an interface
 _REQUEST: Final = struct.Struct("16sHH4s16x")  # struct ifreq: name, family, port, IPv4 address
-_MEMBER: Final = struct.Struct("4s4si")  # struct ip_mreqn: group, address of the card, index of the card
+_MEMBER: Final = struct.Struct("4s4si")  # struct ip_mreqn: group, address of the interface, its index
 
 
 def is_group(host: str) -> bool:
@@ -27,7 +27,7 @@ def is_group(host: str) -> bool:
 
 
 def _cards() -> dict[str, str]:
-    """Return name -> IPv4 address of this computer's network cards; an address may be missing ("")."""
+    """Return name -> IPv4 address of this computer's network interfaces; an address may be missing ("")."""
     found = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
@@ -40,9 +40,9 @@ def _cards() -> dict[str, str]:
 
 
 def card_address(address: PoseAddress) -> str | None:
-    """Return the IPv4 address of the card that the URL names, or None if the URL names no card.
+    """Return the IPv4 address of the interface that the URL names, or None if it names none.
 
-    Raise InputError if this computer has no such card, or the card has no IPv4 address.
+    Raise InputError if this computer has no such interface, or the interface has no IPv4 address.
     """
     wanted = address.interface
     if wanted is None:
@@ -54,24 +54,24 @@ def card_address(address: PoseAddress) -> str | None:
         contextlib.suppress(OSError, ValueError),
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe,
     ):
-        probe.bind((str(ipaddress.IPv4Address(wanted)), 0))  # this also accepts a second address of a card
+        probe.bind((str(ipaddress.IPv4Address(wanted)), 0))  # also accepts an interface's second address
         return wanted
     known = in_quotes(f"{name} {own}".strip() for name, own in cards.items())
     raise InputError(
-        f'mocap URL {address.url}: no network card "{wanted}" with an IPv4 address, only {known}'
+        f'mocap URL {address.url}: no network interface "{wanted}" with an IPv4 address, only {known}'
     )
 
 
 def join_group(link: socket.socket, group: str, card: str | None) -> str:
-    """Join a multicast group on the card with an IPv4 address, or on every card; return the cards as text.
+    """Join a multicast group on the interface with an IPv4 address, or on all; return them as text.
 
-    With no card named, the kernel would use that of the default route, which may lead to the Internet. Raise
-    OSError if no card accepts the group.
+    Without a given interface, the kernel would use the one of the default route, which may lead to the
+    Internet. Raise OSError if no interface accepts the group.
     """
     if card is not None:
         _join(link, group, card, 0)
         return card
-    joined, refused = [], OSError("this computer has no network card")
+    joined, refused = [], OSError("this computer has no network interface")
     for index, name in socket.if_nameindex():
         try:
             _join(link, group, _ANY, index)

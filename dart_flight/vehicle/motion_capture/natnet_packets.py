@@ -21,7 +21,7 @@ HEADER: Final = struct.Struct("<HH")  # kind, size of the payload
 # port, whether the server uses multicast, and the group's address.
 _SERVER: Final = struct.Struct("<256s4B4B")
 _TRANSMISSION: Final = struct.Struct("<QHB4B")
-_SIZED: Final = (4, 1)  # version since which descriptions and lists have a size
+_SIZED: Final = (4, 1)  # first version in which descriptions and lists have a size
 _RIGID_BODY: Final = 1  # kind of a description
 _POSE: Final = "<I7f"  # id, position, attitude as x, y, z, w
 _TRACKED: Final = 1  # bit of a rigid body's parameters
@@ -81,7 +81,7 @@ class _Reader:
         self._data, self._place = data, 0
 
     def skip(self, size: int) -> bytes:
-        """Return the next bytes and move behind them."""
+        """Return the next bytes and move past them."""
         part = self._data[self._place : self._place + size]
         if len(part) < size:
             raise ValueError("the packet is too short")
@@ -98,7 +98,7 @@ class _Reader:
         """Read a null-terminated string; Motive sends Latin-1 on Windows systems without UTF-8."""
         end = self._data.find(b"\0", self._place)
         if end < 0:
-            raise ValueError("a name has no end")
+            raise ValueError("a name is not terminated")
         raw = self.skip(end + 1 - self._place)[:-1]
         try:
             return raw.decode()

@@ -31,18 +31,18 @@ _KEEP_ALIVE: Final = natnet.HEADER.pack(natnet.KEEP_ALIVE, 1) + b"\0"
 _PINGS: Final = 3
 _PING_S: Final = 1.0
 _MODEL_S: Final = 3.0
-_POLL_S: Final = 0.1  # also the period of the keep-alives, without which the server forgets this client
+_POLL_S: Final = 0.1  # also the period of the keep-alives, without which the server drops this client
 _SILENT_S: Final = 1.0  # time without a frame until the server is queried
 
 
 class OptiTrackSource:
     """A source that reads one rigid body from a NatNet server, on its own thread.
 
-    The body in the address is its name or streaming id. The constructor raises AbsentSourceError if no server
-    answers, or if the server does not know the body.
+    The URL identifies the body by its name or streaming id. The constructor raises AbsentSourceError if no
+    server answers, or if the server does not have the body.
     """
 
-    remedy = "start the live mode in Motive; check the card and the firewall"
+    remedy = "start the live mode in Motive; check the network interface and the firewall"
 
     def __init__(self, address: PoseAddress) -> None:
         self._address, self._sender = address, f"{address.host}:{address.port}"
@@ -69,9 +69,9 @@ class OptiTrackSource:
         """Connect to the server; if the server uses multicast, also open the socket of the frames.
 
         Raises:
-            OSError: the host has no address, or no card leads to the host.
+            OSError: the host name cannot be resolved, or no network interface has a route to the host.
             AbsentSourceError: no server answers.
-            InputError: this computer has no such card.
+            InputError: this computer has no such interface.
         """
         server = (socket.gethostbyname(self._address.host), self._address.port)
         card = card_address(self._address)
@@ -83,7 +83,7 @@ class OptiTrackSource:
         self._server = server
         self._command.bind((local, 0))
         self._info = self._query_server()
-        self.place = f"OptiTrack server {self._sender}, listening at {local}"
+        self.place = f"OptiTrack server {self._sender}, listening on {local}"
         if self._info.multicast:
             frames = opened.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             frames.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -91,7 +91,7 @@ class OptiTrackSource:
             card = join_group(frames, self._info.group, local)
             self._links.append(frames)
             group = f"{self._info.group}:{self._info.data_port}"
-            self.place = f"OptiTrack server {self._sender}, listening at {group} on {card}"
+            self.place = f"OptiTrack server {self._sender}, listening on {group} on {card}"
 
     def _query_server(self) -> natnet.ServerInfo:
         """Request a connection and return the announcement; a server may answer from another address."""
@@ -104,7 +104,7 @@ class OptiTrackSource:
                     return info
         raise AbsentSourceError(
             f"mocap URL {self._address.url}: no OptiTrack server answers at {self._sender}; "
-            "enable streaming in Motive and check the address, the card and the firewall"
+            "enable streaming in Motive and check the address, the network interface and the firewall"
         )
 
     def _read_model(self) -> None:
@@ -156,7 +156,7 @@ class OptiTrackSource:
     def _exchange(self) -> None:
         """Send the messages that are due, and process the packets that arrive within `_POLL_S`.
 
-        A restarted server does not know its clients, so a silent server is queried again.
+        A server forgets its clients when it restarts, so a silent server is queried again.
         """
         now_s = time.monotonic()
         if not self._info.multicast and now_s - self._kept_s >= _POLL_S:

@@ -22,12 +22,12 @@ _BODY_FRD: Final = 12  # MAV_FRAME of the velocities, which are not sent
 _VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 ignores the type MOCAP
 _POSITION_SD_M: Final = 0.01  # PX4 uses EKF2_EVP_NOISE if that parameter is larger
 _ANGLE_SD_RAD: Final = 0.01
-_EARLY: Final = 0.125  # share of a period by which a frame may be early because of jitter
-_STALE_US: Final = 300_000  # longer than any latency with which PX4 can fly
-_JUMPED_US: Final = 1_000_000  # a burst of delayed frames is shorter, a jump of the clock longer
-_FINE_US: Final = 100_000  # usable stamps of successive frames differ by less
+_EARLY: Final = 0.125  # fraction of a period by which a frame may be early because of jitter
+_STALE_US: Final = 300_000  # minimum age of a stale frame; longer than any latency with which PX4 can fly
+_JUMPED_US: Final = 1_000_000  # minimum duration of a clock's jump; a burst of delayed frames is shorter
+_FINE_US: Final = 100_000  # maximum difference of usable stamps of successive frames
 _DECIDE_US, _DECIDE_FRAMES, _DECIDE_NEW = 500_000, 10, 3  # time, frames, and frames with a new pose
-_SILENT_US, _MISSING_US = 1_000_000, 3_000_000  # time without a pose until the reason is shown, and reported
+_SILENT_US, _MISSING_US = 1_000_000, 3_000_000  # time without a pose until the reason is shown, reported
 _DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # indices in the upper triangle of a 6 x 6 matrix
 
 
@@ -46,8 +46,8 @@ _NO_ATTITUDE: Final[Sequence[float | None]] = [None] * 4
 def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> MavlinkMessage:
     """Return the ODOMETRY message of a pose.
 
-    Null fields arrive at PX4 as NaN, and PX4 does not fuse NaN. Without an attitude PX4 still fuses the
-    position, and its heading follows from the gyro alone.
+    Null fields arrive at PX4 as NaN, and PX4 does not fuse NaN. Without an attitude, PX4 still fuses the
+    position, and PX4's heading follows from the gyro alone.
 
     The reset counter stays 0. If it changed, PX4's estimate would immediately follow a jump of the poses.
     """
@@ -141,10 +141,10 @@ class StaleFrames:
 
 
 class Stamps:
-    """The rule that decides whether a source's stamps give the times of its frames.
+    """The rule that decides whether a source's stamps are the times of its frames.
 
-    The stamps are usable once two successive frames have stamps that differ by less than 0.1 s. Until then
-    the vehicle has not taken off. Stamps that stop later are a loss of the poses.
+    The stamps are usable once two successive frames have stamps that differ by less than 0.1 s. This is
+    decided before the vehicle takes off. Stamps that stop later are a loss of the poses.
 
     If no such pair arrives although the frames differ (empty stamps, whole seconds, frame numbers), the
     bridge uses the time of arrival.
@@ -211,14 +211,14 @@ class MotionCaptureBridge:
         self._decimation, self._stale, self._stamps = Decimation(config.rate_hz), StaleFrames(), Stamps()
         self._lock = threading.Lock()
         self._stopped = self._withheld = self._attitude_withheld = False
-        self._invalid: str | None = None  # why the newest frame is not a pose
+        self._invalid: str | None = None  # reason why the newest frame is not a pose
         self._frame_us = self._good_us = 0  # host time of the newest frame, and of the newest usable pose
         self._newest: RawPose | None = None
         self.sent = 0
 
     @property
     def place(self) -> str:
-        """Where the source listens, or the server that it reads."""
+        """The address on which the source listens, or the server that it reads."""
         return self._source.place
 
     @property
@@ -257,7 +257,7 @@ class MotionCaptureBridge:
 
     def stop(self) -> None:
         """Stop forwarding and close the source."""
-        with self._lock:  # send nothing over a connection that the caller closes next
+        with self._lock:  # send nothing more, because the caller closes the connection next
             self._stopped = True
         self._source.stop()
 
@@ -292,7 +292,8 @@ def forwarding(
 ) -> Iterator[MotionCaptureBridge | None]:
     """Forward the poses of `config.url` while the context is open; if the URL is None, yield None.
 
-    `source` is the URL's source if it is open already. If not, raise InputError if it cannot be opened.
+    `source` is the URL's source if it is already open; otherwise it is opened. Raise InputError if it cannot
+    be opened.
     """
     if config.url is None:
         yield None

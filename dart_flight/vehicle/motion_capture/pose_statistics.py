@@ -20,11 +20,11 @@ from dart_flight.base.geometry import (
 )
 from dart_flight.base.records import AttitudeSample, Input, OdometrySample, PoseSample
 
-GAP_US: Final = 100_000  # shortest gap; at 50 Hz, PX4 misses five poses in this time
+GAP_US: Final = 100_000  # minimum duration of a gap; at 50 Hz, PX4 misses five poses in this time
 _RATE_US: Final = 2_000_000  # time window for the rate and the senders
 _BEST_S: Final = 60  # window for the shortest age, in which clocks drift apart by a few ms
 _AGE_POSES: Final = 25  # number of poses in the median age
-_FRESH_US: Final = 500_000  # largest age of PX4's estimate for a comparison with the poses
+_FRESH_US: Final = 500_000  # maximum age of PX4's estimate for a comparison with the poses
 
 
 class PoseFigures(msgspec.Struct, frozen=True):
@@ -36,7 +36,7 @@ class PoseFigures(msgspec.Struct, frozen=True):
         rate_hz: tracked poses per second over the last 2 s.
         gaps: number of gaps of more than 0.1 s between tracked poses.
         longest_gap_s: longest time between two tracked poses, including a gap that has not ended.
-        lost: share of frames in which the body is not tracked, 0 to 1.
+        lost: fraction of frames in which the body is not tracked.
         age_ms: age of the newest poses: the measured shortest age (`mocap.delay_ms`) plus their additional
             delay according to their stamps.
         age_growth_ms: growth of the age since the first poses.
@@ -135,7 +135,7 @@ class PoseStatistics:
         self._pose = self._room.pose_to_ned(pose.position_room, pose.q_body_to_room)
         if pose.source_us is not None:
             self._add_age(now - pose.source_us, now)
-        elif self._late_us:  # the stamps have proved unusable
+        elif self._late_us:  # the stamps have turned out to be unusable
             self._late_us.clear()
             self._first_late_ms = None
 

@@ -38,8 +38,8 @@ def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
 class QualisysSource:
     """A source that reads one 6DOF body from QTM, in an event loop on its own thread.
 
-    The address has QTM's little-endian port. The constructor raises AbsentSourceError if QTM does not answer,
-    or does not know the body.
+    The port in the URL is QTM's little-endian port. The constructor raises AbsentSourceError if QTM does not
+    answer, or does not have the body.
     """
 
     def __init__(self, address: PoseAddress) -> None:

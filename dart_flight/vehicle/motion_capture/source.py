@@ -18,13 +18,13 @@ from dart_flight.base.text import alternatives
 from dart_flight.config.document import InputError
 from dart_flight.config.packages import missing_package
 
-_MAX_M: Final = 1000.0  # no room is larger; beyond this the sender's unit is not the metre
-_MAX_US: Final = 2**62  # a larger stamp is not a time, and its difference to a clock has no 64 bits
-_MAX_NAMES: Final = 5  # names listed in a message
+_MAX_M: Final = 1000.0  # maximum coordinate; a larger value means that the sender's unit is not the metre
+_MAX_US: Final = 2**62  # maximum stamp; the difference between a larger stamp and a clock may exceed 64 bits
+_MAX_NAMES: Final = 5  # maximum number of names listed in a message
 
 
 class AbsentSourceError(InputError):
-    """A motion-capture server does not answer, or does not know the body; both may change at any time."""
+    """A motion-capture server does not answer, or does not have the body; both may change at any time."""
 
 
 class RawPose(NamedTuple):
@@ -40,7 +40,7 @@ class RawPose(NamedTuple):
 
 
 def lost_pose(body: str, frame_number: int | None, source_us: int | None, sender: str) -> RawPose:
-    """Return the pose of a body that the source does not track at present."""
+    """Return the pose of a body that the source does not currently track."""
     return RawPose(body, False, (0.0, 0.0, 0.0), IDENTITY, frame_number, source_us, sender)
 
 
@@ -56,7 +56,7 @@ def checked_pose(pose: RawPose) -> tuple[RawPose, str | None]:
         return pose, None
     lost = lost_pose(pose.body, pose.frame_number, pose.source_us, pose.sender)
     if not all(abs(coordinate) <= _MAX_M for coordinate in pose.position_room):
-        return lost, f"the body's position is not within {_MAX_M:g} m"
+        return lost, f"a coordinate of the body exceeds {_MAX_M:g} m: check that the sender uses metres"
     if not 0.9 < math.hypot(*pose.q_body_to_room) < 1.1:
         return lost, "the body's quaternion is not of length 1"
     return pose._replace(q_body_to_room=quaternion_normalise(pose.q_body_to_room)), None
@@ -71,7 +71,7 @@ class PoseSource(Protocol):
     """A source of poses, as returned by `open_source`.
 
     Attributes:
-        place: where the source listens, or the server that it reads.
+        place: address on which the source listens, or the server that it reads.
         remedy: what to do if nothing arrives.
     """
 
@@ -83,17 +83,17 @@ class PoseSource(Protocol):
         """The reason why no poses of the body arrive, in one line, or None while they arrive."""
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every further pose on a thread of the source."""
+        """Deliver every subsequent pose from the source's own thread."""
 
     def stop(self) -> None:
-        """Stop delivering and close the connection, also a second time."""
+        """Stop delivering and close the connection; may be called again."""
 
 
 class PoseAddress(NamedTuple):
     """The parts of a pose source's URL.
 
     Attributes:
-        interface: name or address of the network card that receives multicast; None: the source decides.
+        interface: name or address of the network interface that receives multicast; None: the source decides.
     """
 
     url: str
@@ -107,10 +107,10 @@ class System(NamedTuple):
     """A motion-capture system.
 
     Attributes:
-        url: form of its URL, for people.
+        url: form of its URL, for messages and documentation.
         module: module of this package that reads it.
-        port: default port; None: the URL has to name one.
-        multicast: whether its frames may come by multicast, so that the URL may name a network card.
+        port: default port; None: the URL must give a port.
+        multicast: whether its frames may come by multicast, so that the URL may name a network interface.
     """
 
     url: str
@@ -150,8 +150,8 @@ def parse_url(url: str) -> tuple[str, PoseAddress]:
     if options or (interface is not None and not system.multicast):
         multicast = ", ".join(scheme for scheme, system in SYSTEMS.items() if system.multicast)
         raise InputError(
-            f"mocap URL {url}: the only option is ?interface=NAME_OR_ADDRESS, the network card for multicast "
-            f"of {multicast}; in a name, write ? as %3F"
+            f"mocap URL {url}: the only option is ?interface=NAME_OR_ADDRESS, the network interface for "
+            f"multicast of {multicast}; in a name, write ? as %3F"
         )
     port = port if port is not None else system.port
     if port is None:
@@ -164,7 +164,7 @@ def open_source(url: str) -> PoseSource:
 
     Raises:
         InputError: the URL is wrong, or the vendor's client is not installed.
-        AbsentSourceError: the system does not answer, or does not know the body.
+        AbsentSourceError: the system does not answer, or does not have the body.
     """
     scheme, address = parse_url(url)
     try:

@@ -3,7 +3,7 @@
 The layout is from the public description of VRPN's protocol; all numbers are big-endian. Both ends first send
 a cookie with their version. A message is a header and a payload, which is padded to a multiple of 8 bytes.
 The header gives sender and type as numbers, and the server also sends the name of each number. The server
-sends no pose of a body that is not tracked.
+sends no poses of an untracked body.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]
 
 
 class VrpnSource:
-    """A source that reads sensor 0 of one sender, on its own thread; the body in the address is the sender.
+    """A source that reads sensor 0 of one sender, on its own thread; the body in the URL is the sender.
 
-    The constructor raises AbsentSourceError if no VRPN server answers, or the server does not describe the
+    The constructor raises AbsentSourceError if no VRPN server answers, or the server does not list the
     sender.
     """
 
@@ -119,7 +119,7 @@ class VrpnSource:
     def _read(self, link: socket.socket) -> None:
         link.sendall(_COOKIE)
         link.settimeout(None)
-        # The source sends nothing more, so only probes detect a server that lost its network.
+        # The source sends nothing more, so only probes detect that the server has lost its network.
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT):
             link.setsockopt(socket.IPPROTO_TCP, option, 2)

@@ -118,7 +118,7 @@ def test_each_fault_of_the_vehicle_is_named() -> None:
     if late:
         raise TooSlow(late[0])
     assert "rotated by 90 degrees: set SENS_BOARD_ROT" in found["imu_axes"].message
-    assert "left and right are exchanged" in found["position"].message
+    assert "left and right are swapped" in found["position"].message
     assert "PX4 receives no remote control" in found["remote_control"].message
 
 

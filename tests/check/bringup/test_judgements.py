@@ -105,7 +105,7 @@ def test_a_displacement_is_measured_in_the_vehicles_own_axes() -> None:
     assert measure_displacement([*path, rests], q) == pytest.approx((0.5, 0.0), abs=1e-9)
     assert evaluate_position((0.5, 0.0), (0.0, 0.5)).result is StepOutcome.PASS
     assert "rotated by 90" in evaluate_position((0.0, 0.5), (-0.5, 0.0)).message
-    assert "exchanged" in evaluate_position((0.5, 0.0), (0.0, -0.5)).message
+    assert "swapped" in evaluate_position((0.5, 0.0), (0.0, -0.5)).message
 
 
 def test_a_slow_stream_is_named_with_its_minimum_rate() -> None:

@@ -322,7 +322,7 @@ def test_a_plan_around_a_post_completes_as_a_mission(kind: str, tmp_path: Path) 
 
 
 def test_the_end_of_a_wall_is_passed_at_the_minimum_clearance() -> None:
-    """The minimum clearance from the edge is half a vehicle plus a margin."""
+    """The minimum clearance from the edge is half the vehicle's width plus a margin."""
     panel = {"point_m": [1.0, 1.0], "normal": [-1.0, 0.0], "length_m": 2.0, "material": "acrylic"}
     scenario = scenario_between_walls(
         goal={"position_m": [2.5, 1.0]},

@@ -26,7 +26,7 @@ class HandSource:
     """A source whose poses the test delivers."""
 
     problem: str | None = None
-    place, remedy = "listening at home", "send poses"
+    place, remedy = "listening on home", "send poses"
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
         self.deliver = deliver
@@ -216,7 +216,7 @@ def test_a_source_that_sends_nothing_or_no_body_is_named_within_five_seconds() -
     bridge, source, _, _ = make_bridge(MotionCapture(), clock := SimulatedTime())
     assert bridge.missing is None
     clock.receive(5_000_000 + 4_000_000, 0)
-    assert bridge.missing == "no frame for 4 s (listening at home): send poses"
+    assert bridge.missing == "no frame for 4 s (listening on home): send poses"
     bridge.forward(lost_pose("dart ", 1, 20_000, "a:1"))
     assert bridge.missing == 'body "dart " not tracked for 4 s: check markers and cameras'
     source.problem = "no object"

@@ -1,4 +1,4 @@
-"""URLs of pose sources, missing clients, and the network card of multicast."""
+"""URLs of pose sources, missing clients, and the network interface of multicast."""
 
 import json
 import queue
@@ -40,8 +40,11 @@ def test_a_url_names_system_host_port_and_body() -> None:
         ("vrpn://lab/dart?interface=eth0", "the only option is"),
         ("udp://239.255.1.2:9763/dart?card=eth0", "the only option is"),
         ("udp://239.255.1.2:9763/dart?eth0", "bad query field"),
-        ("udp://239.255.1.2:9763/dart?interface=eht0", 'no network card "eht0" .*, only .*"lo 127.0.0.1"'),
-        ("udp://239.255.1.2:9763/dart?interface=192.0.2.1", 'no network card "192.0.2.1"'),
+        (
+            "udp://239.255.1.2:9763/dart?interface=eht0",
+            'no network interface "eht0" .*, only .*"lo 127.0.0.1"',
+        ),
+        ("udp://239.255.1.2:9763/dart?interface=192.0.2.1", 'no network interface "192.0.2.1"'),
         ("udp://0.0.0.0:9763/dart?interface=lo", "not a multicast group"),
     ],
 )
@@ -78,6 +81,6 @@ def test_a_multicast_group_is_joined_on_every_card_or_on_the_card_of_the_url(opt
             sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
             sender.sendto(json.dumps(POSE).encode(), ("239.255.1.2", source.port))
         assert poses.get(timeout=30).tracked
-        assert f"listening at 239.255.1.2:{source.port} on " in source.place
+        assert f"listening on 239.255.1.2:{source.port} on " in source.place
     finally:
         source.stop()

@@ -1,4 +1,4 @@
-"""Names of walls, and labels near their points; they should cover neither other texts nor lines."""
+"""Placement of wall names, and of labels near their points, so that they cover neither texts nor lines."""
 
 from __future__ import annotations
 

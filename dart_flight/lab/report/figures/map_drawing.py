@@ -29,12 +29,12 @@ from dart_flight.lab.report.figures.labels import name_walls, place_labels
 _WIDE_IN = 6.0  # figure width from which a legend has three columns
 _HUB_SHARE = 0.45  # inner end of the drawn arms, as a fraction of the distance to the motor
 _NORTH_PT = 16.0  # length of the north arrow
-_OUTSIDE_M = 0.6  # distance outside of the bounds at which a wall may still be hit
+_OUTSIDE_M = 0.6  # maximum distance outside of the bounds at which a wall may still be hit
 _NAME_M = 0.15  # space for the name behind a wall
 BELOW_M = 0.05  # margin of the side view below the ground
 _EDGE_ON = 0.26  # sine of 15 degrees, the largest angle of a wall in side view
 _SAME_M = 0.12  # distance below which hits share a label in the side view
-_DRAWS_SHUNNED = 8  # labels avoid every eighth draw, which stand for all of them
+_DRAWS_SHUNNED = 8  # labels avoid every eighth draw, as a sample of all draws
 _SOLID = {"facecolor": "#dcdcdc", "edgecolor": "#777777", "hatch": "////"}
 _DRAWN = "#8db4e2"
 
@@ -80,7 +80,7 @@ _ARMS: dict[Mode | None, dict[str, Any]] = {
     Mode.FLEXIBLE: {"linewidth": 1.1, "linestyle": (0, (2, 1.5))},
     None: {"linewidth": 1.0, "linestyle": ":"},
 }
-# The side view shows these, because the others are at the altitude of the flight.
+# Kinds that the side view shows; the others are all at the altitude of the flight.
 _PATHS_BESIDE = (MapKind.PREDICTED, MapKind.PROBE)
 _PLACES_BESIDE = (MapKind.WAYPOINT, MapKind.GOAL)
 

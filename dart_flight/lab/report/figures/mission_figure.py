@@ -41,9 +41,9 @@ from dart_flight.planning.envelope import impact_yaw, incidence_deg
 from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal_miss
 
 SHEET = Look(7.2, 9.0)
-_NOTE_WIDTH = 96  # characters below the picture
+_NOTE_WIDTH = 96  # width in characters of the text below the picture
 _ABOVE_M = 0.4  # margin of the side view above the flight
-_ROOM_M, _ROOM_SHARE = 12.0, 2.5  # larger bounds are shown whole only around a flight of a similar size
+_ROOM_M, _ROOM_SHARE = 12.0, 2.5  # larger bounds are shown completely only if the flight is of a similar size
 
 
 @in_style

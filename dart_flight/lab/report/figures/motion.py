@@ -19,7 +19,7 @@ from dart_flight.lab.figure_style import (
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.report.tracks import angles, power, tracking
 
-_MAX_POINTS = 700  # of a line over a whole flight, more than the page's pixels
+_MAX_POINTS = 700  # maximum number of points of a line over a whole flight; more than the page's pixels
 
 
 def mark_impacts(axis: Any, flight: RecordedFlight) -> None:

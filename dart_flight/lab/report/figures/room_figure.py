@@ -17,7 +17,7 @@ from dart_flight.lab.report.figures.map_drawing import draw_map, finish_map, set
 from dart_flight.planning.room import Room, RoomContact, RoomWall
 
 _SHEET = Look(7.2, 6.4)
-_SURE = 3.0  # standard deviations of the band around a wall
+_SURE = 3.0  # half width of the band around a wall, in standard deviations
 _OPEN_M = 0.7  # extension of a wall without a corner beyond its contacts
 _MARGIN_M = 0.4
 

@@ -12,7 +12,7 @@ _HIGH_IN = 2.3
 
 @in_style
 def success_figure(drawn: Drawn) -> Any:
-    """Plot the share of completed flights over one random quantity, with 95 % intervals."""
+    """Plot the fraction of completed flights over one random quantity, with 95 % intervals."""
     figure, axis = new_figure(PAGE, _HIGH_IN)
     numbers = [each for each in drawn.bins if each.low is not None and each.high is not None]
     shown, places, line = [], [], ""
@@ -21,7 +21,7 @@ def success_figure(drawn: Drawn) -> Any:
             shown.append(each.completed)
             places.append(place if each.low is None or each.high is None else 0.5 * (each.low + each.high))
     shares = [100.0 * (rate.share or 0.0) for rate in shown]
-    # Rounding may move the share outside of its interval.
+    # Rounding may move the fraction outside of its interval.
     below = [max(s - 100.0 * (rate.low or 0.0), 0.0) for s, rate in zip(shares, shown, strict=True)]
     above = [max(100.0 * (rate.high or 0.0) - s, 0.0) for s, rate in zip(shares, shown, strict=True)]
     if numbers:
