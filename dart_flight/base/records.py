@@ -496,7 +496,7 @@ class PlanRequest(Record, frozen=True, gc=False):
 
 
 class ContactRequest(Record, frozen=True, gc=False):
-    """Request to fit a contact that has ended; the `ContactAnswer` has the same number (docs/felt.md).
+    """Request to fit a contact that has ended; the `ContactAnswer` has the same number (docs/contact_fit.md).
 
     The contact's IMU samples are stored as columns. They begin a few samples before the first touch.
     """
@@ -631,7 +631,7 @@ class ImpactBody(Record, frozen=True, gc=False):
 
 
 class WallEstimate(Record, frozen=True, gc=False):
-    """Properties of the wall and the arms, estimated at the end of a planned contact (docs/felt.md).
+    """Properties of the wall and the arms, estimated at the end of a planned contact (docs/contact_fit.md).
 
     The coefficients are posterior means, and hold for the estimated mode of the arms. If the mode cannot be
     estimated from the contact, the coefficients hold for the mode that the lock reports.

@@ -23,9 +23,9 @@ value, damping and shifted parameter; a combination is called a lane. The eviden
 
     2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
 
-`ContactFitter` answers the core's `ContactRequest` (docs/felt.md, docs/torque.md). In flights over MAVSDK the
-fitter runs in its own process (`run.planner_process`). In the fast world the fitter runs in the flight's
-process (`run.fast`).
+`ContactFitter` answers the core's `ContactRequest` (docs/contact_fit.md, docs/torque.md). In flights over
+MAVSDK the fitter runs in its own process (`run.planner_process`). In the fast world the fitter runs in the
+flight's process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.contact_recorder import undecided
 
-FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/felt.md)
+FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/contact_fit.md)
 CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall
-SURE_LOG_ODDS: Final = 5.3  # odds of 200 to 1; at most one mode in a thousand is then wrong (docs/felt.md)
+SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is then wrong (docs/contact_fit.md)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame

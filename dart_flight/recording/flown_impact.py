@@ -83,7 +83,7 @@ class CollisionVerdict(msgspec.Struct):
     detection_latency_ms: float | None = None
     setpoint_latency_ms: float | None = None
     contact_time_ms: float | None = None
-    mode_felt: Mode | None = None  # estimated (docs/felt.md); None if undecided
+    mode_felt: Mode | None = None  # estimated (docs/contact_fit.md); None if undecided
     mode_log_odds: float | None = None  # log odds of rigid against flexible; None if not reported
     mode_true: Mode | None = None  # mode of the simulated arms
 

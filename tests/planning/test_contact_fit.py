@@ -562,7 +562,9 @@ def test_the_true_mode_is_identified_if_the_lock_misreports(tmp_path: Path) -> N
     """Fly the campaign's first flights with a misreporting lock, on seeds that the software was tuned on."""
     rows = []
     for kind, seed in (("wood", "6"), ("sliding", "2")):
-        rows += campaign_rows(tmp_path / kind, "felt", "--only", f"set={kind}", "--seed", seed, "--runs", "1")
+        rows += campaign_rows(
+            tmp_path / kind, "contact_fit", "--only", f"set={kind}", "--seed", seed, "--runs", "1"
+        )
     assert {row["body"] for row in rows} == {"point", "guards"}
     for row in rows:
         assert row["mode_reported"] != row["true_mode"]

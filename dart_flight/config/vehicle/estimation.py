@@ -45,7 +45,7 @@ class ArmVibration(Section, frozen=True):
 
 
 class WallPrior(Section, frozen=True):
-    """Prior of a wall's coefficients, before a contact (docs/felt.md).
+    """Prior of a wall's coefficients, before a contact (docs/contact_fit.md).
 
     Attributes:
         spread: relative standard deviation of a wall's k, f, mu and nu about the table's values.

@@ -1,5 +1,5 @@
 """Campaign: mode and coefficients estimated from one contact, compared with the drawn world
-(docs/results/felt.md).
+(docs/results/contact_fit.md).
 
 A flight ends when its contact has been evaluated. The seed draws approach velocity, mode, and whether the
 lock obeys. It also draws the wall's coefficients (standard deviation 30 %) and their scatter between contacts
