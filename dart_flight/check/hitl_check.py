@@ -19,6 +19,7 @@ from dart_flight.config.parameter_file import (
     show_value,
 )
 from dart_flight.config.vehicle import LockDriver, packaged
+from dart_flight.lock.drivers import driver_names
 from dart_flight.vehicle.ground_link import HeartbeatMode
 
 HITL = "SYS_HITL"
@@ -88,6 +89,6 @@ def evaluate_hitl_lock(mission: Mission) -> CheckFinding:
             "lock_driver",
             False,
             "lock.driver is px4, but hardware in the loop starts no real outputs: the servo would not move; "
-            "choose maestro, pwm or mock (--driver)",
+            f"choose {driver_names(lambda entry: 'link' not in entry.needs)} (--driver)",
         )
     return CheckFinding("lock_driver", True, "no lock" if lock is None else lock.driver.value)

@@ -437,7 +437,7 @@ def test_a_scope_selects_the_phases_in_which_a_rule_is_evaluated(phase: Phase, s
     assert {scope for scope in Scope if in_scope(RULES[0]._replace(scope=scope), phase)} == scopes
 
 
-def test_the_table_of_the_manual_names_scope_and_inputs_of_every_rule() -> None:
+def test_the_table_of_the_manual_names_scope_and_inputs_of_each_rule() -> None:
     page = (Path(__file__).parents[2] / "docs/guard.md").read_text("utf-8")
     generated = page.partition("<!-- begin: guard rules -->")[2].partition("<!-- end -->")[0]
     header, _, *rows = generated.strip().splitlines()
