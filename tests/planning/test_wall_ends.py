@@ -1,4 +1,4 @@
-"""The margin of impacts and paths from a wall's ends: half the vehicle, and the wall's uncertainty."""
+"""The margin of impacts and paths from a wall's ends: half the vehicle's width plus the position margin."""
 
 from __future__ import annotations
 

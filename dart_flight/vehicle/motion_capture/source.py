@@ -56,7 +56,7 @@ def checked_pose(pose: RawPose) -> tuple[RawPose, str | None]:
         return pose, None
     lost = lost_pose(pose.body, pose.frame_number, pose.source_us, pose.sender)
     if not all(abs(coordinate) <= _MAX_M for coordinate in pose.position_room):
-        return lost, f"a coordinate of the body exceeds {_MAX_M:g} m: check that the sender uses metres"
+        return lost, f"the body's coordinates exceed {_MAX_M:g} m or are NaN: check the sender's unit"
     if not 0.9 < math.hypot(*pose.q_body_to_room) < 1.1:
         return lost, "the body's quaternion is not of length 1"
     return pose._replace(q_body_to_room=quaternion_normalise(pose.q_body_to_room)), None

@@ -202,7 +202,7 @@ def test_a_ringing_sensor_gives_no_peak_force() -> None:
     random = np.random.default_rng(6)
     found = identify([mocap_trial(v, random, ringing=True) for v in (0.4, 0.7, 1.0)], MASS_KG, Onset.LCP)
     assert all(t.peak_force_n is None for t in found.trials)
-    assert any("rings" in note for note in found.notes)
+    assert any("resonates" in note for note in found.notes)
 
 
 def test_velocities_without_positions_give_restitution(
