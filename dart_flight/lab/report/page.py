@@ -149,13 +149,18 @@ def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
     """
     if first.verdict.mission != other.verdict.mission:
         return ""
+    flown = [flight.mission for flight in (first, other)]
+    # Users know the keys of the file; a log of an earlier version has only the resolved parts.
+    trees = [mission.written.tree for mission in flown if mission.written is not None]
+    if len(trees) < len(flown) or trees[0] == trees[1]:
+        trees = [msgspec.to_builtins(mission) for mission in flown]
     there, here = (
         {
             dotted(key): value
-            for key, value in iterate_leaves(msgspec.to_builtins(flight.mission), in_lists=True)
+            for key, value in iterate_leaves(tree, in_lists=True)
             if key[0] not in ("source", "vehicle", "vehicle_source", "written")
         }
-        for flight in (first, other)
+        for tree in trees
     )
     for key in there | here:
         if there.get(key) != here.get(key):
