@@ -22,6 +22,7 @@ from dart_flight.config.mission_file import BoundsSpec
 from dart_flight.config.vehicle import Airframe
 from dart_flight.lab.flight_arrays import Array
 
+SURE = 3.0  # standard deviations of the band around an uncertain wall
 THICKNESS_M = 0.12  # drawn thickness of a wall; the true one is unknown
 _OPPOSED, _SAME_PLANE_M = -0.9, 0.01  # cosine between opposite normals; distance of faces in one plane
 _BACK_TO_BACK_M = 0.4  # distance of two faces below which a name goes in front, not behind
@@ -61,6 +62,7 @@ class MapKind(StrEnum):
     CONTACT = "contact, the vehicle's centre"
 
 
+_HUB_SHARE = 0.45  # inner end of the drawn arms, as a fraction of the distance to the motor
 FlatLine = Array | Sequence[Vec2]
 
 
@@ -135,6 +137,13 @@ class DrawnWall(NamedTuple):
         """The wall's name, with its material unless the two are equal."""
         return named_material(self.plane)
 
+    @property
+    def outline(self) -> Array:
+        """Corners (4, 2) of the drawn wall: its surface, and the back behind it."""
+        surface = np.array(self.surface.ends)
+        back = surface - self.thickness_m * np.array(self.surface.normal)
+        return np.vstack([surface, back[::-1]])
+
 
 def named_material(thing: Wall | Post) -> str:
     """Return the name of a wall or post, with its material unless the two are equal."""
@@ -180,11 +189,12 @@ class RoomMap(msgspec.Struct):
 def room_map(mission: Mission) -> RoomMap:
     """Return a map of the mission's bounds, walls, posts, waypoints, start and goal."""
     goal = (*mission.goal.position_m, mission.altitude_at(len(mission.collisions)))
+    airframe = mission.vehicle.airframe
     return RoomMap(
-        mission.vehicle.airframe,
+        airframe,
         mission.bounds,
         math.radians(mission.frame.heading_deg),
-        tuple(_drawn_walls(mission)),
+        tuple(drawn_walls(mission.flat_walls, airframe)),
         mission.posts,
         paths=[Line(MapKind.CAPTURE, circle(goal, mission.goal.capture_radius_m))],
         places=[
@@ -196,9 +206,9 @@ def room_map(mission: Mission) -> RoomMap:
     )
 
 
-def _drawn_walls(mission: Mission) -> Iterator[DrawnWall]:
-    surfaces = [mission.vehicle.airframe.wall_surface(wall) for wall in mission.flat_walls]
-    for wall, surface in zip(mission.flat_walls, surfaces, strict=True):
+def drawn_walls(walls: Sequence[Wall], airframe: Airframe) -> Iterator[DrawnWall]:
+    surfaces = [airframe.wall_surface(wall) for wall in walls]
+    for wall, surface in zip(walls, surfaces, strict=True):
         gap_m = _gap_behind_m(surface, surfaces)
         yield DrawnWall(wall, surface, min(THICKNESS_M, 0.5 * gap_m), gap_m < _BACK_TO_BACK_M)
 
@@ -216,12 +226,32 @@ def _gap_behind_m(own: Wall, surfaces: Sequence[Wall]) -> float:
     return max(0.0, min(gaps))
 
 
+def uncertainty_band(line: Array, normal: Vec2, sd_m: Array) -> Array:
+    """Return the outline of `SURE` standard deviations on both sides of a line (n, 2); `sd_m` is (n,)."""
+    apart = SURE * sd_m[:, None] * np.array(normal)
+    return np.vstack([line + apart, (line - apart)[::-1]])
+
+
 def circle(centre: Sequence[float], radius_m: float) -> Array:
     """Return points on a horizontal circle, of the dimension of its centre."""
     angle = np.linspace(0.0, 2.0 * math.pi, 49)
     around = np.zeros((angle.size, len(centre)))
     around[:, :2] = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.asarray(around + np.array(centre))
+
+
+def placed(points: Sequence[Vec2], at: Vec2 | Vec3, yaw_rad: float) -> Array:
+    """Convert points from body axes (forward, left) to the mission frame, (n, 2)."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([(at[0] + c * x - s * y, at[1] + s * x + c * y) for x, y in points])
+
+
+def arms_m(airframe: Airframe) -> list[tuple[Vec2, Vec2]]:
+    """Return each arm from the frame to its motor (forward, left), m."""
+    return [
+        ((_HUB_SHARE * motor.x_m, -_HUB_SHARE * motor.y_m), (motor.x_m, -motor.y_m))
+        for motor in airframe.motors
+    ]
 
 
 def at_altitude(line: FlatLine, z: float) -> Array:

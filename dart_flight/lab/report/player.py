@@ -12,7 +12,7 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode, PhaseChange
 from dart_flight.config.mission import Mission
 from dart_flight.lab.flight_arrays import Array, ForceArrays, MotionArrays
-from dart_flight.lab.report.figures.map_drawing import arms_m
+from dart_flight.lab.map_model import arms_m
 from dart_flight.lab.report.recorded_flight import Impact, RecordedFlight
 from dart_flight.lab.report.tracks import (
     Angles,
