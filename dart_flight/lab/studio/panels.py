@@ -69,16 +69,16 @@ class HeadPanel:
         gui = wiring.server.gui
         self._html = gui.add_html(block(line("loading")))
         self._note = gui.add_html("", visible=False)
-        self._undo = self._redo = self._save = None
+        self._save: Any = None
         if wiring.read_only:
             return
-        self._undo = wiring.button("Undo", run["undo"], color="gray", disabled=True)
-        self._redo = wiring.button("Redo", run["redo"], color="gray", disabled=True)
+        self._steps = gui.add_button_group("", ("Undo", "Redo"))
+        self._steps.on_click(lambda event: wiring.post(run[self._steps.value.lower()]))
         self._save = wiring.button("Save", run["save"], disabled=True)
         self._reload = wiring.button("Reload from the disk", run["reload"], color="orange", visible=False)
         self._keep = wiring.button("Overwrite the file", run["overwrite"], color="orange", visible=False)
         for label, hotkey, name in (("Undo", "z", "undo"), ("Redo", "y", "redo"), ("Save", "s", "save")):
-            command = gui.add_command(label, hotkey=hotkey, modifier="cmd/ctrl")
+            command = gui.add_command(label, hotkey=hotkey, modifier="cmd/ctrl")  # type: ignore[arg-type]
             command.on_trigger(lambda event, name=name: wiring.post(run[name]))  # type: ignore[misc]
 
     def show(self, title: str, state: str, verdict: str, go: bool | None) -> None:
@@ -87,14 +87,11 @@ class HeadPanel:
             line(title, strong=True), line(state, QUIET), line(verdict, colour, strong=True)
         )
 
-    def show_steps(self, undo: str | None, redo: str | None, *, changed: bool, on_disk: str | None) -> None:
-        """Name the steps; `on_disk` says how the file on the disk differs, and offers what to do."""
-        if self._save is None or self._undo is None or self._redo is None:
-            return
-        for button, word, what in ((self._undo, "Undo", undo), (self._redo, "Redo", redo)):
-            button.disabled, button.label = what is None, f"{word} {what}" if what else word
-        self._save.disabled = not changed
-        self._reload.visible = self._keep.visible = on_disk is not None
+    def show_steps(self, *, unsaved: bool, asks: bool) -> None:
+        """Enable *Save*; with `asks`, offer to reload or to overwrite a file that has changed on the disk."""
+        if self._save is not None:
+            self._save.disabled = not unsaved
+            self._reload.visible = self._keep.visible = asks
 
     def note(self, text: str, *, bad: bool = False) -> None:
         self._note.content = block(line(text, NO_GO if bad else QUIET))
@@ -283,7 +280,11 @@ def _plan_label(row: PlanRow) -> str:
 
 
 class FlyPanel:
-    """Flights in simulated time."""
+    """Flights in simulated time.
+
+    Args:
+        only_list: whether the flights have been flown elsewhere.
+    """
 
     def __init__(
         self,
@@ -291,6 +292,8 @@ class FlyPanel:
         fly: Callable[[FlyRequest], None],
         cancel: Callable[[], None],
         open_flight: Callable[[FlownOne], None],
+        *,
+        only_list: bool = False,
     ) -> None:
         gui = wiring.server.gui
         self._seed = gui.add_number("seed", 1, min=0, max=2**31 - 1001, step=1)
@@ -308,6 +311,10 @@ class FlyPanel:
             "Open this flight", lambda: self._opened(open_flight), color="gray", visible=False
         )
         self.landed: list[FlownOne] = []
+        self._only_list = only_list
+        if only_list:
+            for made in (self._seed, self._flights, self._vary, self._fault, self._fly):
+                made.visible = False
 
     def request(self) -> FlyRequest:
         vary = tuple(str(self._vary.value).replace(",", " ").split())
@@ -328,12 +335,13 @@ class FlyPanel:
 
     def progress(self, event: FlyProgress) -> None:
         self.landed += event.landed
-        self._bar.value = 100.0 * event.done / max(1, event.of)
+        self._bar.value, self._html.visible = 100.0 * event.done / max(1, event.of), True
         share = f", {event.completed} completed" if event.done else ""
         self._html.content = block(line(f"{event.done} of {event.of} flights{share}", QUIET))
 
     def done(self, event: Flown) -> None:
-        self._fly.visible, self._cancel.visible, self._bar.visible = True, False, False
+        self._fly.visible = not self._only_list
+        self._cancel.visible = self._bar.visible = False
         lines = [line(event.error, NO_GO)] if event.error else [line(event.says)]
         if event.cancelled:
             lines.append(line("cancelled", QUIET))

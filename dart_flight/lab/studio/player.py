@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import viser.uplot as uplot
+from viser import uplot
 
 from dart_flight.base.records import Mode
 from dart_flight.lab.figure_style import ESTIMATED, PREDICTED, TRUE
@@ -31,9 +31,8 @@ from dart_flight.lab.studio.engine import FlownOne
 from dart_flight.lab.studio.panels import GO, NO_GO, QUIET, Wiring, block, line
 from dart_flight.lab.studio.playback import ForceChart, Playback, PlayedHit, value_at
 from dart_flight.lab.studio.room_view import cross, vehicle_nodes
-from dart_flight.lab.studio.scene_model import VehicleShape
+from dart_flight.lab.studio.scene_model import M_PER_N, VehicleShape
 
-_M_PER_N = 0.005  # length of the force arrow
 _LEAST_N = 2.0  # smaller forces are noise
 _BEFORE_HIT_S = 0.3  # the jump to a hit ends so long before it
 _TEXT_S, _FRAME_S = 0.12, 0.04  # shortest interval between two texts and two frames
@@ -79,7 +78,7 @@ class Player:
     def is_playing(self) -> bool:
         return self._begun is not None
 
-    # --- what is shown ----------------------------------------------------------------------------------------
+    # --- what is shown --------------------------------------------------------------------------------------
 
     def open(self, flight: Playback, vehicle: VehicleShape, size_m: float, palette: Palette) -> None:
         """Show a flight and start to play it."""
@@ -133,7 +132,7 @@ class Player:
 
     def show_report(self, path: str) -> None:
         """Offer the page of the report."""
-        self._link.content = f'<div style="padding:0 0.8em"><a href="{html.escape(path)}" target="_blank">open the report</a></div>'
+        self._link.content = block(f'<a href="{html.escape(path)}" target="_blank">open the report</a>')
         self._link.visible = True
 
     def show_many(self, landed: Sequence[FlownOne]) -> None:
@@ -169,7 +168,7 @@ class Player:
 
         return Node("batched_meshes_simple", f"/flights/{outcome}_ends", props, attach)
 
-    # --- time -------------------------------------------------------------------------------------------------
+    # --- time -----------------------------------------------------------------------------------------------
 
     def play_or_pause(self) -> None:
         flight = self._flight
@@ -243,7 +242,7 @@ class Player:
         arrow = self._canvas.handle("player", "/player/force")
         arrow.visible = math.hypot(*force) > _LEAST_N
         if arrow.visible:
-            tip = position + _M_PER_N * np.array([*force, 0.0])
+            tip = position + M_PER_N * np.array([*force, 0.0])
             arrow.points = np.array([[position, tip]], dtype=np.float32)
 
     def _describe(self, flight: Playback, state: str) -> None:
