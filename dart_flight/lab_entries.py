@@ -16,6 +16,7 @@ COMMANDS: Final = {
     "report": "dart_flight.lab.commands.report_command",
     "export": "dart_flight.lab.commands.export_command",
     "predict": "dart_flight.lab.commands.predict_command",
+    "studio": "dart_flight.lab.commands.studio_command",
     "calibrate": "dart_flight.lab.commands.calibrate_command",
     "inspect": "dart_flight.lab.commands.inspect_command",
     "identify": "dart_flight.lab.commands.identify_command",

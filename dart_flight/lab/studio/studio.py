@@ -6,6 +6,7 @@ queue. Reading a flight and writing a report take long and have a thread of thei
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import sys
 import threading
@@ -86,7 +87,7 @@ class Studio:
         self._before: OpenFile | None = None  # the scenario of a mission that was planned here
         self._logs = [] if isinstance(opened, OpenFile) else opened
         self._engine: Engine | None = None
-        if self._file is not None and not read_only:
+        if self._file is not None:
             self._engine = Engine(self._file.path, lambda event: self.post(self._handle, event), log_dir)
         self._checked: Checked | None = None
         self._number = 0  # of the last request to check
@@ -181,10 +182,8 @@ class Studio:
         try:
             while not self._stopped.is_set():
                 wait = _FRAME_S if self._player.is_playing or self._waiting else _IDLE_S
-                try:
+                with contextlib.suppress(queue.Empty):
                     self._perform(*self._tasks.get(timeout=wait))
-                except queue.Empty:
-                    pass
                 now = time.monotonic()
                 self._run_waiting(now)
                 if self._player.is_playing:
@@ -297,8 +296,6 @@ class Studio:
             bad = [f for f in checked.findings if not f.go]
             go = checked.go
             verdict = "go" if go else f"no-go: {bad[0].says}" if bad else "no-go"
-        elif self._engine is None:
-            verdict = "read-only: not checked"
         name = file.path.name if self._scene is None else self._scene.name
         self._head.show(name, " · ".join([*state, *steps]), verdict, go)
         self._head.show_steps(unsaved=unsaved, asks=self._disk is DiskState.BOTH_CHANGED)
@@ -463,7 +460,9 @@ class Studio:
 
     def _search(self, objective: str | None, within_s: float) -> None:
         file, engine = self._file, self._engine
-        assert file is not None and engine is not None and self._plan is not None
+        assert file is not None
+        assert engine is not None
+        assert self._plan is not None
         text = file.text
         if file.kind is StudioKind.MISSION:
             tree = edits.scenario_of(file.tree, file.path.stem)
@@ -511,7 +510,9 @@ class Studio:
 
     def _start_flights(self, request: FlyRequest) -> None:
         file, engine = self._file, self._engine
-        assert file is not None and engine is not None and self._fly is not None
+        assert file is not None
+        assert engine is not None
+        assert self._fly is not None
         if file.kind is not StudioKind.MISSION:
             raise InputError("a scenario cannot be flown: plan it, and make the mission")
         self._run_waiting(float("inf"))
