@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Callable
 from enum import Enum, StrEnum
 from pathlib import Path
@@ -88,6 +89,13 @@ class OpenFile:
         stamp = stamp_of(place)
         return cls(place, read_text(place), stamp)
 
+    @classmethod
+    def new(cls, path: str | Path, text: str) -> OpenFile:
+        """Return an open file that is not on the disk yet, such as the mission of a plan."""
+        opened = cls(Path(path), text)
+        opened.saved = ""
+        return opened
+
     @property
     def tree(self) -> Tree:
         """A copy of the present values."""
@@ -164,6 +172,8 @@ class OpenFile:
             InputError: the file cannot be written; or it has changed on the disk and `overwrite` is not set.
         """
         target = path or self.path
+        if path is not None:
+            self.set_text(relocated(self.text, self.path.parent, path.parent), "follow the file's new folder")
         if (
             path is None
             and not overwrite
@@ -199,3 +209,13 @@ def kind_of_text(text: str, path: Path) -> StudioKind:
         return StudioKind.MISSION
     what = "another file" if kind is None else kind.value
     raise InputError(f"this is {what}; the studio opens missions and scenarios", source=str(path))
+
+
+def relocated(text: str, before: Path, after: Path) -> str:
+    """Return a text whose vehicle, if it names a file, is the same one from another folder."""
+    tree = Document(text, "").tree
+    vehicle = tree.get("vehicle")
+    if not isinstance(vehicle, str) or before.absolute() == after.absolute():
+        return text
+    moved = os.path.relpath((before / vehicle).absolute(), after.absolute())
+    return update_text(text, {**tree, "vehicle": Path(moved).as_posix()})
