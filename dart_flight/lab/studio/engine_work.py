@@ -6,6 +6,7 @@ A process reads requests as lines of JSON and answers one after the other.
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -13,7 +14,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import msgspec
-import numpy as np
 
 from dart_flight.base.errors import FlightError
 from dart_flight.base.records import Outcome
@@ -57,7 +57,7 @@ from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.fault_table import parse_mission_fault
 
 _PROGRESS_S = 0.2  # interval of progress events
-_MOVED_M = 0.02  # distance of a planned impact from its wall at which the plan is stale
+_OFF_WALL_M, _MOVED_M = 0.03, 0.05  # distances of a planned impact, from its wall and from the predicted one
 
 
 # --- checks ---------------------------------------------------------------------------------------------
@@ -114,11 +114,14 @@ def stale_plan(mission: Mission, planned: PredictedFlight | None) -> str | None:
     for collision in mission.collisions:
         if collision.predicted is None:
             continue
-        away_m = abs(collision.wall.signed_distance(collision.predicted.position_m))
-        hit = None if planned is None else planned.hits.get(collision.index)
-        if hit is not None:
-            away_m = max(away_m, float(np.hypot(*np.subtract(hit.position, collision.predicted.position_m))))
-        if away_m > _MOVED_M:
+        place, hit = (
+            collision.predicted.position_m,
+            None if planned is None else planned.hits.get(collision.index),
+        )
+        off_m = abs(collision.wall.signed_distance(place))
+        moved_m = 0.0 if hit is None else math.dist(hit.position, place)
+        if off_m > _OFF_WALL_M or moved_m > _MOVED_M:
+            away_m = max(off_m, moved_m)
             return f"collision {collision.index} is {away_m:.2f} m from where it was planned: plan again"
     if mission.flown is not None and mission.flown.digest != mission.digest:
         return "mission or vehicle has changed since `plan` flew it in simulation"
