@@ -60,17 +60,17 @@ class FlyRequest(msgspec.Struct):
     log: bool = True
 
 
-class Event(msgspec.Struct, tag=True):
+class EngineEvent(msgspec.Struct, tag=True):
     """An event of the engine; `number` is that of the request, 0 without one."""
 
     number: int = 0
 
 
-class Ready(Event):
+class EngineReady(EngineEvent):
     """A process is warm."""
 
 
-class Checked(Event):
+class Checked(EngineEvent):
     """A text has been checked.
 
     Attributes:
@@ -89,7 +89,7 @@ class Checked(Event):
     modes: list[str] = []
 
 
-class PlanProgress(Event):
+class PlanProgress(EngineEvent):
     """Candidates tried so far, and in all (None: unknown); `says` names what is going on."""
 
     done: int = 0
@@ -118,7 +118,7 @@ class PlanRow(msgspec.Struct):
     saving_s: float | None = None
 
 
-class Planned(Event):
+class Planned(EngineEvent):
     """The search has ended.
 
     Attributes:
@@ -158,7 +158,7 @@ class FlownOne(msgspec.Struct):
     peak_force_n: float | None = None
 
 
-class FlyProgress(Event):
+class FlyProgress(EngineEvent):
     """Flights that have landed since the last event."""
 
     done: int = 0
@@ -167,7 +167,7 @@ class FlyProgress(Event):
     landed: list[FlownOne] = []
 
 
-class Flown(Event):
+class FlightsFlown(EngineEvent):
     """All flights have landed, or were cancelled.
 
     Attributes:
@@ -183,13 +183,13 @@ class Flown(Event):
     cancelled: bool = False
 
 
-class EngineDied(Event):
+class EngineDied(EngineEvent):
     """The process has ended; it is started again. A plan or flights in progress are lost, the text is not."""
 
     says: str = ""
 
 
-class CheckRequest(msgspec.Struct, tag=True):
+class CheckQuery(msgspec.Struct, tag=True):
     """A text to check; `path` is its file."""
 
     number: int
@@ -197,7 +197,7 @@ class CheckRequest(msgspec.Struct, tag=True):
     text: str
 
 
-class PlanRequest(msgspec.Struct, tag=True):
+class PlanQuery(msgspec.Struct, tag=True):
     """A scenario's text to plan; `objective` replaces that of the scenario."""
 
     number: int
@@ -208,7 +208,7 @@ class PlanRequest(msgspec.Struct, tag=True):
     top: int
 
 
-class FlightsRequest(msgspec.Struct, tag=True):
+class FlightsQuery(msgspec.Struct, tag=True):
     """A mission's text to fly; logs are written below `log_dir`."""
 
     number: int
@@ -218,8 +218,11 @@ class FlightsRequest(msgspec.Struct, tag=True):
     log_dir: str
 
 
-AnyRequest = CheckRequest | PlanRequest | FlightsRequest
-AnyEvent = Ready | Checked | PlanProgress | Planned | FlyProgress | Flown
+AnyQuery = CheckQuery | PlanQuery | FlightsQuery
+AnyEvent = EngineReady | Checked | PlanProgress | Planned | FlyProgress | FlightsFlown
+
+
+Event, Ready, Flown = EngineEvent, EngineReady, FlightsFlown  # until the view uses the new names
 
 
 class Engine:
@@ -231,7 +234,9 @@ class Engine:
         log_dir: folder for logs of flights.
     """
 
-    def __init__(self, path: Path, on_event: Callable[[Event], None], log_dir: Path = Path("logs")) -> None:
+    def __init__(
+        self, path: Path, on_event: Callable[[EngineEvent], None], log_dir: Path = Path("logs")
+    ) -> None:
         self.path, self.log_dir = path, log_dir
         self._on_event, self._one_at_a_time = on_event, threading.RLock()
         self._numbers = itertools.count(1)
@@ -241,26 +246,26 @@ class Engine:
     def check(self, text: str) -> int:
         """Check a text; return the number of the request. A newer request replaces one that waits."""
         number = next(self._numbers)
-        self._checker.send(CheckRequest(number, str(self.path), text))
+        self._checker.send(CheckQuery(number, str(self.path), text))
         return number
 
     def plan(self, text: str, objective: str | None = None, within_s: float = 60.0, top: int = 10) -> int:
         """Plan a scenario's text; ends with `Planned`. A plan or flights in progress are cancelled first."""
         self.cancel()
         number = next(self._numbers)
-        self._worker.send(PlanRequest(number, str(self.path), text, objective, within_s, top))
+        self._worker.send(PlanQuery(number, str(self.path), text, objective, within_s, top))
         return number
 
     def fly(self, text: str, request: FlyRequest) -> int:
-        """Fly a mission's text in the fast world; ends with `Flown`. A request in progress is cancelled."""
+        """Fly a mission's text in the fast world; ends with `FlightsFlown`. Cancel what is in progress."""
         self.cancel()
         number = next(self._numbers)
         folder = str(self.log_dir.absolute())
-        self._worker.send(FlightsRequest(number, str(self.path), text, request, folder))
+        self._worker.send(FlightsQuery(number, str(self.path), text, request, folder))
         return number
 
     def cancel(self) -> None:
-        """Cancel the plan or the flights in progress, if any: `Planned` or `Flown` follows at once."""
+        """Cancel the plan or the flights in progress, if any: `Planned` or `FlightsFlown` follows at once."""
         self._worker.cancel()
 
     def close(self) -> None:
@@ -268,7 +273,7 @@ class Engine:
         self._checker.close()
         self._worker.close()
 
-    def _deliver(self, event: Event) -> None:
+    def _deliver(self, event: EngineEvent) -> None:
         with self._one_at_a_time:
             self._on_event(event)
 
@@ -281,17 +286,17 @@ class _Worker:
         deliver: callback for its events.
     """
 
-    def __init__(self, name: str, deliver: Callable[[Event], None]) -> None:
+    def __init__(self, name: str, deliver: Callable[[EngineEvent], None]) -> None:
         self._name, self._deliver = name, deliver
         self._lock = threading.RLock()
-        self._open: AnyRequest | None = None  # the request in progress
-        self._waiting: AnyRequest | None = None
+        self._open: AnyQuery | None = None  # the request in progress
+        self._waiting: AnyQuery | None = None
         self._landed = (0, 0)  # flights that have landed, and those that completed
         self._starts, self._closing = 0, False
         self._process: ChildProcess | None = None
         self._start()
 
-    def send(self, request: AnyRequest) -> None:
+    def send(self, request: AnyQuery) -> None:
         with self._lock:
             if self._process is None and not self._closing:
                 self._starts = 0
@@ -354,7 +359,7 @@ class _Worker:
                 return  # an event of a cancelled request
             if isinstance(event, FlyProgress):
                 self._landed = (event.done, event.completed)
-            if isinstance(event, Checked | Planned | Flown):
+            if isinstance(event, Checked | Planned | FlightsFlown):
                 self._open, self._starts = None, 0
                 self._send_next()
         self._deliver(event)
@@ -367,7 +372,7 @@ class _Worker:
             again = self._starts < _MOST_STARTS
             if again:
                 self._start()
-            repeats = again and isinstance(request, CheckRequest) and self._starts < _MOST_STARTS
+            repeats = again and isinstance(request, CheckQuery) and self._starts < _MOST_STARTS
             if repeats and self._waiting is None:
                 self._waiting = request
             self._send_next()
@@ -376,13 +381,13 @@ class _Worker:
         if request is not None and not repeats:
             self._deliver(self._ended(request, cancelled=False))
 
-    def _ended(self, request: AnyRequest, *, cancelled: bool) -> Event:
+    def _ended(self, request: AnyQuery, *, cancelled: bool) -> EngineEvent:
         """Return the last event of a request whose process has ended."""
         problem = None if cancelled else f"{self._name} ended unexpectedly"
-        if isinstance(request, CheckRequest):
+        if isinstance(request, CheckQuery):
             return Checked(request.number, findings=[Finding("file", False, "error", problem or "cancelled")])
-        if isinstance(request, PlanRequest):
+        if isinstance(request, PlanQuery):
             return Planned(request.number, error=problem, cancelled=cancelled, says="cancelled" * cancelled)
         done, completed = self._landed
         says = f"cancelled after {done} of {request.fly.flights} flights" if cancelled else ""
-        return Flown(request.number, done, completed, says=says, error=problem, cancelled=cancelled)
+        return FlightsFlown(request.number, done, completed, says=says, error=problem, cancelled=cancelled)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -32,20 +32,20 @@ from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import Objective, Scenario, parse_scenario
 from dart_flight.lab.search.search import ADVICE, search
 from dart_flight.lab.studio.engine import (
-    AnyRequest,
+    AnyQuery,
     Checked,
-    CheckRequest,
-    Event,
+    CheckQuery,
+    EngineEvent,
+    EngineReady,
     Finding,
-    FlightsRequest,
-    Flown,
+    FlightsFlown,
+    FlightsQuery,
     FlownOne,
     FlyProgress,
     Planned,
     PlanProgress,
-    PlanRequest,
+    PlanQuery,
     PlanRow,
-    Ready,
 )
 from dart_flight.lab.studio.flights import fly_one
 from dart_flight.lab.studio.objects import object_of, objects_in_finding
@@ -56,6 +56,8 @@ from dart_flight.run.workers import Failure, Interrupt, usable_cores, work
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.fault_table import parse_mission_fault
 
+Send = Callable[[EngineEvent], None]
+
 _PROGRESS_S = 0.2  # interval of progress events
 _OFF_WALL_M, _MOVED_M = 0.03, 0.05  # distances of a planned impact, from its wall and from the predicted one
 
@@ -63,7 +65,7 @@ _OFF_WALL_M, _MOVED_M = 0.03, 0.05  # distances of a planned impact, from its wa
 # --- checks ---------------------------------------------------------------------------------------------
 
 
-def check(request: CheckRequest) -> Checked:
+def check(request: CheckQuery) -> Checked:
     """Load a text as its file would load, run the checks of stage `file`, and build the scene."""
     try:
         loaded = load_text(request.text, Path(request.path))
@@ -131,7 +133,7 @@ def stale_plan(mission: Mission, planned: PredictedFlight | None) -> str | None:
 # --- plans ----------------------------------------------------------------------------------------------
 
 
-def plan(request: PlanRequest, emit: Emit) -> Planned:
+def plan(request: PlanQuery, emit: Send) -> Planned:
     """Search a scenario as `plan` does; each plan becomes the text of a mission beside the scenario."""
     last_s = 0.0
 
@@ -210,7 +212,7 @@ def _predicted_lines(mission: Mission) -> list[Any]:
 # --- flights --------------------------------------------------------------------------------------------
 
 
-def fly(request: FlightsRequest, emit: Emit) -> Flown:
+def fly(request: FlightsQuery, emit: Send) -> FlightsFlown:
     """Fly a mission in the fast world: one flight here, several in worker processes."""
     wanted = request.fly
     try:
@@ -225,10 +227,12 @@ def fly(request: FlightsRequest, emit: Emit) -> Flown:
         one = partial(fly_one, mission, spreads, fault, log_dir)
         return _fly_all(request, emit, one)
     except (InputError, FlightError, OSError) as error:
-        return Flown(request.number, error=error.one_line() if isinstance(error, InputError) else str(error))
+        return FlightsFlown(
+            request.number, error=error.one_line() if isinstance(error, InputError) else str(error)
+        )
 
 
-def _fly_all(request: FlightsRequest, emit: Emit, one: partial[FlownOne]) -> Flown:
+def _fly_all(request: FlightsQuery, emit: Send, one: partial[FlownOne]) -> FlightsFlown:
     seeds = range(request.fly.seed, request.fly.seed + request.fly.flights)
     flown, waiting, last_s, error = list[FlownOne](), list[FlownOne](), time.monotonic(), None
 
@@ -257,7 +261,7 @@ def _fly_all(request: FlightsRequest, emit: Emit, one: partial[FlownOne]) -> Flo
     return _end_of_flights(request, flown, error)
 
 
-def _end_of_flights(request: FlightsRequest, flown: list[FlownOne], error: str | None) -> Flown:
+def _end_of_flights(request: FlightsQuery, flown: list[FlownOne], error: str | None) -> FlightsFlown:
     reasons = dict[str, int]()
     for flight in flown:
         if flight.reason is not None:
@@ -270,7 +274,7 @@ def _end_of_flights(request: FlightsRequest, flown: list[FlownOne], error: str |
     else:
         says = f"{completed} of {len(flown)} flights completed"
         says += "".join(f", {cause} {n}" for cause, n in sorted(reasons.items(), key=lambda item: -item[1]))
-    return Flown(request.number, len(flown), completed, reasons, says, error)
+    return FlightsFlown(request.number, len(flown), completed, reasons, says, error)
 
 
 # --- the process ----------------------------------------------------------------------------------------
@@ -283,27 +287,27 @@ class Emit:
         self._stream = stream
         self._encoder = msgspec.json.Encoder(enc_hook=encode_scene)
 
-    def __call__(self, event: Event) -> None:
+    def __call__(self, event: EngineEvent) -> None:
         self._stream.write(self._encoder.encode(event) + b"\n")
         self._stream.flush()
 
 
-def serve(requests: BinaryIO, emit: Emit) -> None:
+def serve(requests: BinaryIO, emit: Send) -> None:
     """Answer requests until their stream ends."""
-    emit(Ready())
+    emit(EngineReady())
     for line in requests:
         if line.strip():
-            emit(_answer(msgspec.json.decode(line, type=AnyRequest), emit))
+            emit(_answer(msgspec.json.decode(line, type=AnyQuery), emit))
 
 
-def _answer(request: AnyRequest, emit: Emit) -> Event:
+def _answer(request: AnyQuery, emit: Send) -> EngineEvent:
     try:
-        if isinstance(request, CheckRequest):
+        if isinstance(request, CheckQuery):
             return check(request)
-        return plan(request, emit) if isinstance(request, PlanRequest) else fly(request, emit)
+        return plan(request, emit) if isinstance(request, PlanQuery) else fly(request, emit)
     except Exception as error:  # a defect must not end the process: the page shows it in one line
         says = f"{type(error).__name__}: {error}"
-        if isinstance(request, CheckRequest):
+        if isinstance(request, CheckQuery):
             return Checked(request.number, findings=[Finding("file", False, "error", says)])
-        kind = Planned if isinstance(request, PlanRequest) else Flown
+        kind = Planned if isinstance(request, PlanQuery) else FlightsFlown
         return kind(request.number, error=says)

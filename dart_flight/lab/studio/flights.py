@@ -23,7 +23,7 @@ def fly_one(
     mission: Mission, spreads: Mapping[str, float], fault: Fault | None, log_dir: Path | None, seed: int
 ) -> FlownOne:
     """Fly one seed in this process, and return the outcome with the true path."""
-    line = _Line()
+    line = _TruePath()
     verdict = fly_fast(mission, seed, log_dir, line, fault=fault, spreads=spreads)
     return FlownOne(
         seed,
@@ -42,7 +42,7 @@ def _peak_force_n(verdict: Verdict) -> float | None:
     return max(peaks, default=None)
 
 
-class _Line:
+class _TruePath:
     """The true path of a flight, thinned, and the places where its contacts begin."""
 
     def __init__(self) -> None:

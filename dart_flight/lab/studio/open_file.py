@@ -54,7 +54,7 @@ class DiskState(Enum):
     MISSING = "the file is no longer on the disk"
 
 
-class _Step(NamedTuple):
+class _UndoStep(NamedTuple):
     what: str
     text: str  # text before the step
 
@@ -74,8 +74,8 @@ class OpenFile:
     def __init__(self, path: Path, text: str, stamp: Stamp = None) -> None:
         self.path, self.saved, self.text = path, text, text
         self._stamp = stamp
-        self._done: list[_Step] = []
-        self._undone: list[_Step] = []
+        self._done: list[_UndoStep] = []
+        self._undone: list[_UndoStep] = []
         self.kind = kind_of_text(text, path)
 
     @classmethod
@@ -113,7 +113,7 @@ class OpenFile:
         """Replace the whole text as one step, for example by the mission of a plan."""
         if text == self.text:
             return
-        self._done.append(_Step(what, self.text))
+        self._done.append(_UndoStep(what, self.text))
         del self._done[:-_MOST_STEPS]
         self._undone.clear()
         self.text = text
@@ -136,11 +136,11 @@ class OpenFile:
         """Repeat the edit that was undone last; return it in words, or None."""
         return self._step(self._undone, self._done)
 
-    def _step(self, source: list[_Step], target: list[_Step]) -> str | None:
+    def _step(self, source: list[_UndoStep], target: list[_UndoStep]) -> str | None:
         if not source:
             return None
         what, text = source.pop()
-        target.append(_Step(what, self.text))
+        target.append(_UndoStep(what, self.text))
         self.text = text
         return what
 

@@ -50,14 +50,16 @@ def one_edit(draw: st.DrawFn, opened: OpenFile) -> Edit:
             st.builds(edits.delete, wall),
             st.builds(edits.add_hit, shown, st.sampled_from([None, -0.8])),
         ]
-    numbered = [one.id for one in (*scene.places, *scene.hits) if "/" in one.id]
+    ids = [*(place.id for place in scene.places), *(hit.id for hit in scene.hits)]
+    numbered = [one for one in ids if "/" in one]
     if numbered:
         choices += [st.builds(kind, st.sampled_from(numbered)) for kind in (edits.copy_object, edits.delete)]
     if scene.hits:
         number = st.sampled_from([hit.number for hit in scene.hits])
         choices.append(st.builds(edits.set_hit, number, normal_m_s=st.sampled_from([-0.5, -1.25])))
     place = edits.add_waypoint if opened.kind is StudioKind.MISSION else edits.add_visit
-    return draw(st.one_of(*choices, st.builds(place, _POINTS)))
+    edit: Edit = draw(st.one_of(*choices, st.builds(place, _POINTS)))
+    return edit
 
 
 def try_edit(opened: OpenFile, edit: Edit) -> bool:

@@ -20,18 +20,18 @@ from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.studio import edits
 from dart_flight.lab.studio.engine import (
     Checked,
-    CheckRequest,
+    CheckQuery,
     Engine,
     EngineDied,
-    Event,
-    FlightsRequest,
-    Flown,
+    EngineEvent,
+    EngineReady,
+    FlightsFlown,
+    FlightsQuery,
     FlownOne,
     FlyProgress,
     FlyRequest,
     Planned,
-    PlanRequest,
-    Ready,
+    PlanQuery,
 )
 from dart_flight.lab.studio.engine_work import check, fly, plan
 from dart_flight.lab.studio.open_file import OpenFile, StudioKind
@@ -42,14 +42,14 @@ from tests.lab.studio.files import DUAL, FILES, ROOT, name_of, one_edit, try_edi
 SQUARE = ROOT / "missions" / "square.yaml"
 ONE_WALL = ROOT / "missions" / "scenarios" / "one_wall.yaml"
 PATIENCE_S = 120.0
-E_ = TypeVar("E_", bound=Event)
+E_ = TypeVar("E_", bound=EngineEvent)
 
 
 class Page:
     """An engine, and its events in order."""
 
     def __init__(self, path: Path, folder: Path) -> None:
-        self.events: queue.Queue[Event] = queue.Queue()
+        self.events: queue.Queue[EngineEvent] = queue.Queue()
         self.engine = Engine(path, self.events.put, folder)
 
     def wait_for(self, kind: type[E_], number: int | None = None) -> E_:
@@ -68,7 +68,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 
 def checked(text: str, path: Path = DUAL) -> Checked:
-    return check(CheckRequest(1, str(path), text))
+    return check(CheckQuery(1, str(path), text))
 
 
 def file_stage(path: Path) -> bool:
@@ -136,7 +136,7 @@ def test_a_planned_mission_whose_wall_moved_is_stale() -> None:
 
 
 def test_a_plan_is_a_mission_beside_the_scenario() -> None:
-    found = plan(PlanRequest(1, str(ONE_WALL), ONE_WALL.read_text(), None, 60.0, 3), lambda event: None)
+    found = plan(PlanQuery(1, str(ONE_WALL), ONE_WALL.read_text(), None, 60.0, 3), lambda event: None)
     assert found.error is None
     assert [row.rank for row in found.plans] == [1, 2, 3]
     assert found.refused
@@ -148,7 +148,7 @@ def test_a_plan_is_a_mission_beside_the_scenario() -> None:
 
 def test_a_scenario_without_a_plan_says_why() -> None:
     text = ONE_WALL.read_text().replace("peak_force_n: 120.0", "peak_force_n: 1.0")
-    found = plan(PlanRequest(1, str(ONE_WALL), text, None, 60.0, 3), lambda event: None)
+    found = plan(PlanQuery(1, str(ONE_WALL), text, None, 60.0, 3), lambda event: None)
     assert not found.plans
     assert found.error is not None
     assert "peak" in found.error
@@ -156,17 +156,19 @@ def test_a_scenario_without_a_plan_says_why() -> None:
 
 def test_the_objective_of_the_page_replaces_the_scenario_s() -> None:
     text = ONE_WALL.read_text()
-    found = plan(PlanRequest(1, str(ONE_WALL), text, "gentlest", 60.0, 1), lambda event: None)
+    found = plan(PlanQuery(1, str(ONE_WALL), text, "gentlest", 60.0, 1), lambda event: None)
     assert "objective gentlest" in found.plans[0].mission
 
 
-def flown(text: str, request: FlyRequest, folder: Path, path: Path = DUAL) -> tuple[Flown, list[FlownOne]]:
+def flown(
+    text: str, request: FlyRequest, folder: Path, path: Path = DUAL
+) -> tuple[FlightsFlown, list[FlownOne]]:
     landed: list[FlownOne] = []
 
-    def emit(event: Event) -> None:
+    def emit(event: EngineEvent) -> None:
         landed.extend(event.landed if isinstance(event, FlyProgress) else [])
 
-    return fly(FlightsRequest(1, str(path), text, request, str(folder)), emit), landed
+    return fly(FlightsQuery(1, str(path), text, request, str(folder)), emit), landed
 
 
 def test_a_flight_is_that_of_the_fast_world_and_has_a_log(tmp_path: Path) -> None:
@@ -217,12 +219,12 @@ def test_many_flights_progress_in_worker_processes_and_are_cancelled(page: Page)
     text = SQUARE.read_text()
     page.engine.path = SQUARE
     number = page.engine.fly(text, FlyRequest(flights=2, vary=("all",), log=False))
-    assert page.wait_for(Flown, number).done == 2
+    assert page.wait_for(FlightsFlown, number).done == 2
     number = page.engine.fly(text, FlyRequest(flights=1000, log=False))
     page.wait_for(FlyProgress, number)
     began_s = time.monotonic()
     page.engine.cancel()
-    end = page.wait_for(Flown, number)
+    end = page.wait_for(FlightsFlown, number)
     assert time.monotonic() - began_s < 1.0
     assert end.cancelled
     assert end.says.startswith("cancelled after")
@@ -259,5 +261,5 @@ def test_a_planner_that_dies_ends_its_plan_with_a_reason(page: Page) -> None:
     end = page.wait_for(Planned, number)
     assert end.error == "the process that plans and flies ended unexpectedly"
     assert not end.cancelled
-    page.wait_for(Ready)
+    page.wait_for(EngineReady)
     page.engine.path = DUAL

@@ -27,6 +27,7 @@ from dart_flight.lab.studio.scene_model import (
     encode_scene,
     load_text,
     scene_of,
+    scene_of_mission,
 )
 from tests.lab.studio.files import DUAL, FILES, MISSIONS, ROOT, name_of, one_edit, try_edit
 
@@ -162,6 +163,15 @@ def test_the_model_loads_neither_the_vehicle_nor_a_browser_nor_matplotlib() -> N
         "assert not bad, bad\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+@pytest.mark.parametrize("path", MISSIONS, ids=name_of)
+def test_the_mission_of_a_flight_is_shown_as_its_file(path: Path) -> None:
+    mission, scene = whole_scene(path)
+    flown = scene_of_mission(mission, predict_flight_path(mission))
+    assert [wall.name for wall in flown.walls] == [wall.name for wall in scene.walls]
+    assert [(place.id, place.at) for place in flown.places] == [(p.id, p.at) for p in scene.places]
+    assert [hit.label for hit in flown.hits] == [hit.label for hit in scene.hits]
 
 
 def test_a_loaded_text_is_the_loaded_file() -> None:
