@@ -343,7 +343,8 @@ class _Worker:
     def _send_next(self) -> None:
         if self._open is None and self._waiting is not None and self._process is not None:
             self._open, self._waiting, self._landed = self._waiting, None, (0, 0)
-            self._process.send(msgspec.json.encode(self._open))
+            if not self._process.send(msgspec.json.encode(self._open)):
+                self._process.kill()  # the request did not fit into the pipe, or the process has ended
 
     def _receive(self, process: ChildProcess, line: bytes) -> None:
         if not line:
