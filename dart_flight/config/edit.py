@@ -139,7 +139,7 @@ class _Editor:
             inner = "".join(f"{piece}{gap}" for piece, gap in zip(pieces, [*gaps, ""], strict=True))
         return self._text[begin:first] + inner + self._text[last:end]
 
-    def _flow_entry(self, entries: list[_Entry], present: Any, wanted: Any, step: _Step) -> str | None:
+    def _flow_entry(self, entries: list[_Entry], present: Any, wanted: Any, step: _EntryStep) -> str | None:
         if step.new is None:
             return None
         if step.old is None:
@@ -147,7 +147,7 @@ class _Editor:
         entry = entries[step.position]
         return self._head(entry, step) + self.updated(entry.node, present[step.old], wanted[step.new])
 
-    def _head(self, entry: _Entry, step: _Step) -> str:
+    def _head(self, entry: _Entry, step: _EntryStep) -> str:
         """Return the text from an entry's begin to its value, with a new key if it is renamed."""
         begin = self.span(entry.node)[0]
         if entry.name is None or step.new == step.old:
@@ -218,7 +218,7 @@ class _Editor:
         return begin
 
 
-class _Step(NamedTuple):
+class _EntryStep(NamedTuple):
     """One step from the present entries to those wanted; `old` or `new` is None where there is none.
 
     Attributes:
@@ -231,7 +231,7 @@ class _Step(NamedTuple):
     position: int
 
 
-def _steps(present: Any, wanted: Any) -> Iterator[_Step]:
+def _steps(present: Any, wanted: Any) -> Iterator[_EntryStep]:
     """Yield how the present entries become those wanted, in the order of the text."""
     if isinstance(present, dict):
         # A key that is still wanted keeps its place.
@@ -249,9 +249,9 @@ def _steps(present: Any, wanted: Any) -> Iterator[_Step]:
         )
     for _, a0, a1, b0, b1 in difflib.SequenceMatcher(None, a, b, autojunk=False).get_opcodes():
         pairs = min(a1 - a0, b1 - b0)
-        yield from (_Step(old[a0 + i], new[b0 + i], a0 + i) for i in range(pairs))
-        yield from (_Step(old[i], None, i) for i in range(a0 + pairs, a1))
-        yield from (_Step(None, new[i], -1) for i in range(b0 + pairs, b1))
+        yield from (_EntryStep(old[a0 + i], new[b0 + i], a0 + i) for i in range(pairs))
+        yield from (_EntryStep(old[i], None, i) for i in range(a0 + pairs, a1))
+        yield from (_EntryStep(None, new[i], -1) for i in range(b0 + pairs, b1))
 
 
 def _is_block(node: yaml.Node) -> bool:

@@ -110,7 +110,7 @@ def turn_wall(object_id: str, yaw_deg: float) -> Edit:
         x, y = wall["normal"]
         wall["normal"] = [round(f(math.radians(yaw_deg)), 10) + 0.0 for f in (math.cos, math.sin)]
         across = abs(x) < abs(y)
-        for gains in _gains_of(tree, object_id.partition("/")[2]):
+        for gains in list(_gains_of(tree, object_id.partition("/")[2])):
             if not any(wall["normal"]) or 0.0 in wall["normal"] or gains[0] == gains[1]:
                 continue
             _to_wall_axes(tree, gains, across)
@@ -379,11 +379,14 @@ def _forget_wall(tree: Tree, name: str) -> None:
 def scenario_of(tree: Tree, name: str) -> Tree:
     """Return a scenario, objective quickest, with the room of a mission.
 
-    The planner chooses the walls. The waypoints of the mission become visits.
+    The planner chooses the walls. The waypoints of the mission become visits, except rests at the start.
     """
     found = {key: copy.deepcopy(tree[key]) for key in _SHARED if key in tree}
     found.setdefault("walls", {})
-    places = [w["position_m"] for w in _list_of(tree, "waypoints") if w.get("position_m") is not None]
+    start = tree.get("start", {}).get("position_m")
+    places = [
+        w["position_m"] for w in _list_of(tree, "waypoints") if w.get("position_m") not in (None, start)
+    ]
     if places:
         found["visits"] = [{"position_m": [*place], "within_m": 0.1} for place in places]
     return {**found, "name": name, "sequence": "any", "objective": "quickest", "touch_m_s": 0.6}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Callable
 from enum import Enum, StrEnum
 from pathlib import Path
@@ -53,7 +54,7 @@ class DiskState(Enum):
     MISSING = "the file is no longer on the disk"
 
 
-class _Step(NamedTuple):
+class _UndoStep(NamedTuple):
     what: str
     text: str  # text before the step
 
@@ -73,8 +74,8 @@ class OpenFile:
     def __init__(self, path: Path, text: str, stamp: Stamp = None) -> None:
         self.path, self.saved, self.text = path, text, text
         self._stamp = stamp
-        self._done: list[_Step] = []
-        self._undone: list[_Step] = []
+        self._done: list[_UndoStep] = []
+        self._undone: list[_UndoStep] = []
         self.kind = kind_of_text(text, path)
 
     @classmethod
@@ -87,6 +88,13 @@ class OpenFile:
         place = Path(path)
         stamp = stamp_of(place)
         return cls(place, read_text(place), stamp)
+
+    @classmethod
+    def new(cls, path: str | Path, text: str) -> OpenFile:
+        """Return an open file that is not on the disk yet, such as the mission of a plan."""
+        opened = cls(Path(path), text)
+        opened.saved = ""
+        return opened
 
     @property
     def tree(self) -> Tree:
@@ -105,7 +113,7 @@ class OpenFile:
         """Replace the whole text as one step, for example by the mission of a plan."""
         if text == self.text:
             return
-        self._done.append(_Step(what, self.text))
+        self._done.append(_UndoStep(what, self.text))
         del self._done[:-_MOST_STEPS]
         self._undone.clear()
         self.text = text
@@ -128,11 +136,11 @@ class OpenFile:
         """Repeat the edit that was undone last; return it in words, or None."""
         return self._step(self._undone, self._done)
 
-    def _step(self, source: list[_Step], target: list[_Step]) -> str | None:
+    def _step(self, source: list[_UndoStep], target: list[_UndoStep]) -> str | None:
         if not source:
             return None
         what, text = source.pop()
-        target.append(_Step(what, self.text))
+        target.append(_UndoStep(what, self.text))
         self.text = text
         return what
 
@@ -164,6 +172,8 @@ class OpenFile:
             InputError: the file cannot be written; or it has changed on the disk and `overwrite` is not set.
         """
         target = path or self.path
+        if path is not None:
+            self.set_text(relocated(self.text, self.path.parent, path.parent), "follow the file's new folder")
         if (
             path is None
             and not overwrite
@@ -199,3 +209,13 @@ def kind_of_text(text: str, path: Path) -> StudioKind:
         return StudioKind.MISSION
     what = "another file" if kind is None else kind.value
     raise InputError(f"this is {what}; the studio opens missions and scenarios", source=str(path))
+
+
+def relocated(text: str, before: Path, after: Path) -> str:
+    """Return a text whose vehicle, if it names a file, is the same one from another folder."""
+    tree = Document(text, "").tree
+    vehicle = tree.get("vehicle")
+    if not isinstance(vehicle, str) or before.absolute() == after.absolute():
+        return text
+    moved = os.path.relpath((before / vehicle).absolute(), after.absolute())
+    return update_text(text, {**tree, "vehicle": Path(moved).as_posix()})

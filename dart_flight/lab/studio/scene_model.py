@@ -242,11 +242,17 @@ def build_scene(text: str, path: Path) -> Scene:
     return scene_of(load_text(text, path))
 
 
+def scene_of_mission(mission: Mission, planned: PredictedFlight | None = None) -> Scene:
+    """Return the scene of a mission that is not an open file, such as that of a recorded flight."""
+    document = Document.from_tree(mission.to_dict(), mission.source)
+    return scene_of(LoadedFile(document, mission.vehicle, mission, None), planned)
+
+
 def scene_of(loaded: LoadedFile, planned: PredictedFlight | None = None) -> Scene:
     """Return the scene of a file, with a mission's predicted path and hits if the flight is given."""
     tree, resolved = loaded.document.tree, loaded.resolved
     mission = resolved if isinstance(resolved, Mission) else None
-    room = _Room(tree, loaded.vehicle, mission)
+    room = _LoadedRoom(tree, loaded.vehicle, mission)
     scene = Scene(
         name=str(tree.get("name") or Path(loaded.document.source).stem),
         bounds=room.bounds,
@@ -266,7 +272,7 @@ def scene_of(loaded: LoadedFile, planned: PredictedFlight | None = None) -> Scen
     return scene
 
 
-class _Room:
+class _LoadedRoom:
     """The parts of a room that load, each on its own."""
 
     def __init__(self, tree: Tree, vehicle: VehicleConfig, mission: Mission | None) -> None:
@@ -403,7 +409,7 @@ def _beside(at: Vec3, vector: Vec2, scale: float) -> Vec3:
     return (at[0] + scale * vector[0], at[1] + scale * vector[1], at[2])
 
 
-def _handles(scene: Scene, room: _Room) -> Iterator[Handle]:
+def _handles(scene: Scene, room: _LoadedRoom) -> Iterator[Handle]:
     z, faces = room.altitude_m, set[str]()
     for wall in scene.walls:
         if wall.id not in faces:  # a partition has one handle, at its front
