@@ -100,4 +100,4 @@ def _first_mission() -> OpenFile:
     del tree["vehicle"]  # the default one, because the path of the shipped one does not lead there from here
     names = [Path(_FIRST), *(Path(f"dual_collision_{n}.yaml") for n in range(2, 1000))]
     path = next(name for name in names if not name.exists())
-    return OpenFile(path, update_text(text, tree, str(shipped)))
+    return OpenFile.new(path, update_text(text, tree, str(shipped)))

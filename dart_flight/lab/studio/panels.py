@@ -8,7 +8,15 @@ from typing import Any, NamedTuple
 
 import viser
 
-from dart_flight.lab.studio.engine import Finding, Flown, FlownOne, FlyProgress, FlyRequest, Planned, PlanRow
+from dart_flight.lab.studio.engine import (
+    Finding,
+    FlightsFlown,
+    FlownOne,
+    FlyProgress,
+    FlyRequest,
+    Planned,
+    PlanRow,
+)
 from dart_flight.lab.studio.fields import Field, label_of
 from dart_flight.lab.studio.open_file import Edit
 
@@ -246,7 +254,10 @@ class PlanPanel:
             lines.append(line("cancelled", QUIET))
         refused = sorted(event.refused.items(), key=lambda item: -item[1])
         if refused:
-            inside = "".join(line(f"{count:,} × {reason}", QUIET) for reason, count in refused)
+            inside = "".join(
+                line(f"{count:,} × {reason}") + line(event.advice.get(reason, ""), QUIET)
+                for reason, count in refused
+            )
             total = sum(count for _, count in refused)
             lines.append(f"<details><summary>{total:,} candidates refused</summary>{inside}</details>")
         self._progress.content, self._progress.visible = block(*lines), True
@@ -319,7 +330,9 @@ class FlyPanel:
     def request(self) -> FlyRequest:
         vary = tuple(str(self._vary.value).replace(",", " ").split())
         flights = int(self._flights.value)
-        return FlyRequest(int(self._seed.value), flights, vary, str(self._fault.value).strip() or None)
+        fault = str(self._fault.value).strip() or None
+        # A flight without a log is flown again when it is opened.
+        return FlyRequest(int(self._seed.value), flights, vary, fault, log=flights == 1)
 
     def _opened(self, open_flight: Callable[[FlownOne], None]) -> None:
         found = next((one for one in self.landed if _flight_label(one) == self._choice.value), None)
@@ -339,7 +352,7 @@ class FlyPanel:
         share = f", {event.completed} completed" if event.done else ""
         self._html.content = block(line(f"{event.done} of {event.of} flights{share}", QUIET))
 
-    def done(self, event: Flown) -> None:
+    def done(self, event: FlightsFlown) -> None:
         self._fly.visible = not self._only_list
         self._cancel.visible = self._bar.visible = False
         lines = [line(event.error, NO_GO)] if event.error else [line(event.says)]

@@ -21,7 +21,7 @@ import yaml
 
 from dart_flight.base.errors import FlightError
 from dart_flight.base.geometry import Vec2
-from dart_flight.config.document import Document, InputError
+from dart_flight.config.document import InputError
 from dart_flight.lab.map_model import MapKind
 from dart_flight.lab.report.page import flight_page
 from dart_flight.lab.report.recorded_flight import RecordedFlight
@@ -32,8 +32,8 @@ from dart_flight.lab.studio.engine import (
     Checked,
     Engine,
     EngineDied,
-    Event,
-    Flown,
+    EngineEvent,
+    FlightsFlown,
     FlownOne,
     FlyProgress,
     FlyRequest,
@@ -48,7 +48,7 @@ from dart_flight.lab.studio.panels import FindingsPanel, FlyPanel, HeadPanel, Ob
 from dart_flight.lab.studio.playback import playback_of
 from dart_flight.lab.studio.player import Player
 from dart_flight.lab.studio.room_view import RoomView
-from dart_flight.lab.studio.scene_model import LoadedFile, Scene, build_scene, scene_of
+from dart_flight.lab.studio.scene_model import Scene, build_scene, scene_of_mission
 from dart_flight.lab.studio.server import open_server, stop_server
 
 _SETTLED_S = 0.25  # a typed number is complete after so long without a further key
@@ -235,6 +235,8 @@ class Studio:
             self._open_logs()
             return
         self._selected = next(iter(object_ids(self._file.tree)), "")
+        if self._engine is not None:
+            self._engine.path = self._file.path
         self._refresh()
 
     def _refresh(self) -> None:
@@ -404,7 +406,7 @@ class Studio:
 
     # --- the engine -----------------------------------------------------------------------------------------
 
-    def _handle(self, event: Event) -> None:
+    def _handle(self, event: EngineEvent) -> None:
         if isinstance(event, Checked):
             self._show_checked(event)
         elif isinstance(event, EngineDied):
@@ -412,7 +414,7 @@ class Studio:
             if self._plan is not None:
                 self._plan.done(Planned(error=event.says))
             if self._fly is not None:
-                self._fly.done(Flown(error=event.says))
+                self._fly.done(FlightsFlown(error=event.says))
             self._refresh()
         elif self._plan is not None and isinstance(event, PlanProgress):
             self._plan.running(event.done / event.of if event.of else None, event.says)
@@ -424,12 +426,12 @@ class Studio:
         elif self._flies_again and isinstance(event, FlyProgress):
             for flight in event.landed:
                 self._open_flown(flight)
-        elif self._flies_again and isinstance(event, Flown):
+        elif self._flies_again and isinstance(event, FlightsFlown):
             self._flies_again = False
             self._head.note(event.error or "", bad=True)
         elif self._fly is not None and isinstance(event, FlyProgress):
             self._fly.progress(event)
-        elif self._fly is not None and isinstance(event, Flown):
+        elif self._fly is not None and isinstance(event, FlightsFlown):
             self._show_flown(self._fly, event)
 
     def _show_checked(self, event: Checked) -> None:
@@ -472,11 +474,9 @@ class Studio:
 
     def _show_plan(self, rank: int) -> None:
         row = self._plans.get(rank)
-        if row is None or len(row.path) < 2:
-            self._canvas.draw("plan", [])
-            return
-        colour, thickness = path_style(MapKind.REPLANNED, self._room.palette)
-        self._canvas.draw("plan", [polyline("/plan/path", row.path, colour, thickness)])
+        style = path_style(MapKind.REPLANNED, self._room.palette)
+        lines = [] if row is None else [line for line in row.paths if len(line) > 1]
+        self._canvas.draw("plan", [polyline(f"/plan/{i}", line, *style) for i, line in enumerate(lines)])
 
     def _make_mission(self, rank: int) -> None:
         file, row = self._file, self._plans.get(rank)
@@ -487,7 +487,7 @@ class Studio:
             file.set_text(row.mission, f"make the mission of plan {rank}")
         else:
             self._before = file
-            self._file = OpenFile(_free_name(file.path), row.mission)
+            self._file = OpenFile.new(_free_name(file.path), row.mission)
             self._disk = None
         self._canvas.draw("plan", [])
         self._checked = None
@@ -522,7 +522,7 @@ class Studio:
         self._fly.begin(request.flights)
         engine.fly(file.text, request)
 
-    def _show_flown(self, panel: FlyPanel, event: Flown) -> None:
+    def _show_flown(self, panel: FlyPanel, event: FlightsFlown) -> None:
         panel.done(event)
         if len(panel.landed) == 1:
             self._open_flown(panel.landed[0])
@@ -544,9 +544,7 @@ class Studio:
     def _play(self, log: Path) -> None:
         def read() -> Any:
             flight = RecordedFlight.read(log)
-            mission = flight.mission
-            loaded = LoadedFile(Document.from_tree(mission.to_dict()), mission.vehicle, mission, None)
-            return playback_of(flight), scene_of(loaded, flight.planned)
+            return playback_of(flight), scene_of_mission(flight.mission, flight.planned)
 
         def play(found: Any) -> None:
             playback, scene = found
@@ -582,7 +580,9 @@ class Studio:
             for one in landed:
                 if one.reason is not None:
                     reasons[one.reason] = reasons.get(one.reason, 0) + 1
-            self._fly.done(Flown(done=done, completed=completed, reasons=reasons, says=f"{done} flights"))
+            self._fly.done(
+                FlightsFlown(done=done, completed=completed, reasons=reasons, says=f"{done} flights")
+            )
             self._player.show_many(landed)
 
     def _report(self) -> None:
