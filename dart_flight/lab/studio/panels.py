@@ -20,7 +20,7 @@ from dart_flight.lab.studio.engine import (
 from dart_flight.lab.studio.fields import Field, label_of
 from dart_flight.lab.studio.open_file import Edit
 
-GO, NO_GO, QUIET = "#1b7a3d", "#c2261d", "#888888"
+GO, NO_GO, QUIET = "#22964a", "#d9372c", "#888888"  # legible on light and dark
 _STYLE = "padding:0 0.8em;font-size:0.85em;line-height:1.45;overflow-wrap:anywhere"
 _PLAIN = "as in the file"
 _NOT_FLOWN = "-"
@@ -53,7 +53,7 @@ class Wiring(NamedTuple):
             if event.client is None:  # set by the studio
                 return
             if wait:
-                self.later(made, run, made.value)
+                self.later(id(made), run, made.value)
             else:
                 self.post(run, made.value)
 
@@ -127,7 +127,7 @@ class FindingsPanel:
 
 
 class ObjectPanel:
-    """The selected object: its numbers, and the buttons that add, copy and delete."""
+    """The selected object: its numbers, the findings, and the buttons that add, copy and delete."""
 
     def __init__(
         self,
@@ -144,8 +144,9 @@ class ObjectPanel:
         self._choice = gui.add_dropdown("object", ("-",), hint="or click an object in the room")
         wiring.when_changed(self._choice, lambda label: select(self._id_of(label)))
         self._folder = gui.add_folder(None)
+        self.findings = FindingsPanel(wiring)
         if not wiring.read_only:
-            with gui.add_folder("Change"):
+            with gui.add_folder("Add, copy, delete"):
                 self._act = gui.add_button_group("this object", ("Copy", "Delete"))
                 self._act.on_click(lambda event: wiring.post(act, self._act.value.lower()))
                 self._add = gui.add_dropdown("add", ("wall",))

@@ -132,7 +132,7 @@ class RoomView:
         """Return the middle of the room, and the height from which it fills the view."""
         assert self._scene is not None
         (x0, y0, _), (x1, y1, _) = self._scene.bounds
-        tall = max(y1 - y0, (x1 - x0) / max(aspect, 0.2))
+        tall = max(y1 - y0, 0.95 * (x1 - x0) / max(aspect, 0.2))
         return 0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * _MARGIN * tall / math.tan(0.5 * _FOV_RAD)
 
     # --- mouse ----------------------------------------------------------------------------------------------
@@ -295,7 +295,7 @@ class _Painter:
                 anchor = "top-center" if axis == 0 else "center-right"
                 found.append(label(f"/room/tick/{axis}/{i}", text, at, 0.7, anchor))
         north = (math.cos(self.scene.north_rad), math.sin(self.scene.north_rad))
-        x, y, reach = x1 + 5.0 * self.unit_m, y1 - 3.0 * self.unit_m, 3.0 * self.unit_m
+        x, y, reach = x1 - 5.0 * self.unit_m, y1 + 4.0 * self.unit_m, 3.0 * self.unit_m
         begin, end = ((x + k * reach * north[0], y + k * reach * north[1], 0.0) for k in (-1.0, 1.0))
         found.append(arrow("/room/north", begin, end, self.palette.ink, 2.0 * self.unit_m))
         beyond = (x + 1.6 * reach * north[0], y + 1.6 * reach * north[1], 0.0)

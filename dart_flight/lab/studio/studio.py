@@ -17,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import yaml
 
 from dart_flight.base.errors import FlightError
@@ -44,7 +45,7 @@ from dart_flight.lab.studio.engine import (
 from dart_flight.lab.studio.fields import fields_of, object_ids
 from dart_flight.lab.studio.objects import entry_of
 from dart_flight.lab.studio.open_file import DiskState, Edit, OpenFile, StudioKind
-from dart_flight.lab.studio.panels import FindingsPanel, FlyPanel, HeadPanel, ObjectPanel, PlanPanel, Wiring
+from dart_flight.lab.studio.panels import FlyPanel, HeadPanel, ObjectPanel, PlanPanel, Wiring
 from dart_flight.lab.studio.playback import playback_of
 from dart_flight.lab.studio.player import Player
 from dart_flight.lab.studio.room_view import RoomView
@@ -54,6 +55,7 @@ from dart_flight.lab.studio.server import open_server, stop_server
 _SETTLED_S = 0.25  # a typed number is complete after so long without a further key
 _FRAME_S, _IDLE_S, _DISK_S = 0.04, 0.25, 1.0
 _PANEL_PX = 340.0
+_PATH_CHARS = 48
 _REPORTS = 5  # kept pages
 _NEAR_M = 0.5  # a new object appears so far from the middle of the room
 
@@ -135,7 +137,6 @@ class Studio:
                 self._objects = ObjectPanel(
                     wiring._replace(read_only=not editable), self._select, self._apply, self._act
                 )
-                self._findings = FindingsPanel(wiring)
             if not read_only:
                 with tabs.add_tab("Plan"):
                     self._plan = PlanPanel(
@@ -267,7 +268,7 @@ class Studio:
         problems = dict[str, str]()
         for finding in findings:
             if not finding.go and finding.object:
-                problems.setdefault(finding.object, finding.says)
+                problems.setdefault(finding.object, self._short(finding.says))
         self._room.show(self._scene, problems, self._selected)
 
     def _show_object(self) -> None:
@@ -288,19 +289,26 @@ class Studio:
         if file is None:
             return
         unsaved = file.is_changed or self._disk is DiskState.MISSING
-        state = [file.kind.value, str(file.path), "not saved" if unsaved else "saved"]
+        path = str(file.path)
+        path = path if len(path) < _PATH_CHARS else str(Path("…", *file.path.parts[-2:]))
+        state = [file.kind.value, path, "not saved" if unsaved else "saved"]
         steps = [f"undo: {file.can_undo}"] if file.can_undo else []
         steps += [f"redo: {file.can_redo}"] if file.can_redo else []
         verdict, go = "checking", None
         if self._problem:
-            verdict, go = self._problem, False
+            verdict, go = f"error: {self._short(self._problem)}", False
         elif checked is not None and checked.number == self._number:
             bad = [f for f in checked.findings if not f.go]
             go = checked.go
-            verdict = "go" if go else f"no-go: {bad[0].says}" if bad else "no-go"
+            verdict = "go" if go else f"no-go: {self._short(bad[0].says)}" if bad else "no-go"
         name = file.path.name if self._scene is None else self._scene.name
         self._head.show(name, " · ".join([*state, *steps]), verdict, go)
         self._head.show_steps(unsaved=unsaved, asks=self._disk is DiskState.BOTH_CHANGED)
+
+    def _short(self, says: str) -> str:
+        """Return a line of a command without the path of the open file."""
+        path = "" if self._file is None else str(self._file.path)
+        return says.replace(f"{path}: ", "").replace(f"{path}:", "line ") if path else says
 
     def _apply(self, edit: Edit) -> None:
         assert self._file is not None
@@ -443,7 +451,8 @@ class Studio:
             self._scene = event.scene
             self._problem = event.scene.problem or ""
         self._draw()
-        self._findings.show(event.findings, event.stale)
+        shown = [msgspec.structs.replace(f, says=self._short(f.says)) for f in event.findings]
+        self._objects.findings.show(shown, event.stale)
         if known is None or (known.materials, known.modes) != (event.materials, event.modes):
             self._show_object()
         self._show_head()
