@@ -382,7 +382,7 @@ def _forget_wall(tree: Tree, name: str) -> None:
 
 
 def use_plan(mission_text: str, rank: int) -> Edit:
-    """Replace the hits of a mission by those of a plan (`PlanRow.mission`); its other keys stay as they are."""
+    """Replace the hits of a mission by those of a plan (`PlanRow.mission`); its other keys stay."""
     planned = Document(mission_text, f"plan {rank}").tree
 
     def change(tree: Tree) -> None:
