@@ -12,12 +12,17 @@ from collections.abc import Iterator
 from typing import Any
 
 from dart_flight.base.geometry import Vec2
-from dart_flight.config.document import InputError, Key, dotted
+from dart_flight.config.document import Document, InputError, Key, dotted
 from dart_flight.lab.studio.objects import SECTIONS, base_name, describe, existing_entry, key_of
 from dart_flight.lab.studio.open_file import Edit, Tree
 
 _GAIN_M_PER_N = 0.025  # recovery gain of a new hit, as in the shipped missions
 _BESIDE_M = 0.5  # distance of a copy from its original
+_PLANNED = ("collisions", "waypoints", "predicted", "flown", "goal_trajectory")  # what `plan` decides
+_SEARCH = {  # approaches of a scenario made from a mission
+    "normal_m_s": {"min": -1.5, "max": -0.1, "step": 0.05},
+    "tangential_m_s": {"min": -1.5, "max": 1.5, "step": 0.05},
+}
 _POINTS = {"wall": "point_m", "simulated": "point_m", "post": "centre_m"}
 _GAINS = ("alpha_m_per_n", "alpha_wall_m_per_n")
 _CONDITIONS = ("if_met", "if_not_met")
@@ -376,17 +381,53 @@ def _forget_wall(tree: Tree, name: str) -> None:
                 del tree[gains]
 
 
-def scenario_of(tree: Tree, name: str) -> Tree:
-    """Return a scenario, objective quickest, with the room of a mission.
+def use_plan(mission_text: str, rank: int) -> Edit:
+    """Replace the hits of a mission by those of a plan (`PlanRow.mission`); its other keys stay."""
+    planned = Document(mission_text, f"plan {rank}").tree
 
-    The planner chooses the walls. The waypoints of the mission become visits, except rests at the start.
+    def change(tree: Tree) -> None:
+        for key in _PLANNED:
+            tree.pop(key, None)
+        tree |= {key: planned[key] for key in (*_PLANNED, "after_impact") if key in planned}
+
+    return Edit(f"use plan {rank}", change)
+
+
+def scenario_of(tree: Tree, name: str) -> Tree:
+    """Return a scenario with the room of a mission, which hits the walls of the mission in the same order.
+
+    A mission that flies along trajectories becomes a scenario of the objective quickest, with the touches
+    before its hits. Another mission with hits becomes a search over approaches, objective nearest, with the
+    gains of its hits. Without a hit, the planner chooses walls, and the waypoints become visits.
     """
     found = {key: copy.deepcopy(tree[key]) for key in _SHARED if key in tree}
-    found.setdefault("walls", {})
+    found |= {"name": name, "walls": found.get("walls", {})}
+    hits = [hit for hit in _list_of(tree, "collisions") if "probe" not in hit]
+    along = [hit for hit in hits if "trajectory" in hit]
+    if along or not hits:
+        touches = [
+            hit["approach"]["normal_m_s"] for hit in hits if "trajectory" not in hit and "approach" in hit
+        ]
+        if along:
+            found["sequence"] = [hit["wall"] for hit in along]
+        else:
+            found |= {"sequence": "any", "visits": list(_visits_of(tree))}
+        found["objective"] = "quickest"
+        return found | ({"touch_m_s": min(1.0, max(0.3, -touches[0]))} if touches else {})
+    found |= {
+        "sequence": [hit["wall"] for hit in hits],
+        "search": copy.deepcopy(_SEARCH),
+        "objective": "nearest",
+    }
+    for hit in reversed(hits):  # the first hit of a wall decides its gains
+        for gains in _GAINS:
+            if gains in hit:
+                found.setdefault(gains, {})[hit["wall"]] = hit[gains]
+    return found
+
+
+def _visits_of(tree: Tree) -> Iterator[dict[str, Any]]:
     start = tree.get("start", {}).get("position_m")
-    places = [
-        w["position_m"] for w in _list_of(tree, "waypoints") if w.get("position_m") not in (None, start)
-    ]
-    if places:
-        found["visits"] = [{"position_m": [*place], "within_m": 0.1} for place in places]
-    return {**found, "name": name, "sequence": "any", "objective": "quickest", "touch_m_s": 0.6}
+    for waypoint in _list_of(tree, "waypoints"):
+        if waypoint.get("position_m") not in (None, start):
+            yield {"position_m": [*waypoint["position_m"]], "within_m": 0.1}

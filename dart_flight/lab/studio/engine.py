@@ -106,6 +106,8 @@ class PlanRow(msgspec.Struct):
         paths: lines (n, 3) of the predicted path, in no order.
         mission: text of the mission, or "" if it is refused.
         refused: why the mission is refused, or None.
+        go: whether `check` of stage `file` says go for the mission.
+        problem: its first no-go, or "".
     """
 
     rank: int
@@ -116,6 +118,8 @@ class PlanRow(msgspec.Struct):
     refused: str | None = None
     time_s: float | None = None
     saving_s: float | None = None
+    go: bool = False
+    problem: str = ""
 
 
 class Planned(EngineEvent):

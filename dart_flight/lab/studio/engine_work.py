@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import msgspec
 
@@ -20,9 +20,9 @@ from dart_flight.base.records import Outcome
 from dart_flight.base.summary import cause_of
 from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.check.findings import CheckFinding, decide
-from dart_flight.check.mission_check import predict_flight_path
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
+from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.map_model import MapKind
 from dart_flight.lab.mission_map import mission_map
 from dart_flight.lab.search.mission_writer import RefusedPlanError, mission_text, planned_mission
@@ -168,10 +168,14 @@ def plan(request: PlanQuery, emit: Send) -> Planned:
 
 
 def _plan_row(result: SearchResult, one: Plan) -> PlanRow:
-    scenario, mission, text, refused = result.scenario, None, "", None
+    scenario, text, refused = result.scenario, "", None
+    paths, go, problem = list[Array](), False, ""
     try:
         text = mission_text(scenario, one, Path(scenario.source))
-        mission = planned_mission(scenario, one, text)
+        context = FlightContext(planned_mission(scenario, one, text))
+        paths = _predicted_lines(context.mission, context.planned)
+        bad = [finding.says for finding in run_checks(context, Stage.FILE) if not finding.go]
+        go, problem = not bad, "".join(bad[:1])
     except RefusedPlanError as error:
         text, refused = "", error.reason
     time_s = one.time_to_goal_s if one.time_to_rest_s is None else one.time_to_rest_s
@@ -180,11 +184,13 @@ def _plan_row(result: SearchResult, one: Plan) -> PlanRow:
         one.rank if one.collisions else 0,
         ", ".join(hits) or "no collision",
         dict(_values_of(scenario, one)),
-        [] if mission is None else _predicted_lines(mission),
+        paths,
         text,
         refused,
         time_s,
         one.saving_s,
+        go,
+        problem,
     )
 
 
@@ -202,11 +208,9 @@ def _values_of(scenario: Scenario, one: Plan) -> Iterator[tuple[str, str]]:
         yield "draws failed", f"{one.failed_draws or 0.0:.0%}"
 
 
-def _predicted_lines(mission: Mission) -> list[Any]:
-    shown = mission_map(mission, predict_flight_path(mission))
-    return [
-        path.points for path in shown.paths if path.kind is MapKind.PREDICTED and path.points.shape[1] == 3
-    ]
+def _predicted_lines(mission: Mission, planned: PredictedFlight | None) -> list[Array]:
+    shown = mission_map(mission, planned).paths
+    return [path.points for path in shown if path.kind is MapKind.PREDICTED and path.points.shape[1] == 3]
 
 
 # --- flights --------------------------------------------------------------------------------------------

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
-from dart_flight.lab.search.scenario import parse_scenario
+from dart_flight.lab.search.scenario import Objective, Scenario, parse_scenario
 from dart_flight.lab.studio import edits
 from dart_flight.lab.studio.open_file import Edit, OpenFile
 from tests.lab.studio.files import DUAL, ROOT
@@ -143,9 +144,26 @@ def test_a_value_is_set_and_removed() -> None:
         after(DUAL, edits.set_value(("collisions", 7, "mode"), "rigid"))
 
 
-def test_a_scenario_from_a_mission_has_its_room() -> None:
-    tree = after(DUAL, edits.add_waypoint((0.5, 0.5)), edits.add_waypoint((0.0, 0.0), after=1))
-    parsed = parse_scenario(Document.from_tree(edits.scenario_of(tree, "again"), str(DUAL)))
-    assert list(parsed.walls) == ["wood", "acrylic"]
+def scenario_from(path: Path, *made: Edit) -> Scenario:
+    return parse_scenario(Document.from_tree(edits.scenario_of(after(path, *made), "again"), str(path)))
+
+
+def test_a_scenario_from_a_mission_hits_the_same_walls() -> None:
+    parsed = scenario_from(DUAL)
+    assert parsed.sequences == (("wood", "acrylic"),)
+    assert parsed.objective is Objective.NEAREST
+    assert parsed.alphas == {"wood": (0.025, 0.12), "acrylic": (0.025, 0.025)}
+
+
+def test_a_scenario_from_a_mission_with_trajectories_keeps_hits_and_touches() -> None:
+    parsed = scenario_from(ROOT / "missions" / "shuttle.yaml")
+    assert parsed.sequences == (("north", "south", "north", "south"),)
+    assert parsed.objective is Objective.QUICKEST
+    assert parsed.spec.touch_m_s == 0.6
+
+
+def test_a_scenario_from_a_mission_without_a_hit_visits_its_waypoints() -> None:
+    bare = [edits.delete("hit/1"), edits.delete("hit/0")]
+    parsed = scenario_from(DUAL, *bare, edits.add_waypoint((0.5, 0.5)), edits.add_waypoint((0.0, 0.0)))
     assert [visit.position_m for visit in parsed.visits] == [(0.5, 0.5)]  # not the rest at the start
-    assert parsed.objective.value == "quickest"
+    assert parsed.chosen_by_planner

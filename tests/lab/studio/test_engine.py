@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TypeVar
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dart_flight.base.records import AfterImpact
 from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.check.findings import decide
 from dart_flight.config.document import Document, InputError
@@ -144,6 +146,27 @@ def test_a_plan_is_a_mission_beside_the_scenario() -> None:
     mission = parse_mission(Document(found.plans[0].mission, str(ONE_WALL)))
     assert mission.collisions[0].wall.name == "acrylic"
     assert found.plans[0].paths
+    for row in found.plans:
+        again = checked(row.mission, ONE_WALL)
+        assert row.go == again.go
+        assert row.problem in {"", *(finding.says for finding in again.findings)}
+
+
+def test_a_mission_whose_wall_has_moved_is_planned_again_with_its_other_keys() -> None:
+    opened = OpenFile.load(DUAL)
+    opened.edit(edits.move("wall/acrylic", (1.85, 0.0)))
+    text = yaml.safe_dump(edits.scenario_of(opened.tree, "again"))
+    row = plan(PlanQuery(1, str(DUAL), text, None, 60.0, 1), lambda event: None).plans[0]
+    opened.edit(edits.use_plan(row.mission, 1))
+    mission = parse_mission(Document(opened.text, str(DUAL)))
+    assert [collision.wall.name for collision in mission.collisions] == ["wood", "acrylic"]
+    assert mission.after_impact is AfterImpact.REPLAN
+    assert "after_impact: replan\n" in opened.text
+    found = checked(opened.text)
+    assert found.go == row.go
+    assert found.stale is None
+    opened.edit(edits.move("wall/acrylic", (1.65, 0.0)))
+    assert checked(opened.text).stale is not None
 
 
 def test_a_scenario_without_a_plan_says_why() -> None:
