@@ -8,7 +8,6 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dart_flight.cli.options import add_log_dir_option, number
 from dart_flight.cli.terminal import emit_json, print_status
 from dart_flight.config.document import InputError, read_text
 from dart_flight.config.edit import update_text
@@ -32,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--port",
-        type=number(0, 65535),
+        type=_port,
         default=_PORT,
         metavar="N",
         help=f"default: {_PORT}; 0: any free port",
@@ -46,7 +45,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--dark", action="store_true", help="light colours on a dark ground")
     parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
-    add_log_dir_option(parser)
+    # Not from `cli.options`, which loads the clients of motion capture.
+    parser.add_argument(
+        "--log-dir", type=Path, default=Path("flights"), metavar="DIR", help="default: flights"
+    )
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"must be a whole number from 0 to 65535, not {text!r}")
+    return int(text)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -86,8 +86,8 @@ class HeadPanel:
         self._reload = wiring.button("Reload from the disk", run["reload"], color="orange", visible=False)
         self._keep = wiring.button("Overwrite the file", run["overwrite"], color="orange", visible=False)
         for label, hotkey, name in (("Undo", "z", "undo"), ("Redo", "y", "redo"), ("Save", "s", "save")):
-            command = gui.add_command(label, hotkey=hotkey, modifier="cmd/ctrl")  # type: ignore[arg-type]
-            command.on_trigger(lambda event, name=name: wiring.post(run[name]))  # type: ignore[misc]
+            command = gui.add_command(label, hotkey=hotkey, modifier="cmd/ctrl")
+            command.on_trigger(lambda event, name=name: wiring.post(run[name]))
 
     def show(self, title: str, state: str, verdict: str, go: bool | None) -> None:
         colour = QUIET if go is None else GO if go else NO_GO
@@ -230,13 +230,18 @@ class PlanPanel:
             hint="as one step that can be undone",
         )
         self._rows: list[PlanRow] = []
-        wiring.when_changed(self._choice, lambda label: (choose(self._rank()), self._describe()))
+        self._choose = choose
+        wiring.when_changed(self._choice, self._chosen)
 
     def _wanted(self) -> str | None:
         return None if self._objective.value == _PLAIN else str(self._objective.value)
 
     def _rank(self) -> int:
         return next((row.rank for row in self._rows if _plan_label(row) == self._choice.value), 0)
+
+    def _chosen(self, label: str) -> None:
+        self._describe()
+        self._choose(self._rank())
 
     def explain(self, text: str) -> None:
         self._html.content = block(line(text, QUIET))

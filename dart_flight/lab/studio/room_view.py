@@ -187,7 +187,8 @@ class RoomView:
         eye = np.asarray(event.client.camera.position)
         if event.phase == "start":
             handle = self._handles.get(object_id)
-            self._drag = handle and _Drag(handle, turns, np.asarray(event.start_position))
+            if handle is not None:
+                self._drag = _Drag(handle, turns, np.asarray(event.start_position))
             return
         drag = self._drag
         if drag is None or drag.handle.id != object_id:
@@ -243,8 +244,9 @@ class _Painter:
 
     def nodes(self) -> list[Node]:
         shown, scene = [*self._ground()], self.scene
-        roots = {node_name("room/object", one.id) for one in (*scene.walls, *scene.posts, *scene.places)}
-        roots |= {node_name("room/object", handle.id) for handle in scene.handles}
+        ids = {wall.id for wall in scene.walls} | {post.id for post in scene.posts}
+        ids |= {place.id for place in scene.places} | {handle.id for handle in scene.handles}
+        roots = [node_name("room/object", object_id) for object_id in ids]
         shown += [Node("frame", root, {"show_axes": False}) for root in sorted(roots)]
         for i, wall in enumerate(scene.walls):
             shown += self._wall(wall, i)

@@ -93,11 +93,11 @@ def _guarded(host: str, pages: Pages) -> Iterator[list[bool]]:
 
         return serve(*args, process_request=process, **options)
 
-    websocket_server.serve = guarded  # type: ignore[misc,assignment]
+    websocket_server.serve = guarded  # type: ignore[assignment]
     try:
         yield used
     finally:
-        websocket_server.serve = serve  # type: ignore[misc]
+        websocket_server.serve = serve
 
 
 def refusal(request: Request, names: set[str], port: int) -> str | None:
