@@ -42,6 +42,8 @@ _FOV_RAD = math.radians(1.0)  # viser has no parallel projection
 _MARGIN = 1.3  # size of the view over that of the room
 _MOST_LINES = 14  # of the grid along one axis
 _KNOB_M = 0.3  # distance of the knob that turns a wall from its surface
+_CHARACTER, _LINE = 0.0095, 0.025  # size of a label's letters as fractions of the room's size
+_MOST_SHIFTS = 24
 _SLOP_M, _SLOP_RAD = 5e-4, 1e-3  # smaller drags change nothing
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
@@ -241,6 +243,7 @@ class _Painter:
             [wall.height_m for wall in scene.walls] + [post.height_m for post in scene.posts] + [z1]
         )
         self.top += 0.02  # above everything that could hide a handle
+        self._labels: list[tuple[float, float, float, float]] = []  # low and high x, low and high y
 
     def nodes(self) -> list[Node]:
         shown, scene = [*self._ground()], self.scene
@@ -368,10 +371,10 @@ class _Painter:
         if place.radius_m > 0.0:
             ring = circle(place.at, place.radius_m)
             found.append(polyline(f"{root}/radius", ring, colour, 1.5))
-        at = (x + 1.3 * self.unit_m, y + 1.3 * self.unit_m, z)
         problem = self.problems.get(place.id)
         text = place.label if problem is None else f"✗ {place.label}: {problem}"
-        return [*found, label(f"{root}/name", text, at, anchor="bottom-left")]
+        at = (x + 1.3 * self.unit_m, y + 1.3 * self.unit_m, z)
+        return [*found, label(f"{root}/name", text, self._free(text, at), anchor="bottom-left")]
 
     def _hit(self, hit: HitShape) -> list[Node]:
         root, (x, y, z) = f"/room/hit/{hit.number}", hit.at
@@ -393,7 +396,24 @@ class _Painter:
             found.append(polyline(f"{root}_recovery", np.array([hit.at, hit.setpoint]), GREEN, 1.5))
             found.append(cross(f"{root}_setpoint", hit.setpoint, self.unit_m, GREEN))
         text = hit.label if hit.id not in self.problems else f"{hit.label}\n✗ {self.problems[hit.id]}"
-        return [*found, label(f"{root}_label", text, (x, y + 1.5 * self.unit_m, z), 0.75, "bottom-left")]
+        at = self._free(text, (x + 0.5 * self.unit_m, y + 1.5 * self.unit_m, z))
+        return [*found, label(f"{root}_label", text, at, 0.75, "bottom-left")]
+
+    def _free(self, text: str, at: Vec3) -> Vec3:
+        """Return the place nearest to `at`, above or below, where a label covers no other label."""
+        lines = text.split("\n")
+        wide = max(map(len, lines)) * _CHARACTER * self.size_m
+        high = len(lines) * _LINE * self.size_m
+        (x, y, z), step = at, 0.5 * _LINE * self.size_m
+        for i in range(_MOST_SHIFTS):
+            low = y + (1 if i % 2 else -1) * ((i + 1) // 2) * step
+            covers = any(
+                x < x1 and x + wide > x0 and low < y1 and low + high > y0 for x0, x1, y0, y1 in self._labels
+            )
+            if not covers:
+                break
+        self._labels.append((x, x + wide, low, low + high))
+        return x, low, z
 
 
 def _named(name: str, material: str) -> str:
