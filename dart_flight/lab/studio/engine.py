@@ -226,9 +226,6 @@ AnyQuery = CheckQuery | PlanQuery | FlightsQuery
 AnyEvent = EngineReady | Checked | PlanProgress | Planned | FlyProgress | FlightsFlown
 
 
-Event, Ready, Flown = EngineEvent, EngineReady, FlightsFlown  # until the view uses the new names
-
-
 class Engine:
     """The engine of one page.
 

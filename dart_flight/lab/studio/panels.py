@@ -284,8 +284,12 @@ class PlanPanel:
             f"<td>{html.escape(value)}</td></tr>"
             for name, value in row.values.items()
         )
-        refused = line(f"refused: {row.refused}", NO_GO) if row.refused else ""
-        self._table.content = block(line(row.says), f"<table>{cells}</table>", refused)
+        lines = [line(row.says), f"<table>{cells}</table>"]
+        if row.refused is not None:
+            lines.append(line(f"refused: {row.refused}", NO_GO))
+        elif row.mission:
+            lines.append(line("check: go", GO) if row.go else line(f"check: no-go: {row.problem}", NO_GO))
+        self._table.content = block(*lines)
         self._make.disabled = not row.mission
 
 

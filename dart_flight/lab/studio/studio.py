@@ -466,7 +466,7 @@ class Studio:
         elif stale is not None:
             self._plan.explain(f"The plan of this mission is stale: {stale}. Plan makes a new one.")
         else:
-            self._plan.explain("Plan searches the quickest mission for this room.")
+            self._plan.explain("Plan searches this mission again: the same walls in the same order.")
         self._back.visible = self._before is not None
 
     def _search(self, objective: str | None, within_s: float) -> None:
@@ -492,23 +492,21 @@ class Studio:
         assert file is not None
         if row is None or not row.mission:
             raise InputError("this plan is no mission")
-        if file.kind is StudioKind.MISSION:
-            file.set_text(row.mission, f"make the mission of plan {rank}")
-        else:
-            self._before = file
-            self._file = OpenFile.new(_free_name(file.path), row.mission)
-            self._disk = None
         self._canvas.draw("plan", [])
-        self._checked = None
-        self._head.note(
-            f"the mission of plan {rank}; Save writes {self._file.path.name}" if self._file else ""
-        )
+        if file.kind is StudioKind.MISSION:
+            self._apply(edits.use_plan(row.mission, rank))
+            return
+        self._before = file
+        self._file = OpenFile.new(_free_name(file.path), row.mission)
+        self._disk = self._checked = None
         self._open()
+        self._head.note(f"the mission of plan {rank}; Save writes {self._file.path.name}")
 
     def _go_back(self) -> None:
         if self._before is not None:
-            self._file, self._before, self._disk = self._before, None, None
-            self._checked = None
+            self._file, self._before = self._before, None
+            self._disk = self._checked = None
+            self._head.note("")
             self._open()
 
     def _cancel(self) -> None:
