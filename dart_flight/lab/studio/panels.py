@@ -296,7 +296,8 @@ class PlanPanel:
 def _plan_label(row: PlanRow) -> str:
     name = "free flight" if row.rank == 0 else f"{row.rank}"
     time = "" if row.time_s is None else f": {row.time_s:.2f} s"
-    saving = "" if not row.saving_s else f", saves {row.saving_s:.2f} s"
+    saves = row.saving_s or 0.0
+    saving = f", {'saves' if saves > 0.0 else 'loses'} {abs(saves):.2f} s" if saves else ""
     return f"{name}{time}{saving}"
 
 

@@ -39,6 +39,7 @@ from dart_flight.lab.studio.canvas import (
 from dart_flight.lab.studio.scene_model import Handle, HitShape, PlaceShape, Scene, VehicleShape, WallShape
 
 _FOV_RAD = math.radians(1.0)  # viser has no parallel projection
+_UPRIGHT, _FREE_SHARE = 0.8, 0.4  # aspect of a view whose lower part is covered; share that is free
 _MARGIN = 1.3  # size of the view over that of the room
 _MOST_LINES = 14  # of the grid along one axis
 _KNOB_M = 0.3  # distance of the knob that turns a wall from its surface
@@ -131,11 +132,16 @@ class RoomView:
             camera.look_at = (x, y, 0.0)
 
     def _aim_point(self, aspect: float) -> Vec3:
-        """Return the middle of the room, and the height from which it fills the view."""
+        """Return the point to look at, and the height from which the room fills the view.
+
+        On a phone (upright), the panel covers the lower part of the view.
+        """
         assert self._scene is not None
         (x0, y0, _), (x1, y1, _) = self._scene.bounds
-        tall = max(y1 - y0, 0.95 * (x1 - x0) / max(aspect, 0.2))
-        return 0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * _MARGIN * tall / math.tan(0.5 * _FOV_RAD)
+        share = _FREE_SHARE if aspect < _UPRIGHT else 1.0
+        tall = _MARGIN * max((y1 - y0) / share, 0.95 * (x1 - x0) / max(aspect, 0.2))
+        lowered = 0.5 * (1.0 - share) * tall
+        return 0.5 * (x0 + x1), 0.5 * (y0 + y1) - lowered, 0.5 * tall / math.tan(0.5 * _FOV_RAD)
 
     # --- mouse ----------------------------------------------------------------------------------------------
 
