@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import viser
@@ -58,6 +58,18 @@ class Wiring(NamedTuple):
                 self.post(run, made.value)
 
         made.on_update(changed)
+
+
+def distinct(labels: Iterable[str]) -> tuple[str, ...]:
+    """Number equal labels, because a menu with two equal options stops the whole page."""
+    counts, found = dict[str, int](), dict[str, None]()
+    for text in labels:
+        name = text
+        while name in found:
+            counts[text] = counts.get(text, 1) + 1
+            name = f"{text} ({counts[text]})"
+        found[name] = None
+    return tuple(found)
 
 
 def line(text: str, colour: str = "inherit", *, strong: bool = False) -> str:
@@ -137,7 +149,7 @@ class ObjectPanel:
         act: Callable[[str], None],
     ) -> None:
         self._wiring, self._apply = wiring, apply
-        self._ids: list[str] = []
+        self._ids, self._labels = list[str](), tuple[str, ...]()
         self._shown: tuple[Any, ...] = ()
         self._inputs: list[tuple[Field, Any]] = []
         gui = wiring.server.gui
@@ -153,18 +165,17 @@ class ObjectPanel:
                 wiring.button("Add", lambda: act(f"add {self._add.value}"), color="gray")
 
     def _id_of(self, label: str) -> str:
-        return next((one for one in self._ids if label_of(one) == label), "")
+        return dict(zip(self._labels, self._ids, strict=True)).get(label, "")
 
     def show(
         self, ids: Sequence[str], selected: str, fields: Sequence[Field], addable: Sequence[str]
     ) -> None:
         """Show an object; the fields of the same object keep their inputs, so that nobody loses the focus."""
-        self._ids = list(ids)
-        labels = tuple(label_of(one) for one in ids) or ("-",)
-        if labels != self._choice.options:
-            self._choice.options = labels
+        self._ids, self._labels = list(ids), distinct(map(label_of, ids))
+        if (self._labels or ("-",)) != self._choice.options:
+            self._choice.options = self._labels or ("-",)
         if selected in self._ids:
-            self._choice.value = label_of(selected)
+            self._choice.value = self._labels[self._ids.index(selected)]
         if not self._wiring.read_only and tuple(addable) != self._add.options:
             self._add.options = tuple(addable)
         shape = (selected, [(f.label, f.options) for f in fields])
@@ -186,7 +197,11 @@ class ObjectPanel:
         made: Any
         if field.options:
             made = gui.add_dropdown(
-                field.label, field.options, initial_value=str(field.value), hint=hint, disabled=disabled
+                field.label,
+                distinct(dict.fromkeys(field.options)),
+                initial_value=str(field.value),
+                hint=hint,
+                disabled=disabled,
             )
         elif isinstance(field.value, str):
             made = gui.add_text(field.label, field.value, hint=hint, disabled=disabled)
@@ -237,7 +252,10 @@ class PlanPanel:
         return None if self._objective.value == _PLAIN else str(self._objective.value)
 
     def _rank(self) -> int:
-        return next((row.rank for row in self._rows if _plan_label(row) == self._choice.value), 0)
+        labels = distinct(map(_plan_label, self._rows))
+        return next(
+            (r.rank for r, text in zip(self._rows, labels, strict=True) if text == self._choice.value), 0
+        )
 
     def _chosen(self, label: str) -> None:
         self._describe()
@@ -271,8 +289,8 @@ class PlanPanel:
         shown = bool(self._rows)
         self._choice.visible = self._table.visible = self._make.visible = shown
         if shown:
-            self._choice.options = tuple(map(_plan_label, self._rows))
-            self._choice.value = _plan_label(self._rows[0])
+            self._choice.options = distinct(map(_plan_label, self._rows))
+            self._choice.value = self._choice.options[0]
             self._describe()
 
     def _describe(self) -> None:
@@ -333,6 +351,7 @@ class FlyPanel:
             "Open this flight", lambda: self._opened(open_flight), color="gray", visible=False
         )
         self.landed: list[FlownOne] = []
+        self._labels: tuple[str, ...] = ()  # of the flights in the list
         self._only_list = only_list
         if only_list:
             for made in (self._seed, self._flights, self._vary, self._fault, self._fly):
@@ -346,12 +365,11 @@ class FlyPanel:
         return FlyRequest(int(self._seed.value), flights, vary, fault, log=flights == 1)
 
     def _opened(self, open_flight: Callable[[FlownOne], None]) -> None:
-        found = next((one for one in self.landed if _flight_label(one) == self._choice.value), None)
-        if found is not None:
-            open_flight(found)
+        if self._choice.value in self._labels:
+            open_flight(self.landed[self._labels.index(self._choice.value)])
 
     def begin(self, flights: int) -> None:
-        self.landed = []
+        self.landed, self._labels = [], ()
         self._fly.visible, self._cancel.visible, self._bar.visible = False, True, True
         self._bar.value, self._html.visible = 0.0, True
         self._choice.visible = self._open.visible = False
@@ -376,13 +394,14 @@ class FlyPanel:
         self._html.content, self._html.visible = block(*lines), True
         if self.landed:
             self.landed.sort(key=lambda one: (one.outcome == "completed", one.seed))
-            self._choice.options = tuple(map(_flight_label, self.landed))
+            self._labels = self._choice.options = distinct(map(_flight_label, self.landed))
             self._choice.value = self._choice.options[0]
             self._choice.visible = self._open.visible = True
 
     def select(self, flight: FlownOne) -> None:
-        if _flight_label(flight) in self._choice.options:
-            self._choice.value = _flight_label(flight)
+        for label, landed in zip(self._labels, self.landed, strict=False):
+            if landed is flight:
+                self._choice.value = label
 
 
 def _flight_label(flight: FlownOne) -> str:

@@ -20,6 +20,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="the tests of the p
 
 from dart_flight.config.vehicle import packaged  # noqa: E402
 from dart_flight.lab.studio.open_file import OpenFile  # noqa: E402
+from dart_flight.lab.studio.panels import distinct  # noqa: E402
 from dart_flight.lab.studio.scene_model import WallShape  # noqa: E402
 from dart_flight.lab.studio.studio import Studio  # noqa: E402
 
@@ -220,11 +221,14 @@ def test_a_flight_is_flown_and_played_to_its_end(browser: Any, room: Path) -> No
         until(lambda: at.studio._player.at_s == end)
         at.button("Report").click()
         at.wait_for("open the report")
-        logs = list((room / "flights").glob("*/flight.mcap"))
-        assert len(logs) == 1
-    with shown(browser, logs, room / "flights") as at:  # the same flight, from its file
-        at.wait_for(re.compile("completed"))
-        until(lambda: at.studio._player.is_playing)
+        (log,) = (room / "flights").glob("*/flight.mcap")
+    shutil.copytree(log.parent, room / "again")
+    for logs in ([log], [log, room / "again/flight.mcap"]):  # the same flight, from its file, and twice
+        with shown(browser, logs, room / "flights") as at:
+            at.wait_for(re.compile("completed"))
+            until(lambda at=at: at.studio._player.is_playing)
+            if len(logs) > 1:
+                at.wait_for("100 % completed")
 
 
 def test_many_flights_are_lines_and_one_of_them_is_opened(browser: Any, room: Path) -> None:
@@ -258,6 +262,11 @@ def test_a_scenario_is_planned_and_its_mission_saved(browser: Any, room: Path) -
         assert (room / "missions/scenarios/one_wall_plan.yaml").exists()
         at.button("Back to the scenario").click()
         at.wait_for(re.compile("^scenario"))
+
+
+def test_equal_entries_of_a_menu_are_numbered() -> None:
+    """Two equal ones would stop the whole page."""
+    assert distinct(["a", "b", "a", "a", "a (2)"]) == ("a", "b", "a (2)", "a (3)", "a (2) (2)")
 
 
 def test_a_page_for_other_computers_cannot_edit_plan_or_fly(browser: Any, room: Path) -> None:
