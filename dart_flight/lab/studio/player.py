@@ -300,6 +300,7 @@ class Player:
             scales={"x": uplot.Scale(time=False)},
             axes=(uplot.Axis(stroke=ink), uplot.Axis(stroke=ink, size=42)),
             height=170,
+            padding=(14, 10, 0, 0),
             order=1000.0 + order,
         )
 

@@ -75,6 +75,7 @@ class RoomView:
         self._server, self._canvas = server, canvas
         self._on_drag, self._on_select = on_drag, on_select
         self._handles: dict[str, Handle] = {}
+        self._grips: dict[str, str] = {}  # name of a node -> its object
         self._drag: _Drag | None = None
         self._scene: Scene | None = None
         self.palette = LIGHT
@@ -101,8 +102,10 @@ class RoomView:
         first, self._scene = self._scene is None, scene
         self._handles = {handle.id: handle for handle in scene.handles}
         painter = _Painter(scene, self.palette, problems, selected)
-        nodes = painter.nodes()
-        if editable and self._on_drag is not None:
+        editable = editable and self._on_drag is not None
+        nodes = painter.nodes(corners=editable)
+        self._grips = painter.grips
+        if editable:
             nodes = [*map(self._interactive, nodes), *self._knobs(painter)]
         self._canvas.draw("room", nodes)
         if first:
@@ -146,13 +149,11 @@ class RoomView:
     # --- mouse ----------------------------------------------------------------------------------------------
 
     def _interactive(self, node: Node) -> Node:
-        """Let the solid of an object be selected and dragged."""
-        _, _, rest = node.name.partition("/room/object/")
-        quoted, _, part = rest.partition("/")
-        found = next((h for h in self._handles.values() if node_name("", h.id)[2:] == quoted), None)
-        if found is None or not part.startswith("grip"):
+        """Let a solid or a marker select its object, and drag it if it has a handle."""
+        object_id = self._grips.get(node.name)
+        if object_id is None:
             return node
-        return node._replace(attach=lambda made: self._listen(made, found.id, turns=False))
+        return node._replace(attach=lambda made: self._listen(made, object_id, turns=False))
 
     def _knobs(self, painter: _Painter) -> list[Node]:
         """Return the knobs that turn walls."""
@@ -249,9 +250,11 @@ class _Painter:
             [wall.height_m for wall in scene.walls] + [post.height_m for post in scene.posts] + [z1]
         )
         self.top += 0.02  # above everything that could hide a handle
+        self.grips: dict[str, str] = {}  # name of a node -> the object that it selects
         self._labels: list[tuple[float, float, float, float]] = []  # low and high x, low and high y
 
-    def nodes(self) -> list[Node]:
+    def nodes(self, *, corners: bool) -> list[Node]:
+        """Return everything except the knobs; `corners` are shown to be dragged only."""
         shown, scene = [*self._ground()], self.scene
         ids = {wall.id for wall in scene.walls} | {post.id for post in scene.posts}
         ids |= {place.id for place in scene.places} | {handle.id for handle in scene.handles}
@@ -261,25 +264,31 @@ class _Painter:
             shown += self._wall(wall, i)
         for post in scene.posts:
             root, outline = node_name("room/object", post.id), circle(post.centre, post.radius_m)[:-1]
-            shown.append(prism(f"{root}/grip", outline, 0.0, post.height_m, self._solid(post.id)))
+            solid = prism(f"{root}/grip", outline, 0.0, post.height_m, self._solid(post.id))
+            shown.append(self._grip(post.id, solid))
             shown += self._name(post.id, f"{_named(post.name, post.material)}", (*post.centre, self.top))
         for place in scene.places:
             shown += self._place(place)
         for handle in scene.handles:
-            if handle.kind == "corner":
+            if handle.kind == "corner" and corners:
                 box = {
                     "dimensions": (1.6 * self.unit_m,) * 2 + (0.02,),
                     "color": BLUE if handle.id == self.selected else self.palette.grey,
                     "position": (*handle.position[:2], 0.01),
                     "cast_shadow": False,
                 }
-                shown.append(Node("box", f"{node_name('room/object', handle.id)}/grip", box))
+                root = node_name("room/object", handle.id)
+                shown.append(self._grip(handle.id, Node("box", f"{root}/grip", box)))
         for i, path in enumerate(scene.paths):
             if len(path.points) > 1:
                 shown.append(polyline(f"/room/path/{i}", path.points, *path_style(path.kind, self.palette)))
         for hit in scene.hits:
             shown += self._hit(hit)
         return shown
+
+    def _grip(self, object_id: str, node: Node) -> Node:
+        self.grips[node.name] = object_id
+        return node
 
     def _ground(self) -> list[Node]:
         (x0, y0, _), (x1, y1, _) = self.scene.bounds
@@ -324,15 +333,16 @@ class _Painter:
         root = node_name("room/object", wall.id)
         front = np.array(wall.surface)
         ink = self.palette.grey if wall.simulated else self.palette.ink
+        solid = prism(
+            f"{root}/grip{i}",
+            wall.outline,
+            0.0,
+            wall.height_m,
+            self._solid(wall.id),
+            0.4 if wall.simulated else None,
+        )
         found = [
-            prism(
-                f"{root}/grip{i}",
-                wall.outline,
-                0.0,
-                wall.height_m,
-                self._solid(wall.id),
-                0.4 if wall.simulated else None,
-            ),
+            self._grip(wall.id, solid),
             polyline(f"{root}/front{i}", at_height(front, wall.height_m + 0.01), ink, 2.5),
             polyline(f"{root}/plane{i}", at_height(wall.plane, 0.01), self.palette.grey, 1.0),
         ]
@@ -371,7 +381,7 @@ class _Painter:
             "radial_segments": 4 if place.kind == "waypoint" else 32,
         }
         found = [
-            Node("cylinder", f"{root}/grip", disc),
+            self._grip(place.id, Node("cylinder", f"{root}/grip", disc)),
             segments(f"{root}/stem", np.array([[(x, y, 0.0), (x, y, z)]]), self.palette.grey, 1.0),
         ]
         if place.radius_m > 0.0:
@@ -394,6 +404,8 @@ class _Painter:
                 {"show_axes": False, "position": hit.at, "wxyz": turn_z(hit.vehicle_yaw_rad)},
             ),
         )
+        dot = {"radius": 0.6 * self.unit_m, "color": RED, "position": hit.at, "cast_shadow": False}
+        found.append(self._grip(hit.id, Node("icosphere", f"{root}_dot", dot)))
         if hit.arrow is not None:
             found.append(arrow(f"{root}_speed", *hit.arrow, self.palette.ink, 2.2 * self.unit_m))
         if hit.force is not None:
