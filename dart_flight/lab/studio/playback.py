@@ -144,7 +144,7 @@ def playback_of(flight: RecordedFlight) -> Playback | None:
         verdict.outcome.value == "completed",
         time_s,
         np.stack([_scaled(data[axis], 1e-3) for axis in "xyz"], axis=1),
-        _quaternions(yaw, pitch, roll),
+        quaternions(yaw, pitch, roll),
         _scaled(data["speed"], 1e-2),
         [Moment(1e-3 * at, name) for at, name in data["phases"]],
         [Moment(1e-3 * at, name) for at, name in data["lock"]],
@@ -167,7 +167,7 @@ def _scaled(values: list[Any], scale: float) -> Array:
     return np.asarray(values, dtype=float) * scale
 
 
-def _quaternions(yaw: Array, pitch: Array, roll: Array) -> Array:
+def quaternions(yaw: Array, pitch: Array, roll: Array) -> Array:
     """Return quaternions (n, 4); pitch is positive with the nose up, roll with the left side up."""
     cy, sy, cp, sp, cr, sr = (f(0.5 * a) for a in (yaw, -pitch, roll) for f in (np.cos, np.sin))
     return np.stack(

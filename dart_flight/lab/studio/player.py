@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from viser import uplot
 
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.lab.figure_style import ESTIMATED, PREDICTED, TRUE
 from dart_flight.lab.flight_arrays import Array
@@ -32,6 +33,7 @@ from dart_flight.lab.studio.panels import GO, NO_GO, QUIET, Wiring, block, line
 from dart_flight.lab.studio.playback import ForceChart, Playback, PlayedHit, value_at
 from dart_flight.lab.studio.room_view import cross, vehicle_nodes
 from dart_flight.lab.studio.scene_model import M_PER_N, VehicleShape
+from dart_flight.lab.studio.watching import LiveState
 
 _LEAST_N = 2.0  # smaller forces are noise
 _BEFORE_HIT_S = 0.3  # the jump to a hit ends so long before it
@@ -96,6 +98,26 @@ class Player:
         self.seek(begin)
         self.play_or_pause()
 
+    def watch(self, vehicle: VehicleShape, size_m: float, palette: Palette) -> None:
+        """Prepare to show a flight in progress with `show_live`."""
+        self.close()
+        self._vehicle, self._unit_m, self._palette = vehicle, 0.012 * size_m, palette
+        self._canvas.draw("player", self._nodes(vehicle))
+        self._canvas.handle("player", "/player/setpoint").visible = False
+
+    def show_live(self, title: str, state: LiveState | None) -> None:
+        """Show the newest state of a flight in progress."""
+        rows = [line(title, strong=True)]
+        if state is None:
+            rows.append(line("the mission frame is not known yet", QUIET))
+        else:
+            with self._wiring.server.atomic():
+                self._place(np.array(state.position), state.quaternion, state.lock, state.force_n)
+            force = math.hypot(*state.force_n)
+            rows.append(line(f"{state.phase}, {state.speed_m_s:.2f} m/s, force {force:.0f} N, {state.lock}"))
+            rows += [line(f"guard {state.guard}", NO_GO, strong=True)] if state.guard else []
+        self._title.content = block(*rows)
+
     def close(self) -> None:
         """Remove the flight."""
         self._begun = self._flight = self._hit = None
@@ -116,19 +138,23 @@ class Player:
         flight, vehicle = self._flight, self._vehicle
         if flight is None or vehicle is None:
             return
+        path = polyline("/player/path", flight.position, self._palette.ink, 1.5)
+        self._canvas.draw("player", [path, *self._nodes(vehicle)])
+
+    def _nodes(self, vehicle: VehicleShape) -> list[Node]:
+        """Return the vehicle in each state of its arms, its force and its setpoint."""
         ink, grey = self._palette.ink, self._palette.grey
         nodes = [
             Node("frame", "/player/vehicle", {"show_axes": False}),
             Node("frame", "/player/setpoint", {"show_axes": False}),
             cross("/player/setpoint/cross", (0.0, 0.0, 0.0), self._unit_m, GREEN),
-            polyline("/player/path", flight.position, ink, 1.5),
             _force_node(np.zeros((1, 2, 3)), self._unit_m),
         ]
         for mode, name in _MODES.items():
             root = node_name("player/vehicle", name)
             nodes.append(Node("frame", root, {"show_axes": False}))
             nodes += vehicle_nodes(root, vehicle, mode, ink, grey)
-        self._canvas.draw("player", nodes)
+        return nodes
 
     def show_report(self, path: str) -> None:
         """Offer the page of the report."""
@@ -219,13 +245,7 @@ class Player:
         position, quaternion = flight.frame(at_s)
         state = value_at(flight.lock, at_s)
         with self._wiring.server.atomic():
-            vehicle = self._canvas.handle("player", "/player/vehicle")
-            vehicle.position, vehicle.wxyz = tuple(position), tuple(quaternion)
-            for name in _MODES.values():
-                shown = state if state in _MODES.values() else "travelling"
-                handle = self._canvas.handle("player", node_name("player/vehicle", name))
-                handle.visible = name == shown
-            self._show_force(flight, position)
+            self._place(position, quaternion, state, flight.force_at(at_s))
             target = next((p for t, p in reversed(flight.setpoints) if t <= at_s), None)
             setpoint = self._canvas.handle("player", "/player/setpoint")
             setpoint.visible = target is not None
@@ -237,8 +257,13 @@ class Player:
             self._texted = now
             self._describe(flight, state)
 
-    def _show_force(self, flight: Playback, position: Array) -> None:
-        force = flight.force_at(self.at_s)
+    def _place(self, position: Array, quaternion: Array, state: str, force: Vec2) -> None:
+        """Show the vehicle at a pose, its arms in a state of the lock, and the force on it."""
+        vehicle = self._canvas.handle("player", "/player/vehicle")
+        vehicle.position, vehicle.wxyz = tuple(position), tuple(quaternion)
+        shown = state if state in _MODES.values() else "travelling"
+        for name in _MODES.values():
+            self._canvas.handle("player", node_name("player/vehicle", name)).visible = name == shown
         arrow = self._canvas.handle("player", "/player/force")
         arrow.visible = math.hypot(*force) > _LEAST_N
         if arrow.visible:

@@ -51,9 +51,10 @@ from dart_flight.lab.studio.player import Player
 from dart_flight.lab.studio.room_view import RoomView
 from dart_flight.lab.studio.scene_model import Scene, build_scene, scene_of_mission
 from dart_flight.lab.studio.server import open_server, stop_server
+from dart_flight.lab.studio.watching import WatchedFlight, growing_log
 
 _SETTLED_S = 0.25  # a typed number is complete after so long without a further key
-_FRAME_S, _IDLE_S, _DISK_S = 0.04, 0.25, 1.0
+_FRAME_S, _WATCH_S, _IDLE_S, _DISK_S = 0.04, 0.1, 0.25, 1.0
 _PANEL_PX = 340.0
 _PATH_CHARS = 48
 _REPORTS = 5  # kept pages
@@ -100,6 +101,7 @@ class Studio:
         self._flown: tuple[str, FlyRequest] | None = None
         self._flies_again = False  # one of many flights, to get its log
         self._disk: DiskState | None = None
+        self._watched: WatchedFlight | None = None
         self._problem = ""
         self.server = open_server(host, port, "DART studio", self._pages.get)
         self._wiring = Wiring(self.server, self.post, self._later, read_only)
@@ -153,6 +155,12 @@ class Studio:
                 self._fly = FlyPanel(
                     wiring, self._start_flights, self._cancel, self._open_flown, only_list=flights
                 )
+            self._watch = wiring.button(
+                "Watch a flight in progress",
+                self._watch_or_stop,
+                color="gray",
+                hint="through its log, read-only; nothing here reaches a vehicle",
+            )
             self._player = Player(wiring, self._canvas, self._report, self._open_flown)
         with tabs.add_tab("View"):
             wiring.button("From above", self._room.look_from_above, color="gray")
@@ -179,16 +187,20 @@ class Studio:
     def run(self) -> None:
         """Serve the page until `stop`."""
         self._perform(self._open, ())
-        looked_s = time.monotonic()
+        looked_s = watched_s = time.monotonic()
         try:
             while not self._stopped.is_set():
-                wait = _FRAME_S if self._player.is_playing or self._waiting else _IDLE_S
+                moves = self._player.is_playing or self._watched is not None
+                wait = _FRAME_S if moves or self._waiting else _IDLE_S
                 with contextlib.suppress(queue.Empty):
                     self._perform(*self._tasks.get(timeout=wait))
                 now = time.monotonic()
                 self._run_waiting(now)
                 if self._player.is_playing:
                     self._perform(self._player.tick, ())
+                if self._watched is not None and now - watched_s > _WATCH_S:
+                    watched_s = now
+                    self._perform(self._show_watched, (self._watched,))
                 if now - looked_s > _DISK_S:
                     looked_s = now
                     self._perform(self._look_at_disk, ())
@@ -591,6 +603,37 @@ class Studio:
                 FlightsFlown(done=done, completed=completed, reasons=reasons, says=f"{done} flights")
             )
             self._player.show_many(landed)
+
+    def _watch_or_stop(self) -> None:
+        if self._watched is not None:
+            self._stop_watching("stopped watching")
+            return
+        watched = WatchedFlight(growing_log(self._log_dir))
+        scene = scene_of_mission(watched.mission)
+        if self._file is None:
+            self._scene = scene
+            self._draw()
+        (x0, y0, _), (x1, y1, _) = scene.bounds
+        self._player.watch(scene.vehicle, max(x1 - x0, y1 - y0), self._room.palette)
+        self._watched = watched
+        self._watch.label = "Stop watching"
+
+    def _show_watched(self, watched: WatchedFlight) -> None:
+        try:
+            state = watched.update()
+        except InputError:
+            self._stop_watching("")
+            raise
+        self._player.show_live(f"{watched.mission.name}, in progress", state)
+        if watched.ended is not None:
+            self._stop_watching(f"the flight has ended: {watched.ended}")
+            self._play(watched.log)
+
+    def _stop_watching(self, says: str) -> None:
+        self._watched = None
+        self._watch.label = "Watch a flight in progress"
+        self._head.note(says)
+        self._player.close()
 
     def _report(self) -> None:
         log = self._log
