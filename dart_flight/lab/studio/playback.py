@@ -116,6 +116,10 @@ class Playback(NamedTuple):
         x, y = (float(np.interp(at_s, self.force_s, self.force_n[:, i])) for i in (0, 1))
         return x, y
 
+    def setpoint_at(self, at_s: float) -> Vec3 | None:
+        """Return the active setpoint at a time, or None before the first."""
+        return next((place for since_s, place in reversed(self.setpoints) if since_s <= at_s), None)
+
     def next_hit(self, at_s: float) -> PlayedHit | None:
         """Return the first hit after a time, or the first of all."""
         after = [hit for hit in self.hits if hit.at_s > at_s + 1e-3]

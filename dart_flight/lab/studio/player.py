@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from viser import uplot
 
-from dart_flight.base.geometry import Vec2
-from dart_flight.base.records import Mode
 from dart_flight.lab.figure_style import ESTIMATED, PREDICTED, TRUE
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.studio.canvas import (
@@ -24,22 +22,18 @@ from dart_flight.lab.studio.canvas import (
     Node,
     Palette,
     Rgb,
-    node_name,
-    polyline,
     segments,
 )
 from dart_flight.lab.studio.engine import FlownOne
 from dart_flight.lab.studio.panels import GO, NO_GO, QUIET, Wiring, block, line
 from dart_flight.lab.studio.playback import ForceChart, Playback, PlayedHit, value_at
-from dart_flight.lab.studio.room_view import cross, vehicle_nodes
-from dart_flight.lab.studio.scene_model import M_PER_N, VehicleShape
+from dart_flight.lab.studio.scene_model import VehicleShape
+from dart_flight.lab.studio.vehicle_view import VehicleView
 from dart_flight.lab.studio.watching import LiveState
 
-_LEAST_N = 2.0  # smaller forces are noise
 _BEFORE_HIT_S = 0.3  # the jump to a hit ends so long before it
 _TEXT_S, _FRAME_S = 0.12, 0.04  # shortest interval between two texts and two frames
 _NO_FLIGHT = "Fly, or open a flight from a file: this page then plays it."
-_MODES = {Mode.RIGID: "rigid", Mode.FLEXIBLE: "flexible", None: "travelling"}
 _OUTCOMES = {"completed": GREEN, "aborted": RED, "released": BLUE}
 
 
@@ -55,6 +49,7 @@ class Player:
     ) -> None:
         gui = wiring.server.gui
         self._canvas, self._wiring, self._open_flight = canvas, wiring, open_flight
+        self._view = VehicleView(canvas)
         self._flight: Playback | None = None
         self._hit: PlayedHit | None = None
         self._unit_m, self._palette = 0.05, LIGHT
@@ -102,8 +97,7 @@ class Player:
         """Prepare to show a flight in progress with `show_live`."""
         self.close()
         self._vehicle, self._unit_m, self._palette = vehicle, 0.012 * size_m, palette
-        self._canvas.draw("player", self._nodes(vehicle))
-        self._canvas.handle("player", "/player/setpoint").visible = False
+        self._view.draw(vehicle, self._unit_m, palette)
 
     def show_live(self, title: str, state: LiveState | None) -> None:
         """Show the newest state of a flight in progress."""
@@ -112,7 +106,7 @@ class Player:
             rows.append(line("the mission frame is not known yet", QUIET))
         else:
             with self._wiring.server.atomic():
-                self._place(np.array(state.position), state.quaternion, state.lock, state.force_n)
+                self._view.place(np.array(state.position), state.quaternion, state.lock, state.force_n)
             force = math.hypot(*state.force_n)
             rows.append(line(f"{state.phase}, {state.speed_m_s:.2f} m/s, force {force:.0f} N, {state.lock}"))
             rows += [line(f"guard {state.guard}", NO_GO, strong=True)] if state.guard else []
@@ -126,7 +120,7 @@ class Player:
         for chart in self._charts:
             chart.remove()
         self._charts = []
-        self._canvas.draw("player", [])
+        self._view.remove()
 
     def use_palette(self, palette: Palette) -> None:
         self._palette = palette
@@ -135,26 +129,8 @@ class Player:
             self._show(force=True)
 
     def _draw(self) -> None:
-        flight, vehicle = self._flight, self._vehicle
-        if flight is None or vehicle is None:
-            return
-        path = polyline("/player/path", flight.position, self._palette.ink, 1.5)
-        self._canvas.draw("player", [path, *self._nodes(vehicle)])
-
-    def _nodes(self, vehicle: VehicleShape) -> list[Node]:
-        """Return the vehicle in each state of its arms, its force and its setpoint."""
-        ink, grey = self._palette.ink, self._palette.grey
-        nodes = [
-            Node("frame", "/player/vehicle", {"show_axes": False}),
-            Node("frame", "/player/setpoint", {"show_axes": False}),
-            cross("/player/setpoint/cross", (0.0, 0.0, 0.0), self._unit_m, GREEN),
-            _force_node(np.zeros((1, 2, 3)), self._unit_m),
-        ]
-        for mode, name in _MODES.items():
-            root = node_name("player/vehicle", name)
-            nodes.append(Node("frame", root, {"show_axes": False}))
-            nodes += vehicle_nodes(root, vehicle, mode, ink, grey)
-        return nodes
+        if self._flight is not None and self._vehicle is not None:
+            self._view.draw(self._vehicle, self._unit_m, self._palette, self._flight.position)
 
     def show_report(self, path: str) -> None:
         """Offer the page of the report."""
@@ -245,30 +221,12 @@ class Player:
         position, quaternion = flight.frame(at_s)
         state = value_at(flight.lock, at_s)
         with self._wiring.server.atomic():
-            self._place(position, quaternion, state, flight.force_at(at_s))
-            target = next((p for t, p in reversed(flight.setpoints) if t <= at_s), None)
-            setpoint = self._canvas.handle("player", "/player/setpoint")
-            setpoint.visible = target is not None
-            if target is not None:
-                setpoint.position = target
+            self._view.place(position, quaternion, state, flight.force_at(at_s), flight.setpoint_at(at_s))
             self._slider.value = round(at_s, 2)
         now = time.monotonic()
         if force or now - self._texted > _TEXT_S:
             self._texted = now
             self._describe(flight, state)
-
-    def _place(self, position: Array, quaternion: Array, state: str, force: Vec2) -> None:
-        """Show the vehicle at a pose, its arms in a state of the lock, and the force on it."""
-        vehicle = self._canvas.handle("player", "/player/vehicle")
-        vehicle.position, vehicle.wxyz = tuple(position), tuple(quaternion)
-        shown = state if state in _MODES.values() else "travelling"
-        for name in _MODES.values():
-            self._canvas.handle("player", node_name("player/vehicle", name)).visible = name == shown
-        arrow = self._canvas.handle("player", "/player/force")
-        arrow.visible = math.hypot(*force) > _LEAST_N
-        if arrow.visible:
-            tip = position + M_PER_N * np.array([*force, 0.0])
-            arrow.points = np.array([[position, tip]], dtype=np.float32)
 
     def _describe(self, flight: Playback, state: str) -> None:
         at_s, hit = self.at_s, flight.hit_near(self.at_s)
@@ -332,18 +290,6 @@ class Player:
 
 def _series(chart: ForceChart) -> tuple[Array, ...]:
     return chart.time_ms, chart.planned, chart.measured, chart.true
-
-
-def _force_node(points: Array, unit_m: float) -> Node:
-    props = {
-        "points": np.asarray(points, dtype=np.float32),
-        "colors": RED,
-        "shaft_radius": 0.25 * unit_m,
-        "head_radius": 0.8 * unit_m,
-        "head_length": 2.0 * unit_m,
-        "visible": False,
-    }
-    return Node("arrows", "/player/force", props)
 
 
 # An octahedron: enough for a marker.

@@ -5,6 +5,7 @@ import http.client
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -13,8 +14,13 @@ websockets = pytest.importorskip("websockets")
 
 import viser  # noqa: E402
 
+from dart_flight.cli import main  # noqa: E402
 from dart_flight.config.document import InputError  # noqa: E402
+from dart_flight.config.mission import load_mission  # noqa: E402
+from dart_flight.lab.studio.scene_page import mission_scene  # noqa: E402
 from dart_flight.lab.studio.server import LOCAL, open_server, stop_server  # noqa: E402
+from dart_flight.run.fast import fly_fast  # noqa: E402
+from tests.lab.studio.files import DUAL  # noqa: E402
 
 PAGES = {"/report/1": "<b>a report</b>"}
 
@@ -116,3 +122,13 @@ def test_serving_a_page_loads_nothing_that_reaches_a_vehicle() -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "loaded: []" in done.stdout
+
+
+def test_a_flight_and_a_mission_become_pages_that_need_no_network(tmp_path: Path) -> None:
+    verdict = fly_fast(load_mission(DUAL), 1, tmp_path)
+    page = tmp_path / "scene.html"
+    assert main(["export", str(verdict.log), "--scene", str(page)]) == 0
+    assert "__VISER_EMBED_DATA__" in page.read_text()
+    assert main(["export", str(verdict.log), "--scene", str(page), "--foxglove"]) == 2
+    with mission_scene(load_mission(DUAL)) as serializer:
+        assert "__VISER_EMBED_DATA__" in serializer.as_html()
