@@ -114,7 +114,7 @@ class RoomView:
     # --- camera ---------------------------------------------------------------------------------------------
 
     def look_from_above(self) -> None:
-        """Aim every camera at the whole room from above, north of the mission frame's x to the right."""
+        """Aim every camera at the whole room from above, with the mission frame's x to the right."""
         if self._scene is None:
             return
         camera, (x, y, far) = self._server.initial_camera, self._aim_point(1.2)
