@@ -396,7 +396,7 @@ class FlyPanel:
             self.landed.sort(key=lambda one: (one.outcome == "completed", one.seed))
             self._labels = self._choice.options = distinct(map(_flight_label, self.landed))
             self._choice.value = self._choice.options[0]
-            self._choice.visible = self._open.visible = True
+            self._choice.visible = self._open.visible = self._only_list or len(self.landed) > 1
 
     def select(self, flight: FlownOne) -> None:
         for label, landed in zip(self._labels, self.landed, strict=False):

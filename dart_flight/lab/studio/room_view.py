@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -39,12 +40,13 @@ from dart_flight.lab.studio.canvas import (
 from dart_flight.lab.studio.scene_model import Handle, HitShape, PlaceShape, Scene, VehicleShape, WallShape
 
 _FOV_RAD = math.radians(1.0)  # viser has no parallel projection
-_UPRIGHT, _FREE_SHARE = 0.8, 0.4  # aspect of a view whose lower part is covered; share that is free
+_UPRIGHT, _FREE_SHARE = 0.65, 0.4  # aspect of a view whose lower part is covered; share that is free
 _MARGIN = 1.3  # size of the view over that of the room
 _MOST_LINES = 14  # of the grid along one axis
 _KNOB_M = 0.3  # distance of the knob that turns a wall from its surface
 _CHARACTER, _LINE = 0.0095, 0.025  # size of a label's letters as fractions of the room's size
 _MOST_SHIFTS = 24
+_LABEL_CHARACTERS, _LABEL_LINES = 40, 3  # of a finding beside its object
 _SLOP_M, _SLOP_RAD = 5e-4, 1e-3  # smaller drags change nothing
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
@@ -242,7 +244,8 @@ class _Painter:
     def __init__(
         self, scene: Scene, palette: Palette, problems: Mapping[str, str], selected: str | None
     ) -> None:
-        self.scene, self.palette, self.problems, self.selected = scene, palette, problems, selected
+        self.scene, self.palette, self.selected = scene, palette, selected
+        self.problems = {name: _wrapped(says) for name, says in problems.items()}
         (x0, y0, _), (x1, y1, z1) = scene.bounds
         self.size_m = max(x1 - x0, y1 - y0)
         self.unit_m = 0.012 * self.size_m  # radius of a handle
@@ -432,6 +435,12 @@ class _Painter:
                 break
         self._labels.append((x, x + wide, low, low + high))
         return x, low, z
+
+
+def _wrapped(says: str) -> str:
+    """Return a finding as a short label; the panel has all of it."""
+    lines = textwrap.wrap(says, _LABEL_CHARACTERS)
+    return "\n".join(lines[:_LABEL_LINES]) + (" …" if len(lines) > _LABEL_LINES else "")
 
 
 def _named(name: str, material: str) -> str:

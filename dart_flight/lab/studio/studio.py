@@ -155,17 +155,17 @@ class Studio:
                 self._fly = FlyPanel(
                     wiring, self._start_flights, self._cancel, self._open_flown, only_list=flights
                 )
+            self._player = Player(wiring, self._canvas, self._report, self._open_flown)
+        with tabs.add_tab("View"):
+            wiring.button("From above", self._room.look_from_above, color="gray")
+            self._dark = gui.add_checkbox("dark", dark)
+            wiring.when_changed(self._dark, self._use_dark)
             self._watch = wiring.button(
                 "Watch a flight in progress",
                 self._watch_or_stop,
                 color="gray",
                 hint="through its log, read-only; nothing here reaches a vehicle",
             )
-            self._player = Player(wiring, self._canvas, self._report, self._open_flown)
-        with tabs.add_tab("View"):
-            wiring.button("From above", self._room.look_from_above, color="gray")
-            self._dark = gui.add_checkbox("dark", dark)
-            wiring.when_changed(self._dark, self._use_dark)
         self._use_dark(dark, draw=False)
 
     # --- the thread -----------------------------------------------------------------------------------------
