@@ -16,6 +16,7 @@ COMMANDS: Final = {
     "report": "dart_flight.lab.commands.report_command",
     "export": "dart_flight.lab.commands.export_command",
     "predict": "dart_flight.lab.commands.predict_command",
+    "studio": "dart_flight.lab.commands.studio_command",
     "calibrate": "dart_flight.lab.commands.calibrate_command",
     "inspect": "dart_flight.lab.commands.inspect_command",
     "identify": "dart_flight.lab.commands.identify_command",
@@ -25,6 +26,7 @@ COMMANDS: Final = {
 LIVE_VIEW: Final = "dart_flight.lab.scene.live:open_live_view"  # --live
 MISSION_PICTURE: Final = "dart_flight.lab.report.figures.mission_figure:write_mission_picture"  # --plot
 ROOM_PICTURE: Final = "dart_flight.lab.report.figures.room_figure:write_room_picture"  # `survey --plot`
+MISSION_SCENE: Final = "dart_flight.lab.studio.scene_page:show_mission"  # `Mission.show`
 PX4_FIGURES: Final = "dart_flight.lab.inspect.px4_log:read_px4_log"  # `dry-run --px4`
 SCRIPT_NAMES: Final = "dart_flight.lab.api"  # the names in `dart_flight.__all__`
 

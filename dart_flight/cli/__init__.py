@@ -44,6 +44,7 @@ COMMANDS = {
     "replay": "replay a recorded flight through the flight core and compare decisions",
     "report": "write an HTML report of recorded flights",
     "export": "export flight logs as CSV, or for 3D playback in Foxglove, Lichtblick and Rerun",
+    "studio": "open a page in the browser: see a room, move walls, plan, fly and play flights",
     "predict": "predict a collision or a drop",
     "monitor": "show force, detection, streams, lock and phase live, without flying",
     "calibrate": "calibrate thrust curve or inertia from flight logs",

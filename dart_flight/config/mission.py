@@ -37,6 +37,7 @@ from dart_flight.config.provenance import LoadedVehicle, VehicleSource, display_
 from dart_flight.config.section import shared_keys, without_defaults
 from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import Flying, VehicleConfig, load_vehicle
+from dart_flight.lab_entries import MISSION_SCENE, load_entry
 
 _PAUSE_S = 60.0
 # After power-on, the position estimate of a resting vehicle drifts; until arming, the frame follows it.
@@ -224,6 +225,17 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         """
         file = Document.from_tree(self._keys_as_written(self.vehicle_as_written())).convert(MissionFile)
         return {**msgspec.to_builtins(file), "vehicle": self.vehicle.to_dict()}
+
+    def show(self, height: int = 600) -> None:
+        """Show the room and the predicted path below a notebook's cell or, from a script, in the browser.
+
+        Args:
+            height: height of the view, pixels.
+
+        Raises:
+            InputError: viser (extra `studio`) is missing.
+        """
+        load_entry(MISSION_SCENE)(self, height)
 
     def replace(self, changes: Mapping[str, Any]) -> Mission:
         """Return the mission that the file would define with some keys changed.

@@ -9,7 +9,15 @@ from typing import Final
 from dart_flight.config.document import InputError, Key
 
 _CHECKOUT: Final = Path(__file__).resolve().parents[2]
-IN_FULL: Final = ("sim", "identify", "report", "live", "plan", "mocap")  # extras that `make install` installs
+IN_FULL: Final = (
+    "sim",
+    "identify",
+    "report",
+    "live",
+    "plan",
+    "mocap",
+    "studio",
+)  # extras that `make install` installs
 
 
 def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -> InputError:

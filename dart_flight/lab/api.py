@@ -131,6 +131,16 @@ class Flight:
         """
         return self._record.log
 
+    def show(self, height: int = 600) -> None:
+        """Show the playback below a notebook's cell or, from a script, in the browser; `height` is in pixels.
+
+        Raises:
+            InputError: viser (extra `studio`) is missing, or the vehicle did not take off.
+        """
+        from dart_flight.lab.studio.scene_page import show_flight  # noqa: PLC0415  (an extra)
+
+        show_flight(self.log, height)
+
     def __repr__(self) -> str:
         v = self.verdict
         return (

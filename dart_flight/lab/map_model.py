@@ -24,6 +24,7 @@ from dart_flight.config.vehicle import Airframe
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.planning.predicted_flight import PredictedFlight, predicted_segments
 
+SURE = 3.0  # half width of the band around an uncertain wall, in standard deviations
 THICKNESS_M = 0.12  # drawn thickness of a wall; the true thickness is unknown
 _OPPOSED, _SAME_PLANE_M = (
     -0.9,
@@ -66,6 +67,7 @@ class MapKind(StrEnum):
     CONTACT = "contact, the vehicle's centre"
 
 
+_HUB_SHARE = 0.45  # inner end of the drawn arms, as a fraction of the distance to the motor
 FlatLine = Array | Sequence[Vec2]
 
 
@@ -196,14 +198,15 @@ def room_map(mission: Mission) -> RoomMap:
     """Return a map of the mission's bounds, walls, posts, waypoints, start and goal."""
     start = (*mission.start, mission.altitude_m)
     goal = (*mission.goal.position_m, mission.altitude_at(len(mission.collisions)))
+    airframe = mission.vehicle.airframe
     return RoomMap(
-        mission.vehicle.airframe,
+        airframe,
         mission.bounds,
         math.radians(mission.frame.heading_deg),
         start,
         goal,
         mission.goal.capture_radius_m,
-        tuple(_drawn_walls(mission)),
+        tuple(drawn_walls(mission.flat_walls, airframe)),
         mission.posts,
         paths=[Line(MapKind.CAPTURE, circle(goal, mission.goal.capture_radius_m))],
         places=[
@@ -215,9 +218,9 @@ def room_map(mission: Mission) -> RoomMap:
     )
 
 
-def _drawn_walls(mission: Mission) -> Iterator[DrawnWall]:
-    surfaces = [mission.vehicle.airframe.wall_surface(wall) for wall in mission.flat_walls]
-    for wall, surface in zip(mission.flat_walls, surfaces, strict=True):
+def drawn_walls(walls: Sequence[Wall], airframe: Airframe) -> Iterator[DrawnWall]:
+    surfaces = [airframe.wall_surface(wall) for wall in walls]
+    for wall, surface in zip(walls, surfaces, strict=True):
         gap_m = _gap_behind_m(surface, surfaces)
         yield DrawnWall(wall, surface, min(THICKNESS_M, 0.5 * gap_m), gap_m < _BACK_TO_BACK_M)
 
@@ -254,12 +257,32 @@ def planned_lines(mission: Mission, planned: PredictedFlight) -> list[Array]:
     return found + [at_altitude(line, mission.altitude_at(index - 1)) for index, line in lines]
 
 
+def uncertainty_band(line: Array, normal: Vec2, sd_m: Array) -> Array:
+    """Return the outline of `SURE` standard deviations on both sides of a line (n, 2); `sd_m` is (n,)."""
+    apart = SURE * sd_m[:, None] * np.array(normal)
+    return np.vstack([line + apart, (line - apart)[::-1]])
+
+
 def circle(centre: Sequence[float], radius_m: float) -> Array:
     """Return points on a horizontal circle, with as many coordinates as its centre."""
     angle = np.linspace(0.0, 2.0 * math.pi, 49)
     around = np.zeros((angle.size, len(centre)))
     around[:, :2] = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.asarray(around + np.array(centre))
+
+
+def placed(points: Sequence[Vec2], at: Vec2 | Vec3, yaw_rad: float) -> Array:
+    """Convert points from body axes (forward, left) to the mission frame, (n, 2)."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([(at[0] + c * x - s * y, at[1] + s * x + c * y) for x, y in points])
+
+
+def arms_m(airframe: Airframe) -> list[tuple[Vec2, Vec2]]:
+    """Return each arm from the frame to its motor (forward, left), m."""
+    return [
+        ((_HUB_SHARE * motor.x_m, -_HUB_SHARE * motor.y_m), (motor.x_m, -motor.y_m))
+        for motor in airframe.motors
+    ]
 
 
 def at_altitude(line: FlatLine, z: float) -> Array:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dart_flight.cli.terminal import emit_json, print_status
+from dart_flight.config.document import InputError
 
 FOXGLOVE_NAME = "foxglove.mcap"
 
@@ -17,6 +18,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--foxglove",
         action="store_true",
         help="write an MCAP file with standard schemas, for the 3D views of Foxglove, Lichtblick and Rerun",
+    )
+    parser.add_argument(
+        "--scene",
+        type=Path,
+        metavar="FILE",
+        help="write the playback of one flight as an HTML page that needs neither a server nor a network",
     )
     parser.add_argument(
         "-o",
@@ -34,11 +41,29 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.recording.found import find_logs
 
     paths = find_logs(arguments.logs)
+    if arguments.scene is not None:
+        return _export_scene(paths, arguments)
     export = _export_foxglove if arguments.foxglove else _export_csv
     places = _files(paths, arguments.output) if arguments.foxglove else _folders(paths, arguments.output)
     exports = [export(path, place) for path, place in zip(paths, places, strict=True)]
     if arguments.json:
         emit_json(exports[0] if len(exports) == 1 else {"exports": exports})
+    return 0
+
+
+def _export_scene(paths: list[Path], arguments: argparse.Namespace) -> int:
+    from dart_flight.lab.studio.scene_page import write_scene
+    from dart_flight.recording.reader import read_log
+
+    if len(paths) > 1:
+        raise InputError(f"writes one flight, not {len(paths)}", key=("--scene",))
+    if arguments.foxglove or arguments.output is not None:
+        raise InputError("cannot be combined with --foxglove or --output", key=("--scene",))
+    log = read_log(paths[0])
+    write_scene(log, arguments.scene)
+    _print_result(f"{paths[0]}: playback in {arguments.scene}", log.complete)
+    if arguments.json:
+        emit_json({"files": [str(arguments.scene)], "log": str(paths[0])})
     return 0
 
 

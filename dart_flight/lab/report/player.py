@@ -11,8 +11,7 @@ import numpy as np
 from dart_flight.base.geometry import Vec2, Vec3
 from dart_flight.base.records import Mode, PhaseChange
 from dart_flight.lab.flight_arrays import Array, ForceArrays, MotionArrays
-from dart_flight.lab.map_model import DrawnWall, RoomMap, named_material, room_map
-from dart_flight.lab.report.figures.map_drawing import arms_m
+from dart_flight.lab.map_model import DrawnWall, RoomMap, arms_m, named_material, room_map
 from dart_flight.lab.report.recorded_flight import Impact, RecordedFlight
 from dart_flight.lab.report.tracks import (
     Angles,

@@ -20,7 +20,7 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import Document, InputError, Key, unknown_name
-from dart_flight.config.file_kinds import FileKind, load_document
+from dart_flight.config.file_kinds import FileKind, load_document, refuse_other_keys
 from dart_flight.config.flight_space import FlightSpace
 from dart_flight.config.mission_file import (
     Alpha,
@@ -230,7 +230,17 @@ def load_scenario(
     Raises:
         InputError: the scenario or the configuration is invalid.
     """
-    document = load_document(path, FileKind.SCENARIO)
+    return parse_scenario(load_document(path, FileKind.SCENARIO), config, vehicle, settings)
+
+
+def parse_scenario(
+    document: Document,
+    config: str | Path | None = None,
+    vehicle: VehicleConfig | None = None,
+    settings: Sequence[str] = (),
+) -> Scenario:
+    """Resolve a parsed scenario as `load_scenario` does."""
+    refuse_other_keys(document, FileKind.SCENARIO)
     spec = document.convert(ScenarioFile)
     if config is None and spec.vehicle is not None:
         config = Path(document.source).parent / spec.vehicle

@@ -23,11 +23,20 @@ from dart_flight.lab.figure_style import (
     Look,
 )
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.map_model import THICKNESS_M, DrawnVehicle, DrawnWall, Line, MapKind, RoomMap, circle
+from dart_flight.lab.map_model import (
+    THICKNESS_M,
+    DrawnVehicle,
+    DrawnWall,
+    Line,
+    MapKind,
+    RoomMap,
+    arms_m,
+    circle,
+    placed,
+)
 from dart_flight.lab.report.figures.labels import name_walls, place_labels
 
 _WIDE_IN = 6.0  # figure width from which a legend has three columns
-_HUB_SHARE = 0.45  # inner end of the drawn arms, as a fraction of the distance to the motor
 _NORTH_PT = 16.0  # length of the north arrow
 _OUTSIDE_M = 0.6  # maximum distance outside of the bounds at which a wall may still be hit
 _NAME_M = 0.15  # space for the name behind a wall
@@ -201,20 +210,6 @@ def draw_vehicle(axis: Any, airframe: Airframe, at: Vec2 | Vec3, yaw_rad: float,
         )  # fmt: skip
     front = placed([(0.8 * airframe.contact_distance_m, 0.0)], at, yaw_rad)[0]
     axis.plot(*front, marker=(3, 0, math.degrees(yaw_rad) - 90.0), color=colour, markersize=4.0, zorder=3.3)
-
-
-def placed(points: Sequence[Vec2], at: Vec2 | Vec3, yaw_rad: float) -> Array:
-    """Convert points from body axes (forward, left) to the mission frame, (n, 2)."""
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array([(at[0] + c * x - s * y, at[1] + s * x + c * y) for x, y in points])
-
-
-def arms_m(airframe: Airframe) -> list[tuple[Vec2, Vec2]]:
-    """Return each arm from the frame to its motor (forward, left), m."""
-    return [
-        ((_HUB_SHARE * motor.x_m, -_HUB_SHARE * motor.y_m), (motor.x_m, -motor.y_m))
-        for motor in airframe.motors
-    ]
 
 
 def draw_arrow(axis: Any, begin: Array | Vec2, end: Array | Vec2, colour: str, **style: Any) -> None:

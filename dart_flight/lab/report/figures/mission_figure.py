@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,24 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import transit_segments
-from dart_flight.core.mission.planned_impact import describe_force
-from dart_flight.lab.figure_style import FORCE, Look, in_style, new_figure, save_figure
+from dart_flight.lab.figure_style import Look, in_style, new_figure, save_figure
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.map_model import (
-    Arrow,
-    DrawnVehicle,
-    Label,
-    Line,
-    MapKind,
-    Place,
-    RoomMap,
-    at_altitude,
-    planned_lines,
-    room_map,
-)
+from dart_flight.lab.map_model import planned_lines
+from dart_flight.lab.mission_map import mission_map
 from dart_flight.lab.report.figures.map_drawing import (
     BELOW_M,
     draw_map,
@@ -37,7 +24,6 @@ from dart_flight.lab.report.figures.map_drawing import (
     view_of,
 )
 from dart_flight.lab.search.drawn import predict_with_draws
-from dart_flight.planning.envelope import impact_yaw, incidence_deg
 from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal_miss
 
 SHEET = Look(7.2, 9.0)
@@ -69,22 +55,6 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
     words = "\n".join(textwrap.fill(line, _NOTE_WIDTH) for line in prediction_lines(mission, planned, drawn))
     finish_map(figure, plan, shown, look, below=side, note=words)
     return figure
-
-
-def mission_map(
-    mission: Mission, planned: PredictedFlight | None, drawn: Sequence[PredictedFlight] = ()
-) -> RoomMap:
-    """Return a map of a mission with its predicted path and the predictions for varied walls."""
-    shown = room_map(mission)
-    climb = [(*mission.start, z) for z in (0.0, mission.altitude_m)]
-    shown.paths.append(Line(MapKind.PREDICTED, np.array(climb)))
-    _add_draws(shown, mission, drawn)
-    _add_probes(shown, mission, labelled=planned is None)
-    if planned is not None:
-        _add_trajectory(shown, mission, planned)
-        _add_hits(shown, mission, planned)
-    shown.labels += [Label(text, place, (1.0, 1.0)) for text, place in _stops(mission)]
-    return shown
 
 
 def prediction_lines(
@@ -160,83 +130,6 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
     size = (flown.max(axis=0) - flown.min(axis=0)).max()
     shown = (corners[1] - corners[0]).max() <= max(_ROOM_M, _ROOM_SHARE * size)
     return np.vstack([flown, corners]) if shown else flown
-
-
-def _add_probes(shown: RoomMap, mission: Mission, *, labelled: bool) -> None:
-    for collision in mission.collisions:
-        if collision.probe is None:
-            continue
-        path = np.array([collision.probe.begin, collision.probe.end])
-        z = mission.altitude_at(collision.index - 1)
-        shown.paths.append(Line(MapKind.PROBE, at_altitude(path, z)))
-        (dx, dy), middle = path[1] - path[0], path[0] + 0.6 * (path[1] - path[0])
-        (x, y) = collision.probe.end
-        shown.arrows.append(Arrow(MapKind.PROBE, (x - 0.06 * dx, y - 0.06 * dy), (x, y)))
-        if labelled:
-            across = (-dy / math.hypot(dx, dy), dx / math.hypot(dx, dy))
-            text = f"{collision.index} probe for {collision.wall.name}\n{collision.probe.speed_m_s:g} m/s"
-            shown.labels.append(Label(text, (float(middle[0]), float(middle[1])), across, FORCE))
-
-
-def _add_draws(shown: RoomMap, mission: Mission, drawn: Sequence[PredictedFlight]) -> None:
-    """Add the wall surfaces and the paths after the hits for every set of randomly varied walls."""
-    legend = f"{len(drawn)} draws of the walls"
-    for flight in drawn:
-        surfaces = [np.array(mission.vehicle.airframe.wall_surface(wall).ends) for wall in flight.walls]
-        legs = [at_altitude(leg, mission.altitude_at(index - 1)) for index, leg in flight.legs.items()]
-        shown.paths += [Line(MapKind.DRAW, points, legend) for points in (*legs, *surfaces)]
-
-
-def _add_trajectory(shown: RoomMap, mission: Mission, planned: PredictedFlight) -> None:
-    shown.paths += [Line(MapKind.PREDICTED, line) for line in planned_lines(mission, planned)]
-    for index, line in planned.approaches.items():
-        begins = 0 if mission.collisions[index - 1].trajectory is not None else -2
-        shown.places.append(Place(MapKind.RUN_UP, line[begins]))
-        (ax, ay), (bx, by) = line[-2:]
-        middle, tip = ((ax + share * (bx - ax), ay + share * (by - ay)) for share in (0.55, 0.61))
-        shown.arrows.append(Arrow(MapKind.PREDICTED, middle, tip))
-
-
-def _add_hits(shown: RoomMap, mission: Mission, planned: PredictedFlight) -> None:
-    forces: list[tuple[Vec2, Vec2]] = []
-    for collision in mission.collisions:
-        hit, wall = planned.hits.get(collision.index), collision.wall
-        at = hit.position if hit is not None else collision.impact_point
-        if at is None:
-            continue
-        stops = hit is None or mission.standoff_m is not None
-        place = (*at, mission.altitude_at(collision.index - 1))
-        body = DrawnVehicle(place, impact_yaw(mission, collision), collision.mode, collision.index)
-        shown.add_hit(body, None if hit is None or stops else hit.setpoint)
-        if hit is None:
-            continue
-        if not stops:
-            x, y, _ = wall.from_collision((hit.normal_n, hit.tangential_n, 0.0))
-            forces.append((at, (x, y)))
-        speed = math.hypot(hit.normal_m_s, hit.tangential_m_s)
-        force = describe_force(hit.normal_n, hit.tangential_n)
-        text = f"{collision.index} {collision.mode.value}\n{speed:.2f} m/s, {force}"
-        incidence = incidence_deg(mission, collision)
-        if incidence >= 1.0:
-            text += f"\nincidence {incidence:.0f}°"
-        shown.labels.append(Label(text, hit.position, (-wall.normal[0], -wall.normal[1]), FORCE))
-    shown.add_forces(forces)
-
-
-def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
-    """Return the labels and places of start, goal, waypoints (numbered) and changes of altitude."""
-    found: dict[Vec2, str] = {mission.start: "start"}
-    goal = mission.goal.position_m
-    found[goal] = f"{found[goal]}, goal" if goal in found else "goal"
-    z_before = mission.altitude_m
-    for waypoint in mission.waypoints:
-        if waypoint.position is None:
-            continue
-        x, y, z = waypoint.position
-        text = f"{waypoint.index}" if z == z_before else f"{waypoint.index}: {z:g} m high"
-        found[x, y] = f"{found[x, y]}, {text}" if (x, y) in found else text
-        z_before = z
-    return [(text, place) for place, text in found.items()]
 
 
 def write_mission_picture(mission: Mission, planned: PredictedFlight | None, path: Path) -> None:

@@ -12,12 +12,21 @@ import numpy as np
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
 from dart_flight.lab.figure_style import Look, in_style, new_figure, save_figure
-from dart_flight.lab.map_model import DrawnVehicle, Label, Line, MapKind, Place, RoomMap, room_map
+from dart_flight.lab.map_model import (
+    SURE,
+    DrawnVehicle,
+    Label,
+    Line,
+    MapKind,
+    Place,
+    RoomMap,
+    room_map,
+    uncertainty_band,
+)
 from dart_flight.lab.report.figures.map_drawing import draw_map, finish_map, set_view
 from dart_flight.planning.room import Room, RoomContact, RoomWall
 
 _SHEET = Look(7.2, 6.4)
-_SURE = 3.0  # half width of the band around a wall, in standard deviations
 _OPEN_M = 0.7  # extension of a wall without a corner beyond its contacts
 _MARGIN_M = 0.4
 
@@ -60,9 +69,8 @@ def _add_wall(shown: RoomMap, wall: RoomWall, corners: tuple[Vec2 | None, Vec2 |
     t = np.linspace(float(min(reach)), float(max(reach)), 40)
     line = wall.offset_m * normal + t[:, None] * tangent
     beside = (t - touched.mean()) * math.tan(wall.normal_sd_rad)
-    open_m = _SURE * np.hypot(wall.offset_sd_m, beside)[:, None]
-    band = np.vstack([line + open_m * normal, (line - open_m * normal)[::-1]])
-    shown.areas.append(Line(MapKind.BAND, band, f"± {_SURE:g} standard deviations"))
+    band = uncertainty_band(line, wall.normal, np.hypot(wall.offset_sd_m, beside))
+    shown.areas.append(Line(MapKind.BAND, band, f"± {SURE:g} standard deviations"))
     shown.paths.append(Line(MapKind.MEASURED_WALL, line))
     (x, y), (nx, ny) = line[len(line) // 2], wall.normal
     shown.labels.append(Label(name, (float(x), float(y)), (-nx, -ny)))

@@ -1,0 +1,134 @@
+"""The studio's server: who may use it, and what its process loads. No browser is needed."""
+
+import asyncio
+import http.client
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("viser", reason="the page of the studio needs viser (extra studio)")
+websockets = pytest.importorskip("websockets")
+
+import viser  # noqa: E402
+
+from dart_flight.cli import main  # noqa: E402
+from dart_flight.config.document import InputError  # noqa: E402
+from dart_flight.config.mission import load_mission  # noqa: E402
+from dart_flight.lab.studio.scene_page import mission_scene  # noqa: E402
+from dart_flight.lab.studio.server import LOCAL, open_server, stop_server  # noqa: E402
+from dart_flight.run.fast import fly_fast  # noqa: E402
+from tests.lab.studio.files import DUAL  # noqa: E402
+
+PAGES = {"/report/1": "<b>a report</b>"}
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[int]:
+    server = open_server(LOCAL, 0, "test", PAGES.get)
+    yield server.get_port()
+    stop_server(server)
+
+
+def get(port: int, path: str = "/", **headers: str) -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection(LOCAL, port, timeout=10.0)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    return answer.status, answer.read()
+
+
+def connects(port: int, origin: str) -> bool:
+    protocol, address = f"viser-v{viser.__version__}", f"ws://{LOCAL}:{port}"
+
+    async def connect() -> None:
+        async with websockets.connect(address, origin=origin, subprotocols=[protocol]):
+            pass
+
+    try:
+        asyncio.run(connect())
+    except websockets.exceptions.InvalidStatus as error:
+        return bool(error.response.status_code != 403)
+    return True
+
+
+def test_the_page_and_the_reports_are_served(port: int) -> None:
+    status, page = get(port)
+    assert status == 200
+    assert b"<html" in page[:2000].lower()
+    assert get(port, "/report/1") == (200, b"<b>a report</b>")
+    assert get(port, "/report/2")[0] == 404
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_its_own_pages_may_connect(port: int, host: str) -> None:
+    assert connects(port, f"http://{host}:{port}")
+    assert get(port, Host=f"{host}:{port}")[0] == 200
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://example.org", "null", "https://127.0.0.1", "http://127.0.0.1:1", "http://127.0.0.1"]
+)
+def test_pages_of_another_origin_may_not(port: int, origin: str) -> None:
+    assert not connects(port, origin)
+    assert get(port, Origin=origin)[0] == 403
+
+
+def test_another_name_that_leads_here_may_not(port: int) -> None:
+    assert get(port, Host=f"example.org:{port}")[0] == 403
+    assert get(port, Host="")[0] == 403
+
+
+def test_an_address_of_another_computer_is_refused_at_once() -> None:
+    with pytest.raises(InputError, match=r"cannot listen on 192\.0\.2\.1"):
+        open_server("192.0.2.1", 0, "test")
+
+
+def test_no_page_can_open_a_tunnel_to_the_internet() -> None:
+    from viser import _messages
+
+    server = open_server(LOCAL, 0, "test")
+    try:
+        assert _messages.ShareUrlRequest not in server._websock_server._incoming_handlers
+    finally:
+        stop_server(server)
+
+
+FRESH = """
+import sys, threading
+from dart_flight.cli import build_parser
+from dart_flight.lab.commands import studio_command
+from dart_flight.lab.studio.studio import Studio
+opened = studio_command._open([])
+studio = Studio(opened, studio_command.Path("flights"), "127.0.0.1", 0)
+thread = threading.Thread(target=studio.run)
+thread.start()
+for _ in range(600):
+    if studio._checked is not None:
+        break
+    thread.join(0.1)
+studio.stop()
+thread.join()
+assert studio._checked is not None and studio._checked.go, studio._checked
+found = [m for m in sys.modules if m.split(".")[0] == "mavsdk" or m.startswith("dart_flight.vehicle")]
+print("loaded:", found)
+"""
+
+
+def test_serving_a_page_loads_nothing_that_reaches_a_vehicle() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FRESH], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "loaded: []" in done.stdout
+
+
+def test_a_flight_and_a_mission_become_pages_that_need_no_network(tmp_path: Path) -> None:
+    verdict = fly_fast(load_mission(DUAL), 1, tmp_path)
+    page = tmp_path / "scene.html"
+    assert main(["export", str(verdict.log), "--scene", str(page)]) == 0
+    assert "__VISER_EMBED_DATA__" in page.read_text()
+    assert main(["export", str(verdict.log), "--scene", str(page), "--foxglove"]) == 2
+    with mission_scene(load_mission(DUAL)) as serializer:
+        assert "__VISER_EMBED_DATA__" in serializer.as_html()
