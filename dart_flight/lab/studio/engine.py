@@ -29,7 +29,7 @@ class Finding(msgspec.Struct):
     Attributes:
         item: name of the finding, as `check` prints it; `file` for an error of the file.
         word: `go`, `NO-GO`, `remark` or `error`.
-        says: the finding in the words of the command.
+        message: the finding in the words of the command.
         object: id of the object in the scene, or "" if the finding concerns the whole mission.
         objects: all objects that the finding concerns, the most important first.
     """
@@ -37,7 +37,7 @@ class Finding(msgspec.Struct):
     item: str
     go: bool
     word: str
-    says: str
+    message: str
     object: str = ""
     objects: list[str] = []
 
@@ -90,11 +90,11 @@ class Checked(EngineEvent):
 
 
 class PlanProgress(EngineEvent):
-    """Candidates tried so far, and in all (None: unknown); `says` names what is going on."""
+    """Candidates tried so far, and in all (None: unknown); `message` names what is going on."""
 
     done: int = 0
     of: int | None = None
-    says: str = ""
+    message: str = ""
 
 
 class PlanRow(msgspec.Struct):
@@ -111,7 +111,7 @@ class PlanRow(msgspec.Struct):
     """
 
     rank: int
-    says: str
+    summary: str
     values: dict[str, str]
     paths: list[Array]
     mission: str
@@ -136,7 +136,7 @@ class Planned(EngineEvent):
     refused: dict[str, int] = {}
     advice: dict[str, str] = {}
     free: PlanRow | None = None
-    says: str = ""
+    summary: str = ""
     error: str | None = None
     cancelled: bool = False
 
@@ -175,14 +175,14 @@ class FlightsFlown(EngineEvent):
     """All flights have landed, or were cancelled.
 
     Attributes:
-        says: result in one line.
+        summary: result in one line.
         error: why the flights could not be flown, or None.
     """
 
     done: int = 0
     completed: int = 0
     reasons: dict[str, int] = {}
-    says: str = ""
+    summary: str = ""
     error: str | None = None
     cancelled: bool = False
 
@@ -190,7 +190,7 @@ class FlightsFlown(EngineEvent):
 class EngineDied(EngineEvent):
     """The process has ended; it is started again. A plan or flights in progress are lost, the text is not."""
 
-    says: str = ""
+    message: str = ""
 
 
 class CheckQuery(msgspec.Struct, tag=True):
@@ -379,7 +379,7 @@ class _Worker:
                 self._waiting = request
             self._send_next()
         then = "it was started again" if again else "the next request starts it"
-        self._deliver(EngineDied(says=f"{self._name} ended unexpectedly; {then}"))
+        self._deliver(EngineDied(message=f"{self._name} ended unexpectedly; {then}"))
         if request is not None and not repeats:
             self._deliver(self._ended(request, cancelled=False))
 
@@ -389,7 +389,11 @@ class _Worker:
         if isinstance(request, CheckQuery):
             return Checked(request.number, findings=[Finding("file", False, "error", problem or "cancelled")])
         if isinstance(request, PlanQuery):
-            return Planned(request.number, error=problem, cancelled=cancelled, says="cancelled" * cancelled)
+            return Planned(
+                request.number, error=problem, cancelled=cancelled, summary="cancelled" * cancelled
+            )
         done, completed = self._landed
-        says = f"cancelled after {done} of {request.fly.flights} flights" if cancelled else ""
-        return FlightsFlown(request.number, done, completed, says=says, error=problem, cancelled=cancelled)
+        summary = f"cancelled after {done} of {request.fly.flights} flights" if cancelled else ""
+        return FlightsFlown(
+            request.number, done, completed, summary=summary, error=problem, cancelled=cancelled
+        )

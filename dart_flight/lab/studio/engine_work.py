@@ -150,10 +150,10 @@ def plan(request: PlanQuery, emit: Send) -> Planned:
         scenario = parse_scenario(document)
         if scenario.objective is Objective.QUICKEST:
             result = plan_quickest(scenario, request.within_s, progress)
-            says = describe_quickest(result)
+            summary = describe_quickest(result)
         else:
             result = search(scenario, request.top, progress=progress)
-            says = describe_free(result.free_time, result.best)
+            summary = describe_free(result.free_time, result.best)
     except InputError as error:
         return Planned(request.number, error=error.one_line())
     rows = [_plan_row(result, one) for one in result.plans]
@@ -163,7 +163,7 @@ def plan(request: PlanQuery, emit: Send) -> Planned:
         {reason.value: count for reason, count in result.refused.items()},
         {reason.value: ADVICE[reason] for reason in result.refused},
         next((row for row in rows if not row.rank), None),
-        says,
+        summary,
     )
 
 
@@ -274,11 +274,13 @@ def _end_of_flights(request: FlightsQuery, flown: list[FlownOne], error: str | N
     completed = sum(flight.outcome == Outcome.COMPLETED.value for flight in flown)
     if len(flown) == 1:
         reason = "" if flown[0].reason is None else f": {flown[0].reason}"
-        says = f"seed {flown[0].seed} {flown[0].outcome}{reason}"
+        summary = f"seed {flown[0].seed} {flown[0].outcome}{reason}"
     else:
-        says = f"{completed} of {len(flown)} flights completed"
-        says += "".join(f", {cause} {n}" for cause, n in sorted(reasons.items(), key=lambda item: -item[1]))
-    return FlightsFlown(request.number, len(flown), completed, reasons, says, error)
+        summary = f"{completed} of {len(flown)} flights completed"
+        summary += "".join(
+            f", {cause} {n}" for cause, n in sorted(reasons.items(), key=lambda item: -item[1])
+        )
+    return FlightsFlown(request.number, len(flown), completed, reasons, summary, error)
 
 
 # --- the process ----------------------------------------------------------------------------------------
@@ -310,8 +312,8 @@ def _answer(request: AnyQuery, emit: Send) -> EngineEvent:
             return check(request)
         return plan(request, emit) if isinstance(request, PlanQuery) else fly(request, emit)
     except Exception as error:  # a defect must not end the process: the page shows it in one line
-        says = f"{type(error).__name__}: {error}"
+        message = f"{type(error).__name__}: {error}"
         if isinstance(request, CheckQuery):
-            return Checked(request.number, findings=[Finding("file", False, "error", says)])
+            return Checked(request.number, findings=[Finding("file", False, "error", message)])
         kind = Planned if isinstance(request, PlanQuery) else FlightsFlown
-        return kind(request.number, error=says)
+        return kind(request.number, error=message)

@@ -54,7 +54,7 @@ def fields_of(tree: Tree, object_id: str, materials: Sequence[str], modes: Seque
     entry, key, kind = entry_of(tree, object_id), key_of(object_id), object_id.partition("/")[0]
     if not isinstance(entry, dict):
         return []
-    reader = _Reader(entry, key)
+    reader = _KeyReader(entry, key)
     if kind == "corner":
         return [
             Field(
@@ -112,7 +112,7 @@ def fields_of(tree: Tree, object_id: str, materials: Sequence[str], modes: Seque
     return found
 
 
-def _place_fields(reader: _Reader) -> list[Field]:
+def _place_fields(reader: _KeyReader) -> list[Field]:
     name = next((k for k in ("point_m", "centre_m", "position_m") if k in reader.entry), "")
     place, key = reader.entry.get(name), (*reader.key, name)
     if not isinstance(place, list) or len(place) != 2:
@@ -152,7 +152,7 @@ def _hit_fields(tree: Tree, object_id: str, entry: dict[str, Any], modes: Sequen
     return found
 
 
-class _Reader(NamedTuple):
+class _KeyReader(NamedTuple):
     """Makes the fields of single keys of an entry."""
 
     entry: dict[str, Any]

@@ -78,7 +78,7 @@ def base_name(wall: str) -> str:
     return wall.removesuffix(FRONT).removesuffix(BACK)
 
 
-def objects_in_finding(item: str, says: str, walls: Collection[str], posts: Collection[str]) -> list[str]:
+def objects_in_finding(item: str, message: str, walls: Collection[str], posts: Collection[str]) -> list[str]:
     """Return the objects that a finding of `check` concerns, the most important first."""
     found = list[str]()
     number = _BY_NUMBER.match(item)
@@ -92,6 +92,6 @@ def objects_in_finding(item: str, says: str, walls: Collection[str], posts: Coll
     found += [
         f"{kind}/{name}"
         for kind, name in named
-        if re.search(rf"\b{kind}s? ([^,:;]* and )?{re.escape(name)}(?![\w-])", says)
+        if re.search(rf"\b{kind}s? ([^,:;]* and )?{re.escape(name)}(?![\w-])", message)
     ]
     return list(dict.fromkeys(found))

@@ -130,10 +130,10 @@ class FindingsPanel:
         remarks = [f for f in findings if f.go and f.word not in ("go", "GO")]
         good = [f for f in findings if f.go and f.word in ("go", "GO")]
         lines = [line(f"the plan is stale: {stale}", NO_GO)] if stale is not None else []
-        lines += [line(f"✗ {f.item}: {f.says}", NO_GO) for f in bad]
-        lines += [line(f"• {f.item}: {f.says}") for f in remarks]
+        lines += [line(f"✗ {f.item}: {f.message}", NO_GO) for f in bad]
+        lines += [line(f"• {f.item}: {f.message}") for f in remarks]
         if good:
-            inside = "".join(line(f"✓ {f.item}: {f.says}", QUIET) for f in good)
+            inside = "".join(line(f"✓ {f.item}: {f.message}", QUIET) for f in good)
             lines.append(f"<details><summary>{len(good)} findings are go</summary>{inside}</details>")
         self._html.content = block(*lines)
 
@@ -264,16 +264,16 @@ class PlanPanel:
     def explain(self, text: str) -> None:
         self._html.content = block(line(text, QUIET))
 
-    def running(self, share: float | None, says: str) -> None:
+    def running(self, share: float | None, message: str) -> None:
         self._plan.visible, self._cancel.visible = False, True
         self._bar.visible = self._progress.visible = True
         self._bar.value = 100.0 * (share or 0.0)
-        self._progress.content = block(line(says, QUIET))
+        self._progress.content = block(line(message, QUIET))
 
     def done(self, event: Planned) -> None:
         self._plan.visible, self._cancel.visible = True, False
         self._bar.visible = False
-        lines = [line(event.error, NO_GO)] if event.error else [line(event.says, QUIET)]
+        lines = [line(event.error, NO_GO)] if event.error else [line(event.summary, QUIET)]
         if event.cancelled:
             lines.append(line("cancelled", QUIET))
         refused = sorted(event.refused.items(), key=lambda item: -item[1])
@@ -302,7 +302,7 @@ class PlanPanel:
             f"<td>{html.escape(value)}</td></tr>"
             for name, value in row.values.items()
         )
-        lines = [line(row.says), f"<table>{cells}</table>"]
+        lines = [line(row.summary), f"<table>{cells}</table>"]
         if row.refused is not None:
             lines.append(line(f"refused: {row.refused}", NO_GO))
         elif row.mission:
@@ -384,7 +384,7 @@ class FlyPanel:
     def done(self, event: FlightsFlown) -> None:
         self._fly.visible = not self._only_list
         self._cancel.visible = self._bar.visible = False
-        lines = [line(event.error, NO_GO)] if event.error else [line(event.says)]
+        lines = [line(event.error, NO_GO)] if event.error else [line(event.summary)]
         if event.cancelled:
             lines.append(line("cancelled", QUIET))
         if event.done > 1:

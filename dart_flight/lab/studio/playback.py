@@ -44,14 +44,14 @@ class PlayedHit(NamedTuple):
     """A hit of a flight.
 
     Attributes:
-        says: velocities, peak force and lock mode in one line.
+        summary: velocities, peak force and lock mode in one line.
     """
 
     at_s: float
     number: int
     wall: str
     place: Vec3
-    says: str
+    summary: str
     normal: ForceChart
     friction: ForceChart
 
@@ -69,7 +69,7 @@ class Playback(NamedTuple):
     """A flight to play.
 
     Attributes:
-        says: the outcome in one line.
+        summary: the outcome in one line.
         time_s: times of the frames, (n,).
         position, quaternion: (n, 3), and (n, 4) from the vehicle's axes (forward, left, up) to the mission
             frame, scalar first.
@@ -79,7 +79,7 @@ class Playback(NamedTuple):
     """
 
     name: str
-    says: str
+    summary: str
     completed: bool
     time_s: Array
     position: Array
@@ -205,17 +205,17 @@ def _played(flight: RecordedFlight, impact: Impact) -> PlayedHit:
         return ForceChart(1e3 * time_s, unknown if of_plan is None else of_plan, *flown)
 
     measured, peak = impact.verdict.measured, impact.verdict.force
-    says = [f"{impact.verdict.mode}"]
+    parts = [f"{impact.verdict.mode}"]
     if measured.normal_m_s is not None:
-        says.append(f"{math.hypot(measured.normal_m_s, measured.tangential_m_s or 0.0):.2f} m/s")
+        parts.append(f"{math.hypot(measured.normal_m_s, measured.tangential_m_s or 0.0):.2f} m/s")
     if peak is not None:
-        says.append(f"{math.hypot(*peak):.0f} N")
+        parts.append(f"{math.hypot(*peak):.0f} N")
     return PlayedHit(
         impact.at_s,
         impact.verdict.index,
         impact.verdict.wall,
         impact.verdict.onset.position_mission,
-        ", ".join(says),
+        ", ".join(parts),
         chart(wall.normal, None if planned is None else planned.normal_force_n),
         chart(wall.tangent, None if planned is None else planned.tangential_force_n),
     )

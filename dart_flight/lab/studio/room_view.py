@@ -245,7 +245,7 @@ class _Painter:
         self, scene: Scene, palette: Palette, problems: Mapping[str, str], selected: str | None
     ) -> None:
         self.scene, self.palette, self.selected = scene, palette, selected
-        self.problems = {name: _wrapped(says) for name, says in problems.items()}
+        self.problems = {name: _wrapped(message) for name, message in problems.items()}
         (x0, y0, _), (x1, y1, z1) = scene.bounds
         self.size_m = max(x1 - x0, y1 - y0)
         self.unit_m = 0.012 * self.size_m  # radius of a handle
@@ -437,9 +437,9 @@ class _Painter:
         return x, low, z
 
 
-def _wrapped(says: str) -> str:
+def _wrapped(message: str) -> str:
     """Return a finding as a short label; the panel has all of it."""
-    lines = textwrap.wrap(says, _LABEL_CHARACTERS)
+    lines = textwrap.wrap(message, _LABEL_CHARACTERS)
     return "\n".join(lines[:_LABEL_LINES]) + (" …" if len(lines) > _LABEL_LINES else "")
 
 

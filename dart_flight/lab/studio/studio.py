@@ -45,12 +45,12 @@ from dart_flight.lab.studio.engine import (
 from dart_flight.lab.studio.fields import fields_of, object_ids
 from dart_flight.lab.studio.objects import entry_of
 from dart_flight.lab.studio.open_file import DiskState, Edit, OpenFile, StudioKind
+from dart_flight.lab.studio.page_server import open_server, stop_server
 from dart_flight.lab.studio.panels import FlyPanel, HeadPanel, ObjectPanel, PlanPanel, Wiring
 from dart_flight.lab.studio.playback import playback_of
-from dart_flight.lab.studio.player import Player
+from dart_flight.lab.studio.player_view import Player
 from dart_flight.lab.studio.room_view import RoomView
 from dart_flight.lab.studio.scene_model import Scene, build_scene, scene_of_mission
-from dart_flight.lab.studio.server import open_server, stop_server
 from dart_flight.lab.studio.watching import WatchedFlight, growing_log
 
 _SETTLED_S = 0.25  # a typed number is complete after so long without a further key
@@ -280,7 +280,7 @@ class Studio:
         problems = dict[str, str]()
         for finding in findings:
             if not finding.go and finding.object:
-                problems.setdefault(finding.object, self._short(finding.says))
+                problems.setdefault(finding.object, self._short(finding.message))
         self._room.show(self._scene, problems, self._selected)
 
     def _show_object(self) -> None:
@@ -312,15 +312,15 @@ class Studio:
         elif checked is not None and checked.number == self._number:
             bad = [f for f in checked.findings if not f.go]
             go = checked.go
-            verdict = "go" if go else f"no-go: {self._short(bad[0].says)}" if bad else "no-go"
+            verdict = "go" if go else f"no-go: {self._short(bad[0].message)}" if bad else "no-go"
         name = file.path.name if self._scene is None else self._scene.name
         self._head.show(name, " · ".join([*state, *steps]), verdict, go)
         self._head.show_steps(unsaved=unsaved, asks=self._disk is DiskState.BOTH_CHANGED)
 
-    def _short(self, says: str) -> str:
+    def _short(self, message: str) -> str:
         """Return a line of a command without the path of the open file."""
         path = "" if self._file is None else str(self._file.path)
-        return says.replace(f"{path}: ", "").replace(f"{path}:", "line ") if path else says
+        return message.replace(f"{path}: ", "").replace(f"{path}:", "line ") if path else message
 
     def _apply(self, edit: Edit) -> None:
         assert self._file is not None
@@ -430,14 +430,14 @@ class Studio:
         if isinstance(event, Checked):
             self._show_checked(event)
         elif isinstance(event, EngineDied):
-            self._head.note(event.says, bad=True)
+            self._head.note(event.message, bad=True)
             if self._plan is not None:
-                self._plan.done(Planned(error=event.says))
+                self._plan.done(Planned(error=event.message))
             if self._fly is not None:
-                self._fly.done(FlightsFlown(error=event.says))
+                self._fly.done(FlightsFlown(error=event.message))
             self._refresh()
         elif self._plan is not None and isinstance(event, PlanProgress):
-            self._plan.running(event.done / event.of if event.of else None, event.says)
+            self._plan.running(event.done / event.of if event.of else None, event.message)
         elif self._plan is not None and isinstance(event, Planned):
             self._plans = {row.rank: row for row in [*event.plans, *([event.free] if event.free else [])]}
             self._plan.done(event)
@@ -463,7 +463,7 @@ class Studio:
             self._scene = event.scene
             self._problem = event.scene.problem or ""
         self._draw()
-        shown = [msgspec.structs.replace(f, says=self._short(f.says)) for f in event.findings]
+        shown = [msgspec.structs.replace(f, message=self._short(f.message)) for f in event.findings]
         self._objects.findings.show(shown, event.stale)
         if known is None or (known.materials, known.modes) != (event.materials, event.modes):
             self._show_object()
@@ -600,7 +600,7 @@ class Studio:
                 if one.reason is not None:
                     reasons[one.reason] = reasons.get(one.reason, 0) + 1
             self._fly.done(
-                FlightsFlown(done=done, completed=completed, reasons=reasons, says=f"{done} flights")
+                FlightsFlown(done=done, completed=completed, reasons=reasons, summary=f"{done} flights")
             )
             self._player.show_many(landed)
 
@@ -629,10 +629,10 @@ class Studio:
             self._stop_watching(f"the flight has ended: {watched.ended}")
             self._play(watched.log)
 
-    def _stop_watching(self, says: str) -> None:
+    def _stop_watching(self, message: str) -> None:
         self._watched = None
         self._watch.label = "Watch a flight in progress"
-        self._head.note(says)
+        self._head.note(message)
         self._player.close()
 
     def _report(self) -> None:

@@ -105,7 +105,7 @@ def test_what_the_page_shows_as_go_check_calls_go(
     except InputError as error:
         go, problem = False, error.message
     assert shown.go == go
-    assert problem in shown.findings[0].says if shown.findings else not problem
+    assert problem in shown.findings[0].message if shown.findings else not problem
 
 
 def test_an_error_is_at_its_object() -> None:
@@ -149,7 +149,7 @@ def test_a_plan_is_a_mission_beside_the_scenario() -> None:
     for row in found.plans:
         again = checked(row.mission, ONE_WALL)
         assert row.go == again.go
-        assert row.problem in {"", *(finding.says for finding in again.findings)}
+        assert row.problem in {"", *(finding.message for finding in again.findings)}
 
 
 def test_a_mission_whose_wall_has_moved_is_planned_again_with_its_other_keys() -> None:
@@ -197,7 +197,7 @@ def flown(
 def test_a_flight_is_that_of_the_fast_world_and_has_a_log(tmp_path: Path) -> None:
     end, (one,) = flown(DUAL.read_text(), FlyRequest(seed=3), tmp_path)
     verdict = fly_fast(load_mission(DUAL), 3, None)
-    assert end.says == "seed 3 completed"
+    assert end.summary == "seed 3 completed"
     assert (one.outcome, one.goal_miss_m) == (verdict.outcome.value, verdict.goal_miss_m)
     assert len(one.hits) == len(verdict.collisions) == 2
     assert one.path.shape[1] == 3
@@ -250,7 +250,7 @@ def test_many_flights_progress_in_worker_processes_and_are_cancelled(page: Page)
     end = page.wait_for(FlightsFlown, number)
     assert time.monotonic() - began_s < 1.0
     assert end.cancelled
-    assert end.says.startswith("cancelled after")
+    assert end.summary.startswith("cancelled after")
     page.engine.path = DUAL
 
 
@@ -269,7 +269,7 @@ def test_a_process_that_dies_is_started_again_and_its_check_is_repeated(page: Pa
     process.kill()
     number = page.engine.check(DUAL.read_text())
     died = page.wait_for(EngineDied)
-    assert died.says == "the process that checks ended unexpectedly; it was started again"
+    assert died.message == "the process that checks ended unexpectedly; it was started again"
     assert page.wait_for(Checked, number).go
 
 

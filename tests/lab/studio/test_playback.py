@@ -63,7 +63,7 @@ def test_the_chart_of_the_lock_agrees_with_the_simulated_arms_at_each_hit(playba
     for hit in playback.hits:
         at = int(np.searchsorted(chart.time_s, hit.at_s)) - 1
         assert chart.planned[at] == chart.measured[at] == chart.true[at]
-        assert value_at(playback.lock, hit.at_s) == hit.says.split(",")[0]
+        assert value_at(playback.lock, hit.at_s) == hit.summary.split(",")[0]
 
 
 def test_quaternions_turn_the_axes_of_the_vehicle() -> None:

@@ -136,7 +136,7 @@ def test_without_a_flight_model_a_mission_shows_its_probes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("item", "says", "objects"),
+    ("item", "message", "objects"),
     [
         ("force_2", "76 N at wall acrylic", ["hit/1", "wall/acrylic"]),
         ("waypoint_3_clearance", "waypoint 3 is 0.10 m from wall a-b, minimum", ["waypoint/2", "wall/a-b"]),
@@ -146,8 +146,8 @@ def test_without_a_flight_model_a_mission_shows_its_probes() -> None:
         ("path", "the predicted path leads to the wall", []),
     ],
 )
-def test_a_finding_names_its_objects(item: str, says: str, objects: list[str]) -> None:
-    assert objects_in_finding(item, says, ["acrylic", "a-b"], ["pole"]) == objects
+def test_a_finding_names_its_objects(item: str, message: str, objects: list[str]) -> None:
+    assert objects_in_finding(item, message, ["acrylic", "a-b"], ["pole"]) == objects
 
 
 def test_the_model_loads_neither_the_vehicle_nor_a_browser_nor_matplotlib() -> None:

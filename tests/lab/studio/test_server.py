@@ -17,8 +17,8 @@ import viser  # noqa: E402
 from dart_flight.cli import main  # noqa: E402
 from dart_flight.config.document import InputError  # noqa: E402
 from dart_flight.config.mission import load_mission  # noqa: E402
+from dart_flight.lab.studio.page_server import LOCAL, open_server, stop_server  # noqa: E402
 from dart_flight.lab.studio.scene_page import mission_scene  # noqa: E402
-from dart_flight.lab.studio.server import LOCAL, open_server, stop_server  # noqa: E402
 from dart_flight.run.fast import fly_fast  # noqa: E402
 from tests.lab.studio.files import DUAL  # noqa: E402
 

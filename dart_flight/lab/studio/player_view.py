@@ -83,7 +83,7 @@ class Player:
         self._flight, self._vehicle, self._unit_m, self._palette = flight, vehicle, 0.012 * size_m, palette
         colour = GO if flight.completed else NO_GO
         acts = [line(f"{moment.at_s:.2f} s: guard {moment.value}", NO_GO) for moment in flight.guard]
-        self._title.content = block(line(flight.name, strong=True), line(flight.says, colour), *acts)
+        self._title.content = block(line(flight.name, strong=True), line(flight.summary, colour), *acts)
         begin, end = float(flight.time_s[0]), float(flight.time_s[-1])
         self._slider.min, self._slider.max = begin, end
         self._link.visible = False
@@ -239,7 +239,7 @@ class Player:
         acted = [m for m in flight.guard if at_s - 1.5 <= m.at_s <= at_s]
         rows += [line(f"guard {m.value}", NO_GO, strong=True) for m in acted]
         if hit is not None:
-            rows.append(line(f"hit {hit.number}, {hit.wall}: {hit.says}", QUIET))
+            rows.append(line(f"hit {hit.number}, {hit.wall}: {hit.summary}", QUIET))
         self._status.content = block(*rows)
         if hit is not self._hit or not self._charts:
             self._hit = hit
