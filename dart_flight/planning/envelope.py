@@ -24,8 +24,9 @@ FLOWN_UP_TO_M_S = 3.0
 # Flights recovered from all impacts up to this incidence: in both modes up to 2 m/s, rigid up to 3 m/s.
 INCIDENCE_FLOWN_DEG = 30.0
 # Largest distances (m) of the guards from the centre of mass at which the tilt stays below 60 degrees
-# (docs/results/tumbles.md). Columns: normal speed (m/s), below with rigid arms, below with flexible arms,
-# above. Guards below are worse, because the impact and the setpoint tilt the vehicle in the same direction.
+# (docs/results/tumbles.md). Columns: normal speed (m/s); distance below with rigid arms, and with flexible
+# arms; distance above. Guards below are worse, because the impact and the setpoint tilt the vehicle in the
+# same direction.
 HEIGHTS_FLOWN_M = (
     (0.5, 0.060, 0.060, 0.05),
     (1.0, 0.060, 0.060, 0.05),
