@@ -492,7 +492,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     lock_ready_us: int | None  # time at which lock and heading are ready for the wall; None: never
     under_way: bool = False  # whether the vehicle follows a trajectory instead of a setpoint
     contact_height_m: float | None = None  # height of the wall's force above the centre of mass
-    coasts: bool = False  # whether the vehicle keeps speed and thrust, without a setpoint, until `begin_us`
+    coasts: bool = False  # whether the vehicle keeps speed and thrust, without a target, until `begin_us`
 
 
 class ContactRequest(Record, frozen=True, gc=False):
@@ -568,8 +568,8 @@ class ImpactOnset(Record, frozen=True, gc=False):
     """Onset of an impact: the horizontal force has crossed the threshold."""
 
     topic: ClassVar[str] = "/event/onset"
-    t_us: int  # sample that crossed the threshold
-    first_us: int  # first sample in contact, at which the force rises out of the noise
+    t_us: int  # stamp of the sample that crossed the threshold
+    first_us: int  # stamp of the first sample in contact, at which the force rises out of the noise
     received_us: int
     force_mission: Vec3
     velocity_mission: Vec3  # last velocity before the contact
@@ -582,7 +582,7 @@ class ImpactPeak(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/event/peak"
     t_us: int  # time of the normal force's peak
-    detected_us: int  # sample at which the peak was detected
+    detected_us: int  # stamp of the sample at which the peak was detected
     received_us: int
     normal: Vec2  # wall normal that defines the normal and tangential force, mission frame
     normal_force_n: float
@@ -620,7 +620,7 @@ class ImpactBody(Record, frozen=True, gc=False):
     """Geometry and torque of an impact, sent after the end of the impact (docs/torque.md)."""
 
     topic: ClassVar[str] = "/event/impact_body"
-    t_us: int  # newest sample used
+    t_us: int  # stamp of the newest sample used
     first_us: int  # first sample in contact, as in the `ImpactOnset`
     side: ContactSide
     lead_m: float  # lead of the right guard over the left one at the first touch, towards the wall

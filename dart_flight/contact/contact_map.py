@@ -386,9 +386,10 @@ def contact_map(
 def friction_per_speed(
     coefficients: CoefficientArrays, mass_kg: float, onset: Onset
 ) -> Callable[[Array], Array]:
-    """Return a fast function of the normal velocity (m/s, any shape, < 0 approaches) for one set.
+    """Return a fast function of the normal velocity (m/s, any shape, < 0: approaching) for one coefficient
+    set.
 
-    Its result is the peak friction force per speed along the wall in N s/m, as in `contact_map`.
+    The function returns the peak friction force per tangential speed, N s/m, as in `contact_map`.
     """
     shape = _shape(coefficients, np.asarray(mass_kg), onset)
 

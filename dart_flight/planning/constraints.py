@@ -241,8 +241,8 @@ class Constraints:
     ) -> NDArray[np.bool_]:
         """Return whether the executive would abort the approach because the lock is still moving.
 
-        `ready` has the states when the lock settles, and `after_s` is the time from the release to the
-        impact.
+        `ready` has the states at the time at which the lock settles; `after_s` is the time from the release
+        to the impact.
         """
         late = after_s < self.lock_s
         rows = np.flatnonzero(~late & ~self.lock_in_time(ready, wall))

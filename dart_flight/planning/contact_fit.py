@@ -63,9 +63,7 @@ _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
 _PLACE_M: Final = 0.1  # minimum prior deviation of a wall's position; wide, because the force determines it
 _WALL_RAD: Final = math.radians(4.0)  # minimum prior deviation of a planned wall's direction
-_UNPLANNED_RAD: Final = math.radians(
-    15.0
-)  # the same for an unplanned wall: its normal is the force's direction
+_UNPLANNED_RAD: Final = math.radians(15.0)  # the same for an unplanned wall: the force gives the direction
 _UNKNOWN_SPREAD: Final = 0.8  # relative deviation of the coefficients if the material is unknown
 _KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations above which the material is not in the table
 _MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which the law does not fit

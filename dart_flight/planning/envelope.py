@@ -164,7 +164,7 @@ def height_warning(
     allowed = f" (standard deviation {sd:g} m)" if slack else ""
     return (
         f"{_name(collision)} at {-velocity[0]:.2f} m/s with guards {where} the centre of mass{allowed} may "
-        f"turn the vehicle over: flights recovered from {below:.3f} m below to {above:.3f} m above it. "
+        f"turn the vehicle over: flights recovered with guards {below:.3f} m below to {above:.3f} m above. "
         "Hit the wall more slowly, or touch a wall first and let `plan` choose the trajectory"
     )
 

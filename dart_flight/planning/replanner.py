@@ -68,9 +68,7 @@ _THRUST_OFF_SHARE = 0.5  # rigid arms: removed fraction of the final thrust off 
 _LEANS_IN_M_S3 = 8.0  # final jerk into the wall above which another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
 _COMPRESSED_M = 0.15  # largest depth behind a wall, due to compressed arms and the wall's position error
-_OFF_PLACE_S = (
-    1.0  # cost of a contact at the mission's tolerance from the planned point, in seconds of flight
-)
+_OFF_PLACE_S = 1.0  # cost of a contact at the mission's tolerance from the planned point
 
 
 class _EndStates(NamedTuple):

@@ -36,8 +36,8 @@ JUMP_M: Final = 0.15
 _JUMP_M_S: Final = 2.0
 _JUMP_S: Final = 0.05  # longest tolerated jump; PX4's innovation gate handles it
 _JUMP_GAP_S: Final = 0.1  # gap above which a pose is compared only with PX4's estimate
-# Limits of the difference between pose and PX4's estimate, and its minimum duration. In a fast rotation,
-# latency exceeds the limits only briefly.
+# Limits of the difference between a pose and PX4's estimate, and their times. In a fast rotation, latency
+# exceeds the limits only for shorter times.
 TURNED_DEG: Final = 30.0
 _TURNED_S: Final = 0.1
 APART_M: Final = 0.3
@@ -46,9 +46,7 @@ _APART_LATENCY_S: Final = 0.1
 _GROUND_APART_S: Final = 3.0  # the same on the ground, where PX4 aligns its estimate with the first poses
 RATE_SHARE: Final = 0.5  # fraction of the configured rate below which poses are too slow
 _INTERVALS: Final = 9  # intervals whose median gives the rate, so that a single gap does not count
-LATER_S: Final = (
-    0.04  # limit of the added delay; with a larger error of EKF2_EV_DELAY, PX4's estimate oscillates
-)
+LATER_S: Final = 0.04  # limit of the added delay, above which PX4's estimate oscillates
 _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
 _RECENT_US: Final = 5_000_000  # time within which PX4's estimate follows wrong poses

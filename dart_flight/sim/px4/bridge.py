@@ -57,7 +57,7 @@ _STEPS_PER_TICK = TICK_US // 1000
 _SLOW_EVERY = 5  # ticks: magnetometer and barometer at 50 Hz
 _ACCELEROMETER, _GYRO, _MAGNETOMETER, _BAROMETER = 0x007, 0x038, 0x1C0, 0x1A00
 ARMED = 128
-_BOOT_WAIT_S = 0.004  # wait for an answer before PX4's first one, because PX4 does not answer while it boots
+_BOOT_WAIT_S = 0.004  # timeout per tick until PX4's first answer; PX4 does not answer while it boots
 _ANSWER_WAIT_S = 5.0
 
 

@@ -44,7 +44,7 @@ SENDER_LAG_US = 16_000  # PX4 sends MAVLink in a separate thread, which sleeps i
 _BOOT_TIMEOUT_S = 15.0
 # Simulated time for the EKF to align after booting; it passes as fast as the computer allows.
 _WARM_UP_S = {source: 6.0 if source is PositionSource.MOCAP else 15.0 for source in PositionSource}
-_ORPHAN_S = 25.0  # host time for the failsafe after the app's end; with PX4's end it stays within 30 s
+_ORPHAN_S = 25.0  # host time for the failsafe after the app's end; with PX4's end, the total is below 30 s
 _LANDED_S = 1.0  # host time after disarming for PX4 to write its log
 
 
