@@ -193,7 +193,7 @@ class ContactTimes(NamedTuple):
 
     peak: Array  # largest force
     turn: Array  # lx equals -m a; if a points into the wall, the outward speed is largest then
-    end: Array  # force back to zero; inf if never
+    end: Array  # force returns to zero; inf if it never does
 
 
 def find_contact_times(c: Oscillation) -> ContactTimes:

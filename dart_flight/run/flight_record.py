@@ -94,7 +94,7 @@ class FlightRecord:
 
     @property
     def log(self) -> Log:
-        """The log in memory, or read from the file."""
+        """The log, from memory or from the file."""
         return self._log.log if isinstance(self._log, MemoryLog) else read_log(self.path)
 
     @property

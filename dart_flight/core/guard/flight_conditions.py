@@ -77,7 +77,7 @@ class FlightConditions:
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
         self.falling_since_us: int | None = None  # start of a fall with stopped motors
-        self.lying_since_us: int | None = None  # start of lying tilted and still at ground height
+        self.lying_since_us: int | None = None  # start of lying on the ground, tilted and still
         self._ground_m: float | None = None  # height before take-off
         # Time at which the vehicle was first armed in land mode: autopilot time and host time.
         self._landing_since_us: tuple[int, int] | None = None

@@ -340,7 +340,7 @@ def gps_message(time_us: int, fix: GpsFix, receiver: GpsReceiver) -> Any:
 
 
 def geodetic(position_ned: Vec3) -> tuple[float, float]:
-    """Return latitude and longitude (degrees) of a point near home."""
+    """Return latitude and longitude (degrees) of a point near PX4's home position."""
     latitude = HOME_LAT_DEG + math.degrees(position_ned[0] / _EARTH_RADIUS_M)
     shrink = math.cos(math.radians(HOME_LAT_DEG))
     return latitude, HOME_LON_DEG + math.degrees(position_ned[1] / (_EARTH_RADIUS_M * shrink))

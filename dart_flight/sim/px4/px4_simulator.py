@@ -194,7 +194,7 @@ class Px4Simulator:
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:
-        """Begin a motion-capture fault; a real PX4 has no other faults."""
+        """Begin a motion-capture fault; other faults are not available with a real PX4."""
         if self._mocap is not None:
             self._report(f"fault {fault.name} {fault.value:g}")
             self._mocap.feed.begin_fault(fault, self._vehicle.plant.time_s)
