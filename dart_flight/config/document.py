@@ -289,9 +289,8 @@ class Document:
     def error(self, key: Key, message: str) -> InputError:
         """Return an error at a key of this document, with the line of the key.
 
-        If the key is not in the file, the error has the line of the innermost existing section around the
-        key. If an option such as `--set` has set the key, the error names this option instead of file and
-        line.
+        If the key is not in the file, the error points to the innermost section that would contain it. If an
+        option such as `--set` has set the key, the error names this option instead of file and line.
         """
         for given, setting in self.set_by.items():
             # The error is at the setting's key, below it, or in a section that only the setting created.

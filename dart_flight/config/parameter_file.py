@@ -6,8 +6,8 @@ reason for the parameter's value. If some builds of PX4 lack the parameter under
 comment line lists these builds:
 
 - `#? absent before v1.16` or `#? absent after v1.17`: these versions do not need the parameter.
-- `#? absent without gyro_fft`: builds without the module gyro_fft do not need the parameter.
-- `#? renamed NAME after v1.17`: these versions have the parameter under the name NAME.
+- `#? absent without gyro_fft`: builds without the gyro_fft module do not need the parameter. - `#? renamed
+NAME after v1.17`: these versions have the parameter under the name NAME.
 
 `after v1.17` includes development versions of v1.18.
 """

@@ -57,7 +57,7 @@ def find_uncontrolled(
         falls: whether the vehicle is meant to fall, for example after a kill switch.
     """
     if not completed and not explained:
-        yield "not completed, without a reason"
+        yield "not completed, for no known reason"
     if truth.excursion_m > allowed_m:
         yield f"{truth.excursion_m:.2f} m outside bounds_m, limit {allowed_m:.2f} m"
     if truth.landing_m_s > _LANDING_M_S and not falls:

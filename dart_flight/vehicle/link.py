@@ -71,7 +71,7 @@ def link_folder() -> Path:
 class LinkLease(Lease):
     """The exclusive right to use one link, until `release` or the end of the process.
 
-    Entering raises what `acquire` raises.
+    Entering the context raises the same errors as `acquire`.
     """
 
     def __init__(self, url: str, command: str, log: Path | None = None) -> None:

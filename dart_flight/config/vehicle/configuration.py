@@ -64,7 +64,7 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Modes of the vehicle; a vehicle without a lock has only the mode rigid."""
+        """Modes of the vehicle; a vehicle without a lock has only rigid mode."""
         return tuple(Mode) if self.has_lock else (Mode.RIGID,)
 
     @property

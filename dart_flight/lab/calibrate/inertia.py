@@ -291,9 +291,9 @@ def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisIne
         )
     elif most > _MAX_RATIO * least:
         axis.refused = (
-            f"the motors explain {100.0 * explained:.0f} % of the changes of the angular rate, so the "
-            f"inertia is only known to be between {least:.4f} and {most:.4f} kg m2; check for wind and "
-            "small commands, and check the motors' order and positions"
+            f"the motors explain only {100.0 * explained:.0f} % of the angular-rate changes, so the inertia is "
+            f"uncertain ({least:.4f} to {most:.4f} kg m2): fly in still air with larger inputs, and check "
+            "motor order and positions"
         )
     else:
         axis.value = value

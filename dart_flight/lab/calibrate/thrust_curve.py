@@ -315,7 +315,7 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     if problem:
         raise InputError(
             f"the thrust fit to {len(p.force)} segments of 0.5 s is rejected: {problem}; verify the mass, "
-            "and the type of the motor outputs (finding motor_outputs of `check`)",
+            "and the type of the motor outputs (the motor_outputs finding of `check`)",
             source=_sources(tracks),
         )
     share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent

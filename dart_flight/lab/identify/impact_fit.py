@@ -24,7 +24,7 @@ from dart_flight.lab.identify.solver import (
     stiffness_and_damping,
 )
 
-# Expected errors of the law: outgoing over incoming speed, and logarithms of the others. Duration and depth
+# Expected errors of outgoing over incoming speed and of the logarithms of the others. Duration and depth
 # are imprecise and count mainly without a peak.
 SD_OUT, SD_PEAK, SD_CONTACT, SD_DEPTH = 0.04, 0.08, 0.3, 0.3
 _PRIOR_SD = 3.0  # prior standard deviation of a logarithm; keeps undetermined coefficients near the start

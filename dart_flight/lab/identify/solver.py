@@ -1,8 +1,8 @@
 """The least-squares solver of all fits of the law, and the intervals of their unknowns.
 
 The intervals hold even if the law is wrong. The statistical interval follows from the information in data and
-priors, and holds if the law is right. The resampled interval follows from the change of the estimate, to
-first order, if the data are resampled. It is used if it is wider than chance explains.
+priors, and holds if the law is right. The resampled interval follows from the first-order change of the
+estimate when the data are resampled. It is used if it is wider than chance explains.
 """
 
 from __future__ import annotations
