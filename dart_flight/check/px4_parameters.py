@@ -202,8 +202,8 @@ def evaluate_parameters(
     Args:
         mission: provides the limits and the vehicle.
         values: parameters read from the vehicle.
-        source: position source; None compares only the parameters that every vehicle needs.
-        version: PX4's version; None expects the parameters of every version.
+        source: position source; if None, only the parameters that every vehicle needs are compared.
+        version: PX4's version; if None, the parameters of every version are expected.
     """
     wanted = wanted_parameters(mission, source)
     different = {d.name: d for d in differences(wanted, values)}

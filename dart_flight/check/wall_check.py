@@ -39,7 +39,7 @@ def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[Check
 
 
 def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedContact]) -> Iterator[CheckFinding]:
-    """Return a no-go if a wall is between the last impact and the goal, where the vehicle then holds."""
+    """Return a no-go if a wall is between the last impact and the goal."""
     if not mission.recovers_to_goal or mission.goal_trajectory is not None:
         return
     last = mission.collisions[-1]

@@ -66,7 +66,7 @@ class Inherited(NamedTuple):
 
 
 class _Base(NamedTuple):
-    """The file that a vehicle's file extends, or the packaged file that was copied to it."""
+    """The file that a vehicle's file extends, or the packaged file of which it is a copy."""
 
     path: Path
     is_original: bool  # whether the vehicle's file is a copy of this file

@@ -132,8 +132,8 @@ def is_storable(value: Value) -> bool:
 def is_same_value(a: float, b: float, tolerance: float = 0.0) -> bool:
     """Return whether a parameter with value `a` need not be changed to `b`.
 
-    An INT32 must be equal, and a REAL32 must be equal after rounding; otherwise the values may differ by at
-    most `tolerance`.
+    No change is needed if the values differ by at most `tolerance`, or if two REAL32 are equal after
+    rounding.
     """
     whole = isinstance(a, int) or isinstance(b, int)
     return abs(a - b) <= tolerance or (not whole and to_float32(a) == to_float32(b))

@@ -147,7 +147,7 @@ class FlownImpact(CollisionVerdict, kw_only=True):
 class ImpactCollector:
     """Assembles the impacts of one flight, in the order flown, from its records.
 
-    The reader `anchor` of the mission frame must process each record before the collector.
+    `anchor`, the reader of the mission frame, must process each record before the collector.
     """
 
     def __init__(self, mission: Mission, anchor: MissionFrameReader) -> None:

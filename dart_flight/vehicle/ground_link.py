@@ -298,8 +298,8 @@ class GroundLink:
 
         Raises:
             NoAnswerError: the vehicle answers no requests, or has stopped sending.
-            Exception: MAVSDK's exception, if the vehicle refuses this request. The same exception is raised
-                if this request has no answer, but other requests may still be answered.
+            Exception: MAVSDK's exception, if the vehicle refuses this request, or does not answer it but may
+                still answer others.
         """
         try:
             answer = request()

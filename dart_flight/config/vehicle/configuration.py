@@ -253,7 +253,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
 
 
 def _set_last(document: Document, first: Key, second: Key) -> Key:
-    """Return `second` if a later file has set `second` than has set `first`, otherwise `first`."""
+    """Return `second` if it was set in a later file than `first`, otherwise `first`."""
     names = list(document.set_by)
     if second not in names or (first in names and names.index(first) > names.index(second)):
         return first

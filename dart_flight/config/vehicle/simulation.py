@@ -36,7 +36,7 @@ class ContactBody(Section, frozen=True):
         vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
         fold_share: movement of an unlocked arm and its motor, as a fraction of the guard's penetration; 0:
             motors do not move.
-        scatter: relative standard deviation by which the coefficients vary between impacts.
+        scatter: relative standard deviation of the coefficients from impact to impact.
         half_engaged: whether the rods stop half-way, so that the arms are neither locked nor unlocked.
     """
 

@@ -179,7 +179,7 @@ def _in_proportion(known: LawProblem, held: LawProblem) -> tuple[Array, Array]:
 
 
 def _scatter(problem: LawProblem, groups: NDArray[np.intp]) -> Errors:
-    """Return the errors of a prediction of each hit from the median of all hits at its speed.
+    """Return the errors if each hit is predicted by the median of all hits at its speed.
 
     A law that depends only on the speed can hardly have smaller errors.
     """

@@ -31,7 +31,7 @@ _PRIOR_SD = 3.0  # prior standard deviation of a logarithm; keeps undetermined c
 _LOW, _HIGH = np.log([LOWEST_K, LOWEST_F]), np.log([HIGHEST_K, HIGHEST_F])
 _LONGEST = 3.0  # assumed contact duration of a hit that never leaves the wall, in half periods
 _WIDEST_LOG = math.log(3.0)  # maximum half width of the interval of a known coefficient: a factor of three
-_ENOUGH_HITS = 3  # minimum number of hits with a meaningful spread
+_ENOUGH_HITS = 3  # minimum number of hits for a meaningful spread
 
 
 class ImpactFit(LawFit):

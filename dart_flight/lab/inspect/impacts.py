@@ -165,7 +165,7 @@ class InspectedFlight(msgspec.Struct):
 
     log: str
     px4_version: str | None
-    begin_s: float  # begin of the log on the autopilot's clock
+    begin_s: float  # beginning of the log on the autopilot's clock
     duration_s: float
     flight_s: float
     noise_n: float | None

@@ -199,7 +199,7 @@ class OfferedPlan(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """A plan of a search, and the scenario whose touches its mission flies.
+    """A plan of a search, with the scenario that defines the touches of its mission.
 
     Attributes:
         key: `free`, `colliding` or `touched`.

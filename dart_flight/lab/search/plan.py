@@ -68,7 +68,7 @@ class Plan(msgspec.Struct, frozen=True):
             part, from the closest approach to rest, uses the motion limits of the free flight.
         saving_s: time of the fastest flight without a collision minus `time_to_rest_s`; negative if the plan
             is slower. None if the time of that flight is unknown.
-        visits_s: passage of each visit; a visit at a wall that is hit is passed at the onset.
+        visits_s: time at which the vehicle passes each visit; at a wall that is hit, this is the onset.
         cruise_m_s: speed until the vehicle reacts to the detected wall, in a scenario with `sight`.
         legs: trajectories to the collisions and to the goal; empty in the grid search.
     """

@@ -72,7 +72,7 @@ class PoseSource(Protocol):
 
     Attributes:
         place: address on which the source listens, or the server that it reads.
-        remedy: what to do if nothing arrives.
+        remedy: advice for the operator if nothing arrives.
     """
 
     place: str
