@@ -88,7 +88,8 @@ class WriteReport(msgspec.Struct):
     """The result of writing parameters.
 
     Attributes:
-        written: names whose new value was read back: all names except `refused`, if there is no `problem`.
+        written: names whose new value was read back; without a `problem`, these are all names except
+            `refused`.
         refused: reason by name.
         problem: reason why the link was lost, or None. With a reason, `written` has the acknowledged names,
             which were not read back.

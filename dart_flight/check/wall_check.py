@@ -56,7 +56,7 @@ def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedContact]) -
 
 
 def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
-    """Check each pair of opposite walls: whether the vehicle fits between them or they are one partition.
+    """Check that the vehicle fits between opposite walls, and that no two of them should be one partition.
 
     Walls of a corner are not opposite, and the two faces of one partition are meant to be close.
     """

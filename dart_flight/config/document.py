@@ -235,8 +235,8 @@ class Document:
     there.
 
     Raises:
-        InputError: the text is not YAML, is not a mapping, is too large or is nested too deep; it contains
-            duplicate keys, aliases or tags; or a number is not finite.
+        InputError: the text is not YAML, is not a mapping, is too large, is nested too deep, or contains
+            duplicate keys, aliases, tags or a number that is not finite.
     """
 
     def __init__(self, text: str, source: str) -> None:

@@ -87,8 +87,8 @@ def find_inherited(
         settings: `KEY=VALUE` pairs from `--set`.
 
     Returns:
-        None for DART itself: its own file, or a file that extends or copies it and changes no value of
-            `FOLLOWS_FROM`, no material and not the lock.
+        None for DART itself. A file describes DART if it is DART's own file, or if it extends or copies that
+        file without a change of a key in `FOLLOWS_FROM`, a material or the lock.
     """
     if file is None:
         return None

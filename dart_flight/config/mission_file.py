@@ -576,8 +576,8 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
         flown: results of the mission's simulated flights; `plan` writes this key.
         goal_trajectory: trajectory to the goal, from the predicted end of the last collision, or from rest at
             start.
-        after_impact: setpoint: fly the paper's recovery setpoint; replan: fly this setpoint, meanwhile plan a
-            trajectory that starts from the measured impact, and switch to the trajectory once it is ready.
+        after_impact: setpoint: fly the paper's recovery setpoint; replan: also plan a trajectory from the
+            measured impact, and fly the trajectory once it is ready.
         tolerance: allowed differences between flight and plan; for the goal, goal.capture_radius_m applies.
         mode_mismatch: response to a contact that indicates a different mode from the one that the lock
             reports; go_on: record it in log and verdict; land: the guard lands the vehicle.

@@ -66,8 +66,8 @@ def wait_for_end(
 def _wait_for_last(arrived: queue.SimpleQueue[tuple[Any, Any]]) -> None:
     """Wait for the last callback of a cancelled download.
 
-    MAVSDK runs it on its own thread. If the plugin were destroyed first, the callback would end the process
-    with a segmentation fault.
+    MAVSDK runs the callback on MAVSDK's own thread. If the plugin were destroyed first, the callback would
+    end the process with a segmentation fault.
     """
     with contextlib.suppress(queue.Empty):
         while arrived.get(timeout=_CANCELLED_S)[0].name == "NEXT":

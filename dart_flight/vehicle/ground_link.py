@@ -59,7 +59,7 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleEr
 
 
 class Source(msgspec.Struct, frozen=True):
-    """A sender of one kind of message, with the rates of all its messages and of the usable ones."""
+    """A sender of one kind of message, with its total rate and its rate of usable messages."""
 
     sender: Sender
     arriving_hz: float

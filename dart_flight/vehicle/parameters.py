@@ -139,7 +139,7 @@ class VehicleParameters:
         return None
 
     def _request_list(self) -> None:
-        """Request the list of all parameters, and then its missing entries, until it is complete.
+        """Request the list of all parameters, and then its missing entries, until the list is complete.
 
         Raise ParamError if no entry arrives.
         """

@@ -242,7 +242,7 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
             if curve.factor == found:
                 rest = force - design @ solution
                 covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / max(1, len(force) - 2)
-                # Gradient of the factor by the two solved terms: (1 - factor, -factor) / full.
+                # Gradient of the factor with respect to the two solved terms: (1 - factor, -factor) / full.
                 g = np.array([1.0 - found, -found]) / full
                 curve.full, curve.full_error = full, float(np.sqrt(covariance.sum()))
                 curve.factor_error = float(np.sqrt(g @ covariance @ g))
