@@ -40,7 +40,7 @@ test test-rest: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(BIN)/python -m tools.run_tests
 
-test-rest: $(STAMP)  # tests with real time, PX4, campaigns, recipes and pages with flights
+test-rest: $(STAMP)  # slow tests: real time, PX4, campaigns, recipes, and pages of the manual that fly
 	$(BIN)/python -m tools.run_tests --rest
 
 test-all:  # runs the rest even if `make test` fails

@@ -24,8 +24,8 @@ Quaternion = tuple[float, float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 GRAVITY_M_S2: Final = 9.81
-_HALF_TURN_X: Quaternion = (0.0, 1.0, 0.0, 0.0)  # from axes x forward, z up to axes x forward, z down
-_Y_UP_TO_Z_UP: Quaternion = (0.5, 0.5, 0.5, 0.5)  # from axes z forward, y up to axes x forward, z up
+_HALF_TURN_X: Quaternion = (0.0, 1.0, 0.0, 0.0)  # converts x forward, z up to x forward, z down
+_Y_UP_TO_Z_UP: Quaternion = (0.5, 0.5, 0.5, 0.5)  # converts z forward, y up to x forward, z up
 _SMALL_RAD: Final = 1e-9  # angle below which sin(x) equals x
 
 

@@ -13,7 +13,7 @@ import msgspec
 from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US
 
 SHORTEST_PULSE_US, LONGEST_PULSE_US = 800.0, 2200.0  # limits of an armed PWM output
-_STOPPED = 1.0  # UAVCAN_EC_MIN: an armed motor that does not turn
+_STOPPED = 1.0  # UAVCAN_EC_MIN, the output to an armed motor that does not turn
 
 
 class OutputScale(msgspec.Struct, frozen=True):

@@ -33,7 +33,7 @@ def use_idle_priority() -> None:
 
 
 def measure_lateness_s() -> float:
-    """Return the largest delay of a wake-up while sleeping repeatedly for 0.5 s in total."""
+    """Sleep repeatedly for 0.5 s in total; return the largest delay of a wake-up."""
     worst_s, end_s = 0.0, time.monotonic() + _MEASURE_S
     while (now_s := time.monotonic()) < end_s:
         time.sleep(_NAP_S)

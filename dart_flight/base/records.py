@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.base.geometry import Quaternion, Vec2, Vec3
 from dart_flight.base.walls import Wall
 
-MIN_LEAD_M: Final = 0.002  # lead below which both guards count as touching together
+MIN_LEAD_M: Final = 0.002  # lead of one guard over the other below which both count as touching together
 
 # PX4's default PWM_<bank>_MIN and _MAX: pulse widths at throttle 0 and 1.
 MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
@@ -355,32 +355,32 @@ class RoundTrip(Record, frozen=True, gc=False):
     """Timing of an answered request; the delay of telemetry is at most the round trip."""
 
     topic: ClassVar[str] = "/in/round_trip"
-    received_us: int  # receipt of the answer
-    sent_us: int  # sending of the request, host's monotonic time
+    received_us: int  # host's monotonic time at which the answer was received
+    sent_us: int  # host's monotonic time at which the request was sent
     autopilot_us: int | None  # autopilot time of the answer; None if not reported or not real time
 
 
 class PlanAnswer(Record, frozen=True, gc=False):
     """The planner's answer to a `PlanRequest`: a trajectory from a future time, and the predicted contact.
 
-    x and y are polynomials of fifth order, constant term first. The variable of each polynomial is the time
-    since the beginning of this polynomial, seconds. The first polynomial begins at `begin_us`. After the last
-    polynomial, the vehicle continues at its final velocity.
+    x and y are piecewise quintic polynomials, constant term first. Their variable is the time since the
+    beginning of the piece, seconds. The first piece begins at `begin_us`. After the last piece, the vehicle
+    continues at its final velocity.
     """
 
     topic: ClassVar[str] = "/in/plan"
     received_us: int
     number: int  # request number
     begin_us: int  # autopilot's time at which the trajectory begins
-    duration_s: float = 0.0  # total duration of the polynomials
+    duration_s: float = 0.0  # total duration
     x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
     y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
     collision: int | None = None  # 1-based index of the next collision, or None if the goal is next
-    impact_s: float | None = None  # time from `begin_us` to the wall's plane
+    impact_s: float | None = None  # time from `begin_us` until the vehicle reaches the wall's plane
     normal_m_s: float | None = None  # velocity at impact, collision frame
     tangential_m_s: float | None = None  # velocity at impact, collision frame
-    peak_force_n: float | None = None  # predicted normal force, from the coefficients estimated so far
-    pieces_s: tuple[float, ...] = ()  # duration of each polynomial if there are several
+    peak_force_n: float | None = None  # predicted peak normal force, from the coefficients estimated so far
+    pieces_s: tuple[float, ...] = ()  # duration of each piece if there are several
     problem: str = ""  # reason why no trajectory was found
 
 
@@ -483,7 +483,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/out/plan_request"
     t_us: int  # time of the vehicle's state in this record
     number: int  # request number, counting up
-    begin_us: int  # start of the trajectory; a later answer is rejected
+    begin_us: int  # start of the trajectory; an answer received later is rejected
     collision: int | None  # 1-based index of the next collision, or None if the goal is next
     position_mission: Vec3
     velocity_mission: Vec3
@@ -492,7 +492,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     lock_ready_us: int | None  # time at which lock and heading are ready for the wall; None: never
     under_way: bool = False  # whether the vehicle follows a trajectory instead of a setpoint
     contact_height_m: float | None = None  # height of the wall's force above the centre of mass
-    coasts: bool = False  # whether the vehicle keeps speed and thrust, without a setpoint, until `begin_us`
+    coasts: bool = False  # whether the vehicle keeps speed and thrust, without a target, until `begin_us`
 
 
 class ContactRequest(Record, frozen=True, gc=False):
@@ -568,8 +568,8 @@ class ImpactOnset(Record, frozen=True, gc=False):
     """Onset of an impact: the horizontal force has crossed the threshold."""
 
     topic: ClassVar[str] = "/event/onset"
-    t_us: int  # sample that crossed the threshold
-    first_us: int  # first sample in contact, at which the force rises out of the noise
+    t_us: int  # stamp of the sample that crossed the threshold
+    first_us: int  # stamp of the first sample in contact, at which the force rises out of the noise
     received_us: int
     force_mission: Vec3
     velocity_mission: Vec3  # last velocity before the contact
@@ -582,15 +582,15 @@ class ImpactPeak(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/event/peak"
     t_us: int  # time of the normal force's peak
-    detected_us: int  # sample at which the peak was detected
+    detected_us: int  # stamp of the sample at which the peak was detected
     received_us: int
-    normal: Vec2  # wall normal used, mission frame
+    normal: Vec2  # wall normal that defines the normal and tangential force, mission frame
     normal_force_n: float
     tangential_force_n: float  # signed, along the wall's tangent
     position_mission: Vec3  # position at the normal peak
     clipped: bool
     normal_sigma_n: float = 0.0  # standard error of the normal force
-    fitted: bool = False  # whether the contact model's pulse was fitted, rather than a parabola to the top
+    fitted: bool = False  # True: peak of the fitted contact model; False: of a parabola through the top
 
 
 class ContactEnd(Record, frozen=True, gc=False):
@@ -620,13 +620,13 @@ class ImpactBody(Record, frozen=True, gc=False):
     """Geometry and torque of an impact, sent after the end of the impact (docs/torque.md)."""
 
     topic: ClassVar[str] = "/event/impact_body"
-    t_us: int  # newest sample used
+    t_us: int  # stamp of the newest sample used
     first_us: int  # first sample in contact, as in the `ImpactOnset`
     side: ContactSide
     lead_m: float  # lead of the right guard over the left one at the first touch, towards the wall
     incidence_rad: float  # angle from the wall to the leading edge at first touch; positive: turned left
     incidence_sigma_rad: float
-    torque_peak_frd: Vec3  # largest external torque so far
+    torque_peak_frd: Vec3  # largest external torque
     peak_torque_nm: float  # magnitude of the largest external torque
 
 
@@ -733,11 +733,11 @@ class PlanTaken(Record, frozen=True, gc=False):
 
 
 class ProbeEnd(Record, frozen=True, gc=False):
-    """End of a probe without contact, or omission of a leg whose condition on a probe was not met."""
+    """End of a probe without contact, or a skipped leg, whose condition on a probe was not met."""
 
     topic: ClassVar[str] = "/event/probe"
     t_us: int
-    what: str  # description of the probe that ended or the leg that was omitted
+    what: str  # description of the probe or the leg
 
 
 class FrameAnchor(Record, frozen=True, gc=False):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 LEAP_US: Final = 1_000_000
-FASTEST: Final = 20  # speed of the fastest simulation, simulated seconds per second
+FASTEST: Final = 20  # real-time factor of the fastest simulation
 
 
 def leaps(ahead_us: int, elapsed_us: int = 0) -> bool:
@@ -17,7 +17,7 @@ def leaps(ahead_us: int, elapsed_us: int = 0) -> bool:
 
 
 class LeapFilter:
-    """Rejects stamps that leap, until so many in a row leap that the clock itself must have jumped."""
+    """Rejects stamps that leap, but accepts them after several in a row: the clock itself has then jumped."""
 
     def __init__(self, accepted_after: int) -> None:
         self._accepted_after = accepted_after

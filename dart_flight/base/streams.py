@@ -28,7 +28,7 @@ class Stream(msgspec.Struct, frozen=True):
     """One telemetry stream.
 
     Attributes:
-        number: MAVLink's id of the message.
+        number: MAVLink message id.
         record: type of the record that the message is converted to, or that it updates.
         rate_hz: requested rate.
         expected_hz: lowest rate that a mission needs; 0 if a mission does not need the stream.

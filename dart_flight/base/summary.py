@@ -50,7 +50,8 @@ class Spread(msgspec.Struct, frozen=True):
 
     Attributes:
         mean_half_width: half the width of the mean's 95 % interval (Student's t).
-        low, low_5, high_95, high: ends and percentiles in the order of the values, or of their magnitudes.
+        low, low_5, high_95, high: smallest value, 5 % and 95 % percentiles, largest value; ordered by value
+            or by magnitude.
     """
 
     count: int

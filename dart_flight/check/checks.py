@@ -79,7 +79,8 @@ class FlightContext:
         mission: the mission to be flown.
         log_dir: the folder of the flight log.
         url: MAVSDK connection URL of the vehicle, or None without a vehicle.
-        position_from: the position source that the operator claims; None uses the vehicle's parameters.
+        position_from: the position source that the operator claims; if None, the vehicle's parameters select
+            it.
         answer: responds to the ground station's buttons while the vehicle is read, or None.
         reading: the vehicle's parameters and telemetry; None until the first check with a vehicle.
         found: the findings of the earlier checks.

@@ -144,7 +144,7 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
         peak = _PEAK_SPEED * math.dist(transit.begin, leg.end) / transit.duration_s
         if leg.speed_m_s > peak + 0.01 > 0.02:
             slower = (
-                f"{leg.name}: the path is too short for {leg.speed_m_s:g} m/s, its peak is {peak:.2f} m/s"
+                f"{leg.name}: the path is too short for {leg.speed_m_s:g} m/s, the peak is {peak:.2f} m/s"
             )
             findings.append(CheckFinding("waypoint_speed", True, slower, remark=True))
     return findings
@@ -200,7 +200,7 @@ def _check_approach(
 def _describe_arrival(
     mission: Mission, collision: Collision, planned: PredictedFlight | None
 ) -> CheckFinding:
-    """Describe the predicted impact to which the previous recovery leads, at constant heading."""
+    """Describe the impact that the previous recovery is predicted to reach, at constant heading."""
     way = "recovery" if collision.trajectory is None else "trajectory"
     message = f"the {way} from the previous collision reaches wall {collision.wall.name}"
     incidence = incidence_deg(mission, collision)
@@ -444,7 +444,7 @@ def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, message: str, 
         return CheckFinding(
             item,
             True,
-            f"{message}, {outside:.2f} m outside bounds_m: the vehicle must reach {first} first",
+            f"{message}, {outside:.2f} m outside bounds_m: acceptable if the vehicle reaches {first} first",
             remark=True,
         )
     return CheckFinding(item, True, message)
@@ -479,7 +479,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def check_flown(mission: Mission) -> CheckFinding:
-    """Return the recorded result of the mission's simulated flights, which only `plan` records.
+    """Return the recorded result of the mission's simulated flights, recorded by `plan`.
 
     Without a record, or if the mission has changed since these flights, return a remark.
     """

@@ -63,7 +63,7 @@ class ParameterReading(msgspec.Struct, frozen=True):
             source is unknown.
         version: PX4's version, empty if not reported.
         restart_source: source of the list of parameters that need a restart, or None if there are no rows.
-        states: what is known of each requested parameter, by name.
+        states: state of each requested parameter, by name.
         remarks: lines for the operator, such as the rows of a file that are not restored.
     """
 
@@ -88,10 +88,11 @@ class WriteReport(msgspec.Struct):
     """The result of writing parameters.
 
     Attributes:
-        written: names whose new value was read back; without `problem`, all names except `refused`.
+        written: names whose new value was read back; without a `problem`, these are all names except
+            `refused`.
         refused: reason by name.
-        problem: reason why the link was lost, or None. `written` then has the acknowledged names, which were
-            not read back.
+        problem: reason why the link was lost, or None. With a reason, `written` has the acknowledged names,
+            which were not read back.
     """
 
     written: list[str]
@@ -100,7 +101,7 @@ class WriteReport(msgspec.Struct):
 
 
 class RestoredFile(msgspec.Struct, frozen=True):
-    """The parameters of a file that are restored; see `read_parameter_file`.
+    """The parameters to restore from a file; see `read_parameter_file`.
 
     Attributes:
         vehicles: ids of the vehicles in the file.
@@ -113,7 +114,7 @@ class RestoredFile(msgspec.Struct, frozen=True):
 
 
 def load_restored(path: Path, everything: bool = False) -> RestoredFile:
-    """Read a file to restore; without `everything`, leave out the values of one flight controller.
+    """Read a file to restore; without `everything`, omit the values of one flight controller.
 
     Raises:
         InputError: the file is wrong, or nothing remains.
@@ -235,7 +236,7 @@ def save_previous(
     Args:
         head: description of the vehicle, one line.
         system_id: the vehicle's MAVLink system id.
-        now: time for the file's name; None: the current time.
+        now: time for the file's name; None means the current time.
     """
     now = now or datetime.now(UTC)
     path = folder / f"px4_before_{now:%Y-%m-%d_%H%M%S}.params"

@@ -16,7 +16,7 @@ from dart_flight.core.mission.anchors import START_SD_M
 from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 
 START_TOLERANCE_M: Final = 1.0  # maximum distance between a vehicle placed by hand and the mission's start
-_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # deviation of a correct heading (maximum) and of a wrong one (minimum)
+_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # maximum error of a correct heading, minimum error of a wrong one
 _NEAR_RAD: Final = 0.01  # tolerance for rounded values such as 1.57 and 3.14
 _SIDES: Final = ("ahead", "right", "behind", "left")
 
@@ -28,7 +28,7 @@ def check_heading(mission: Mission) -> list[CheckFinding]:
     if eighths == 0 or abs(eighths) > 8 or abs(given - eighths * 0.25 * math.pi) > _NEAR_RAD:
         return []
     message = (
-        f"frame.heading_deg {given:g} looks like radians ({given:g} rad are {45 * eighths} deg): give degrees"
+        f"frame.heading_deg {given:g} looks like radians ({given:g} rad is {45 * eighths} deg): give degrees"
     )
     return [CheckFinding("heading", True, message, remark=True)]
 
@@ -124,5 +124,5 @@ def _evaluate_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFin
         message = (
             f"frame.heading_deg {given:g} looks like radians: the vehicle's heading is {heading_deg:.0f} "
         )
-        message += f"deg, and {given:g} rad are {in_radians % 360.0:.0f} deg; give degrees"
+        message += f"deg, and {given:g} rad is {in_radians % 360.0:.0f} deg; give degrees"
         yield CheckFinding("heading", False, message)

@@ -75,8 +75,8 @@ def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFi
     )
     if answering:
         message = (
-            f"{', '.join(answering)} sends TIMESYNC: if it answers PX4, PX4 stamps poses by that program's "
-            "clock and EKF2_EV_DELAY is wrong; switch TIMESYNC off in that program"
+            f"{', '.join(answering)} sends TIMESYNC. If it replies to PX4, PX4 uses that sender's clock for "
+            "pose timestamps and EKF2_EV_DELAY is wrong. Disable TIMESYNC in that sender."
         )
         findings.append(CheckFinding(_ITEM, True, message, remark=True))
     return findings

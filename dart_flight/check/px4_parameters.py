@@ -202,8 +202,8 @@ def evaluate_parameters(
     Args:
         mission: provides the limits and the vehicle.
         values: parameters read from the vehicle.
-        source: position source; None compares only the parameters that every vehicle needs.
-        version: PX4's version; None expects the parameters of every version.
+        source: position source; if None, only the parameters that every vehicle needs are compared.
+        version: PX4's version; if None, the parameters of every version are expected.
     """
     wanted = wanted_parameters(mission, source)
     different = {d.name: d for d in differences(wanted, values)}
@@ -238,7 +238,7 @@ def _is_absent(
     """Return whether this PX4 lacks a parameter; if the version is unknown, other parameters decide."""
     if version is not None:
         return missing.is_absent_in(version)
-    # A parameter of older versions only excludes the parameter that replaced it, and vice versa.
+    # If the parameter of an older version is present, its replacement is absent, and vice versa.
     when = {"before": "after", "after": "before"}.get(missing.absent.partition(" ")[0])
     return any(
         one.absent.startswith(f"{when} ") and (one.name in values) for one in wanted.values() if one.absent
@@ -301,7 +301,8 @@ def position_source(values: Mapping[str, float], gps_fix: str | None) -> Positio
 
     Args:
         values: parameters read from the vehicle.
-        gps_fix: MAVLink's fix type in lower case, or None if no receiver reports; `rtk_fixed` selects RTK.
+        gps_fix: MAVLink's GPS fix type in lower case, or None if no GPS receiver reports; `rtk_fixed` selects
+            RTK.
     """
     if round(values.get("EKF2_EV_CTRL", 0)) & _HORIZONTAL:
         return PositionSource.MOCAP

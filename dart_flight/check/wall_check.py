@@ -23,7 +23,7 @@ from dart_flight.planning.predicted_flight import PredictedContact, PredictedFli
 
 _INCIDENCE_SD = 2.0
 _OPPOSITE = -0.9  # maximum dot product of two opposite walls' normals: up to 26 degrees from antiparallel
-_SAME_PLACE_M = 0.005  # gap below measuring accuracy: the walls are back to back
+_SAME_PLACE_M = 0.005  # gap below the measuring accuracy, so that the walls count as back to back
 
 
 def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
@@ -39,7 +39,7 @@ def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[Check
 
 
 def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedContact]) -> Iterator[CheckFinding]:
-    """Return a no-go if a wall is between the last impact and the goal, where the vehicle then holds."""
+    """Return a no-go if a wall is between the last impact and the goal."""
     if not mission.recovers_to_goal or mission.goal_trajectory is not None:
         return
     last = mission.collisions[-1]
@@ -56,7 +56,7 @@ def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedContact]) -
 
 
 def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
-    """Check each pair of opposite walls: whether the vehicle fits between them or they are one partition.
+    """Check that the vehicle fits between opposite walls, and that no two of them should be one partition.
 
     Walls of a corner are not opposite, and the two faces of one partition are meant to be close.
     """

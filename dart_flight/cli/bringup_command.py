@@ -36,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=number(1.0, 600.0),
         default=WAIT_S,
         metavar="S",
-        help="longest wait for each of your actions (default 60 s)",
+        help="timeout for each of your actions (default 60 s)",
     )
     parser.add_argument("--yes", action="store_true", help="do only the steps that need no operator")
     add_driver_option(parser)

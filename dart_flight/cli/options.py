@@ -26,7 +26,7 @@ def add_flight_options(parser: argparse.ArgumentParser) -> None:
         "--standoff",
         type=float,
         metavar="M",
-        help="rehearsal: stop this many metres before each wall instead of hitting it",
+        help="rehearsal: stop this many metres short of each wall instead of hitting it",
     )
 
 

@@ -235,8 +235,8 @@ class Document:
     there.
 
     Raises:
-        InputError: the text is not YAML, is not a mapping, is too large or is nested too deep; it contains
-            duplicate keys, aliases or tags; or a number is not finite.
+        InputError: the text is not YAML, is not a mapping, is too large, is nested too deep, or contains
+            duplicate keys, aliases, tags or a number that is not finite.
     """
 
     def __init__(self, text: str, source: str) -> None:
@@ -289,9 +289,8 @@ class Document:
     def error(self, key: Key, message: str) -> InputError:
         """Return an error at a key of this document, with the line of the key.
 
-        If the key is not in the file, the error has the line of the innermost existing section around the
-        key. If an option such as `--set` has set the key, the error names this option instead of file and
-        line.
+        If the key is not in the file, the error points to the innermost section that would contain it. If an
+        option such as `--set` has set the key, the error names this option instead of file and line.
         """
         for given, setting in self.set_by.items():
             # The error is at the setting's key, below it, or in a section that only the setting created.

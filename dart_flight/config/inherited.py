@@ -10,8 +10,8 @@ from dart_flight.config.document import Document, dotted, iterate_leaves
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
-_COPIED: Final = 0.5  # minimum fraction of a packaged file's values in a file that counts as its copy
-_SAME: Final = 0.1  # maximum difference of equal values, relative to the inherited value
+_COPIED: Final = 0.5  # fraction of a packaged file's values above which a file counts as its copy
+_SAME: Final = 0.1  # relative difference from the inherited value below which values count as equal
 _SIZE: Final = ("airframe.arm_x_m", "airframe.arm_y_m", "airframe.motors")
 _TURNING: Final = ("airframe.mass_kg", "airframe.inertia_kg_m2", "thrust.full_n", *_SIZE)
 LOCK: Final = "lock"
@@ -66,7 +66,7 @@ class Inherited(NamedTuple):
 
 
 class _Base(NamedTuple):
-    """The file that a vehicle's file extends, or the packaged file that was copied to it."""
+    """The file that a vehicle's file extends, or the packaged file of which it is a copy."""
 
     path: Path
     is_original: bool  # whether the vehicle's file is a copy of this file
@@ -87,8 +87,8 @@ def find_inherited(
         settings: `KEY=VALUE` pairs from `--set`.
 
     Returns:
-        None for DART itself: its own file, or a file that extends or copies it and changes no value of
-            `FOLLOWS_FROM`, no material and not the lock.
+        None for DART itself. A file describes DART if it is DART's own file, or if it extends or copies that
+        file without a change of a key in `FOLLOWS_FROM`, a material or the lock.
     """
     if file is None:
         return None

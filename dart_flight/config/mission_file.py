@@ -171,8 +171,8 @@ class Limits(Section, frozen=True):
         friction_ratio: largest ratio of friction to normal force at an impact. Above a ratio of about 0.5, a
             friction coefficient measured at low sliding speed is not valid.
         peak_force_n: largest contact force, normal and friction together.
-        collision_timeout_s: longest duration of a recovery. After this time the vehicle flies to the goal; if
-            the recovery leads to another wall, the vehicle breaks off instead.
+        collision_timeout_s: timeout of a recovery, after which the vehicle flies to the goal; if the recovery
+            leads to another wall, the vehicle breaks off instead.
     """
 
     speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 3.0
@@ -419,7 +419,7 @@ class WaypointSpec(WaypointKeys, frozen=True, kw_only=True):
             speed is limited by flying.climb_speed_m_s.
         hold_s: hold time at a waypoint.
         pause: operator: hold until the operator continues (Enter, or SIGUSR1).
-        timeout_s: longest pause; if the operator does not respond, the vehicle then lands.
+        timeout_s: timeout of a pause; if the operator has not responded, the vehicle lands.
     """
 
     position_m: Point2 | None = None
@@ -545,8 +545,8 @@ class FlownRecord(Section, frozen=True):
             )
         if self.drawn.flights - self.drawn.completed > _MOST_BROKEN_OFF * self.drawn.flights:
             causes = ", ".join(f"{rule} {count}" for rule, count in self.drawn.ended_by.items())
-            text = f"only {self.drawn.completed} of {self.drawn.flights} flights in random worlds complete"
-            return f"{text} ({causes})"
+            flown = f"{self.drawn.completed} of {self.drawn.flights} flights"
+            return f"only {flown} in random worlds were completed ({causes})"
         return None
 
     @property
@@ -573,15 +573,15 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
     Attributes:
         name: letters, digits and ' _.-', at most 64; names the flight's folder.
         predicted: the planner's prediction; `plan` writes this key.
-        flown: results of simulated flights; `plan` writes this key.
+        flown: results of the mission's simulated flights; `plan` writes this key.
         goal_trajectory: trajectory to the goal, from the predicted end of the last collision, or from rest at
             start.
-        after_impact: setpoint: fly the paper's recovery setpoint; replan: fly this setpoint, meanwhile plan a
-            trajectory that starts from the measured impact, and switch to the trajectory once it is ready.
+        after_impact: setpoint: fly the paper's recovery setpoint; replan: also plan a trajectory from the
+            measured impact, and fly the trajectory once it is ready.
         tolerance: allowed differences between flight and plan; for the goal, goal.capture_radius_m applies.
-        mode_mismatch: response to a contact that indicates another mode than the lock reports; go_on: record
-            it in log and verdict; land: the guard lands the vehicle.
-        standoff_m: rehearsal: the vehicle stops this far before each wall instead of touching it, as with
+        mode_mismatch: response to a contact that indicates a different mode from the one that the lock
+            reports; go_on: record it in log and verdict; land: the guard lands the vehicle.
+        standoff_m: rehearsal: the vehicle stops this far short of each wall instead of touching it, as with
             --standoff; null: contacts are flown.
     """
 

@@ -6,8 +6,8 @@ reason for the parameter's value. If some builds of PX4 lack the parameter under
 comment line lists these builds:
 
 - `#? absent before v1.16` or `#? absent after v1.17`: these versions do not need the parameter.
-- `#? absent without gyro_fft`: builds without the module gyro_fft do not need the parameter.
-- `#? renamed NAME after v1.17`: these versions have the parameter under the name NAME.
+- `#? absent without gyro_fft`: builds without the gyro_fft module do not need the parameter. - `#? renamed
+NAME after v1.17`: these versions have the parameter under the name NAME.
 
 `after v1.17` includes development versions of v1.18.
 """
@@ -132,8 +132,8 @@ def is_storable(value: Value) -> bool:
 def is_same_value(a: float, b: float, tolerance: float = 0.0) -> bool:
     """Return whether a parameter with value `a` need not be changed to `b`.
 
-    An INT32 must be equal, and a REAL32 must be equal after rounding; otherwise the values may differ by at
-    most `tolerance`.
+    No change is needed if the values differ by at most `tolerance`, or if two REAL32 are equal after
+    rounding.
     """
     whole = isinstance(a, int) or isinstance(b, int)
     return abs(a - b) <= tolerance or (not whole and to_float32(a) == to_float32(b))

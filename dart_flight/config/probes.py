@@ -46,7 +46,7 @@ class Probe(msgspec.Struct, frozen=True):
 
 
 def unknown_walls(spec: MissionFile, space: FlightSpace) -> dict[str, Wall]:
-    """Return the walls at unknown positions, by name; each is perpendicular to its probe's leg at its end.
+    """Return the walls at unknown positions, by name; each is perpendicular to its probe's leg, at its end.
 
     Raise InputError if a probe has no direction, an unknown material or a name in use; if a collision with an
     unknown wall precedes the wall's probe; or if a condition names a wall without an earlier probe.

@@ -123,7 +123,7 @@ class _Shape(NamedTuple):
     mu: Array
     nu: Array
     zeta: Array
-    w: Array  # 1 at and above (nearly) critical damping, where other formulas hold
+    w: Array  # |1 - zeta^2|^(1/2), or 1 near critical damping, where other formulas hold
     late_decay: Array  # exp(-zeta tau) at the force peak of the lcp solution
     scale: Array  # speed factor: a `touch` contact is the late part of a faster `lcp` contact
     entry: Array  # the largest possible r = phi'/phi, at the onset (infinite for lcp)
@@ -140,7 +140,7 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
         peak = late_decay
         scale, entry = np.ones_like(zeta), np.full_like(zeta, math.inf)
     else:
-        light = zeta < 0.5  # otherwise the force falls from the onset
+        light = zeta < 0.5  # for larger zeta, the force is largest at the onset
         time = 2.0 * quarter
         depth = late_decay
         scale = np.exp(zeta * np.where(light, half - time, 0.0))
@@ -266,9 +266,9 @@ def _solve_with_push(
 
 
 def _pushed_friction_peak(c: Oscillation, events: ContactTimes, rub: Array) -> Array:
-    """Return the largest l exp(-rub P), with l = phi - alpha, P the integral of l, and `rub` = mu V.
+    """Return the peak normalised friction force: the maximum of l exp(-rub P) over the contact.
 
-    At the maximum l' = rub l^2.
+    Here l = phi - alpha, P is the integral of l, and rub = mu V. At the maximum, l' = rub l^2.
     """
 
     def excess(tau: Array) -> tuple[Array, Array]:
@@ -386,9 +386,10 @@ def contact_map(
 def friction_per_speed(
     coefficients: CoefficientArrays, mass_kg: float, onset: Onset
 ) -> Callable[[Array], Array]:
-    """Return a fast function of the normal velocity (m/s, any shape, < 0 approaches) for one set.
+    """Return a fast function of the normal velocity (m/s, any shape, < 0: approaching) for one coefficient
+    set.
 
-    Its result is the peak friction force per speed along the wall in N s/m, as in `contact_map`.
+    The function returns the peak friction force per tangential speed, N s/m, as in `contact_map`.
     """
     shape = _shape(coefficients, np.asarray(mass_kg), onset)
 

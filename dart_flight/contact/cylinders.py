@@ -42,7 +42,7 @@ from dart_flight.contact.propeller_guards import (
     WallLoad,
 )
 
-EDGE_RADIUS_M: Final = 0.01  # radius of an edge, about that of a board; a sharp edge has no normal
+EDGE_RADIUS_M: Final = 0.01  # radius of an edge, like a board's rounded edge; a sharp edge has no normal
 _DOWN: Final = (0.0, 0.0, 1.0)  # NED
 
 
@@ -160,7 +160,8 @@ class CylinderContact:
     def point(self, near: NearestPoint, c: Coefficients, borne: bool) -> ContactPoint | None:
         """Return the contact point at the outline's nearest point, or None if the cylinder cannot press it.
 
-        `c` is for the whole side; `borne` means that guards already carry the load at this point.
+        `c` holds for the vehicle's whole side. `borne` means that guards already carry the load at this
+        point.
         """
         if near.x_m > 0.0:
             self.stood_in = False
@@ -198,7 +199,7 @@ class PostContact:
         return nearest_point(self._corners, q, position, self.contact.cylinder)
 
     def touch(self, c: Coefficients, motion: BodyMotion, law: GuardLaw) -> WallLoad:
-        """Return force and torque on the vehicle, as `propeller_guards.touch`; `c` is for the whole side."""
+        """Return force and torque on the vehicle; `c` holds for the vehicle's whole side."""
         near = self.nearest(motion.q, motion.position)
         point = self.contact.point(near, c, False)
         self.depths = [0.0] * len(self.depths)
@@ -259,7 +260,7 @@ class WallWithEnds:
             edge.share, edge.stood_in = None, near.x_m < 0.0
 
     def holds(self, number: int, q: Quaternion, position: Vec3) -> bool:
-        """Return whether a guard has entered the wall from the front, or carries a force of the wall."""
+        """Return whether a guard has entered the wall from the front, or is loaded by the wall."""
         if number in self.bearing or number in self.beside:
             return number in self.bearing
         height, along = self._foot_point(number, q, position)
@@ -347,7 +348,7 @@ class WallWithEnds:
             edge.settle(near, force)
             if force > 0.0:
                 points.append(edge_point)
-                pressed |= numbers  # a bar rests on one edge: on the first if the wall is narrower
+                pressed |= numbers  # a bar wider than the wall rests on the first edge only
                 loaded.append((near, force))
         self.bearing = pressed
         for near, force in loaded:

@@ -193,7 +193,7 @@ class ContactTimes(NamedTuple):
 
     peak: Array  # largest force
     turn: Array  # lx equals -m a; if a points into the wall, the outward speed is largest then
-    end: Array  # force back to zero; inf if never
+    end: Array  # force returns to zero; inf if it never does
 
 
 def find_contact_times(c: Oscillation) -> ContactTimes:
@@ -229,7 +229,8 @@ def find_contact_times(c: Oscillation) -> ContactTimes:
 
 
 def time_of_drop(c: Oscillation, times: ContactTimes, fraction: float) -> Array:
-    """Return the time, in 1/omega, at which an unpushed contact's force is down by a fraction of its peak."""
+    """Return the time (1/omega) at which an unpushed contact's force has dropped by a fraction of its
+    peak."""
     end = np.where(np.isfinite(times.end), times.end, 2.0 * times.peak + 1.0)
     level = (1.0 - fraction) * motion(c, times.peak)[0]
 

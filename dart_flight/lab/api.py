@@ -167,7 +167,7 @@ def simulate(
         log_dir: folder in which a folder for the log is created; by default the log is kept in memory.
 
     Raises:
-        InputError: the mission cannot be flown, the seed is not a whole number, or `vary` contains an unknown
+        InputError: the mission cannot be flown, the seed is not a whole number, `vary` contains an unknown
             name, or the fault is unknown.
     """
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < 2**31:

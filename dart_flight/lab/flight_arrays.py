@@ -70,8 +70,8 @@ class FlightArrays:
             move the frame (`frame_at`); each position is converted with the frame valid at its time.
         estimated: the motion estimated by PX4; empty without a frame.
         true: the true motion of a simulated vehicle; empty for a real vehicle.
-        estimated_force: the force estimated by the flight core, at the times when it acted: the lag of the
-            IMU's reading is subtracted.
+        estimated_force: the force estimated by the flight core. The times exclude the lag of the IMU's
+            reading.
         true_force: the true force of a simulated vehicle; empty for a real vehicle.
     """
 

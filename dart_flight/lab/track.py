@@ -57,7 +57,7 @@ class Track(msgspec.Struct):
         position_s: stamps of PX4's estimate, (k,).
         position, velocity: estimates in m and m/s, (k, 3), NaN where PX4 had no estimate.
         voltage_s, voltage: stamps (v,) and battery voltage, V, (v,).
-        ground: begin and end of each interval on the ground, s.
+        ground: start and end of each interval on the ground, s.
         notes: remarks on the source and on omitted data.
     """
 

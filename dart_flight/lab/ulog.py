@@ -61,7 +61,7 @@ class ULogFile(msgspec.Struct):
         parameters: PX4's parameters at the start of the log.
         version: PX4's version, or None if it is not logged or PX4 was built between releases.
         gaps_s: total duration that the logger lost, s.
-        damage: descriptions of damaged parts that were left out.
+        damage: descriptions of damaged parts, which are skipped.
     """
 
     source: str

@@ -23,7 +23,7 @@ class ApproachGrid(NamedTuple):
     """The approach of every candidate to the first wall; arrays that broadcast with the velocities.
 
     Attributes:
-        wall: the first wall, where the approach assumes it; the wall that is hit may be displaced.
+        wall: the first wall at its assumed position; the true wall may be displaced.
         codes: reason to refuse the approach (`Refusal`), 0 if it can be flown.
         impact_x, impact_y: point at which the centre reaches the wall's plane, mission frame, m.
         begin_x, begin_y: point at which the run-up starts, mission frame, m.

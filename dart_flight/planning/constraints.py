@@ -177,7 +177,7 @@ class Constraints:
             alive[:, 0] = False
         for wall in obstacles:
             place: tuple[Number, Number] = (w.x, w.y)
-            # A place behind a wall is not inside it: only a passage through the front counts.
+            # A point farther behind the plane is beyond the wall: only a passage through the front counts.
             inside = wall.signed_distance(place) > -min(_THICK_M, wall.behind_m)
             touched = _touches_wall(wall, w) & spans_with_margin(wall, place) & inside
             self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
@@ -241,8 +241,8 @@ class Constraints:
     ) -> NDArray[np.bool_]:
         """Return whether the executive would abort the approach because the lock is still moving.
 
-        `ready` has the states when the lock settles, and `after_s` is the time from the release to the
-        impact.
+        `ready` has the states at the time at which the lock settles; `after_s` is the time from the release
+        to the impact.
         """
         late = after_s < self.lock_s
         rows = np.flatnonzero(~late & ~self.lock_in_time(ready, wall))

@@ -1,7 +1,8 @@
 """Fit of the contact law to the readings of one contact.
 
-The fit estimates the wall's coefficients, the wall's plane and the arms' mode. It steps the law itself,
-because the measured rotation loads two guards unequally, for which the law of a point has no closed form.
+The fit estimates the wall's coefficients, the wall's plane and the arms' mode. It integrates the contact law
+numerically. The measured rotation loads the two guards unequally, and the closed-form solution covers a point
+contact only.
 
 Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
 positive if the vehicle is turned left. Each side of the vehicle has a right guard (g = 1) and a left guard
@@ -56,13 +57,13 @@ from dart_flight.core.sense.contact_recorder import undecided
 
 FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/contact_fit.md)
 CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall
-SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is then wrong (docs/contact_fit.md)
+SURE_LOG_ODDS: Final = 5.3  # 200 to 1: the mode then counts as known, 1 in 1000 wrong (docs/contact_fit.md)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
-_PLACE_M: Final = 0.1  # minimum deviation of a wall's position; wide, because the force determines it
-_WALL_RAD: Final = math.radians(4.0)  # minimum deviation of a planned wall's direction and of the attitude
-_UNPLANNED_RAD: Final = math.radians(15.0)  # the same for an unplanned wall: the normal is the force's
+_PLACE_M: Final = 0.1  # minimum prior deviation of a wall's position; wide, because the force determines it
+_WALL_RAD: Final = math.radians(4.0)  # minimum prior deviation of a planned wall's direction
+_UNPLANNED_RAD: Final = math.radians(15.0)  # the same for an unplanned wall: the force gives the direction
 _UNKNOWN_SPREAD: Final = 0.8  # relative deviation of the coefficients if the material is unknown
 _KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations above which the material is not in the table
 _MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which the law does not fit
@@ -70,12 +71,12 @@ _VELOCITY_M_S: Final = 0.04  # standard deviation of PX4's velocity at rest
 _VELOCITY_SHARE: Final = 0.02  # fraction of the speed that is added to this deviation
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
 _LEVER_SHARE: Final = 0.3  # prior mean of b, the friction's lever divided by d
-_LEVER_SD: Final = 0.3  # prior standard deviation of b: a contact may also have no lever, or twice the mean
+_LEVER_SD: Final = 0.3  # prior standard deviation of b: no lever and twice the mean are both plausible
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
-_TORQUE_ERROR: Final = 0.05  # larger than for independent ticks, because their errors are correlated
-_SURE_SIGMA: Final = 5.0  # standard deviations of the readings' sum below which there was no contact
+_TORQUE_ERROR: Final = 0.05  # larger than independent ticks would need, because their errors are correlated
+_SURE_SIGMA: Final = 5.0  # sum of the readings, in standard deviations, below which there was no contact
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
 # Angles of incidence from which the fits start.
@@ -90,10 +91,10 @@ _SUBSTEPS: Final = 2  # integration steps per tick
 _FINE: Final = 4  # integration steps per tick for the torque's peak
 _MAX_TICKS: Final = 36  # number of ticks above which neighbouring ticks are merged
 _QUADRATIC = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35.0
-_NEAR_TOP: Final = 0.6  # fraction of the torque's top above which samples determine its size
-_SURE_TORQUE: Final = 4.0  # ratio to the noise below which a fitted torque does not give the peak's shape
+_NEAR_TOP: Final = 0.6  # fraction of the torque's peak; the samples above it determine the peak's size
+_SURE_TORQUE: Final = 4.0  # torque, relative to the noise, below which the fit does not give the peak's shape
 _QUARTER: Final = 0.5 * math.pi
-_K, _F, _X, _V, _D, _MU, _W, _B = range(8)  # k, f, place, velocity, angle, mu, velocity along, lever
+_K, _F, _X, _V, _D, _MU, _W, _B = range(8)  # k, f, place, velocity, angle, mu, tangential velocity, lever
 _FACTORS = [_K, _F, _MU]
 # Fields of a `WallEstimate` in the order of a `Belief`.
 _ESTIMATED = ("k_n_per_m", "f_ns_per_m", "mu_s_per_m", "nu_n", "k_sd", "f_sd", "mu_sd", "nu_sd")

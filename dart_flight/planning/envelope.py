@@ -24,8 +24,9 @@ FLOWN_UP_TO_M_S = 3.0
 # Flights recovered from all impacts up to this incidence: in both modes up to 2 m/s, rigid up to 3 m/s.
 INCIDENCE_FLOWN_DEG = 30.0
 # Largest distances (m) of the guards from the centre of mass at which the tilt stays below 60 degrees
-# (docs/results/tumbles.md). Columns: normal speed (m/s), below with rigid arms, below with flexible arms,
-# above. Guards below are worse, because the impact and the setpoint tilt the vehicle in the same direction.
+# (docs/results/tumbles.md). Columns: normal speed (m/s); distance below with rigid arms, and with flexible
+# arms; distance above. Guards below are worse, because the impact and the setpoint tilt the vehicle in the
+# same direction.
 HEIGHTS_FLOWN_M = (
     (0.5, 0.060, 0.060, 0.05),
     (1.0, 0.060, 0.060, 0.05),
@@ -163,7 +164,7 @@ def height_warning(
     allowed = f" (standard deviation {sd:g} m)" if slack else ""
     return (
         f"{_name(collision)} at {-velocity[0]:.2f} m/s with guards {where} the centre of mass{allowed} may "
-        f"turn the vehicle over: flights recovered from {below:.3f} m below to {above:.3f} m above it. "
+        f"turn the vehicle over: flights recovered with guards {below:.3f} m below to {above:.3f} m above. "
         "Hit the wall more slowly, or touch a wall first and let `plan` choose the trajectory"
     )
 

@@ -59,16 +59,16 @@ _PUSH_SAMPLES = 12  # samples at which acceleration and jerk are checked, before
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # jerk limit: about 150 degrees of tilt per second, which the attitude loop can follow
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
-_GENTLE_REJOINING_S = 0.05  # the same for rejoining, because the joined trajectory is within limits
-_REJOINING_ALLOWANCE = 1.25  # factor on the limit, because the planned trajectory may already reach the limit
-_SPEED_TOLERANCE = 1.01  # largest ratio of planned to flown speed
-# Two errors turn the vehicle in a contact (docs/results/faster_hits.md). One is too much tilt away from the
-# wall in plans for rigid arms. The other is a tilt into the wall that begins so late that the lag removes it.
-_THRUST_OFF_SHARE = 0.5  # rigid arms: fraction of the plan's final thrust off the wall; lag removes the rest
+_GENTLE_REJOINING_S = 0.05  # smaller when rejoining: the mission's trajectory is already within the limits
+_REJOINING_ALLOWANCE = 1.25  # factor on the acceleration limit, which the plan may already reach
+_SPEED_TOLERANCE = 1.01  # slow-down factor above which a trajectory counts as slower than planned
+# A contact rotates the vehicle (docs/results/faster_hits.md) if a plan for rigid arms tilts it too far away
+# from the wall. A contact also rotates it if a tilt into the wall begins too late for the lagging attitude.
+_THRUST_OFF_SHARE = 0.5  # rigid arms: removed fraction of the final thrust off the wall; lag removes the rest
 _LEANS_IN_M_S3 = 8.0  # final jerk into the wall above which another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
 _COMPRESSED_M = 0.15  # largest depth behind a wall, due to compressed arms and the wall's position error
-_OFF_PLACE_S = 1.0  # cost of a contact as far from the planned point as the mission tolerates
+_OFF_PLACE_S = 1.0  # cost of a contact at the mission's tolerance from the planned point
 
 
 class _EndStates(NamedTuple):

@@ -1,1 +1,1 @@
-"""The record of a flight: MCAP files, written during the flight; a cut-off file is readable up to the cut."""
+"""The record of a flight as MCAP files; a file that was cut off is readable up to the cut."""

@@ -3,7 +3,7 @@
 JSON has no NaN and no infinity. These numbers become the strings "nan", "inf" and "-inf". Every other float
 is written as the shortest decimal number that is read back as exactly the same float.
 
-A value that is None is left out. The schema of the log cannot allow null: Foxglove rejects a topic if its
+A value that is None is omitted. The schema of the log cannot allow null: Foxglove rejects a topic if its
 schema has a type with alternatives.
 """
 

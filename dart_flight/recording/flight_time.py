@@ -1,7 +1,7 @@
 """The zero of a flight's time, which terminal, CSV, replay and report share: the first IMU sample.
 
-Autopilots count time from their own start. It arrives early and does not depend on which records are shown or
-were written.
+Autopilots count time from their own start. This sample arrives early and does not depend on which records are
+shown or were written.
 """
 
 from __future__ import annotations

@@ -147,7 +147,7 @@ class FlownImpact(CollisionVerdict, kw_only=True):
 class ImpactCollector:
     """Assembles the impacts of one flight, in the order flown, from its records.
 
-    The reader `anchor` of the mission frame must process each record before the collector.
+    `anchor`, the reader of the mission frame, must process each record before the collector.
     """
 
     def __init__(self, mission: Mission, anchor: MissionFrameReader) -> None:
@@ -196,8 +196,8 @@ class ImpactCollector:
     def other_contacts(self) -> list[OtherContact]:
         """Return the contacts that were not planned, in order; call `match_truth` before.
 
-        In simulation, each contact has the values of its simulated contact. After the guard has overruled the
-        mission, the list also includes contacts that were not detected.
+        In simulation, the values of each contact are the ground truth of the matching simulated contact.
+        After the guard has overruled the mission, the list also includes contacts that were not detected.
         """
         found = list(self._others)
         planned = [impact.contact for impact in self.impacts]

@@ -46,7 +46,7 @@ class Prediction(NamedTuple):
     """Predicted course of a mission.
 
     Attributes:
-        velocities: by index of the collision; fields are None if not predicted.
+        velocities: predicted velocities by index of the collision; fields are None if not predicted.
         places: predicted impact points, by index of the collision, mission frame.
         goal_miss_m: predicted smallest distance to the goal during the last recovery. None if this distance
             is unknown, or if the vehicle flies to the goal from rest.
@@ -140,7 +140,7 @@ def _compare_collision(
 
 
 def out_of_tolerance(found: Sequence[Deviation]) -> list[Deviation]:
-    """Return the deviations outside their tolerance: those without numbers, then the largest first."""
+    """Return the deviations outside their tolerance: those without numbers, then the others by size."""
     outside = [one for one in found if not one.within]
     return sorted(outside, key=lambda one: -_excess_ratio(one))
 

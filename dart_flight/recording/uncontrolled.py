@@ -19,7 +19,7 @@ from dart_flight.config.mission_file import BoundsSpec
 OUT_M = 0.5  # allowed distance outside the bounds, for braking
 _LANDING_M_S = 1.5
 _TILT_DEG = 80.0
-_HIGH_M, _GROUND_M = 0.2, 0.03  # altitudes of a flying vehicle (above) and on the ground (below)
+_HIGH_M, _GROUND_M = 0.2, 0.03  # minimum altitude in flight, maximum altitude on the ground
 
 
 class TruthExtremes:
@@ -57,7 +57,7 @@ def find_uncontrolled(
         falls: whether the vehicle is meant to fall, for example after a kill switch.
     """
     if not completed and not explained:
-        yield "not completed, without a reason"
+        yield "not completed, for no known reason"
     if truth.excursion_m > allowed_m:
         yield f"{truth.excursion_m:.2f} m outside bounds_m, limit {allowed_m:.2f} m"
     if truth.landing_m_s > _LANDING_M_S and not falls:

@@ -57,7 +57,7 @@ _KEPT = 1024  # maximum number of estimates or true positions that wait for a co
 class ResetFigures(msgspec.Struct):
     """One reset of PX4's estimator.
 
-    PX4's reset counter changes at a reset. The steps are the largest steps within 0.1 s of this change.
+    Each figure is the largest step of that estimate within 0.1 s of the change of PX4's reset counter.
 
     Attributes:
         position_m: step of the estimated position, relative to its prediction from the previous sample.
@@ -128,8 +128,8 @@ class Verdict(msgspec.Struct):
     estimator_resets: list[ResetFigures] = msgspec.field(default_factory=list)  # in the air
     arms_moved: bool | None = None  # whether simulated arms followed the lock; None if it never moved
     time: TimeKind | None = None  # None for a real vehicle
-    speed: float | None = None  # achieved simulated seconds per second
-    uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, from a simulation's truth
+    speed: float | None = None  # achieved real-time factor
+    uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, from simulation ground truth
     other_contacts: list[OtherContact] = msgspec.field(default_factory=list)  # contacts that were not planned
 
 
@@ -375,8 +375,8 @@ def _chain(handlers: Sequence[Callable[[Any], None]]) -> Callable[[Any], None]:
 def evaluate(log: Log) -> tuple[Verdict, list[FlownImpact]]:
     """Return the verdict on a recorded flight, and its impacts.
 
-    It equals the verdict at the end of the flight, except for two values that the log does not
-    contain: `px4` and the reason for missing records. A log without its mission raises InputError.
+    The verdict equals that at the end of the flight, except for two values that the log does not contain:
+    `px4` and the reason for missing records. A log without its mission raises InputError.
     """
     builder = VerdictBuilder(flown_mission(log.about, log.source))
     for entry in log.entries:
@@ -389,5 +389,5 @@ def evaluate(log: Log) -> tuple[Verdict, list[FlownImpact]]:
 
 
 def verdict_of(log: Log) -> Verdict:
-    """Return the verdict on a recorded flight; raises the errors of `evaluate`."""
+    """Return the verdict on a recorded flight; raise the same errors as `evaluate`."""
     return evaluate(log)[0]

@@ -325,7 +325,7 @@ class FlightApp:
 
     @contextlib.contextmanager
     def _listening_for_operator(self) -> Iterator[None]:
-        """Within the context, obey signals and the operator's keys."""
+        """Within the context, handle signals and the operator's key presses."""
         loop = self.loop
         assert loop is not None
         with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # not the main thread

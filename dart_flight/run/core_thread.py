@@ -109,7 +109,8 @@ class CoreThread:
                 self._called.clear()
             if self._fault is not None:
                 raise self._fault
-            # In lockstep this thread must not own the core: an input that came meanwhile would stay queued.
+            # In lockstep this thread must not own the core: an input that arrives meanwhile would stay
+            # queued.
             if not self._time.waits:
                 with self._owner:
                     self._step_queued()

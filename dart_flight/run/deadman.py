@@ -24,7 +24,7 @@ from pathlib import Path
 
 CORE, LOOP = b"c", b"l"
 _ARM, _LET_GO = b"a", b"q"
-_OWN_PAUSES = 2.0  # periods of its own suspension after which the watcher restarts its timeouts
+_OWN_PAUSES = 2.0  # pause of the watcher itself, in its periods, after which it restarts its timeouts
 FEED_PERIOD_S = 0.1  # longest period of feeding; shorter periods would cost more wake-ups
 _FEEDS = 5  # feeds due within `starve_s`; all but one of them may be late
 _MIN_S = 0.001

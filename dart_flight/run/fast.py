@@ -58,7 +58,7 @@ _TRUTH_EVERY: Final = 2
 _HOST_EVERY: Final = 5  # ticks of 4 ms between polls of the lock and reports of the host time (50 Hz)
 _TIMESYNC_EVERY: Final = 25  # ticks between measurements of the round trip, as in the app
 _REPEAT_US: Final = 50_000  # period at which MAVSDK repeats the last setpoint
-_LONGEST_S: Final = 180.0  # longest duration of a flight, without the mission's holds
+_LONGEST_S: Final = 180.0  # longest duration of a flight, excluding the mission's holds
 _NAN3 = (math.nan, math.nan, math.nan)
 FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
@@ -349,7 +349,7 @@ def simulated_driver(mission: Mission) -> LockDriver:
     driver = mission.vehicle.lock_driver or LockDriver.MOCK
     if not DRIVERS[driver].simulated:
         others = driver_names(lambda entry: entry.simulated)
-        raise InputError(f"the lock driver {driver.value} cannot be simulated; choose {others}")
+        raise InputError(f"the {driver.value} lock driver cannot be simulated; choose {others}")
     return driver
 
 

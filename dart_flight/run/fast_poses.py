@@ -1,4 +1,4 @@
-"""Simulated motion capture in the fast world: poses pass the bridge to the autopilot, all in one thread."""
+"""Simulated motion capture for the fast world. Poses go through the bridge to the autopilot in one thread."""
 
 from __future__ import annotations
 

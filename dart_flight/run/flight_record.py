@@ -94,7 +94,7 @@ class FlightRecord:
 
     @property
     def log(self) -> Log:
-        """The log in memory, or read from the file."""
+        """The log, from memory or from the file."""
         return self._log.log if isinstance(self._log, MemoryLog) else read_log(self.path)
 
     @property
@@ -135,7 +135,7 @@ class FlightRecord:
 
     @property
     def _speed(self) -> float | None:
-        """Simulated seconds per second of host time, or None without a simulated vehicle."""
+        """The real-time factor so far, or None without a simulated vehicle."""
         if self._first is None or self._last is None or self._last[1] <= self._first[1]:
             return None
         return 1e-6 * (self._last[0] - self._first[0]) / (self._last[1] - self._first[1])

@@ -287,7 +287,7 @@ async def monitor_vehicle(
     seconds: float | None,
     opened: Callable[[], None] = lambda: None,
 ) -> None:
-    """Connect as a ground station, run the watcher and show a view every period.
+    """Connect as a ground station, run a `TelemetryMonitor` and show a view every period.
 
     Args:
         timeout_s: timeout of the connection, at most `seconds`.
@@ -331,7 +331,7 @@ def monitor_log(
     flying: Callable[[], bool],
     viewer: Callable[[Record], None] = lambda record: None,
 ) -> None:
-    """Run the watcher on the log of a flight in progress and show a view every period.
+    """Run a `TelemetryMonitor` on the log of a flight in progress and show a view every period.
 
     This function does not use the link and does not affect the flight. It ends after `seconds`, at the end of
     the log, or when the flight's process has ended (`flying`). Raise InputError if the log cannot be read, or

@@ -70,7 +70,7 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
     if button is Button.LAND:
         if over:
             return _denied("the flight is over")
-        # A second request to land would turn a completing mission into one that was broken off.
+        # A second request to land would make a mission that is ending normally count as broken off.
         landing = phase is Phase.LANDING
         return Reply(Result.ACCEPTED, "landing", None if landing else Request.LAND)
     if button is Button.FLY:
@@ -89,8 +89,8 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
 # --- standby -----------------------------------------------------------------------------------------------
 
 AGAIN_S: Final = 10.0  # time within which the second press of Fly must follow the first
-# QGroundControl repeats an unanswered command after 3.0 to 3.5 s with confirmation 0, so a press after such
-# a time may be the first press again.
+# QGroundControl resends an unacknowledged command after 3.0 to 3.5 s with confirmation 0, so a second press
+# in that window may be a retransmission.
 _REPEATED_S: Final = (2.7, 3.8)
 
 

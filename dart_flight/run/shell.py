@@ -76,7 +76,7 @@ class Poses(Protocol):
 
 
 class PlannerLink(Protocol):
-    """A planner that works beside the core; its answers go to `Shell.take_answer`."""
+    """A planner that runs outside the core; its answers go to `Shell.take_answer`."""
 
     def send(self, item: PlanRequest | ContactRequest | WallEstimate | FrameAnchor) -> None: ...
 

@@ -28,11 +28,11 @@ from dart_flight.sim.pipe import (
     WorldOutput,
 )
 
-_LAST_WORDS_S = 0.2  # wait for the cause of an end, shorter than the deadman's timeout for the event loop
+_LAST_WORDS_S = 0.2  # wait for the message with the cause of the end; shorter than the deadman's timeout
 
 
 class SimulatorError(FlightError):
-    """Error of a simulated vehicle that did not start, or died."""
+    """The simulated vehicle did not start, or died."""
 
 
 class SimulatorProcess:

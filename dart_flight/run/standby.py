@@ -58,7 +58,7 @@ _TEXT_PAUSE_S: Final = 0.3  # pause between messages: PX4 buffers only about 580
 _LAST_WORDS_S: Final = 0.3  # wait for the last answers and messages before the connection closes
 _RADIO_S: Final = 3.0  # time without PX4's report after which a remote control counts as lost
 _RC_RECEIVER: Final = 65536  # MAV_SYS_STATUS_SENSOR
-_NO_GOES: Final = 3  # limit of a check's no-gos sent to the ground station; the journal has all of them
+_NO_GOES: Final = 3  # number of a check's no-gos sent to the ground station; the journal has all of them
 
 
 class Ended(NamedTuple):

@@ -68,7 +68,7 @@ class Failure(NamedTuple):
     """A flight without a result.
 
     Attributes:
-        what: one line that gives the exception and the code line, or reports the death of the process.
+        what: one line that gives the exception and the line of code, or reports the death of the process.
         error: exception, or None if the process died.
     """
 
@@ -84,7 +84,7 @@ class FinishedItem(NamedTuple, Generic[I, R]):
 
 
 def attempt(fly: Callable[[I], R], item: I) -> R | Failure:
-    """Return the result; after an exception, return a `Failure` that names the code line."""
+    """Return the result; after an exception, return a `Failure` that names the line of code."""
     try:
         return fly(item)
     except Exception as error:
@@ -163,7 +163,7 @@ def _begin(fly: Callable[[Any], Any]) -> None:
     global _fly  # noqa: PLW0603  only a global keeps the function in a pool's process
     _fly = fly
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
-    os.setpgid(0, 0)  # a signal to the parent's group must not reach this process; an ignored SIGHUP stays so
+    os.setpgid(0, 0)  # no signal to the parent's group reaches this process; an ignored SIGHUP stays ignored
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _GROUP_SIGNALS)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 

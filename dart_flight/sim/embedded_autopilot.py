@@ -162,7 +162,7 @@ class Autopilot:
         self._killed_at_s = self.now_s
 
     def set_mode(self, mode: FlightMode) -> bool:
-        """Return whether the mode was accepted; offboard mode needs fresh setpoints."""
+        """Change the mode; return whether it was accepted. Offboard mode needs fresh setpoints."""
         if mode is FlightMode.OFFBOARD and self.now_s - self._offboard_at_s > _OFFBOARD_PROOF_S:
             self.send_text("critical", "Switching to offboard is not possible: no setpoints")
             return False

@@ -28,7 +28,7 @@ from dart_flight.sim.pose_feed import EmulatedMotionCapture
 from dart_flight.sim.served_world import WorldLog, serve
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
-_ORPHAN_S = 28.0  # longest flight after the app's end; with start and stop it stays within 30 s
+_ORPHAN_S = 28.0  # longest flight after the app's end; with start and stop, the total is below 30 s
 _PILOT_S = 3.0  # the same in a pilot's mode, in which the vehicle only holds still
 
 

@@ -457,7 +457,7 @@ class MavlinkEndpoint:
 
     def _battery_status(self) -> Any:
         a = self.autopilot
-        # Without cell voltages, the first value is the total voltage, and the second the part out of range.
+        # Without cell voltages, the first value is the total voltage. The second has what exceeds its range.
         volts = round(a.vehicle.simulation.battery_v * 1000)
         cells = [min(volts, 65534), volts - 65534 if volts > 65534 else 65535] + [65535] * 8
         return mavlink.MAVLink_battery_status_message(

@@ -22,7 +22,7 @@ from dart_flight.config.parameter_file import Parameter, PositionSource
 from dart_flight.config.vehicle import Motor
 from dart_flight.sim.faults.fault_table import Fault
 
-FULL_SPEED = 1e6  # simulated seconds per second: a limit that no computer reaches
+FULL_SPEED = 1e6  # real-time factor that no computer reaches
 
 
 class Px4SimulatorSpec(msgspec.Struct):
@@ -65,7 +65,7 @@ class SimulatorSpec(msgspec.Struct):
     px4: Px4SimulatorSpec | None = None
     hitl: HitlSpec | None = None
     spreads: dict[str, float] = msgspec.field(default_factory=dict)  # deviations from the mission (`draws`)
-    speed: float = 1.0  # highest number of simulated seconds per second
+    speed: float = 1.0  # highest real-time factor
     lockstep: bool = False  # whether simulated time waits for the application (`sim.lockstep`)
     mocap: str | None = None  # kind of the emulated motion capture that provides the autopilot's position
 

@@ -82,7 +82,7 @@ _AT_REST = (0.0, 0.0, 0.0, 0.0)  # the arms' displacement north and east (m) and
 _GAIN_M_S: Final = 0.5  # upper limit of the speed gained by thrust within a tick
 _QUARTER = 0.5 * math.pi  # the vehicle is four-fold symmetric
 GROUND_FRICTION: Final = 0.6  # rubber feet on a hall floor
-_GROUND_STEPS: Final = 2  # steps per millisecond if only the landing gear touches; more change nothing
+_GROUND_STEPS: Final = 2  # steps per millisecond if only the landing gear touches; more steps change nothing
 _GROUND_SPEED_M_S: Final = 0.05  # regularisation: the ground's friction falls below this speed
 
 

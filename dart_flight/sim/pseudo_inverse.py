@@ -15,7 +15,7 @@ import numpy as np
 
 from dart_flight.config.vehicle import Motor, effectiveness
 
-_SCALE_DIGITS = 4  # decimals of the scale: a quadrotor's 0.7071, as in every recorded flight
+_SCALE_DIGITS = 4  # decimals of the scale; 0.7071 for a quadrotor, as in every recorded flight
 _SHAPE_DIGITS = 9  # decimals of the shape; more would be rounding errors of the inverse
 
 

@@ -82,7 +82,7 @@ class ServedWorld(Protocol):
 
 
 def speed_limit(speed: float, lockstep: Lockstep | None, *, connected: bool) -> float:
-    """Return the current limit of simulated seconds per second.
+    """Return the current limit of the real-time factor.
 
     A world in lockstep may be faster than real time only while it waits for the app. Before the app's first
     report, and while a request to PX4 is open, its telemetry would otherwise run ahead of the app.
@@ -102,7 +102,7 @@ def serve(
     """Process the app's lines and send the truth until app and world have ended; return the number of ticks.
 
     Args:
-        speed: highest number of simulated seconds per second of host time.
+        speed: highest real-time factor.
         lockstep: decides whether time may advance; if None, time does not wait for the app.
         wake: descriptors of the world that become readable when data has arrived.
 

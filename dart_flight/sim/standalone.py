@@ -128,7 +128,7 @@ def run_vehicle(
             viewer(hit)
             print_line(
                 f"{vehicle.autopilot.now_s:8.2f} s  hit {hit.wall} {hit.mode.value} at "
-                f"{hit.normal_in_m_s:.2f} m/s normal, {hit.tangential_in_m_s:.2f} m/s along: "
+                f"{hit.normal_in_m_s:.2f} m/s normal, {hit.tangential_in_m_s:.2f} m/s tangential: "
                 f"{hit.peak_normal_force_n:.1f} N"
             )
 

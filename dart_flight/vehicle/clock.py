@@ -12,9 +12,9 @@ from typing import Protocol
 from dart_flight.base.records import RoundTrip
 from dart_flight.base.stamps import LeapFilter
 
-_WINDOW = 8  # seconds; each second keeps its best value
+_WINDOW = 8  # seconds; the largest difference of each second is kept
 _LOCKSTEP_STEP_US = 2000
-_LEAPS_ACCEPTED = 50  # consecutive leaping stamps until a leap is accepted; one clock serves all streams
+_LEAPS_ACCEPTED = 50  # number of consecutive leaping stamps that confirm a leap; all streams share one clock
 _STEP_US = 200  # smaller changes of the estimate are not reported
 
 
@@ -50,10 +50,10 @@ class _RealHost:
     """A clock whose host time is the computer's monotonic time."""
 
     host_us = staticmethod(host_us)
-    _PACE_KNOWN = True  # whether the autopilot's clock runs at the pace of host time
+    _PACE_KNOWN = True  # whether the autopilot's clock runs at the rate of the host's clock
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the round trip, without the autopilot's time if that may advance at another pace."""
+        """Return the round trip; omit the autopilot's time if its clock may run at a different rate."""
         return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
 
     @staticmethod
@@ -116,7 +116,7 @@ class SimulatedTime:
         return self._now_us or 0
 
     def receive(self, t_us: int, received_us: int) -> int:
-        """Advance to the stamp, which is also the time of receipt."""
+        """Advance the clock to the stamp, and return the clock's time as the time of receipt."""
         if self._now_us is None or t_us > self._now_us:
             self._now_us = t_us
         return self._now_us
@@ -144,9 +144,10 @@ class SimulatedTime:
 class LockstepClock(_RealHost):
     """The clock of an autopilot that runs in lockstep with a simulator.
 
-    The simulator does not wait for the application. The autopilot's time advances at any pace and stops with
-    the simulator. It is therefore estimated as the newest stamp plus an advance. The advance is `speed` (the
-    simulator's target pace) times the host time since the receipt of that stamp, but at most 50 ms.
+    The simulator does not wait for the application. The autopilot's clock runs at the simulator's rate and
+    stops with the simulator. Its time is therefore estimated as the newest stamp plus an advance. The advance
+    is `speed` (the simulator's target real-time factor) times the host time since the receipt of that stamp,
+    but at most 50 ms.
     """
 
     _REACH_US = 50_000

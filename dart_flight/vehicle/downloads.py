@@ -21,7 +21,7 @@ from dart_flight.base.errors import FlightError
 
 _SILENT_S = 3.0  # timeout without progress
 _LOG_SILENT_S = 15.0  # timeout for a log; longer, because a lossy link repeats chunks
-_CANCELLED_S = 2.0  # timeout of the callback after a cancellation
+_CANCELLED_S = 2.0  # timeout for the last callback after a cancellation
 _RATED_S = 2.0  # time from a download's start until its duration is estimated
 _CLOCK_SET = datetime(2020, 1, 1, tzinfo=UTC)  # earlier dates come from flight controllers without a clock
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
@@ -66,8 +66,8 @@ def wait_for_end(
 def _wait_for_last(arrived: queue.SimpleQueue[tuple[Any, Any]]) -> None:
     """Wait for the last callback of a cancelled download.
 
-    MAVSDK runs it on its own thread. If the plugin were destroyed first, the callback would end the process
-    with a segmentation fault.
+    MAVSDK runs the callback on MAVSDK's own thread. If the plugin were destroyed first, the callback would
+    end the process with a segmentation fault.
     """
     with contextlib.suppress(queue.Empty):
         while arrived.get(timeout=_CANCELLED_S)[0].name == "NEXT":

@@ -59,7 +59,7 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleEr
 
 
 class Source(msgspec.Struct, frozen=True):
-    """A sender of one kind of message, with two rates: of all messages and of the usable messages."""
+    """A sender of one kind of message, with its total rate and its rate of usable messages."""
 
     sender: Sender
     arriving_hz: float
@@ -91,7 +91,7 @@ class Observation(msgspec.Struct):
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
     local_position_ok: bool = False
-    gps_fix: str | None = None  # MAVLink's fix type in lower case; None if no receiver reports
+    gps_fix: str | None = None  # MAVLink's GPS fix type in lower case; None if no GPS receiver reports
     blocking: tuple[str, ...] = ()  # PX4's reasons for not arming in its current mode
     other_vehicle: str | None = None  # description of another vehicle on the same link
     texts: list[str] = []  # PX4's messages and events with severity warning or higher
@@ -124,9 +124,9 @@ class HeartbeatMode(msgspec.Struct, frozen=True):
 
 
 _HEARTBEAT_S = 3.0
-_REPORT_S = 5.0  # additional wait for PX4's reasons, because MAVSDK must first fetch their descriptions
+_REPORT_S = 5.0  # additional wait for PX4's reasons for not arming; MAVSDK must first fetch their texts
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
-_MAX_UNANSWERED = 2  # unanswered requests before giving up; MAVSDK repeats each for seconds
+_MAX_UNANSWERED = 2  # unanswered requests before giving up; MAVSDK retries each one for several seconds
 _WAIT_POLL_S = 0.1  # interval between requests for the vehicle's time during a wait
 _FUSION_S = 10.0  # timeout until PX4 has a position from the forwarded poses
 
@@ -269,7 +269,7 @@ class GroundLink:
         return self._bridge.missing if self._bridge is not None else self._absent
 
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
-        """Return the newest usable value of a message within `seconds`."""
+        """Block for `seconds` and return the newest usable value of a message."""
         return self._session.newest(entry, seconds)
 
     def round_trip_s(self) -> float | None:
@@ -298,8 +298,8 @@ class GroundLink:
 
         Raises:
             NoAnswerError: the vehicle answers no requests, or has stopped sending.
-            Exception: MAVSDK's exception, if the vehicle refuses this request. The same exception is raised
-                if this request has no answer, but other requests may still be answered.
+            Exception: MAVSDK's exception, if the vehicle refuses this request, or does not answer it but may
+                still answer others.
         """
         try:
             answer = request()

@@ -71,7 +71,7 @@ def link_folder() -> Path:
 class LinkLease(Lease):
     """The exclusive right to use one link, until `release` or the end of the process.
 
-    Entering raises what `acquire` raises.
+    Entering the context raises the same errors as `acquire`.
     """
 
     def __init__(self, url: str, command: str, log: Path | None = None) -> None:
@@ -186,7 +186,7 @@ def find_holder(url: str) -> Holder | None:
 
 
 def held_links() -> Iterator[Holder]:
-    """Yield the processes of this software that hold a link in this network namespace, or a device."""
+    """Yield the processes of this software that hold a network link in this namespace, or a device."""
     for path in sorted(link_folder().glob("*.json")):
         holder = _holder_in(path)
         if holder is not None and _file_of(holder.url) == path:

@@ -26,7 +26,7 @@ AUTOPILOT: Final = 1  # component id
 _PX4: Final = 12  # MAV_AUTOPILOT
 _OTHER_AUTOPILOTS: Final = {0: "a generic autopilot", 3: "ArduPilot", 8: "no autopilot"}
 _MAX_SPECIFIC_FORCE_M_S2: Final = 600.0  # three axes at 32 g give 544
-_MAX_RATE_RAD_S: Final = 75.0  # 4000 deg/s give 70
+_MAX_RATE_RAD_S: Final = 75.0  # 4000 deg/s is 70 rad/s
 _UNIT_TOLERANCE: Final = 0.01
 _MAX_POSITION_M: Final = 10_000.0
 _MAX_SPEED_M_S: Final = 100.0
@@ -166,10 +166,10 @@ class _OdometryMessage(msgspec.Struct):
             )
         frame, child = self.frame_id, self.child_frame_id
         if frame != _LOCAL_NED:
-            return Unusable(f"the position has frame {frame}, as in an external pose, instead of local NED")
+            return Unusable(f"the position is in frame {frame}, as in an external pose, instead of local NED")
         if child != _LOCAL_NED:
             old = ", as before PX4 1.14" if child == _BODY_FRD else ""
-            return Unusable(f"the velocity has frame {child}{old}, instead of local NED")
+            return Unusable(f"the velocity is in frame {child}{old}, instead of local NED")
         if x is None or y is None or z is None:
             return Unusable("the position is NaN")
         if vx is None or vy is None or vz is None:
@@ -350,7 +350,7 @@ class Sensors(
         "present": "onboard_control_sensors_present",
     },
 ):
-    """Enabled, healthy and present sensors (bits of MAV_SYS_STATUS_SENSOR) and errors of the links.
+    """Enabled, healthy and present sensors (bits of MAV_SYS_STATUS_SENSOR) and communication errors.
 
     `drop_rate_comm` is the fraction of lost packets in units of 0.01 %.
     """
@@ -405,7 +405,7 @@ class ListedParameter(
 ):
     """Name of a parameter, its index in the list of parameters, and the length of the list.
 
-    `place` is at least `entries` for a parameter that is not in the list.
+    If the parameter is not in the list, `place >= entries`.
     """
 
     name: str
@@ -424,10 +424,10 @@ class _GpsRawIntMessage(msgspec.Struct):
 
     def value(self, _: Receive) -> str | Unusable:
         known = self.fix_type < len(_FIXES)
-        return _FIXES[self.fix_type] if known else Unusable("the type of fix is unknown")
+        return _FIXES[self.fix_type] if known else Unusable("the GPS fix type is unknown")
 
 
-_RC_CHANNELS: Final = 18  # number in a message; a channel that the receiver lacks has the value 65535
+_RC_CHANNELS: Final = 18  # channels in one message; 65535 marks a channel that the receiver lacks
 
 
 def _pulses(m: Any, _: Receive) -> tuple[int, ...] | Unusable:
@@ -450,7 +450,7 @@ class MessageEntry(msgspec.Struct, frozen=True):
     """One row of the table.
 
     Attributes:
-        fields: type of the fields that are read; its method `value` returns a record or another value, or
+        fields: type that holds the message's fields; its method `value` returns a record or another value, or
             `Unusable`.
         invalid: text with the conditions under which a message has no usable values.
         instance: name of the field that distinguishes the instances in one component.
@@ -611,7 +611,7 @@ GPS_RAW_INT = MessageEntry(
     _GpsRawIntMessage,
     "-",
     "GPS_FIX_TYPE",
-    "the type of fix is unknown",
+    "the GPS fix type is unknown",
 )
 RC_CHANNELS = MessageEntry(
     "RC_CHANNELS",

@@ -25,9 +25,9 @@ from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession
 _READ_S = 90.0  # timeout for all parameters read by name; a name without an answer takes 3 s
 _LIST_S = 60.0  # timeout for the list
 _SILENT_S = 1.5  # timeout without a new entry, after which the missing entries are requested
-_ROUNDS = 3  # consecutive requests without a new entry until the list counts as ended
+_ROUNDS = 3  # number of consecutive requests without a new entry after which the list counts as complete
 _CHUNK = 40  # number of entries requested together; a slow radio would drop more
-_AGAIN, _AGAIN_S = 3, 0.5  # number of requests for a name without an answer, and the wait after each
+_AGAIN, _AGAIN_S = 3, 0.5  # number of further requests for an unanswered name, and the wait after each
 _POLL_S = 0.02
 
 Perform = Callable[[str, Callable[[], Any]], Any]  # arguments: name and function of a request
@@ -139,7 +139,7 @@ class VehicleParameters:
         return None
 
     def _request_list(self) -> None:
-        """Request the list of all parameters, and then its missing entries, until it is complete.
+        """Request the list of all parameters, and then its missing entries, until the list is complete.
 
         Raise ParamError if no entry arrives.
         """

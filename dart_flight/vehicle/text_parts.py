@@ -17,7 +17,7 @@ def split_text(text: str, number: int) -> list[dict[str, Any]]:
     plain = text.encode("ascii", "replace").decode()[:_LONGEST]
     if len(plain) <= _PART:
         return [{"severity": _INFO, "text": plain, "id": 0, "chunk_seq": 0}]
-    # A part of fewer than 50 bytes ends the text; it may be empty.
+    # A part of fewer than 50 bytes, which may be empty, ends the text.
     starts = range(0, len(plain) + 1, _PART)
     return [
         {"severity": _INFO, "text": plain[start : start + _PART], "id": number, "chunk_seq": i}
@@ -26,7 +26,7 @@ def split_text(text: str, number: int) -> list[dict[str, Any]]:
 
 
 class TextAssembler:
-    """An assembler of texts from their parts. PX4 sends the parts of one text after the other."""
+    """An assembler of texts from their parts. PX4 sends the parts of a text consecutively."""
 
     def __init__(self) -> None:
         self._severity, self._id, self._next = "", 0, 0

@@ -166,7 +166,7 @@ class VehicleSession:
         Args:
             estimation: selects the sources of thrust.
             motors: number of the vehicle's motors.
-            guarded: whether to subscribe also to messages that only the core's guard needs.
+            guarded: whether to subscribe also to the messages that only the core's guard needs.
             lowest_battery_v: lowest voltage at which the vehicle may fly (`guard.battery_v`).
         """
         self._motors, self.motor_outputs = motors, MotorOutputDecoder(motors)
@@ -301,7 +301,7 @@ class VehicleSession:
         return await asyncio.to_thread(self._request_interval, stream.number, round(1e6 / rate_hz))
 
     async def stop_messages(self, numbers: Iterable[int]) -> None:
-        """Request that PX4 does not send these messages on this link; ignore a refusal."""
+        """Ask PX4 to stop sending these messages on this link; ignore a refusal."""
         for number in numbers:
             await asyncio.to_thread(self._request_interval, number, -1)
 

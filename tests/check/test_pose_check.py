@@ -76,9 +76,9 @@ def test_poses_without_usable_stamps_are_go_with_the_remark_that_their_delay_is_
 
 def test_stamps_that_stand_still_are_named_instead_of_an_age() -> None:
     poses = msgspec.structs.replace(GOOD, age_ms=4_000.0, age_growth_ms=4_000.0)
-    observed = Observation(poses=poses, pose_problem="the stamps of the poses stand still for 4 s")
+    observed = Observation(poses=poses, pose_problem="the pose stamps have not changed for 4 s")
     (finding,) = evaluate_poses(CONFIG, observed)
-    assert (finding.go, finding.message) == (False, "the stamps of the poses stand still for 4 s")
+    assert (finding.go, finding.message) == (False, "the pose stamps have not changed for 4 s")
 
 
 def test_another_sender_of_timesync_is_a_remark() -> None:

@@ -135,7 +135,7 @@ def test_a_port_without_write_permission_is_a_driver_error(
     # Tests may run as root, for whom every file is writable.
     monkeypatch.setattr("os.access", lambda path, mode: False)
     (tmp_path / "port").write_text("")
-    with pytest.raises(DriverError, match="is not writable; add the user to the group") as caught:
+    with pytest.raises(DriverError, match="is not writable; add the user to the dialout group") as caught:
         MaestroDriver(vary(maestro={"port": str(tmp_path / "port")})).open()
     assert caught.value.key == ("maestro", "port")
 

@@ -133,7 +133,7 @@ def test_a_channel_without_write_permission_is_a_driver_error(
     config: LockConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.access", lambda path, mode: False)  # as for any user but root
-    with pytest.raises(DriverError, match="pwm1 is not writable; add the user to the group gpio"):
+    with pytest.raises(DriverError, match="pwm1 is not writable; add the user to the gpio group"):
         PwmDriver(config).open()
 
 

@@ -263,9 +263,9 @@ def test_messages_are_exchanged_over_udp(kind: str) -> None:
 @pytest.mark.parametrize(
     ("url", "problem"),
     [
-        ("tcpout://127.0.0.1:5760", "allowed are serial"),
+        ("tcpout://127.0.0.1:5760", "use serial"),
         ("serial:///dev/no-such-port:921600", "No such file"),
-        ("rubbish", "allowed are serial"),
+        ("rubbish", "use serial"),
     ],
 )
 def test_an_unusable_port_is_refused_with_its_reason(url: str, problem: str) -> None:

@@ -58,7 +58,7 @@ def test_each_exceeded_limit_is_reported_as_its_own_cause(sample: TruthSample, w
 
 
 def test_an_aborted_flight_without_a_reason_is_uncontrolled() -> None:
-    assert verdict(HIGH, outcome=Outcome.ABORTED).uncontrolled == ["not completed, without a reason"]
+    assert verdict(HIGH, outcome=Outcome.ABORTED).uncontrolled == ["not completed, for no known reason"]
     assert verdict(HIGH, outcome=Outcome.ABORTED, reason="bounds: left them").uncontrolled == []
 
 

@@ -30,7 +30,7 @@ from dart_flight.check.telemetry_check import StreamRate
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.config.vehicle.mocap import MotionCapture
 
-_WINDOW_US = 500_000  # minimum duration of the vehicle being held still
+_WINDOW_US = 500_000  # minimum time for which the vehicle must be held still
 _STILL_M_S2 = 0.6  # maximum standard deviation of the specific force in a steady hand
 _TILTED_DEG = (20.0, 60.0)
 _AXIS_DEG = 30.0  # direction tolerance when the operator tilts, pushes or carries the vehicle
@@ -149,7 +149,8 @@ def evaluate_level(level: Vec3) -> StepFinding | None:
     tilt = math.degrees(math.atan2(math.hypot(level[0], level[1]), -level[2]))
     measured: Measured = {f"level_{axis}_m_s2": round(v, 2) for axis, v in zip("xyz", level, strict=True)}
     if tilt > 180.0 - 3 * _LEVEL_DEG:
-        return failed("the IMU reads upside down: set SENS_BOARD_ROT as the board is mounted", **measured)
+        message = "the IMU reads upside down: set SENS_BOARD_ROT to match the board's mounting"
+        return failed(message, **measured)
     if tilt > _LEVEL_DEG:
         message = (
             f"the IMU reads {tilt:.0f} degrees off level: level the vehicle; if it is level, calibrate "
@@ -166,7 +167,7 @@ def evaluate_level(level: Vec3) -> StepFinding | None:
 
 
 def evaluate_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
-    """Check the IMU's forward and right axes by the mean specific forces in three attitudes, m/s2, FRD."""
+    """Check the IMU's forward and right axes from the mean specific forces in three attitudes, m/s2, FRD."""
     wrong = evaluate_level(level)
     if wrong is not None:
         return wrong
@@ -179,7 +180,9 @@ def evaluate_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding
         return passed("the IMU's axes match the vehicle's", **measured)
     if abs(wrap_deg(forward - right)) <= 2.0 * _AXIS_DEG:
         turned = 90.0 * round((forward + 0.5 * wrap_deg(right - forward)) / 90.0)
-        message = f"the axes are rotated by {turned:.0f} degrees: set SENS_BOARD_ROT as the board is mounted"
+        message = (
+            f"the axes are rotated by {turned:.0f} degrees: set SENS_BOARD_ROT to match the board's mounting"
+        )
         return failed(message, **measured)
     message = (
         "the axes are mirrored, or the vehicle was not tilted nose down and then right side down: repeat "
@@ -292,7 +295,7 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
 
 
 def measure_displacement(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
-    """Return how far the vehicle was carried forward and to the right of its heading at the start, metres.
+    """Return the displacement forward and to the right, relative to the initial heading, metres.
 
     The result is None if the distance is too short, or if the vehicle is still moving.
 

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 _STEP_S: Final = 0.005
 _RATE_FILTER_S: Final = 0.04  # standard deviation of the Gaussian
 _FORCE_FILTER_S: Final = 0.12
-_LATENCY_S: Final = (-0.1, 0.5)  # range in which the latency is searched
+_LATENCY_S: Final = (-0.1, 0.5)  # search range of the latency
 _COARSE_S: Final = 0.01
 _GAP_S: Final = 0.1  # maximum gap between poses that is interpolated
 _MIN_S: Final = 5.0  # minimum duration of comparable motion
@@ -196,7 +196,7 @@ def _resample(at_s: Array, times_s: Array, values: Array) -> Array:
 
 
 def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.bool_]:
-    """Return whether each time is farther than `reach_s`, half the filter's width, from every pose gap."""
+    """Return a mask of the times farther than `reach_s`, half the filter's width, from every pose gap."""
     whole = np.ones(len(grid), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(times_s) > _GAP_S):
         whole &= (grid < times_s[k] - reach_s) | (grid > times_s[k + 1] + reach_s)

@@ -139,7 +139,7 @@ class Bringup:
     Args:
         mission: provides the vehicle and the required streams.
         url: MAVSDK connection URL.
-        wait_s: longest wait for an action of the operator, seconds.
+        wait_s: timeout for an action of the operator, seconds.
         opened: called after the link has opened, for example `LinkLease.lock_device`.
     """
 
@@ -201,7 +201,10 @@ class Bringup:
         if not found.received:
             return f"no data arrives on {link.place}: check TX and RX, MAV_1_CONFIG and the power"
         if found.baud is None:
-            return f"bytes arrive on {link.place}, but no MAVLink at any usual baud rate: check for a console"
+            return (
+                f"data arrives on {link.place}, but no MAVLink at any usual baud rate: check that no console "
+                "uses this port"
+            )
         if found.baud != link.number:
             return (
                 f"wrong baud rate: MAVLink arrives at {found.baud}, but the link's URL has {link.number}: "

@@ -58,7 +58,7 @@ class Airframe(Section, frozen=True, kw_only=True):
             a wall first.
         guard_ring_m: radius of a ring around each propeller, for drawings; null: the guard is drawn as an
             octagon through the guard points.
-        listed: 4 to 8 motors in PX4's order, for an airframe other than a quadrotor in X (arm_x_m and arm_y_m
+        listed: 4 to 8 motors in PX4's order, for an airframe that is not an X quadrotor (arm_x_m and arm_y_m
             are then null); `calibrate airframe` prints this list.
     """
 

@@ -18,7 +18,7 @@ class ConnectionConfig(Section, frozen=True):
 
     Attributes:
         url: connection URL of MAVSDK, such as serial:///dev/ttyAMA0:921600 or udpin://0.0.0.0:14540.
-        timeout_s: longest wait for the autopilot's heartbeat.
+        timeout_s: timeout for the autopilot's heartbeat.
     """
 
     url: str
@@ -74,7 +74,8 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
         mis_takeoff_alt: height of PX4's own take-off, m.
         com_of_loss_t: time without setpoints after which PX4's failsafe acts, s.
         com_disarm_land: time on the ground after which PX4 disarms, s; 0 or negative: never.
-        mpc_veld_lp: cut-off of the low-pass on the derivative in the velocity loop's D terms, Hz.
+        mpc_veld_lp: cut-off frequency of the low-pass filter on the derivative in the velocity loop's D
+            terms, Hz.
     """
 
     mpc_xy_p: Gain

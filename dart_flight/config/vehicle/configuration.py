@@ -64,7 +64,7 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Modes of the vehicle; a vehicle without a lock has only the mode rigid."""
+        """Modes of the vehicle; a vehicle without a lock has only rigid mode."""
         return tuple(Mode) if self.has_lock else (Mode.RIGID,)
 
     @property
@@ -253,7 +253,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
 
 
 def _set_last(document: Document, first: Key, second: Key) -> Key:
-    """Return `second` if a later file has set `second` than has set `first`, otherwise `first`."""
+    """Return `second` if it was set in a later file than `first`, otherwise `first`."""
     names = list(document.set_by)
     if second not in names or (first in names and names.index(first) > names.index(second)):
         return first

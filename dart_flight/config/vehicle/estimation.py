@@ -110,7 +110,7 @@ class Detection(Section, frozen=True):
             threshold.
         threshold_test: the force that is compared with the threshold. magnitude: the horizontal force;
             per_axis: the larger of its two components along the mission's axes.
-        peak_wait_s: longest wait for the peak after the onset.
+        peak_wait_s: timeout for the peak, from the onset.
         refractory_s: time after a contact in which no new impact is registered.
         noise_sigma: the threshold is at least this multiple of the measured noise of the compared force.
     """

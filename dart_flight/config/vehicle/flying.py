@@ -21,8 +21,8 @@ class GuardThresholds(Section, frozen=True):
             lands.
         battery_remaining: if the remaining charge is below this fraction, the vehicle lands.
         battery_v: if the battery voltage is below this, the vehicle lands.
-        kill_after_s: the motors are stopped if the vehicle is still armed in PX4's land mode after this time
-            and after three times the expected duration of the descent; null: never.
+        kill_after_s: stop the motors if the vehicle is still armed in PX4's land mode after this time or
+            three times the expected descent time, whichever is longer; null: never.
         wall_late_s: if no contact occurs within this time after the planned impact, the vehicle breaks off.
         wall_early_m: a contact farther than this in front of the wall's plane is not a contact with the
             planned wall, and the vehicle breaks off.
@@ -66,11 +66,11 @@ class Flying(Section, frozen=True):
         setpoint_delay_s: delay from the stamp of an odometry sample until the autopilot executes the setpoint
             computed from this sample. The setpoint is the reference at the sample's time plus this delay.
             null: 0.024 with PX4, none in the embedded simulator.
-        attitude_delay_s: delay in addition to setpoint_delay_s, because the attitude's rate loop responds
-            late. The setpoint's acceleration and jerk are those of the reference at the sample's time plus
-            both delays. null: 0.05 with PX4, none in the embedded simulator.
-        ready_timeout_s: longest wait for telemetry, for offboard mode, for arming, or for the end of a climb
-            or transit.
+        attitude_delay_s: delay of the attitude's rate loop, in addition to setpoint_delay_s. The setpoint's
+            acceleration and jerk are those of the reference at the sample's time plus both delays. null: 0.05
+            with PX4, none in the embedded simulator.
+        ready_timeout_s: timeout for telemetry, for offboard mode, for arming, and for the end of a climb or
+            transit.
         replan_within_s: time from the end of a contact to the start of a trajectory planned in flight; the
             planner must finish within this time.
     """

@@ -43,8 +43,7 @@ class Servo(Section, frozen=True):
         direction: 1: the cam angle increases with the pulse width; -1: it decreases.
         min_pulse_us: shortest allowed pulse.
         max_pulse_us: longest allowed pulse.
-        tolerance_us: largest difference from an end's pulse width at which the servo still counts as being at
-            this end.
+        tolerance_us: tolerance of the pulse width within which the servo counts as being at an end.
         supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
         s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
@@ -131,7 +130,7 @@ class Maestro(DriverSection, frozen=True):
         channel: the controller's channel to which the servo is connected.
         baud: baud rate of the serial line.
         speed_limit_us_s: speed limit of the pulse width, a multiple of 25; 0: none.
-        reply_timeout_s: longest wait for a reply of the controller.
+        reply_timeout_s: timeout for a reply from the controller.
     """
 
     port: str
@@ -253,8 +252,8 @@ class LockConfig(Section, frozen=True):
         home_mode: end to which `home` moves.
         relaxation_s: time that the lock waits after a contact before it may move, so that the arms can spring
             back.
-        timeout_s: longest travel time, and longest time without a reading of a limit switch. If one of the
-            two is exceeded, the lock is in fault.
+        timeout_s: timeout of the travel, and of the readings of a limit switch. If either is exceeded, the
+            lock is in fault.
         debounce_s: minimum duration of a limit-switch change or pulse loss; shorter changes are ignored.
         limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, with one or
             both lines; null: there is no switch, and a movement of the lock counts as complete after the

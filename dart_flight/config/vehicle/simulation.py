@@ -36,7 +36,7 @@ class ContactBody(Section, frozen=True):
         vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
         fold_share: movement of an unlocked arm and its motor, as a fraction of the guard's penetration; 0:
             motors do not move.
-        scatter: relative standard deviation by which the coefficients vary between impacts.
+        scatter: relative standard deviation of the coefficients from impact to impact.
         half_engaged: whether the rods stop half-way, so that the arms are neither locked nor unlocked.
     """
 
@@ -83,7 +83,7 @@ class Simulation(Section, frozen=True, kw_only=True):
         ground_stiffness_n_m: stiffness of the ground under a resting vehicle.
         ground_damping_n_s_m: damping of the ground under a resting vehicle.
         battery_v: reported voltage.
-        wind_north_east_m_s: steady velocity of the air, [north, east].
+        wind_north_east_m_s: steady wind velocity, [north, east].
         gust_m_s: standard deviation of gusts in addition to the steady wind, per axis.
         contact: the vehicle as a body that touches walls.
         imu_ringing: vibration in the accelerometer while the motors turn; null: none.

@@ -47,7 +47,7 @@ class EstimatorResets:
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
         self._heading = HeadingStep()
         self._before: Quaternion | None = None  # `HeadingStep.before` at the newest reset
-        self._rotation: Quaternion | None = None  # `before` at the reset since which the error is counted
+        self._rotation: Quaternion | None = None  # `before` at the reset from which the error is counted
         self._reckoned: DeadReckoning | None = None  # the motion since that reset
 
     def add_imu(self, item: ImuSample) -> None:
@@ -99,7 +99,7 @@ class EstimatorResets:
 
     @property
     def heading_error_rad(self) -> float:
-        """Estimated heading minus the heading from before a reset, continued by the gyro.
+        """PX4's heading minus the heading that the gyro integrates from its value before a reset.
 
         The error is 0 if the heading did not step at the reset, or if the integral of the gyro has
         been interrupted since then.

@@ -43,10 +43,10 @@ from dart_flight.core.sense.state import FlightState
 
 _DOUBT_US: Final = 100_000  # host time within which another vehicle's first sample follows its heartbeat
 _CLIP_SHARE: Final = 0.99
-# No flying vehicle keeps such a tilt near the ground; PX4 does not detect that a vehicle lies on its side.
+# No flying vehicle keeps such a tilt near the ground. PX4 does not detect that a vehicle lies on its side.
 LYING_TILT_DEG: Final = 60.0
 _FALLING_M_S2: Final = 4.9  # specific force below which the vehicle falls: half of that in hover
-_LYING_BELOW_M: Final = 0.5  # limit of the height above take-off, because a fall disturbs the height estimate
+_LYING_BELOW_M: Final = 0.5  # limit of the height above take-off; large, because a fall disturbs the estimate
 # The body rates are not tested: PX4's rate loop shakes a vehicle that lies on its side at up to 2.5 rad/s.
 _STILL_M_S: Final = 0.5
 _ATTITUDE_OLD_US: Final = 100_000
@@ -77,9 +77,9 @@ class FlightConditions:
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
         self.falling_since_us: int | None = None  # start of a fall with stopped motors
-        self.lying_since_us: int | None = None  # start of lying tilted and still at ground height
+        self.lying_since_us: int | None = None  # start of lying on the ground, tilted and still
         self._ground_m: float | None = None  # height before take-off
-        # Time since which the vehicle is armed in land mode: autopilot time and host time.
+        # Time at which the vehicle was first armed in land mode: autopilot time and host time.
         self._landing_since_us: tuple[int, int] | None = None
         self.streams = StreamWatch(self.config)
         self.estimator = EstimatorWatch()

@@ -90,7 +90,7 @@ class Guard:
         self.end: MissionEnd | None = None
         self._since_us = 0
         self._sent_us: int | None = None
-        self._down_us: int | None = None  # time since which the vehicle is landed and disarmed
+        self._down_us: int | None = None  # time at which the vehicle was first landed and disarmed
         self._hold: Vec3 | None = None
         self._held_impact: ImpactOnset | None = None  # the impact whose wall the guard keeps away from
         self._yaw_ned = 0.0
@@ -268,7 +268,7 @@ class Guard:
         if isinstance(item, OdometrySample) and state.frame is not None:
             impact = self._flight.impact
             again = impact is not self._held_impact  # after a new impact, keep away from its wall
-            # After a jump of the estimate, hold position at the new estimate.
+            # After a jump in the estimate, hold position at the new estimate.
             jumped = bool(self._flight.estimator.jump) and "estimator_jump" in self._rules
             if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
                 self._hold, self._held_impact = self._hold_point(state), impact
@@ -348,7 +348,7 @@ class Guard:
                 away_m = self._config.retreat_m + position_margin_m(wall, (x, y))
                 nx, ny = wall.normal
                 closing = max(0.0, -(velocity[0] * nx + velocity[1] * ny))
-                # Keep the retreat distance; a point beyond it brakes an approaching vehicle harder.
+                # Keep the retreat distance; if the vehicle approaches, a more distant point brakes it harder.
                 push = max(away_m - distance, STOP_TIME_S * closing)
                 behind_m = min(away_m, wall.behind_m)
                 if wall.spans((x, y)) and -behind_m < distance < 1.0 and push > 0.0:

@@ -28,15 +28,16 @@ from dart_flight.core.sense.state import FlightState
 
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
-LOST_LAND_S: Final = 1.5  # limit of a loss; after it, dead reckoning is off by 0.2 m, too much to fly back
-_GROUND_LOST_S: Final = 2.0  # limit of a loss on the ground, where it is no hazard
+LOST_LAND_S: Final = 1.5  # longest loss of poses; dead reckoning is then off by 0.2 m, too much to fly back
+_GROUND_LOST_S: Final = 2.0  # longest loss of poses on the ground, where it is no hazard
 _FIRST_S: Final = 5.0  # longest wait from the first input to the first pose
-# Limit of a step between poses, plus PX4's velocity error, which may reach 2 m/s in a contact.
+# Limit of the difference between a pose's step and PX4's velocity, whose error reaches 2 m/s in a contact.
 JUMP_M: Final = 0.15
 _JUMP_M_S: Final = 2.0
-_JUMP_S: Final = 0.05  # duration of a jump before the guard acts; PX4's innovation gate handles shorter ones
+_JUMP_S: Final = 0.05  # longest tolerated jump; PX4's innovation gate handles it
 _JUMP_GAP_S: Final = 0.1  # gap above which a pose is compared only with PX4's estimate
-# Limits between a pose and PX4's estimate. In a fast rotation, latency exceeds them only for shorter times.
+# Limits of the difference between a pose and PX4's estimate, and their times. In a fast rotation, latency
+# exceeds the limits only for shorter times.
 TURNED_DEG: Final = 30.0
 _TURNED_S: Final = 0.1
 APART_M: Final = 0.3
@@ -45,12 +46,12 @@ _APART_LATENCY_S: Final = 0.1
 _GROUND_APART_S: Final = 3.0  # the same on the ground, where PX4 aligns its estimate with the first poses
 RATE_SHARE: Final = 0.5  # fraction of the configured rate below which poses are too slow
 _INTERVALS: Final = 9  # intervals whose median gives the rate, so that a single gap does not count
-LATER_S: Final = 0.04  # limit of an added delay; as an error of EKF2_EV_DELAY it causes oscillations
+LATER_S: Final = 0.04  # limit of the added delay, above which PX4's estimate oscillates
 _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
 _RECENT_US: Final = 5_000_000  # time within which PX4's estimate follows wrong poses
 _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
-_RECOVERED_S: Final = 0.5  # part of a recovery after which the vehicle flies to the next wall or the goal
+_RECOVERED_S: Final = 0.5  # time after which a recovering vehicle flies on to the next wall or the goal
 
 
 class PoseWatch:
@@ -65,7 +66,7 @@ class PoseWatch:
         # Receipt and position (NED) of the newest plausible pose.
         self._plausible: tuple[int, Vec3] | None = None
         self._settling_us: int | None = None  # start or end of a gap; None once two poses agree
-        self._jumped_us: int | None = None  # host time since which poses have been far from that position
+        self._jumped_us: int | None = None  # host time at which poses first were far from that position
         self._jump = ""
         self._wrong = self._turned_wrong = ""  # why poses are withheld, and why only their attitudes are
         self._withheld_us = 0

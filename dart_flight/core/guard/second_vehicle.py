@@ -17,11 +17,11 @@ from dart_flight.base.stamps import leaps
 from dart_flight.base.streams import SAMPLED_NAME
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S, Stamped
 
-POSITION_JUMP_M: Final = 0.3  # limit of a step beyond the motion; no estimator corrects its position by more
+POSITION_JUMP_M: Final = 0.3  # limit of a step that speed does not explain; estimators correct by less
 _TURNS: Final = 3  # alternations within `_WINDOW_US` that prove a second source
 _WINDOW_US: Final = 2_000_000  # host time
 _REACH_US: Final = 1_000_000  # longest gap between samples of one source
-_SUSPECT_US: Final = 250_000  # time within which a suspected second vehicle is detected for certain
+_SUSPECT_US: Final = 250_000  # lifetime of a suspicion after the last odd sample; a detection takes less
 
 
 class SecondClockDetector:

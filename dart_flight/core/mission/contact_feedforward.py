@@ -20,7 +20,8 @@ from dart_flight.core.sense.senses import Sensed
 
 _FADED_M_S2: Final = 0.02
 _LARGEST_M_S2: Final = 5.0  # limit of the feed-forward, which also bounds the effect of a stale setpoint
-# Longest time from the onset for which the motion is commanded, because PX4 keeps following an old setpoint.
+# Longest time from the onset for which the measured motion is commanded, because PX4 keeps following an old
+# setpoint.
 LONGEST_S: Final = 0.25
 
 
@@ -41,7 +42,7 @@ def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: M
         height_m: height above the centre of mass at which the wall's force acts; None if unknown.
         out_m: horizontal distance of the propeller guards from the centre of mass.
         planned: mode of the arms if the impact ends a trajectory of the mission; None if the impact is
-            replanned. A mission's trajectory with rigid arms tilts the vehicle away from the wall, by more
+            replanned. With rigid arms, a mission's trajectory tilts the vehicle farther away from the wall
             than a replanned trajectory does.
     """
     if height_m is None:

@@ -58,7 +58,7 @@ from dart_flight.core.mission.wall_uncertainty import late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_TRAJECTORY_WAIT_S: Final = 1.5  # longest wait after a contact; a running planner answers twice within it
+_TRAJECTORY_WAIT_S: Final = 1.5  # longest wait for a trajectory, from the contact; allows two answers
 _NEAR_S: Final = 0.3  # time to the planned impact below which the impact is near
 _NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows setpoints with a delay
 _RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
@@ -571,7 +571,7 @@ class Executive:
         miss = distance2(state.position, self.mission.goal.position_m)
         self.progress.least_miss_m = min(self.progress.least_miss_m, miss)
         if self.progress.replan.trajectory is not None:
-            passed = self.progress.replan.is_over(state.now_us)  # a trajectory may first lead away
+            passed = self.progress.replan.is_over(state.now_us)  # the distance may first rise
         else:
             rising = miss > self.progress.least_miss_m + PASSED_RISE_M
             # A trajectory is expected, so wait longer.

@@ -13,7 +13,7 @@ from dart_flight.core.mission.phases import DOWN_US, PhaseTrigger
 from dart_flight.core.mission.proposal import MissionFinding
 from dart_flight.core.sense.state import FlightState
 
-_STREAMING_US: Final = 200_000  # time of setpoints before the request for offboard; PX4 requires them
+_STREAMING_US: Final = 200_000  # time with setpoints before offboard mode is requested; PX4 requires it
 _DISARM_AFTER_US: Final = 8_000_000
 
 

@@ -40,7 +40,7 @@ class MissionProgress:
         least_miss_m: smallest distance to the goal after the last contact.
         final_error_m: distance from the goal after the goal has been held; None before.
         stood_at_ned: position of the vehicle when the mission frame was set.
-        down_us: time since which the vehicle has been landed and disarmed.
+        down_us: time at which the vehicle was first landed and disarmed.
     """
 
     def __init__(self, mission: Mission, approaches: dict[int, Trajectory]) -> None:

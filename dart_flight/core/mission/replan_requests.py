@@ -25,7 +25,7 @@ from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
 _FELT_WITHIN_US = 150_000  # longest wait for a fit: three times its latency (docs/contact_fit.md)
-# Shortest times from the previous request to a request along a trajectory, and to the trajectory's end.
+# A request along a trajectory: minimum time since the previous request, and until the trajectory's end.
 _AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000
 _HELD_TO_M = 0.2
 _TRIES = 6  # limit of the requests for a trajectory after one contact

@@ -19,7 +19,7 @@ from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
 _COASTING_S: Final = 0.25  # longest coasting before an impact: the attitude's response time
-_COASTS_US: Final = 500_000  # limit of coasting after a contact: time for an answer, even to a second request
+_COASTS_US: Final = 500_000  # longest coasting after a contact; allows for the answer to a second request
 _SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s hardly rotates the vehicle
 _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})

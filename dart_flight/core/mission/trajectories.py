@@ -55,7 +55,7 @@ def transit_time_s(
 
 
 class Trajectory(msgspec.Struct, frozen=True):
-    """Fifth-order polynomials for each axis, in consecutive pieces.
+    """Piecewise quintic polynomial for each axis.
 
     Attributes:
         x, y, z: six polynomial coefficients for each piece, constant term first; mission frame, metres. The

@@ -31,14 +31,14 @@ from dart_flight.core.sense.window import WindowMean, half_sine_share
 RELEASE_FRACTION: Final = 0.4  # fraction of the threshold below which a contact ends
 PEAK_DROP_FRACTION: Final = 0.12  # drop, as a fraction of the top, that ends the search for the peak
 CONTACT_END_S: Final = 0.012  # time below the release level; three samples, because one may be noise
-SURE_SIGMA: Final = 2.5  # deviations over the threshold from which one sample is sufficient
+SURE_SIGMA: Final = 2.5  # standard deviations over the threshold from which one sample is sufficient
 SHORT_WINDOW_S: Final = 0.032  # window whose mean keeps 85 % of the peak of rigid contacts (46 to 54 ms)
 LONG_WINDOW_S: Final = 0.1  # the same for 83 % of the peak of flexible contacts (145 to 183 ms)
 PULSE_MISFIT: Final = 3.0  # mean square of the normalised residuals above which the model does not fit
 _RISE_SHARE: Final = 0.3  # fraction of the threshold above which earlier samples belong to the contact
 _PEAK_DROP_SHARE: Final = 0.25  # fraction of the threshold below which a drop is noise
 _DROP_SIGMA: Final = 2.5  # standard deviations of the smoothed force below which a drop is noise
-_SMOOTH_SHARE: Final = 0.02  # noise of the averaged samples, as a fraction of the top
+_SMOOTH_SHARE: Final = 0.02  # limit of the averaged samples' noise, as a fraction of the top
 _MAX_SMOOTH: Final = 5
 _TOP_SHARE: Final = 0.7  # fraction of the maximum above which samples form the top of the pulse
 _TOP_REACH: Final = 4  # largest number of the top's samples on either side of the maximum
@@ -46,8 +46,8 @@ _BEFORE: Final = 8  # samples kept before the crossing
 _FAR_SIGMA: Final = 4.6  # ratio of threshold to noise from which two samples in a row suffice
 # Added to the thresholds of one and two samples, which noise crosses more often than those of long means.
 _SHORT_SIGMA: Final = 1.0
-_MARGIN_SIGMA: Final = 1.0  # margin over the threshold from which detection is guaranteed
-_NOISY_BASELINE: Final = 0.4  # fraction of the usual rate; a faster baseline would follow the vibration
+_MARGIN_SIGMA: Final = 1.0  # standard deviations over the threshold from which detection is guaranteed
+_NOISY_BASELINE: Final = 0.4  # relative rate of the baseline under vibration; a faster one would follow it
 _LONGEST_CONTACT_S: Final = 0.5  # time after which a contact counts as ended, because noise may hide its end
 _INTO_WALL: Final = 0.1  # fraction of the force that may point into the expected wall at the onset
 

@@ -28,9 +28,8 @@ _MEMORY_S: Final = 4.0  # time constant of the sums: one manoeuvre
 _JUMP_M_S: Final = 0.15  # change in one step above which it is an estimator reset, which other rules detect
 # A pose acts on the output through two filters, so the regression yields this fraction of the delay.
 _SHARE: Final = 0.75
-# Required acceleration in memory, (m/s2)^2 s, and required correlation. Poses correct the effect of
-# accelerometer noise late, which looks like an estimate that lags, with correlations of up to 0.7
-# (docs/results/px4_versions.md).
+# Required acceleration in memory, (m/s2)^2 s, and required correlation. Pose fusion corrects accelerometer
+# noise late. This looks like a lagging estimate, with correlations up to 0.7 (docs/results/px4_versions.md).
 _LITTLE_MOTION, _LITTLE_AHEAD = 0.1, 0.75
 _MOTION, _AHEAD, _BEHIND = 0.2, 0.6, 0.8
 

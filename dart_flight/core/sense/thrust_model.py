@@ -19,9 +19,9 @@ from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 
 Each = tuple[float, ...]  # one value per motor
 
-# `auto` uses no slower telemetry, because switching between sources would look like forces.
+# `auto` ignores motor speeds with a longer period, because switching sources would look like a force.
 _ESC_PERIOD_US: Final = 20_000
-_PENDING: Final = 16  # limit of the commands ahead of the IMU, normally a few ticks
+_PENDING: Final = 16  # limit of the number of commands newer than the IMU sample; normally a few
 
 
 class LaggedCommands:

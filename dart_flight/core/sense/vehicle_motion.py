@@ -37,9 +37,9 @@ class VehicleMotion:
         up: direction of the thrust, mission frame.
         residual_n: mass times specific force, minus thrust, mission frame: drag and external force. The bias
             from hover is removed.
-        momenta: integral of mass times specific force since the start, mission frame, N s. Each entry has a
-            stamp and belongs to one of the last samples; a gap in the stream discards the older entries.
-            Hover bias is removed from the specific force; gravity is not.
+        momenta: integral of mass times specific force since the start, mission frame, N s. One timestamped
+            entry per recent IMU sample; entries before a gap in the stream are dropped. Hover bias is removed
+            from the specific force; gravity is not.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:

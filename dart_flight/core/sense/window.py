@@ -48,7 +48,7 @@ class WindowMean:
         self._quick = VarianceEstimate(variance, _QUICK_S, _MIN_N2)
         self._slow = VarianceEstimate(variance, _SLOW_S, _MIN_N2)
         self._pending: deque[float] = deque()
-        # Compare means one window apart: they share no sample, and a constant force cancels.
+        # Two means one window apart share no samples, and in their difference a constant force cancels out.
         self._past: deque[Vec2] = deque(maxlen=max(1, samples))
         self.mean: Vec2 = (0.0, 0.0)
         self.full = False

@@ -55,8 +55,8 @@ class AxisInertia(msgspec.Struct):
         axis: roll (forward), pitch (right) or yaw (down).
         value, low, high: the estimate and its 95 % interval, or None if the flights do not determine the
             inertia.
-        torque_nm: standard deviation of the motors' mean torque over a window.
-        rate_change_rad_s: standard deviation of the rate's change over a window.
+        torque_nm: standard deviation, from window to window, of the motors' mean torque.
+        rate_change_rad_s: standard deviation, from window to window, of the rate's change.
         explained: fraction of the variance of the rate's change that the motors explain.
         refused: the reason why there is no value; empty if there is a value.
     """
@@ -291,9 +291,9 @@ def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisIne
         )
     elif most > _MAX_RATIO * least:
         axis.refused = (
-            f"the motors explain {100.0 * explained:.0f} % of the changes of the angular rate, so the "
-            f"inertia is only known to be between {least:.4f} and {most:.4f} kg m2; check for wind and "
-            "small commands, and check the motors' order and positions"
+            f"the motors explain only {100.0 * explained:.0f} % of the angular-rate changes, so the inertia "
+            f"is uncertain ({least:.4f} to {most:.4f} kg m2): fly in still air with larger inputs, and check "
+            "motor order and positions"
         )
     else:
         axis.value = value

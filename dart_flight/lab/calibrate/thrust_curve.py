@@ -214,8 +214,8 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 
     Args:
         factor: value to use if the factor is not fitted, or if the points do not determine it.
-        exponent: exponent of the voltage; None fits it if the voltage varies. It has no effect if the voltage
-            is unknown.
+        exponent: exponent of the voltage; if None, it is fitted if the voltage varies. It has no effect if
+            the voltage is unknown.
         fit_factor: whether to fit the factor. A result outside 0 to 1 is clipped and has no standard error.
     """
     reference = float(p.volts.mean()) if np.isfinite(p.volts).all() else None
@@ -242,7 +242,7 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
             if curve.factor == found:
                 rest = force - design @ solution
                 covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / max(1, len(force) - 2)
-                # Gradient of the factor by the two solved terms: (1 - factor, -factor) / full.
+                # Gradient of the factor with respect to the two solved terms: (1 - factor, -factor) / full.
                 g = np.array([1.0 - found, -found]) / full
                 curve.full, curve.full_error = full, float(np.sqrt(covariance.sum()))
                 curve.factor_error = float(np.sqrt(g @ covariance @ g))
@@ -315,7 +315,7 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     if problem:
         raise InputError(
             f"the thrust fit to {len(p.force)} segments of 0.5 s is rejected: {problem}; verify the mass, "
-            "and the type of the motor outputs (finding motor_outputs of `check`)",
+            "and the type of the motor outputs (the motor_outputs finding of `check`)",
             source=_sources(tracks),
         )
     share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent

@@ -129,7 +129,8 @@ def fly(
 
     Args:
         interrupt: the operator's interrupt, which ends the campaign early; existing rows are kept.
-        progress: called with two numbers: rows in the table, and flights of this call that did not complete.
+        progress: called with two numbers: the rows in the table, and the flights of this call that did not
+            complete.
 
     Raises:
         FlightError: the disk is full, another process writes the table, or no process can fly.

@@ -134,7 +134,7 @@ def parse_grid(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
         if not equals or not key.strip() or not all(values):
             raise InputError(f"--set {setting}: expected KEY=V1,V2,..., such as airframe.mass_kg=1.2,1.4")
         if key.strip() in grid:
-            raise InputError(f"--set {setting}: this key appears twice; separate its values by commas")
+            raise InputError(f"--set {setting}: this key appears twice; separate its values with commas")
         if len(set(values)) < len(values):
             raise InputError(f"--set {setting}: a value appears twice")
         grid[key.strip()] = values

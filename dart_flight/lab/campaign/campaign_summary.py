@@ -34,7 +34,7 @@ from dart_flight.lab.statistics import (
 from dart_flight.recording.plan_versus_flight import Deviation
 
 _MAX_FAILED = 1000  # maximum number of listed flights; the table contains all of them
-_CLEAR_Z = 4.0  # minimum significant separation of failed and completed flights, even among fifty quantities
+_CLEAR_Z = 4.0  # minimum significant separation of failed from completed flights, among fifty quantities
 _MIN_FAILED = 5
 _MAX_QUANTITIES = 4
 _MAX_OVER = 2  # maximum number of drawn quantities for one figure
@@ -159,10 +159,10 @@ class CampaignSummary(msgspec.Struct, frozen=True):
 
     Attributes:
         flights, asked: number of rows in the table, and total number of flights.
-        errors: number of flights without a verdict, because a program error ended them. The rates leave out
+        errors: number of flights without a verdict, because a program error ended them. The rates exclude
             these flights.
-        figures: distributions by column, ordered by magnitude, so the high of the normal velocities is the
-            fastest hit.
+        figures: distributions by column. Values are ordered by magnitude, so the `high` of the normal
+            velocities is the fastest hit.
         rules: causes of failure.
         drawn: success rate as a function of each drawn quantity; empty if all or no flights completed.
         varied: goal miss and peak forces as functions of the drawn quantities, in the completed flights.

@@ -75,7 +75,7 @@ def _connect(url: str) -> Any:
             return Client(url, timeout=_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise FlightError(f"--scheduler {url}: {_one_line(error)}") from None
-    except Exception as error:  # another version can cause any exception
+    except Exception as error:  # a version mismatch can raise any exception
         raise InputError(f"--scheduler {url}: {_one_line(error)}; {_own_version()}") from None
 
 
@@ -99,7 +99,7 @@ def _refuse_unfit(client: Any, url: str) -> None:
         ) from None
     except OSError:
         raise  # connection lost
-    except Exception as error:  # another version can cause any exception
+    except Exception as error:  # a version mismatch can raise any exception
         raise InputError(f"--scheduler {url}: {_one_line(error)}; {_own_version()}") from None
     for worker in lacking:
         raise InputError(

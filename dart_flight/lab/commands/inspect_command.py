@@ -117,7 +117,7 @@ def _print(flight: InspectedFlight) -> None:
         out.print(flight.nothing_found)
     if flight.weak:
         out.print(
-            f"{flight.weak} short threshold crossings are not impacts (their fitted peak is below it)",
+            f"{flight.weak} short threshold crossings are not impacts (fitted peak below the threshold)",
             soft_wrap=True,
         )
     if flight.untold:

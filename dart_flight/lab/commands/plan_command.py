@@ -182,7 +182,7 @@ def _search_bar() -> Iterator[Progress]:
 class _Watch(FlightWatch):
     """The simulated flights on standard error: their number, and each result as soon as it is known.
 
-    With `on_output` the results are printed on standard output, as without `--json`.
+    `on_output` sends the results to standard output, for calls without `--json`.
     """
 
     def __init__(self, on_output: bool) -> None:

@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
         emit_json({**numbers, "vehicle": source})
     else:
         if arguments.drop is None:
-            event = "{:g} m/s normal, {:g} m/s along".format(*arguments.velocity)
+            event = "{:g} m/s normal, {:g} m/s tangential".format(*arguments.velocity)
         else:
             event = f"drop from {arguments.drop:g} m"
         _print(

@@ -113,8 +113,8 @@ class HeldOut(NamedTuple):
         hits: number of predicted hits.
         law: errors of the paper's law; None if the hits do not determine the law's coefficients.
         baselines: baseline -> errors; each baseline predicts only one of the two quantities.
-        scatter: errors of a prediction of each hit from the median of all hits at its speed; None if no speed
-            has three hits.
+        scatter: errors if each hit is predicted by the median of all hits at its speed; None if no speed has
+            three hits.
         earned: whether the law predicts better than the baselines in every assessable quantity.
         sentence: the comparison as a sentence.
     """

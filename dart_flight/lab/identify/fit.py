@@ -37,7 +37,7 @@ _UNKNOWN = {
 _OF_TURNING = 0.75
 _MOST_OF_TURNING = 0.8
 _K_OF_TURNING = 0.03  # relative error of k: rotation loads one guard more, which lowers k by up to 6 %
-_TURNS = 0.1  # minimum ratio at which the rotation is reported
+_TURNS = 0.1  # relative change of the sliding speed above which the rotation is reported
 
 
 def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identification:

@@ -28,7 +28,7 @@ from dart_flight.lab.identify.recorded_impact import noise_of
 from dart_flight.lab.identify.trials import Trial
 
 _NOISES = 3.0  # maximum ratio of a good fit's residual to the recording's noise
-_SHARE = 0.06  # allowed residual over the contact's amplitude, for filters and simplifications of the law
+_SHARE = 0.06  # allowed residual as a fraction of the contact's amplitude, for filters and simplifications
 _CONTACT_S = 0.1  # time on either side of the turn within which the contact lies
 # Medians over whole hits: twice the scatter of repeated real drops (docs/results/real_data.md).
 _MOST = (0.25, 0.1)  # peak force, outgoing speed
@@ -60,9 +60,8 @@ def assess_fit(
                 off[f"{mode} {name}"], most[f"{mode} {name}"] = error, limit
     compared = {name: value for name, value in off.items() if name in most}
     sentences = [
-        f"poor fit: the residual of {name} is {value:.3g}; a good fit has at most {most[name]:.3g}, "
-        f"which is {value / most[name]:.1f} times less; check --drop, --mode and the units, and use "
-        "trials of one wall"
+        f"poor fit: the residual of {name} is {value:.3g}, {value / most[name]:.1f} times the limit of "
+        f"{most[name]:.3g}; check --drop, --mode and the units, and use trials of one wall"
         for name, value in compared.items()
         if not value <= most[name]
     ]
@@ -180,7 +179,7 @@ def _in_proportion(known: LawProblem, held: LawProblem) -> tuple[Array, Array]:
 
 
 def _scatter(problem: LawProblem, groups: NDArray[np.intp]) -> Errors:
-    """Return the errors of a prediction of each hit from the median of all hits at its speed.
+    """Return the errors if each hit is predicted by the median of all hits at its speed.
 
     A law that depends only on the speed can hardly have smaller errors.
     """

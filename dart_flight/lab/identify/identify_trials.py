@@ -52,7 +52,7 @@ def identify_trials(
     """Read the trials and fit them.
 
     If the trials contain the vehicle that flew, its mass, modes and onset rule are used, because the forces
-    in a log were computed for this vehicle. If there are several logs, a log without a collision is left out,
+    in a log were computed for this vehicle. If there are several logs, a log without a collision is skipped,
     and a note names it. Invalid options and trials, options that apply to no file, and trials of different
     vehicles are rejected.
 

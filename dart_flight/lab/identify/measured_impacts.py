@@ -279,7 +279,7 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
             peak = float(np.polyval(bend, -0.5 * bend[1] / bend[0]))
     notes = []
     if clipped:
-        notes.append(f"{name}: the force is cut off at {peak:.3g} N; its peak is unknown")
+        notes.append(f"{name}: the force is clipped at {peak:.3g} N; its peak is unknown")
     dominated = force.min() < -_DOMINATED * peak
     if dominated:
         notes.append(

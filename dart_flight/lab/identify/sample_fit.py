@@ -96,8 +96,8 @@ class FittedImpact:
     """A hit in a fit of samples.
 
     Attributes:
-        at: index of each unknown of the hit in the parameter vector: `plane`, the logarithms `k` and `f`,
-            `mu` and `nu`, which other hits share, and its own.
+        at: index of each unknown of the hit in the parameter vector. Other hits share `plane`, the logarithms
+            `k` and `f`, `mu` and `nu`, but not the remaining unknowns.
         window: the fitted samples, by channel.
     """
 

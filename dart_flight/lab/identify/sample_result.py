@@ -19,7 +19,7 @@ _MIN_IN_CONTACT = 4
 _SLOW_SAMPLING_S = 0.006
 _WIDEST_LOG = math.log(10.0)  # maximum half width of the interval of a known coefficient: a factor of ten
 _BAD_FIT = 4.0  # ratio of residual in contact to noise in free flight above which the law does not fit
-_MIN_JUDGED = 4  # minimum number of samples in contact
+_MIN_JUDGED = 4  # minimum number of samples, in contact and in free flight, for a misfit
 
 
 @dataclass
@@ -128,7 +128,7 @@ def _conclude(fit: SampleFit) -> SampleResult:
 
 def _friction(fit: SampleFit, halves: Array, mode: str) -> Estimate | None:
     theta, moving = fit.theta, False
-    change = 0.0  # exponent of the deceleration per s/m of mu, the influence of mu
+    change = 0.0  # largest deceleration exponent per unit of mu, s/m
     for fitted in fit.of_mode(mode):
         if "vy" in fitted.at:
             j = fitted.at["vy"]

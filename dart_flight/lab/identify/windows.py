@@ -41,8 +41,8 @@ class Channel(NamedTuple):
     Attributes:
         counts: weight of each residual. Weight 0 ignores the sample, weight 1 assumes the noise of free
             flight.
-        contact: mask of the samples in contact: in the contact that the law predicts, or in the contact that
-            `measured_impacts` measured without a law.
+        contact: mask of the samples in contact, as predicted by the law or as measured without a law
+            (`measured_impacts`).
     """
 
     time_s: Array

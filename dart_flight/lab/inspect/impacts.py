@@ -31,7 +31,7 @@ from dart_flight.lab.ulog import ULogFile
 
 _BEYOND_THRUST = 0.5  # minimum fraction of a contact's impulse beyond the thrust, at up to 45 degrees tilt
 REMEMBERED = 256  # number of samples for which the detector waits for a peak
-_CONFIRMED = 0.3  # fraction of the threshold; the fit may reduce a short pulse just above it to a third
+_CONFIRMED = 0.3  # minimum fitted peak over the threshold; the fit may reduce a short pulse to a third
 _HOVERS_M_S = 1.0  # highest speed at which the assumed hover thrust holds
 _TOUCHDOWN_S = 3.0  # maximum time from the touch-down until PX4 reports a landing
 _FALLING_M_S2 = 0.6 * GRAVITY_M_S2  # magnitude of specific force below which the vehicle falls
@@ -40,7 +40,7 @@ _FALLEN_S = 1.0  # interval before the ground contact in which the fall is searc
 _JOLT_S = 0.02
 _CRASH_M_S2 = 5.0 * GRAVITY_M_S2
 _CRASH_LASTS_S = 3.0  # duration of a crash, including bounces
-_CERTAIN_SD = 4.0  # number of standard deviations above 0
+_CERTAIN_SD = 4.0  # minimum peak of a certain impact, in standard deviations
 _ASSUMED_THRUST_SD = 0.5  # standard deviation of an assumed hover thrust, as a fraction of gravity
 
 
@@ -165,7 +165,7 @@ class InspectedFlight(msgspec.Struct):
 
     log: str
     px4_version: str | None
-    begin_s: float  # begin of the log on the autopilot's clock
+    begin_s: float  # beginning of the log on the autopilot's clock
     duration_s: float
     flight_s: float
     noise_n: float | None
@@ -398,7 +398,7 @@ def falls(track: Track, flying: list[tuple[float, float]]) -> list[float]:
         t = float(track.imu_s[i])
         if not any(a <= t <= b for a, b in flying) or (found and t - found[-1] < _CRASH_LASTS_S):
             continue
-        # Drag supports a fast fall, so the weightless part is at the begin of the interval.
+        # Drag supports a fast fall, so the weightless part is at the beginning of the interval.
         before = slice(*np.searchsorted(track.imu_s, (t - _FALLEN_S, t - _FALLING_S)))
         if (carried[before] < _FALLING_M_S2).any():
             found.append(t)

@@ -57,7 +57,9 @@ def plot_wall(path: str | Path, condition: Condition, contact: ContactMotion, ta
     force.plot(ms, history.normal_force_n, label="normal", **_NORMAL)
     force.plot(ms, history.tangential_force_n, label="friction", **_ALONG)
     force.plot(ms, history.vertical_force_n, label="vertical", **_VERTICAL)
-    figure.suptitle(_title(condition, f"{contact.normal_m_s:g} m/s normal, {tangential_m_s:g} m/s along"))
+    figure.suptitle(
+        _title(condition, f"{contact.normal_m_s:g} m/s normal, {tangential_m_s:g} m/s tangential")
+    )
     force.set_xlim(ms[0], ms[-1])
     _finish(figure, (position, velocity, force), (0.0, 1e3 * span), path)
 

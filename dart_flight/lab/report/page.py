@@ -220,7 +220,7 @@ def _missing_parts(named: Iterable[tuple[RecordedFlight, str]]) -> list[tuple[st
 def outcome_sentence(flight: RecordedFlight) -> str:
     v, planned, hit = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
     if flight.mission.standoff_m is not None:
-        hits = "in this rehearsal, the vehicle stopped before each wall"
+        hits = "in this rehearsal, the vehicle stopped short of each wall"
     elif planned == 0:
         hits = "no collision was planned"
     elif planned == 1:

@@ -47,7 +47,7 @@ _DARK = Color(r=0.20, g=0.20, b=0.22, a=1.0)
 _PROPELLER = Color(r=0.6, g=0.6, b=0.6, a=0.35)
 ARMS = {"rigid": BLUE, "flexible": ORANGE, "travelling": YELLOW, "fault": RED, "unknown": GREY}
 
-FORCE_SCALE_M_PER_N = 0.012  # 50 N are 1.5 times the vehicle's width
+FORCE_SCALE_M_PER_N = 0.012  # the arrow for 50 N is 1.5 times as long as the vehicle's width
 _OVER_BOUNDS_M = 0.2
 _TEXT_PX = 14.0
 _LABEL_M = 0.12  # height of a label above its object

@@ -41,10 +41,10 @@ class FlightWatch:
     """Callbacks during the simulated flights of plans; this base class ignores them."""
 
     def begin(self, plan: str) -> None:
-        """Announce the flights in drawn worlds of a plan, such as `the plan with collisions`."""
+        """Announce the flights in drawn worlds; `plan` names the plan, such as `the plan with collisions`."""
 
     def landed(self, flown: int, failed: int) -> None:
-        """Count the flights in drawn worlds, and how many of them did not complete."""
+        """Receive the number of flights in drawn worlds so far, and how many of them did not complete."""
 
     def report(self, line: str) -> None:
         """Report a result as soon as it is known."""
@@ -199,7 +199,7 @@ class OfferedPlan(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """A plan of a search, and the scenario whose touches its mission flies.
+    """A plan of a search, with the scenario that defines the touches of its mission.
 
     Attributes:
         key: `free`, `colliding` or `touched`.

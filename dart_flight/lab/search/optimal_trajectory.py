@@ -340,7 +340,7 @@ class _GuessedEnd(NamedTuple):
 
 
 def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
-    """Return the guessed begin and end of every part; the velocity is 0, except at hits and cruises."""
+    """Return the guessed start and end of every part; the velocity is 0, except at hits and cruises."""
     found = []
     here = _GuessedEnd(problem.start, (0.0, 0.0))
     for part in problem.parts:

@@ -68,7 +68,7 @@ class Plan(msgspec.Struct, frozen=True):
             part, from the closest approach to rest, uses the motion limits of the free flight.
         saving_s: time of the fastest flight without a collision minus `time_to_rest_s`; negative if the plan
             is slower. None if the time of that flight is unknown.
-        visits_s: passage of each visit; a visit at a wall that is hit is passed at the onset.
+        visits_s: time at which the vehicle passes each visit; at a wall that is hit, this is the onset.
         cruise_m_s: speed until the vehicle reacts to the detected wall, in a scenario with `sight`.
         legs: trajectories to the collisions and to the goal; empty in the grid search.
     """
@@ -125,7 +125,7 @@ class FreeTime(msgspec.Struct, frozen=True):
 
     Attributes:
         time_s: duration; None without a path.
-        gap_s: largest time by which another flight could be faster; 0 for an optimum.
+        gap_s: upper bound on how much faster another flight could be; 0 for an optimum.
         length_m: length of the polyline.
         via: corners of the polyline, mission frame.
         limits: limits of the motion.
@@ -164,16 +164,15 @@ class SearchResult(msgspec.Struct, frozen=True):
         plans: the best plans, in order. With `quickest`, they are the fastest plan with and the fastest plan
             without a collision; the other plan of a required sequence is second.
         candidates, feasible: number of candidates, and number of feasible candidates. With `quickest`,
-            candidates are sequences of collisions, and those excluded by their bounds are not feasible.
+            candidates are sequences of collisions; sequences that their bounds rule out count as infeasible.
         trajectories: number of simulated or computed trajectories, including the draws of `robust`.
         elapsed_s: duration, including preparation.
-        refused: numbers of rejected candidates by reason.
-        free_time: time of the fastest flight without a collision, of the grid search; None if the extra
+        refused: number of rejected candidates for each reason.
+        free_time: duration of the fastest collision-free flight, from the grid search; None if the extra
             `plan` is not installed.
         maps: all feasible candidates of the grid search.
-        gap_s: largest time by which a sequence that was not computed could be faster than the best plan.
-        most_hits: limit of the search on the number of hits, if a sequence with more hits could be faster
-            than the best plan.
+        gap_s: upper bound on how much faster than the best plan a skipped sequence could be.
+        most_hits: maximum number of hits that was searched; None if more hits cannot be faster.
     """
 
     scenario: Scenario

@@ -189,7 +189,7 @@ class _Search:
         self.colliding: tuple[Event, ...] | None = None
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], Plan | None] = {}
-        self.least_open_s = self.left_out_s = math.inf  # lowest bounds: not computed; too many hits
+        self.least_open_s = self.left_out_s = math.inf  # lowest bounds of skipped and of too long sequences
         # Every bound needs the responses, so compute them once.
         self._responses = {
             (wall.name, mode): ContactResponse.at_wall(self.vehicle, wall, mode)

@@ -218,7 +218,7 @@ def regions(
 
     Args:
         begin, end: ends of the path. The path must be unobstructed.
-        touched: walls hit at the begin or end of the path; the path may reach the planes of these walls.
+        touched: walls hit at the start or end of the path; the path may reach the planes of these walls.
         after_hit: whether the previous event was a hit.
     """
     found: list[Region] = [*obstacles.discs]

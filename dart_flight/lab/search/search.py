@@ -54,7 +54,7 @@ ADVICE = {
     Refusal.BOUNDS: "widen bounds_m or lower the wall's gain alpha",
     Refusal.OBSTACLE: "move or shorten the wall that blocks the path, or add this wall to `sequence`",
     Refusal.WALL_NOT_REACHED: (
-        "raise the previous wall's gain alpha, move the wall that is missed nearer, or lengthen that wall"
+        "raise the previous wall's gain alpha, move the missed wall nearer, or lengthen it"
     ),
     Refusal.INCIDENCE: "turn the wall: the vehicle hits every wall with the heading of the first approach",
     Refusal.TOO_SOON: "move the walls apart or lower detection.refractory_s",
@@ -158,8 +158,8 @@ class ScenarioSearch:
         if objective is Objective.FASTEST:
             return c._replace(score=c.time_s)
         if objective is Objective.GENTLEST:
-            # Only candidates within the goal's capture radius count. If there are none, the least miss plus
-            # this radius is the limit.
+            # Only candidates within the goal's capture radius count. If there are none, the limit is the
+            # smallest miss plus this radius.
             radius = self.scenario.goal.capture_radius_m
             least = min(float(m.miss_m.min()) for m in all_found if m.rows.size)
             allowed = radius if least <= radius else least + radius

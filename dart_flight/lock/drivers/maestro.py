@@ -74,7 +74,7 @@ class MaestroDriver:
         if not os.path.exists(name):
             raise DriverError(f"{name} does not exist; plug the servo controller in", key)
         if not os.access(name, os.R_OK | os.W_OK):
-            raise DriverError(f"{name} is not writable; add the user to the group dialout", key)
+            raise DriverError(f"{name} is not writable; add the user to the dialout group", key)
         try:
             self._port = serial.Serial(
                 name,

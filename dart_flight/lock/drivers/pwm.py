@@ -154,7 +154,7 @@ class PwmDriver:
         while not os.access(self._channel / "enable", os.W_OK):
             if time.monotonic() > give_up:
                 appeared = self._channel.is_dir()
-                what = "is not writable; add the user to the group gpio" if appeared else "did not appear"
+                what = "is not writable; add the user to the gpio group" if appeared else "did not appear"
                 raise DriverError(f"{self._channel} {what}", ("pwm", "channel"))
             time.sleep(0.005)
 

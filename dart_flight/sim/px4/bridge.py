@@ -57,7 +57,7 @@ _STEPS_PER_TICK = TICK_US // 1000
 _SLOW_EVERY = 5  # ticks: magnetometer and barometer at 50 Hz
 _ACCELEROMETER, _GYRO, _MAGNETOMETER, _BAROMETER = 0x007, 0x038, 0x1C0, 0x1A00
 ARMED = 128
-_BOOT_WAIT_S = 0.004  # wait for an answer before PX4's first one, because PX4 does not answer while it boots
+_BOOT_WAIT_S = 0.004  # timeout per tick until PX4's first answer; PX4 does not answer while it boots
 _ANSWER_WAIT_S = 5.0
 
 
@@ -340,7 +340,7 @@ def gps_message(time_us: int, fix: GpsFix, receiver: GpsReceiver) -> Any:
 
 
 def geodetic(position_ned: Vec3) -> tuple[float, float]:
-    """Return latitude and longitude (degrees) of a point near home."""
+    """Return latitude and longitude (degrees) of a point near PX4's home position."""
     latitude = HOME_LAT_DEG + math.degrees(position_ned[0] / _EARTH_RADIUS_M)
     shrink = math.cos(math.radians(HOME_LAT_DEG))
     return latitude, HOME_LON_DEG + math.degrees(position_ned[1] / (_EARTH_RADIUS_M * shrink))

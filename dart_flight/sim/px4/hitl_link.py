@@ -126,7 +126,7 @@ def open_port(url: str) -> HitlPort:
     address = parse_link(url)
     if address is None or address.kind not in ("serial", "udpin", "udpout"):
         raise InputError(
-            f"{url!r}: allowed are serial:///dev/ttyACM0:921600, udpin://HOST:PORT, udpout://HOST:PORT",
+            f"{url!r}: use serial:///dev/ttyACM0:921600, udpin://HOST:PORT or udpout://HOST:PORT",
             key=("--hitl",),
         )
     try:

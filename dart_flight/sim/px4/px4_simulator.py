@@ -44,7 +44,7 @@ SENDER_LAG_US = 16_000  # PX4 sends MAVLink in a separate thread, which sleeps i
 _BOOT_TIMEOUT_S = 15.0
 # Simulated time for the EKF to align after booting; it passes as fast as the computer allows.
 _WARM_UP_S = {source: 6.0 if source is PositionSource.MOCAP else 15.0 for source in PositionSource}
-_ORPHAN_S = 25.0  # host time for the failsafe after the app's end; with PX4's end it stays within 30 s
+_ORPHAN_S = 25.0  # host time for the failsafe after the app's end; with PX4's end, the total is below 30 s
 _LANDED_S = 1.0  # host time after disarming for PX4 to write its log
 
 
@@ -194,7 +194,7 @@ class Px4Simulator:
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:
-        """Begin a motion-capture fault; a real PX4 has no other faults."""
+        """Begin a motion-capture fault; other faults are not available with a real PX4."""
         if self._mocap is not None:
             self._report(f"fault {fault.name} {fault.value:g}")
             self._mocap.feed.begin_fault(fault, self._vehicle.plant.time_s)

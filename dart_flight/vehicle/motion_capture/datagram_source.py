@@ -15,7 +15,7 @@ from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose
 
 _MAX_DATAGRAM: Final = 65535
 _POLL_S: Final = 0.2  # maximum time until the thread detects `stop`
-_MAX_REASONS: Final = 32  # distinct reasons counted, so that a hostile sender cannot exhaust the memory
+_MAX_REASONS: Final = 32  # maximum number of distinct reasons, so that a hostile sender cannot exhaust memory
 
 Decoder = Callable[[bytes, str, str], RawPose | str]
 

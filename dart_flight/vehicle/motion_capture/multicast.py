@@ -63,7 +63,7 @@ def card_address(address: PoseAddress) -> str | None:
 
 
 def join_group(link: socket.socket, group: str, card: str | None) -> str:
-    """Join a multicast group on the interface with an IPv4 address, or on all; return them as text.
+    """Join a multicast group on the interface with address `card`, or on all; return their names.
 
     Without a given interface, the kernel would use the one of the default route, which may lead to the
     Internet. Raise OSError if no interface accepts the group.

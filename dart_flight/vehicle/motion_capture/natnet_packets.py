@@ -2,7 +2,7 @@
 
 The layout is from the NatNet SDK's public documentation and headers. All values are little-endian. The
 program needs one rigid body and skips all other assets, because an asset that it cannot decode must not hide
-the body. Since version 4.1 each description and each list in a frame has its size. In older streams
+the body. Since version 4.1 each description and each list in a frame states its size. In older streams
 everything before the rigid body must be decoded. The decoders raise ValueError for a damaged packet.
 """
 
@@ -30,7 +30,7 @@ Version = tuple[int, int]
 
 
 class ServerInfo(NamedTuple):
-    """NatNet version and transmission of a server; the defaults apply to servers before NatNet 3."""
+    """A server's NatNet version and its use of multicast; the defaults apply to servers before NatNet 3."""
 
     version: Version = (2, 0)
     ticks_per_s: int = 0
@@ -212,7 +212,7 @@ def _skip_list(reader: _Reader, version: Version, skip_item: Callable[[_Reader],
 
 
 def _skip_nothing(reader: _Reader) -> None:
-    """Skip an item in a list that always has its size."""
+    """Do nothing: a list of such items always states its size, so its items are never read."""
 
 
 def _skip_marker_positions(reader: _Reader) -> None:

@@ -31,7 +31,7 @@ _KEEP_ALIVE: Final = natnet.HEADER.pack(natnet.KEEP_ALIVE, 1) + b"\0"
 _PINGS: Final = 3
 _PING_S: Final = 1.0
 _MODEL_S: Final = 3.0
-_POLL_S: Final = 0.1  # also the period of the keep-alives, without which the server drops this client
+_POLL_S: Final = 0.1  # poll timeout and keep-alive period; without keep-alives the server drops this client
 _SILENT_S: Final = 1.0  # time without a frame until the server is queried
 
 
@@ -39,7 +39,7 @@ class OptiTrackSource:
     """A source that reads one rigid body from a NatNet server, on its own thread.
 
     The URL identifies the body by its name or streaming id. The constructor raises AbsentSourceError if no
-    server answers, or if the server does not have the body.
+    server answers, or if the server does not stream the body.
     """
 
     remedy = "start the live mode in Motive; check the network interface and the firewall"

@@ -19,15 +19,15 @@ from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, check
 
 _LOCAL_NED: Final = 1  # MAV_FRAME
 _BODY_FRD: Final = 12  # MAV_FRAME of the velocities, which are not sent
-_VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 ignores the type MOCAP
+_VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 ignores the MOCAP type
 _POSITION_SD_M: Final = 0.01  # PX4 uses EKF2_EVP_NOISE if that parameter is larger
 _ANGLE_SD_RAD: Final = 0.01
 _EARLY: Final = 0.125  # fraction of a period by which a frame may be early because of jitter
 _STALE_US: Final = 300_000  # minimum age of a stale frame; longer than any latency with which PX4 can fly
-_JUMPED_US: Final = 1_000_000  # minimum duration of a clock's jump; a burst of delayed frames is shorter
-_FINE_US: Final = 100_000  # maximum difference of usable stamps of successive frames
-_DECIDE_US, _DECIDE_FRAMES, _DECIDE_NEW = 500_000, 10, 3  # time, frames, and frames with a new pose
-_SILENT_US, _MISSING_US = 1_000_000, 3_000_000  # time without a pose until the reason is shown, reported
+_JUMPED_US: Final = 1_000_000  # duration of stale frames that proves a clock jump; a delayed burst is shorter
+_FINE_US: Final = 100_000  # maximum difference between successive stamps for the stamps to be usable
+_DECIDE_US, _DECIDE_FRAMES, _DECIDE_NEW = 500_000, 10, 3  # minimum data before stamps are rejected
+_SILENT_US, _MISSING_US = 1_000_000, 3_000_000  # time without a pose until `problem` and `missing` name it
 _DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # indices in the upper triangle of a 6 x 6 matrix
 
 
@@ -49,7 +49,7 @@ def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> 
     Null fields arrive at PX4 as NaN, and PX4 does not fuse NaN. Without an attitude, PX4 still fuses the
     position, and PX4's heading follows from the gyro alone.
 
-    The reset counter stays 0. If it changed, PX4's estimate would immediately follow a jump of the poses.
+    The reset counter stays 0. If it changed, PX4's estimate would immediately follow a jump in the poses.
     """
     x, y, z = position_ned
     fields = {
@@ -112,7 +112,7 @@ class Decimation:
 
 
 class StaleFrames:
-    """A filter of stale frames: after an outage, TCP delivers all delayed frames in one burst.
+    """A filter of stale frames, which TCP delivers in one burst after an outage.
 
     PX4 stamps a pose by its arrival, so a stale pose would move PX4's estimate to a former position.
     """
@@ -122,7 +122,7 @@ class StaleFrames:
         self._since_us: int | None = None
 
     def contains(self, stamp_us: int, received_us: int) -> bool:
-        """Return whether a frame's age on arrival exceeds the smallest age so far by over 0.3 s.
+        """Return whether a frame's age on arrival exceeds the smallest age so far by more than 0.3 s.
 
         If all frames during one second are stale, the source's clock has jumped. The next frame then counts
         as fresh.
@@ -144,14 +144,14 @@ class Stamps:
     """The rule that decides whether a source's stamps are the times of its frames.
 
     The stamps are usable once two successive frames have stamps that differ by less than 0.1 s. This is
-    decided before the vehicle takes off. Stamps that stop later are a loss of the poses.
+    decided before the vehicle takes off. If the stamps stop later, the poses count as lost.
 
     If no such pair arrives although the frames differ (empty stamps, whole seconds, frame numbers), the
     bridge uses the time of arrival.
 
     Attributes:
         usable: whether the stamps are usable, or None if this is not decided yet.
-        advanced_us: host time at which a frame with another stamp, or without a stamp, last arrived.
+        advanced_us: host time of receipt of the last frame with a new stamp or without a stamp.
     """
 
     def __init__(self) -> None:
@@ -235,7 +235,7 @@ class MotionCaptureBridge:
             return self._invalid
         if newest.tracked:
             return (
-                f"the stamps of the poses stand still for {1e-6 * poor_us:.0f} s: "
+                f"the pose stamps have not changed for {1e-6 * poor_us:.0f} s: "
                 "resume the recording, move the body, or send the poses without stamps"
             )
         return f'body "{newest.body}" not tracked for {1e-6 * poor_us:.0f} s: check markers and cameras'

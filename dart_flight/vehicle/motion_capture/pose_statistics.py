@@ -22,7 +22,7 @@ from dart_flight.base.records import AttitudeSample, Input, OdometrySample, Pose
 
 GAP_US: Final = 100_000  # minimum duration of a gap; at 50 Hz, PX4 misses five poses in this time
 _RATE_US: Final = 2_000_000  # time window for the rate and the senders
-_BEST_S: Final = 60  # window for the shortest age, in which clocks drift apart by a few ms
+_BEST_S: Final = 60  # window for the shortest age; in this time, clocks drift apart by only a few ms
 _AGE_POSES: Final = 25  # number of poses in the median age
 _FRESH_US: Final = 500_000  # maximum age of PX4's estimate for a comparison with the poses
 
@@ -37,8 +37,8 @@ class PoseFigures(msgspec.Struct, frozen=True):
         gaps: number of gaps of more than 0.1 s between tracked poses.
         longest_gap_s: longest time between two tracked poses, including a gap that has not ended.
         lost: fraction of frames in which the body is not tracked.
-        age_ms: age of the newest poses: the measured shortest age (`mocap.delay_ms`) plus their additional
-            delay according to their stamps.
+        age_ms: age of the newest poses: the measured shortest age (`mocap.delay_ms`) plus the additional
+            delay that their stamps show.
         age_growth_ms: growth of the age since the first poses.
         distance_to_px4_m: distance of PX4's position from the newest pose.
         angle_to_px4_deg: angle between PX4's attitude and the attitude of the newest pose.
@@ -60,7 +60,7 @@ class ShortestOffset:
     """The smallest offset (time of receipt minus stamp) of a source's frames.
 
     A larger offset means an older frame. The clocks of source and host drift apart, so only the last
-    `_BEST_S` seconds in which frames have arrived count.
+    `_BEST_S` seconds with frames count.
     """
 
     def __init__(self) -> None:

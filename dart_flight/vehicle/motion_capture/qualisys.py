@@ -26,7 +26,7 @@ _RETRY_S: Final = 1.0
 
 
 def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
-    """Return the names of all 6DOF bodies and of those enabled; raise ValueError if the input is not XML."""
+    """Return the names of all and of the enabled 6DOF bodies; raise ValueError if the input is not XML."""
     try:
         bodies = list(ET.fromstring(parameters_xml).iter("Body"))
     except ET.ParseError as error:
@@ -39,7 +39,7 @@ class QualisysSource:
     """A source that reads one 6DOF body from QTM, in an event loop on its own thread.
 
     The port in the URL is QTM's little-endian port. The constructor raises AbsentSourceError if QTM does not
-    answer, or does not have the body.
+    answer, or does not stream the body.
     """
 
     def __init__(self, address: PoseAddress) -> None:

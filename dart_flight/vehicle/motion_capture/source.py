@@ -24,7 +24,7 @@ _MAX_NAMES: Final = 5  # maximum number of names listed in a message
 
 
 class AbsentSourceError(InputError):
-    """A motion-capture server does not answer, or does not have the body; both may change at any time."""
+    """A motion-capture server does not answer or does not stream the body; either may change at any time."""
 
 
 class RawPose(NamedTuple):
@@ -45,7 +45,7 @@ def lost_pose(body: str, frame_number: int | None, source_us: int | None, sender
 
 
 def checked_pose(pose: RawPose) -> tuple[RawPose, str | None]:
-    """Return a pose with its attitude normalised, and None.
+    """Return a pose with normalised attitude, and None instead of a reason.
 
     If the numbers are not a pose in metres, return a lost pose and the reason. A stamp that is not a time is
     removed.
@@ -72,7 +72,7 @@ class PoseSource(Protocol):
 
     Attributes:
         place: address on which the source listens, or the server that it reads.
-        remedy: what to do if nothing arrives.
+        remedy: advice for the operator if nothing arrives.
     """
 
     place: str
@@ -93,7 +93,8 @@ class PoseAddress(NamedTuple):
     """The parts of a pose source's URL.
 
     Attributes:
-        interface: name or address of the network interface that receives multicast; None: the source decides.
+        interface: name or address of the network interface that receives multicast; None if the source
+            decides.
     """
 
     url: str
@@ -110,7 +111,7 @@ class System(NamedTuple):
         url: form of its URL, for messages and documentation.
         module: module of this package that reads it.
         port: default port; None: the URL must give a port.
-        multicast: whether its frames may come by multicast, so that the URL may name a network interface.
+        multicast: whether it may send multicast, so that the URL may name a network interface.
     """
 
     url: str
@@ -119,7 +120,7 @@ class System(NamedTuple):
     multicast: bool = False
 
 
-# By the scheme of the URL. `sim.motion_capture` emulates each system, and docs/motion_capture.md lists them.
+# Keys are URL schemes. `sim.motion_capture` emulates each system, and docs/motion_capture.md lists them.
 SYSTEMS: Final = {
     "optitrack": System("optitrack://SERVER/BODY", "optitrack", 1510, multicast=True),
     "qualisys": System("qualisys://HOST/BODY", "qualisys", 22223),
@@ -140,7 +141,7 @@ def parse_url(url: str) -> tuple[str, PoseAddress]:
         raise InputError(f"mocap URL {url}: {error}; use {URLS}") from None
     if url in SYSTEMS:
         raise InputError(
-            f"mocap URL {url}: only dry-run and simulate emulate a system by its name; a real one needs "
+            f"mocap URL {url}: only dry-run and simulate accept a bare system name; a real system needs "
             f"{URLS}"
         )
     system = SYSTEMS.get(parts.scheme)
@@ -150,8 +151,8 @@ def parse_url(url: str) -> tuple[str, PoseAddress]:
     if options or (interface is not None and not system.multicast):
         multicast = ", ".join(scheme for scheme, system in SYSTEMS.items() if system.multicast)
         raise InputError(
-            f"mocap URL {url}: the only option is ?interface=NAME_OR_ADDRESS, the network interface for "
-            f"multicast of {multicast}; in a name, write ? as %3F"
+            f"mocap URL {url}: the only option is ?interface=NAME_OR_ADDRESS, and only for multicast "
+            f"({multicast}); escape a ? in the body's name as %3F"
         )
     port = port if port is not None else system.port
     if port is None:
@@ -164,7 +165,7 @@ def open_source(url: str) -> PoseSource:
 
     Raises:
         InputError: the URL is wrong, or the vendor's client is not installed.
-        AbsentSourceError: the system does not answer, or does not have the body.
+        AbsentSourceError: the system does not answer or does not stream the body.
     """
     scheme, address = parse_url(url)
     try:
