@@ -36,7 +36,7 @@ def test_check_reports_the_lateness(
     monkeypatch.setattr(lateness, "measure_lateness_s", lambda: late_s)
     found = lateness.check_lateness(MISSION)
     assert (found.item, found.go, found.remark) == ("lateness", go, remark)
-    assert f"{1e3 * late_s:.0f} ms" in found.says
+    assert f"{1e3 * late_s:.0f} ms" in found.message
     assert main(["check", str(SINGLE)]) == (0 if go else 1)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-Number = Any  # float, or an array of floats: the same for all arguments of one call
+Number = Any  # float, or array of floats; all arguments of a call are of one kind
 
 
 def hypot(x: Number, y: Number) -> Number:

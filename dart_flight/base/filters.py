@@ -7,12 +7,12 @@ from typing import Final
 
 from dart_flight.base.geometry import Vec3
 
-_MAX_STEP_S: Final = 0.05  # maximum weight of one sample after a gap in the stream
-_OUTLIER: Final = 9.0  # a square counts as at most this many times the present variance
+_MAX_STEP_S: Final = 0.05  # limit of the time that one sample represents after a gap in the stream
+_OUTLIER: Final = 9.0  # limit of a square, as a multiple of the current variance
 
 
 def decay_factor(dt_s: float, time_s: float) -> float:
-    """Return the share of an old value that remains after `dt_s`, or 0 if the time constant is 0."""
+    """Return the fraction of an old value that remains after `dt_s`, or 0 if the time constant is 0."""
     return math.exp(-dt_s / time_s) if time_s > 0.0 else 0.0
 
 
@@ -44,8 +44,8 @@ class LowPass:
 class VarianceEstimate:
     """Running estimate of a noise variance: the mean of the squares that `update` receives.
 
-    A square far above the variance is clipped first. Some noise is always possible, so the variance is at
-    least `least`, and `added` is added at every update.
+    A square far above the variance is clipped first. The variance is never below `least`, because some noise
+    is always possible. Every update adds `added`.
     """
 
     def __init__(self, value: float, time_s: float, least: float = 0.0, added: float = 0.0) -> None:

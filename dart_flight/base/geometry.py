@@ -24,9 +24,9 @@ Quaternion = tuple[float, float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 GRAVITY_M_S2: Final = 9.81
-_HALF_TURN_X: Final[Quaternion] = (0.0, 1.0, 0.0, 0.0)  # from axes x forward, z up to axes x forward, z down
-_Y_UP_TO_Z_UP: Final[Quaternion] = (0.5, 0.5, 0.5, 0.5)  # from axes z forward, y up to axes x forward, z up
-_SMALL_RAD: Final = 1e-9  # a smaller angle equals its sine
+_HALF_TURN_X: Quaternion = (0.0, 1.0, 0.0, 0.0)  # from axes x forward, z up to axes x forward, z down
+_Y_UP_TO_Z_UP: Quaternion = (0.5, 0.5, 0.5, 0.5)  # from axes z forward, y up to axes x forward, z up
+_SMALL_RAD: Final = 1e-9  # angle below which an angle equals its sine
 
 
 # --- vectors ---------------------------------------------------------------------------------------
@@ -146,7 +146,7 @@ def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float
     """Return the attitude after `dt_s` seconds (either sign) at a constant body rate.
 
     This is the Hamilton product with `quaternion_from_rotation_vector(rate * dt)`, written out for speed: the
-    core calls this function every sample, and the simulation every millisecond.
+    core calls this function for every sample, and the simulation every millisecond.
     """
     rx, ry, rz = rate_frd_rad_s
     rx, ry, rz = rx * dt_s, ry * dt_s, rz * dt_s
@@ -266,7 +266,7 @@ class MissionFrame:
 
     Attributes:
         north_m, east_m: the mission's origin in local NED.
-        down_m: down coordinate, local NED, of the mission's z = 0 (the ground at the take-off point).
+        down_m: local NED down coordinate of the mission's z = 0 (the ground at the take-off point).
         heading_rad: direction of the mission's x axis, clockwise from north.
     """
 

@@ -40,7 +40,7 @@ SHARE = OutputScale("", 0.0, 1.0)  # motor outputs in a simulation's log
 
 
 def identify_scale(lowest: float, highest: float) -> OutputScale | None:
-    """Return the scale that the smallest value above 0 and the largest value of all motors imply.
+    """Infer the scale from the smallest value above 0 and the largest value of all motors.
 
     Return None if no value is above 0, or if a value exceeds every scale.
     """
@@ -54,10 +54,10 @@ def identify_scale(lowest: float, highest: float) -> OutputScale | None:
 
 
 class MotorOutputDecoder:
-    """Converter of raw outputs into the throttles of `motors` motors, which are the first outputs.
+    """Converter of the first `motors` raw outputs to throttles.
 
-    The scale follows from the smallest and the largest value since the start; it is None before any output
-    was above 0. Before take-off, the outputs of an armed vehicle pass through small values, which distinguish
+    The scale follows from the smallest and the largest value since the start; it is None until an output has
+    exceeded 0. Before take-off, the outputs of an armed vehicle pass through small values, which distinguish
     DShot from PWM. UAVCAN is recognised once a motor passes a quarter of full throttle. Before that, UAVCAN
     values are read as DShot.
     """
@@ -69,7 +69,7 @@ class MotorOutputDecoder:
         self.scale: OutputScale | None = None
 
     def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
-        """Return the throttle of each motor, or the reason why these cannot be the motors' outputs.
+        """Return the throttle of each motor, or the reason why the outputs cannot be the motors'.
 
         An output that is not a number is None.
         """

@@ -16,7 +16,7 @@ from typing import IO, NoReturn
 _WATCHING_NICE = 19
 _PIPE_BYTES = 1 << 19
 _NAP_S, _MEASURE_S = 0.005, 0.5
-LATE_S = 0.05  # a larger scheduling latency endangers a flight in real time
+LATE_S = 0.05  # scheduling latency above which a real-time flight is at risk
 
 
 def use_idle_priority() -> None:
@@ -42,7 +42,7 @@ def measure_lateness_s() -> float:
 
 
 def exit_within(status: int, patience_s: float) -> NoReturn:
-    """Exit with a status; end the process after `patience_s` if anything keeps it from exiting.
+    """Exit with a status; kill the process if it has not exited after `patience_s`.
 
     Exit functions, and the threads and destructors of libraries such as MAVSDK, may block. A thread ends the
     process if the interpreter still runs; otherwise SIGALRM ends the process one second later.
@@ -72,7 +72,7 @@ class ChildProcess(subprocess.Popen[bytes]):
 
     Args:
         module: name of the module; it must exit when its standard input is closed.
-        first: first line sent to the module; it may be of any length.
+        first: first line sent to the module, of any length.
         on_line: callback, on a separate thread, for every printed line; an empty line means that the module
             ended.
         errors: destination of the module's standard error; None uses this process's standard error.

@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.base.geometry import Quaternion, Vec2, Vec3
 from dart_flight.base.walls import Wall
 
-MIN_LEAD_M: Final = 0.002  # with a smaller lead, both guards count as touching at once
+MIN_LEAD_M: Final = 0.002  # lead below which both guards count as touching together
 
 # PX4's default PWM_<bank>_MIN and _MAX: pulse widths at throttle 0 and 1.
 MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
@@ -133,7 +133,7 @@ class Phase(StrEnum):
 
 
 class Override(StrEnum):
-    """Action of the guard, in the order of rank; a higher rank replaces an action of lower rank."""
+    """Action of the guard, in order of rank; an action of higher rank replaces one of lower rank."""
 
     NONE = "none"
     GIVE_UP = "give_up"  # on the ground: end the mission before take-off
@@ -156,7 +156,7 @@ class Record(msgspec.Struct, frozen=True, gc=False):
 
     Attributes:
         topic: name of the record's channel in the log.
-        frequent: whether records of this kind arrive many times a second. If the log is short of space, these
+        frequent: whether such records arrive many times per second. If the log is short of space, these
             records are dropped first.
     """
 
@@ -207,7 +207,7 @@ class ActuatorSample(Record, frozen=True, gc=False):
     t_us: int
     received_us: int
     motors: tuple[float, ...]  # in PX4's order
-    stamp_is_estimated: bool = True  # whether the stamp is converted host time: the message has no stamp
+    stamp_is_estimated: bool = True  # whether the stamp is converted host time, because the message has none
 
 
 class EscSample(Record, frozen=True, gc=False):
@@ -221,7 +221,7 @@ class EscSample(Record, frozen=True, gc=False):
 
 
 class StatusSample(Record, frozen=True, gc=False):
-    """Rarely changing state of the autopilot; every change is one record."""
+    """State of the autopilot that rarely changes; one record per change."""
 
     topic: ClassVar[str] = "/in/status"
     t_us: int
@@ -294,8 +294,8 @@ class PoseSample(Record, frozen=True, gc=False):
     tracked: bool  # whether the source reports the body as tracked; the pose is meaningless if not
     position_room: Vec3  # m, in the axes of the room
     q_body_to_room: Quaternion
-    frame_number: int | None = None  # counter of the source, or None if it has none
-    source_us: int | None = None  # the source's own stamp, on its clock
+    frame_number: int | None = None  # source's frame counter, or None if the source has none
+    source_us: int | None = None  # stamp on the source's own clock
     sender: str = ""  # address of the source, to detect a second source
 
 
@@ -357,7 +357,7 @@ class RoundTrip(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/round_trip"
     received_us: int  # receipt of the answer
     sent_us: int  # sending of the request, host's monotonic time
-    autopilot_us: int | None  # autopilot's time at its answer; None if not reported or not real time
+    autopilot_us: int | None  # autopilot time of the answer; None if not reported or not real time
 
 
 class PlanAnswer(Record, frozen=True, gc=False):
@@ -489,7 +489,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     velocity_mission: Vec3
     acceleration_mission: Vec3  # acceleration by thrust and drag
     setpoint_mission: Vec3  # setpoint that is valid until `begin_us`, m
-    lock_ready_us: int | None  # when lock and heading are ready for the wall; None: never
+    lock_ready_us: int | None  # time at which lock and heading are ready for the wall; None: never
     under_way: bool = False  # whether the vehicle follows a trajectory instead of a setpoint
     contact_height_m: float | None = None  # height of the wall's force above the centre of mass
     coasts: bool = False  # whether the vehicle keeps speed and thrust, without a setpoint, until `begin_us`
@@ -510,8 +510,8 @@ class ContactRequest(Record, frozen=True, gc=False):
     mode_reported: Mode | None  # mode reported by the lock at the onset, or None if not settled
     frame_heading_rad: float  # direction of the mission's x axis, clockwise from north
     slow_force: Vec2  # constant horizontal force outside of contacts, mission frame, N
-    noise_n: float  # standard deviation of the white part of one force component's error
-    noise_frd_nm: Vec3  # standard deviation of the white part of each torque component's error
+    noise_n: float  # standard deviation of one force component's white noise
+    noise_frd_nm: Vec3  # standard deviation of each torque component's white noise
     sample_us: tuple[int, ...] = ()
     force_mission: tuple[Vec3, ...] = ()
     push_mission: tuple[Vec2, ...] = ()  # horizontal force of thrust and drag, N
@@ -545,8 +545,8 @@ class ForceEstimate(Record, frozen=True, gc=False):
     force_mission: Vec3
     clipped: bool
     filtered_mission: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the force
-    variance_n2: Vec3 = (0.0, 0.0, 0.0)  # variance of each component's error, mission frame, N2
-    noise_n: float = 0.0  # standard deviation of the white part of one component's error
+    variance_n2: Vec3 = (0.0, 0.0, 0.0)  # error variance of each component, mission frame, N2
+    noise_n: float = 0.0  # standard deviation of one component's white noise
     push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, which presses on a wall, N
 
 
@@ -561,7 +561,7 @@ class TorqueEstimate(Record, frozen=True, gc=False):
     frequent: ClassVar[bool] = True
     t_us: int
     torque_frd: Vec3
-    noise_frd_nm: Vec3 = (0.0, 0.0, 0.0)  # standard deviation of the white part of each component's error
+    noise_frd_nm: Vec3 = (0.0, 0.0, 0.0)  # standard deviation of each component's white noise
 
 
 class ImpactOnset(Record, frozen=True, gc=False):
@@ -590,7 +590,7 @@ class ImpactPeak(Record, frozen=True, gc=False):
     position_mission: Vec3  # position at the normal peak
     clipped: bool
     normal_sigma_n: float = 0.0  # standard error of the normal force
-    fitted: bool = False  # whether the contact model's pulse was fitted, not a parabola through the top
+    fitted: bool = False  # whether the contact model's pulse was fitted, rather than a parabola to the top
 
 
 class ContactEnd(Record, frozen=True, gc=False):
@@ -643,7 +643,7 @@ class WallEstimate(Record, frozen=True, gc=False):
     wall: str  # name of the wall
     mode_reported: Mode | None  # mode reported by the lock at the onset, or None if not settled
     mode_felt: Mode | None  # mode estimated from the contact, or None if undecided
-    log_odds: float  # natural logarithm of the odds of rigid against flexible arms, prior odds 1
+    log_odds: float  # natural logarithm of the odds of rigid to flexible arms, with prior odds of 1
     k_n_per_m: float  # stiffness
     f_ns_per_m: float  # damping
     mu_s_per_m: float  # friction
@@ -666,14 +666,14 @@ class WallEstimate(Record, frozen=True, gc=False):
 
 
 class DetectionFloor(Record, frozen=True, gc=False):
-    """Smallest force, N, that can be detected in the present noise (docs/force.md).
+    """Smallest force, N, that can be detected in the current noise (docs/force.md).
 
     The record is written once, when the mission begins to expect a wall.
     """
 
     topic: ClassVar[str] = "/estimate/detection"
     t_us: int
-    threshold_n: float  # lowest of the present thresholds
+    threshold_n: float  # lowest of the current thresholds
     noise_short_n: float  # standard deviation of one component of the short mean
     noise_long_n: float  # standard deviation of one component of the long mean
     rigid_n: float  # peak above which a rigid contact with this wall is always detected
@@ -729,11 +729,11 @@ class PlanTaken(Record, frozen=True, gc=False):
     t_us: int
     number: int  # number of the request
     taken: bool  # whether the trajectory is accepted
-    reason: str = ""  # reason of the rejection
+    reason: str = ""  # reason for the rejection
 
 
 class ProbeEnd(Record, frozen=True, gc=False):
-    """End of a probe without contact, or omission of a leg whose condition on a probe is not met."""
+    """End of a probe without contact, or omission of a leg whose condition on a probe was not met."""
 
     topic: ClassVar[str] = "/event/probe"
     t_us: int

@@ -28,8 +28,8 @@ class StopSignals:
     """Context in which signals call a function instead of ending the program.
 
     A signal that arrives again within 0.3 s is a repeat and does not count: GNU timeout signals a program and
-    then its group, and both the shell and the kernel report a closed terminal. A different signal counts at
-    once. A SIGHUP that is ignored (`nohup`, `trap '' HUP`) stays ignored.
+    then its group, and both the shell and the kernel report a closed terminal. A different signal counts
+    immediately. A SIGHUP that is ignored (`nohup`, `trap '' HUP`) stays ignored.
 
     `handle` receives every signal that counts, between two steps of the program, and `repeated` receives the
     repeats. The context has an effect only in the main thread.

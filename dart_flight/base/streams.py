@@ -1,44 +1,70 @@
-"""The telemetry streams: MAVLink messages, requested rates, and the lowest rates that a mission needs.
+"""The telemetry streams: MAVLink message, record, requested rate, and the lowest rate that a mission needs.
 
 `vehicle` requests the rates, and `check` compares the measured rates with the required rates. The guard
-checks the age of samples in host time. PX4 rounds the interval between two messages to a multiple of 4 ms.
-Therefore the requested rate of the IMU is 250 Hz, not 200 Hz.
+checks the age of samples in host time. `vehicle.messages` decides whose message is accepted. PX4 rounds the
+interval between two messages to a multiple of 4 ms. Therefore the requested rate of the IMU is 250 Hz, not
+200 Hz.
 """
 
 from __future__ import annotations
 
+from typing import Final
+
 import msgspec
+
+from dart_flight.base.records import (
+    ActuatorSample,
+    AttitudeSample,
+    EscSample,
+    EstimatorSample,
+    ImuSample,
+    OdometrySample,
+    Record,
+    StatusSample,
+)
 
 
 class Stream(msgspec.Struct, frozen=True):
-    """One telemetry stream: `rate_hz` is requested, `expected_hz` is the lowest rate that a mission needs."""
+    """One telemetry stream.
+
+    Attributes:
+        number: MAVLink's id of the message.
+        record: type of the record that the message is converted to, or that it updates.
+        rate_hz: requested rate.
+        expected_hz: lowest rate that a mission needs; 0 if a mission does not need the stream.
+    """
 
     name: str
     message: str
+    number: int
+    record: type[Record]
     rate_hz: float
     expected_hz: float
 
     @property
     def watched_hz(self) -> float:
-        """Rate requested by a command that does not fly: `rate_hz` for the IMU, else at most 62.5 Hz."""
+        """Rate requested by commands that do not fly: `rate_hz` for the IMU, else at most 62.5 Hz."""
         return self.rate_hz if self.name == "imu" else min(self.rate_hz, 62.5)
 
 
-STREAMS: tuple[Stream, ...] = (
-    Stream("imu", "HIGHRES_IMU", 250.0, 150.0),
-    Stream("attitude", "ATTITUDE_QUATERNION", 125.0, 45.0),
-    Stream("odometry", "ODOMETRY", 125.0, 30.0),
-    Stream("actuator", "ACTUATOR_OUTPUT_STATUS", 125.0, 45.0),
-    Stream("landed", "EXTENDED_SYS_STATE", 5.0, 1.0),
+# Streams of stamped samples, one message each.
+SAMPLED: Final = (
+    Stream("imu", "HIGHRES_IMU", 105, ImuSample, 250.0, 150.0),
+    Stream("attitude", "ATTITUDE_QUATERNION", 31, AttitudeSample, 125.0, 45.0),
+    Stream("odometry", "ODOMETRY", 331, OdometrySample, 125.0, 30.0),
+    Stream("actuator", "ACTUATOR_OUTPUT_STATUS", 375, ActuatorSample, 125.0, 45.0),
+)
+STREAMS: Final = (*SAMPLED, Stream("landed", "EXTENDED_SYS_STATE", 245, StatusSample, 5.0, 1.0))
+
+# Motor speeds if the configuration uses them, and the estimator's status and the flight mode for the guard.
+# PX4's default of 1 Hz for the status is too slow: a drifting position is wrong by a metre after a second.
+# The heartbeat shows the mode only once a second and may miss a pilot's brief change.
+OPTIONAL: Final = (
+    Stream("esc", "ESC_STATUS", 291, EscSample, 125.0, 45.0),
+    Stream("estimator", "ESTIMATOR_STATUS", 230, EstimatorSample, 10.0, 0.0),
+    Stream("mode", "CURRENT_MODE", 436, StatusSample, 10.0, 0.0),  # from PX4 v1.15 on
 )
 
-# Optional streams: motor speeds if the configuration uses them, and the estimator's status and the flight
-# mode for the guard. PX4's default of 1 Hz for the status is too slow: a drifting position is wrong by a
-# metre after a second. The heartbeat shows the mode once a second and misses a pilot's short change.
-# MAVSDK cannot set their rates; SET_MESSAGE_INTERVAL does, by MAVLink message number.
-ESC = Stream("esc", "ESC_STATUS", 125.0, 45.0)
-ESTIMATOR = Stream("estimator", "ESTIMATOR_STATUS", 10.0, 0.0)
-MODE = Stream("mode", "CURRENT_MODE", 10.0, 0.0)  # from PX4 v1.15 on
-MESSAGE_ID = {ESC.message: 291, ESTIMATOR.message: 230, MODE.message: 436}
-
-BY_NAME = {stream.name: stream for stream in STREAMS}
+BY_NAME: Final = {stream.name: stream for stream in (*STREAMS, *OPTIONAL)}
+BY_MESSAGE: Final = {stream.message: stream for stream in (*STREAMS, *OPTIONAL)}
+SAMPLED_NAME: Final[dict[type, str]] = {stream.record: stream.name for stream in SAMPLED}

@@ -1,4 +1,4 @@
-"""Summaries of many flights: shares and spreads with their confidence intervals, and causes."""
+"""Summaries of many flights: rates and spreads with their confidence intervals, and causes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def spread(values: Iterable[float | None], order: Callable[[float], float] | Non
     """Return the distribution of the finite values, or None if there is none.
 
     Args:
-        order: `abs` orders by magnitude, so that the high of negative velocities is the fastest.
+        order: `abs` orders by magnitude, so that `high` of negative velocities is the fastest.
     """
     known = sorted((v for v in values if v is not None and math.isfinite(v)), key=order)
     if not known:

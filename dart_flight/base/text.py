@@ -1,4 +1,4 @@
-"""Text for terminals, JSON and files: figures of a battery, alternatives, and escapes for external text.
+"""Text for terminals, JSON and files: battery figures, alternatives, and escapes for external text.
 
 External text consists of paths, names and messages from elsewhere. If a file name has bytes that are not
 UTF-8, Python decodes these bytes to surrogates, which no encoder accepts. Such bytes are printed as `\\xff`.

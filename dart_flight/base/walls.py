@@ -30,7 +30,7 @@ class Post(msgspec.Struct, frozen=True):
 
 
 class Wall(msgspec.Struct, frozen=True):
-    """A finite vertical wall, given by its plane of first touch.
+    """A finite vertical wall, defined by its plane of first touch.
 
     The vehicle's *centre* lies on this plane when the vehicle first touches the wall.
 
@@ -101,7 +101,7 @@ class Wall(msgspec.Struct, frozen=True):
     def crossing(
         self, a: tuple[Number, ...], b: tuple[Number, ...], a_off_m: float = 0.0, b_off_m: float = 0.0
     ) -> tuple[Number, tuple[Number, Number]]:
-        """Return whether a segment crosses the wall's endless plane, and where its line meets the plane.
+        """Return whether a segment crosses the wall's infinite plane, and where its line meets the plane.
 
         Coordinates may be numbers or arrays. If the line is parallel to the plane, the place is `a`.
 
@@ -137,7 +137,8 @@ class Wall(msgspec.Struct, frozen=True):
     def plane_sd_m(self, position: tuple[Number, ...]) -> Number:
         """Return the standard deviation of the plane's position, metres, at the point nearest to `position`.
 
-        It grows with the distance from the middle of the wall. Coordinates may be numbers or arrays.
+        The deviation grows with the distance from the middle of the wall. Coordinates may be numbers or
+        arrays.
         """
         turned = self.along(position) * math.tan(self.yaw_sd_rad or 0.0)
         return ((self.position_sd_m or 0.0) ** 2 + turned * turned) ** 0.5

@@ -33,12 +33,12 @@ _LEAST_MARGIN = 4.0  # with a smaller margin, core, log and link together need m
 def check_lateness(mission: Mission) -> CheckFinding:
     """Measure for half a second how late this program wakes up; no-go above `guard.stream_timeout_s`."""
     late_s = measure_lateness_s()
-    says = f"this program lags by up to {late_s * 1e3:.0f} ms"
+    message = f"this program lags by up to {late_s * 1e3:.0f} ms"
     if late_s <= LATE_S:
-        return CheckFinding("lateness", True, says)
-    says += ": the computer is too slow for a real-time flight (use `dry-run --fast` or --speed 0.5)"
+        return CheckFinding("lateness", True, message)
+    message += ": the computer is too slow for a real-time flight (use `dry-run --fast` or --speed 0.5)"
     go = late_s <= mission.vehicle.guard.stream_timeout_s
-    return CheckFinding("lateness", go, says, remark=go)
+    return CheckFinding("lateness", go, message, remark=go)
 
 
 def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> CheckFinding:
@@ -51,7 +51,7 @@ def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> Ch
     try:
         step_s = measure_step_s(mission)
     except InputError as error:
-        item = next((f.item for f in found if not f.go and error.message in f.says), None)
+        item = next((f.item for f in found if not f.go and error.message in f.message), None)
         why = f": {error.message}" if item is None else f" because of {item}"
         return CheckFinding("core_speed", False, f"not measured{why}")
     return evaluate_core_speed(step_s, interval_s)
@@ -65,21 +65,21 @@ def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
         interval_s: time between two samples, seconds.
     """
     margin = interval_s / step_s
-    says = (
+    message = (
         f"the flight core needs {step_s * 1e3:.2f} ms per sample, the samples are {interval_s * 1e3:.1f} ms "
         f"apart, margin {margin:.0f}"
     )
     figures = {"core_step_ms": step_s * 1e3, "margin": margin}
     if margin >= _PEAK_FACTOR:
-        return CheckFinding("core_speed", True, says, figures=figures)
+        return CheckFinding("core_speed", True, message, figures=figures)
     go = margin >= _LEAST_MARGIN
     if go:
-        says += (
+        message += (
             f": a recovery begins {_PEAK_FACTOR * step_s * 1e3:.0f} ms after the sample with the peak force"
         )
     else:
-        says += f", minimum {_LEAST_MARGIN:g}: this computer is too slow"
-    return CheckFinding("core_speed", go, says, remark=go, figures=figures)
+        message += f", minimum {_LEAST_MARGIN:g}: this computer is too slow"
+    return CheckFinding("core_speed", go, message, remark=go, figures=figures)
 
 
 def measure_step_s(mission: Mission) -> float:
@@ -117,24 +117,30 @@ def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
     findings = []
     if now.temperature_c is not None:
         hot = now.temperature_c >= _HOT_C
-        says = f"{now.temperature_c:.0f} °C" + (
+        message = f"{now.temperature_c:.0f} °C" + (
             ": cool the computer, because it throttles its clock above 80 °C" if hot else ""
         )
-        findings.append(CheckFinding("temperature", now.temperature_c < _TOO_HOT_C, says, remark=hot))
+        findings.append(CheckFinding("temperature", now.temperature_c < _TOO_HOT_C, message, remark=hot))
     if now.undervoltage is not None:
-        says = "power supply: no undervoltage"
+        message = "power supply: no undervoltage"
         if now.undervoltage:
-            says = "power supply: undervoltage now; the computer may restart when the servo moves"
+            message = "power supply: undervoltage now; the computer may restart when the servo moves"
         elif now.was_undervoltage:
-            says = "power supply: undervoltage since the start of the computer; give the servo its own supply"
-        findings.append(CheckFinding("supply", not now.undervoltage, says, remark=bool(now.was_undervoltage)))
+            message = (
+                "power supply: undervoltage since the start of the computer; give the servo its own supply"
+            )
+        findings.append(
+            CheckFinding("supply", not now.undervoltage, message, remark=bool(now.was_undervoltage))
+        )
     if now.throttled is not None:
-        says = "processor clock: not throttled"
+        message = "processor clock: not throttled"
         if now.throttled:
-            says = (
+            message = (
                 "processor clock: heat or undervoltage throttles it now; the program would be late in flight"
             )
         elif now.was_throttled:
-            says = "processor clock: heat or undervoltage has throttled it since the computer started"
-        findings.append(CheckFinding("throttling", not now.throttled, says, remark=bool(now.was_throttled)))
+            message = "processor clock: heat or undervoltage has throttled it since the computer started"
+        findings.append(
+            CheckFinding("throttling", not now.throttled, message, remark=bool(now.was_throttled))
+        )
     return findings

@@ -20,7 +20,7 @@ class CheckFinding(msgspec.Struct, frozen=True):
     Attributes:
         item: name of the finding, for `--overrule`.
         go: whether the finding allows the flight.
-        says: the finding as text for the operator.
+        message: the finding as text for the operator.
         remark: whether the finding is a remark: it allows the flight, but deviates from the recommendation.
         overruled: whether the operator has overruled this no-go.
         figures: computed values; their names contain the units.
@@ -28,7 +28,7 @@ class CheckFinding(msgspec.Struct, frozen=True):
 
     item: str
     go: bool
-    says: str
+    message: str
     remark: bool = False
     overruled: bool = False
     figures: dict[str, float] = {}

@@ -59,8 +59,8 @@ def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) 
         return [CheckFinding("disarmed", False, "the flight controller is armed: disarm it first")]
     set_up = round(values.get(HITL, 0)) == 1
     if set_up and not mode.hil:
-        says = f"{HITL} is 1, but the flight controller does not fly from simulated sensors: restart it"
-        return [CheckFinding("hil_mode", False, says)]
+        message = f"{HITL} is 1, but the flight controller does not fly from simulated sensors: restart it"
+        return [CheckFinding("hil_mode", False, message)]
     return [CheckFinding("disarmed", True, "disarmed")]
 
 
@@ -71,12 +71,14 @@ def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
     """
     turning = [name for name in IO_OUTPUTS if round(values.get(name, 0)) in _MOTORS]
     if BOARD in values and ON_A_BOARD not in values:
-        says = "this firmware has no simulated outputs: build it with CONFIG_MODULES_SIMULATION_PWM_OUT_SIM=y"
-        return [CheckFinding(ON_A_BOARD, False, says)]
+        message = (
+            "this firmware has no simulated outputs: build it with CONFIG_MODULES_SIMULATION_PWM_OUT_SIM=y"
+        )
+        return [CheckFinding(ON_A_BOARD, False, message)]
     if WITH_IO not in values or not turning:
         return []
-    says = f"{', '.join(turning)} drive motors, and a PX4IO stays active: set them to 0 and restart"
-    return [CheckFinding("real_outputs", False, says)]
+    message = f"{', '.join(turning)} drive motors, and a PX4IO stays active: set them to 0 and restart"
+    return [CheckFinding("real_outputs", False, message)]
 
 
 def evaluate_hitl_lock(mission: Mission) -> CheckFinding:

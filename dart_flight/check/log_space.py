@@ -23,11 +23,11 @@ def check_log_space(mission: Mission, log_dir: Path) -> CheckFinding:
         return CheckFinding("log_space", False, f"{log_dir}: {error.strerror}")
     longest_s = longest_flight_s(mission)
     needed = BYTES_PER_S * longest_s
-    says = (
+    message = (
         f"{_megabytes(left)} free for the log in {log_dir}; "
         f"the longest flight, {longest_s / 60.0:.1f} minutes, needs {_megabytes(needed)}"
     )
-    return CheckFinding("log_space", left >= needed, says)
+    return CheckFinding("log_space", left >= needed, message)
 
 
 def longest_flight_s(mission: Mission) -> float:

@@ -84,28 +84,28 @@ def check_places(mission: Mission) -> list[CheckFinding]:
             and wall.signed_distance(point) >= -wall.behind_m
         ]
         for distance, wall_name in near:
-            says = f"{name} is {distance:.2f} m from wall {wall_name}, minimum {_CLEARANCE_M:g} m"
+            message = f"{name} is {distance:.2f} m from wall {wall_name}, minimum {_CLEARANCE_M:g} m"
             if distance >= _CLEARANCE_M:
-                says += f", but the true wall may be nearer by {SURE_SD:g} standard deviations"
-            findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
+                message += f", but the true wall may be nearer by {SURE_SD:g} standard deviations"
+            findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, message))
         for post in mission.posts:
             if is_blocked_by_post(mission, post, point, point):
                 away = post.distance_to_segment(point, point) - post.radius_m
-                says = f"{name} is {away:.2f} m from post {post.name}, too near for the vehicle"
-                findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
+                message = f"{name} is {away:.2f} m from post {post.name}, too near for the vehicle"
+                findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, message))
     to_be_hit = {collision.wall.name for collision in mission.collisions}
     for wall in mission.walls:
         excess_m = mission.bounds.excess2(wall.point)
         if wall.name in to_be_hit and excess_m > 0.0:
-            says = (
+            message = (
                 f"wall {wall.name} is to be hit, but its middle is {excess_m:.2f} m outside bounds_m: extend "
                 "bounds_m beyond it"
             )
-            findings.append(CheckFinding("wall_bounds", False, says))
+            findings.append(CheckFinding("wall_bounds", False, message))
     for post in mission.posts:
         if mission.bounds.excess2(post.centre) > post.radius_m:
-            says = f"post {post.name} is outside bounds_m and blocks no path"
-            findings.append(CheckFinding("post_bounds", True, says, remark=True))
+            message = f"post {post.name} is outside bounds_m and blocks no path"
+            findings.append(CheckFinding("post_bounds", True, message, remark=True))
     if not findings:
         findings.append(
             CheckFinding("places", True, "start, goal and walls are within bounds_m and clear of each other")
@@ -123,18 +123,18 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
     except NoApproachError as error:
         return [CheckFinding("waypoints", False, str(error))]
     if mission.vehicle.flying.transit_speed_m_s > mission.limits.speed_m_s:
-        says = f"flying.transit_speed_m_s exceeds limits.speed_m_s {mission.limits.speed_m_s:g}"
-        return [CheckFinding("waypoints", False, says)]
+        message = f"flying.transit_speed_m_s exceeds limits.speed_m_s {mission.limits.speed_m_s:g}"
+        return [CheckFinding("waypoints", False, message)]
     known = [(leg, plan_transit(mission, leg, leg.begin)) for leg in legs if leg.begin is not None]
     way_m = sum(math.dist(t.begin, leg.end) for leg, t in known)
     held_s = sum(w.hold_s for w in mission.waypoints if w.position is not None) + mission.goal.hold_s
     flown_s = sum(t.duration_s for _, t in known) + held_s
     pauses = sum(w.position is None for w in mission.waypoints)
-    says = f"the legs between stops are {way_m:.1f} m long and take {flown_s:.0f} s, including holds"
+    message = f"the legs between stops are {way_m:.1f} m long and take {flown_s:.0f} s, including holds"
     if len(known) < len(legs):
-        says += f", plus {len(legs) - len(known)} legs of unknown length after a contact"
-    says += f", plus {pauses} pause{'s' if pauses > 1 else ''}" if pauses else ""
-    findings = [CheckFinding("waypoints", True, says)]
+        message += f", plus {len(legs) - len(known)} legs of unknown length after a contact"
+    message += f", plus {pauses} pause{'s' if pauses > 1 else ''}" if pauses else ""
+    findings = [CheckFinding("waypoints", True, message)]
     asked = {leg.name for leg in transit_segments(mission) if leg.begin is not None}
     for leg, transit in known:
         if leg.name not in asked:
@@ -180,19 +180,19 @@ def _check_approach(
     if speed_m_s > limit or mission.vehicle.flying.transit_speed_m_s > limit:
         return [CheckFinding(item, False, f"{speed_m_s:.2f} m/s exceeds limits.speed_m_s {limit:g}")]
     if collision.probe is not None:
-        says = (
+        message = (
             f"if the probe for wall {collision.wall.name} touches nothing, the probe ends after "
             f"{approach.duration_s:.1f} s"
         )
-        return [CheckFinding(item, True, says)]
+        return [CheckFinding(item, True, message)]
     assert collision.impact_point is not None
     length_m = math.dist(approach.begin[:2], collision.impact_point)
     way = f"run-up of {length_m:.2f} m" if collision.trajectory is None else "a trajectory"
-    says = (
+    message = (
         f"{way}, impact on wall {collision.wall.name} at {speed_m_s:.2f} m/s after "
         f"{approach.duration_s:.1f} s"
     )
-    return [CheckFinding(item, True, says)]
+    return [CheckFinding(item, True, message)]
 
 
 def _describe_arrival(
@@ -200,20 +200,20 @@ def _describe_arrival(
 ) -> CheckFinding:
     """Describe the predicted impact to which the previous recovery leads, with a constant heading."""
     way = "recovery" if collision.trajectory is None else "trajectory"
-    says = f"the {way} from the previous collision reaches wall {collision.wall.name}"
+    message = f"the {way} from the previous collision reaches wall {collision.wall.name}"
     incidence = incidence_deg(mission, collision)
     figures = {"incidence_deg": incidence}
     hit = None if planned is None else planned.hits.get(collision.index)
     if hit is not None:
-        says += (
+        message += (
             f" near ({hit.position[0]:.2f}, {hit.position[1]:.2f}) at {-hit.normal_m_s:.2f} m/s, "
             f"{abs(hit.tangential_m_s):.2f} m/s along the wall"
         )
         figures |= {"normal_m_s": hit.normal_m_s, "tangential_m_s": hit.tangential_m_s}
-    says += f", incidence {incidence:.0f} degrees"
+    message += f", incidence {incidence:.0f} degrees"
     if incidence > _FLAT_DEG:
-        says += ": one guard touches first, so the force may be only half of the prediction"
-    return CheckFinding(f"approach_{collision.index}", True, says, figures=figures)
+        message += ": one guard touches first, so the force may be only half of the prediction"
+    return CheckFinding(f"approach_{collision.index}", True, message, figures=figures)
 
 
 def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
@@ -230,18 +230,20 @@ def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
     normal, friction = hit.peak_normal_force_n, hit.peak_friction_force_n
     force, limit = math.hypot(normal, friction), mission.limits.peak_force_n
     detection = mission.vehicle.detection.force_threshold_n
-    says = f"wall {wall}: predicted {describe_force(normal, friction)}"
+    message = f"wall {wall}: predicted {describe_force(normal, friction)}"
     if force > limit:
-        return [CheckFinding(item, False, f"{says}, limits.peak_force_n is {limit:g} N")]
+        return [CheckFinding(item, False, f"{message}, limits.peak_force_n is {limit:g} N")]
     if normal < _WEAK * detection:
-        weak = f"{says}, too near the detection threshold of {detection:g} N: the impact may not be detected"
+        weak = (
+            f"{message}, too near the detection threshold of {detection:g} N: the impact may not be detected"
+        )
         return [CheckFinding(item, False, weak)]
     clipping = clipping_warning(mission, collision)
     if clipping is not None:
         # Beyond the IMU's full scale, the recovery is too weak and PX4's estimate is disturbed.
         go = force <= full_scale_n(mission)
         return [CheckFinding(item, go, clipping, remark=go)]
-    return [CheckFinding(item, True, f"{says}, limit {limit:g} N")]
+    return [CheckFinding(item, True, f"{message}, limit {limit:g} N")]
 
 
 def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
@@ -256,12 +258,12 @@ def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
     floor = ImpactDetector(vehicle).detection_floor_n(hit.contact_time_s)
     if hit.peak_normal_force_n >= floor:
         return []
-    says = (
+    message = (
         f"{collision.mode.value}, {hit.peak_normal_force_n:.1f} N at wall {collision.wall.name}, below the "
         f"detection limit of {floor:.1f} N at a vibration of {vehicle.estimation.imu_noise_m_s2:g} m/s2; "
         "measure your vehicle's vibration with `inspect`"
     )
-    return [CheckFinding(f"noise_{collision.index}", True, says, remark=True)]
+    return [CheckFinding(f"noise_{collision.index}", True, message, remark=True)]
 
 
 def _check_envelope(
@@ -276,9 +278,9 @@ def _check_envelope(
         "guard_height": height_warning(mission, collision, predicted),
     }
     return [
-        CheckFinding(f"{item}_{collision.index}", False, says)
-        for item, says in warnings.items()
-        if says is not None
+        CheckFinding(f"{item}_{collision.index}", False, message)
+        for item, message in warnings.items()
+        if message is not None
     ]
 
 
@@ -289,11 +291,11 @@ def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckF
     fastest = max(_states(mission, planned), key=lambda state: math.hypot(*state[2:]), default=(0.0,) * 4)
     speed_m_s, limit = math.hypot(*fastest[2:]), mission.limits.speed_m_s
     if speed_m_s > limit:
-        says = (
+        message = (
             f"the predicted path reaches {speed_m_s:.2f} m/s near ({fastest[0]:.2f}, {fastest[1]:.2f}), "
             f"limits.speed_m_s is {limit:g}"
         )
-        return [CheckFinding("path", False, says)]
+        return [CheckFinding("path", False, message)]
     worst, where, stops = 0.0, (0.0, 0.0), False
     for x, y, vx, vy in _states(mission, planned):
         share = STOP_TIME_S * stop_share(mission.walls, (x, y), (vx, vy))
@@ -303,11 +305,11 @@ def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckF
                 worst, where, stops = excess, point, by_stopping
     place = f"({where[0]:.2f}, {where[1]:.2f})"
     if worst > 0.0 and stops:
-        says = f"if the vehicle brakes on its path, it stops at {place}, {worst:.2f} m outside bounds_m"
-        return [CheckFinding("path", False, says)]
+        message = f"if the vehicle brakes on its path, it stops at {place}, {worst:.2f} m outside bounds_m"
+        return [CheckFinding("path", False, message)]
     if worst > 0.0:
-        says = f"the predicted path leads to {place}, {worst:.2f} m outside bounds_m"
-        return [CheckFinding("path", False, says)]
+        message = f"the predicted path leads to {place}, {worst:.2f} m outside bounds_m"
+        return [CheckFinding("path", False, message)]
     reached = "" if len(planned.hits) == len(mission.collisions) else ", as far as the model predicts"
     return [
         CheckFinding("path", True, f"the predicted path and its stopping points are within bounds_m{reached}")
@@ -319,13 +321,15 @@ def check_goal(mission: Mission, planned: PredictedFlight | None) -> list[CheckF
     if planned is None or not mission.recovers_to_goal or mission.standoff_m is not None:
         return []
     if planned.goal_miss_m is None:
-        says = "the model cannot predict how near the vehicle passes the goal"
-        return [CheckFinding("goal", True, says, remark=True)]
+        message = "the model cannot predict how near the vehicle passes the goal"
+        return [CheckFinding("goal", True, message, remark=True)]
     miss_m, radius_m = planned.goal_miss_m, mission.goal.capture_radius_m
     figures = {"goal_miss_m": miss_m, "capture_radius_m": radius_m}
-    says = describe_goal_miss(miss_m, mission.goal, mission.after_impact, mission.goal_trajectory is not None)
+    message = describe_goal_miss(
+        miss_m, mission.goal, mission.after_impact, mission.goal_trajectory is not None
+    )
     misses = miss_m > radius_m and mission.after_impact is not AfterImpact.REPLAN
-    return [CheckFinding("goal", True, says, remark=misses, figures=figures)]
+    return [CheckFinding("goal", True, message, remark=misses, figures=figures)]
 
 
 def _states(mission: Mission, planned: PredictedFlight) -> Iterator[tuple[float, float, float, float]]:
@@ -371,14 +375,10 @@ def _check_recovery(
     else:
         return []
     along = math.copysign(friction_n, -velocity[1])  # friction acts against the motion
-    target = recovery_point(
-        (place[0], place[1], 0.0),
-        collision.wall.normal,
-        (normal_n, along),
-        (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n),
-        mission.altitude_at(collision.index - 1),
-    )
-    says = f"recovery setpoint after wall {collision.wall.name} near ({target[0]:.2f}, {target[1]:.2f})"
+    alphas = (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n)
+    horizontal = recovery_point(place, collision.wall.normal, (normal_n, along), alphas)
+    target = (*horizontal, mission.altitude_at(collision.index - 1))
+    message = f"recovery setpoint after wall {collision.wall.name} near ({target[0]:.2f}, {target[1]:.2f})"
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
     leg = next(
         (one for one in transit_segments(mission) if _begins_after_recovery(mission, one, collision)), None
@@ -386,30 +386,38 @@ def _check_recovery(
     if (mission.goal_trajectory if following is None else following.trajectory) is not None:
         return [
             _evaluate_setpoint(
-                mission, item, target, f"{says}, until a trajectory is planned from there", "the trajectory"
+                mission,
+                item,
+                target,
+                f"{message}, until a trajectory is planned from there",
+                "the trajectory",
             )
         ]
     if following is not None and following.approach_m_s is None:
         beyond = following.wall.signed_distance(target)
         if beyond > 0.0:
-            short = f"{says}: {beyond:.2f} m short of the next wall, {following.wall.name}"
+            short = f"{message}: {beyond:.2f} m short of the next wall, {following.wall.name}"
             return [CheckFinding(item, False, short)]
-        leads = f"{says}, leads to wall {following.wall.name}"
+        leads = f"{message}, leads to wall {following.wall.name}"
         return [_evaluate_setpoint(mission, item, target, leads, "that wall")]
     for wall in mission.walls:
         if wall is not collision.wall and leads_behind(wall, (place[0], place[1]), (target[0], target[1])):
-            return [CheckFinding(item, False, f"{says}: behind wall {wall.name}, which is not the next wall")]
+            return [
+                CheckFinding(item, False, f"{message}: behind wall {wall.name}, which is not the next wall")
+            ]
         if leg is not None and is_blocked(wall, target[:2], leg.end[:2]):
-            says = f"{says}: from there wall {wall.name} blocks the path to {leg.name}"
-            return [CheckFinding(item, False, says)]
+            message = f"{message}: from there wall {wall.name} blocks the path to {leg.name}"
+            return [CheckFinding(item, False, message)]
     for post in mission.posts:
         way = (place[0], place[1]), (target[0], target[1])
         if post.name != collision.wall.name and is_blocked_by_post(mission, post, *way):
-            return [CheckFinding(item, False, f"{says}: post {post.name} blocks the path to this setpoint")]
+            return [
+                CheckFinding(item, False, f"{message}: post {post.name} blocks the path to this setpoint")
+            ]
         if leg is not None and is_blocked_by_post(mission, post, target[:2], leg.end[:2]):
-            says = f"{says}: from there post {post.name} blocks the path to {leg.name}"
-            return [CheckFinding(item, False, says)]
-    return [_evaluate_setpoint(mission, item, target, says, "the goal" if leg is None else leg.name)]
+            message = f"{message}: from there post {post.name} blocks the path to {leg.name}"
+            return [CheckFinding(item, False, message)]
+    return [_evaluate_setpoint(mission, item, target, message, "the goal" if leg is None else leg.name)]
 
 
 def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Collision) -> bool:
@@ -419,7 +427,7 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
     return (ends[0] if ends else len(mission.collisions)) == collision.index
 
 
-def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
+def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, message: str, first: str) -> CheckFinding:
     """Judge how far a recovery setpoint lies outside the bounds.
 
     A setpoint slightly outside is only a remark, because the vehicle reaches something else (`first`, a text)
@@ -428,16 +436,16 @@ def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, fir
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
-        far = f"{says}, {outside:.2f} m outside bounds_m, limit {SETPOINT_OUTSIDE_M:g} m"
+        far = f"{message}, {outside:.2f} m outside bounds_m, limit {SETPOINT_OUTSIDE_M:g} m"
         return CheckFinding(item, False, far + ": check alpha")
     if outside > 0.0:
         return CheckFinding(
             item,
             True,
-            f"{says}, {outside:.2f} m outside bounds_m: the vehicle must reach {first} first",
+            f"{message}, {outside:.2f} m outside bounds_m: the vehicle must reach {first} first",
             remark=True,
         )
-    return CheckFinding(item, True, says)
+    return CheckFinding(item, True, message)
 
 
 def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
@@ -461,11 +469,11 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
         how = "at least"
     else:
         return []
-    says = f"the lock needs {needed:.2f} s between the contacts, {free:.2f} s are available ({how})"
+    message = f"the lock needs {needed:.2f} s between the contacts, {free:.2f} s are available ({how})"
     go = free >= needed or how == "at least"
     if free < needed and go:
-        says += "; if the lock is late, the vehicle breaks off the approach"
-    return [CheckFinding(item, go, says)]
+        message += "; if the lock is late, the vehicle breaks off the approach"
+    return [CheckFinding(item, go, message)]
 
 
 def check_flown(mission: Mission) -> CheckFinding:
@@ -488,13 +496,13 @@ def check_flown(mission: Mission) -> CheckFinding:
             False,
             f"in simulation, {flown.danger}: plan a lower speed, or measure the walls by touch first",
         )
-    says = f"flown in simulation by {flown.software}: {flown.summary}"
+    message = f"flown in simulation by {flown.software}: {flown.summary}"
     figures: dict[str, float] = {}
     if flown.drawn is not None:
         figures = {"flights": flown.drawn.flights, "completed": flown.drawn.completed}
     if flown.saving_s is not None:
         figures["saving_s"] = flown.saving_s
-    return CheckFinding("flown", True, says, remark=flown.failure is not None, figures=figures)
+    return CheckFinding("flown", True, message, remark=flown.failure is not None, figures=figures)
 
 
 def check_materials(mission: Mission) -> list[CheckFinding]:
@@ -504,6 +512,6 @@ def check_materials(mission: Mission) -> list[CheckFinding]:
         source = mission.vehicle.materials[name].source
         assumed = not source or any(word in source for word in _NOT_MEASURED)
         note = "; these coefficients were not measured: measure them with `identify`" if assumed else ""
-        says = f"{name}: {source or 'no source given'}{note}"
-        findings.append(CheckFinding(f"material_{name}", True, says, remark=assumed))
+        message = f"{name}: {source or 'no source given'}{note}"
+        findings.append(CheckFinding(f"material_{name}", True, message, remark=assumed))
     return findings

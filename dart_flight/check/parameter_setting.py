@@ -165,7 +165,7 @@ def read_differences(
             remarks.append(f"the file is from vehicle {', '.join(foreign)}; {own}")
     wrong = evaluate_autopilot(link.heartbeat_mode())
     if wrong:
-        raise VehicleError(wrong[0].says)
+        raise VehicleError(wrong[0].message)
     version = link.version()
     release = parse_release(version)
     unanswered: set[str] = set()
@@ -274,9 +274,9 @@ def write_rows(
             written.append(row.name)  # PX4 has the value, even if its acknowledgement was lost
             continue
         if actual is None:
-            says = "no answer" if row.name in unanswered else "not on this vehicle"
-            says = f"{row.name} cannot be read back: {says}"
+            message = "no answer" if row.name in unanswered else "not on this vehicle"
+            message = f"{row.name} cannot be read back: {message}"
         else:
-            says = f"{row.name} is {show_value(actual)} after writing {show_value(row.wanted)}"
-        refused[row.name] = failed.get(row.name, says)
+            message = f"{row.name} is {show_value(actual)} after writing {show_value(row.wanted)}"
+        refused[row.name] = failed.get(row.name, message)
     return WriteReport(written, refused)

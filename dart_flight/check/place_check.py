@@ -27,10 +27,10 @@ def check_heading(mission: Mission) -> list[CheckFinding]:
     eighths = round(given / (0.25 * math.pi))
     if eighths == 0 or abs(eighths) > 8 or abs(given - eighths * 0.25 * math.pi) > _NEAR_RAD:
         return []
-    says = (
+    message = (
         f"frame.heading_deg {given:g} looks like radians ({given:g} rad are {45 * eighths} deg): give degrees"
     )
-    return [CheckFinding("heading", True, says, remark=True)]
+    return [CheckFinding("heading", True, message, remark=True)]
 
 
 def evaluate_place(
@@ -45,20 +45,22 @@ def evaluate_place(
     off_m = math.dist(place, mission.start)
     heading_deg = math.degrees(yaw_ned) % 360.0
     figures = {"x_m": x, "y_m": y, "heading_deg": heading_deg, "start_offset_m": off_m}
-    says = f"vehicle at ({x:.2f}, {y:.2f}) in the mission's frame, {off_m:.2f} m from start, "
-    says += f"heading {round(heading_deg) % 360} deg"
+    message = f"vehicle at ({x:.2f}, {y:.2f}) in the mission's frame, {off_m:.2f} m from start, "
+    message += f"heading {round(heading_deg) % 360} deg"
     for name, distance_m, bearing_deg, side in _surroundings(mission, frame, place, yaw_ned):
-        says += f"; {name} {distance_m:.2f} m at {round(bearing_deg) % 360} deg ({side})"
+        message += f"; {name} {distance_m:.2f} m at {round(bearing_deg) % 360} deg ({side})"
         figures |= {f"{name}_distance_m": distance_m, f"{name}_bearing_deg": bearing_deg}
     wrong = list(_departure_problems(mission, place, off_m))
     if wrong:
-        says = f"{'; '.join(wrong)}: check frame, normals and the vehicle's position. {says}"
+        message = f"{'; '.join(wrong)}: check frame, normals and the vehicle's position. {message}"
     behind = list(_walls_facing_away(mission, place))
     if behind:
-        says += f"; the vehicle is behind the face of wall {', '.join(behind)}: check the sign of its normal"
+        message += (
+            f"; the vehicle is behind the face of wall {', '.join(behind)}: check the sign of its normal"
+        )
     doubtful = not wrong and (off_m > START_SD_M or bool(behind))
     return [
-        CheckFinding("place", not wrong, says, remark=doubtful, figures=figures),
+        CheckFinding("place", not wrong, message, remark=doubtful, figures=figures),
         *_evaluate_heading(mission, heading_deg),
     ]
 
@@ -119,6 +121,8 @@ def _evaluate_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFin
         abs(wrap_deg(heading_deg - in_radians)) < _FITS_DEG
         and abs(wrap_deg(heading_deg - given)) > _MISFITS_DEG
     ):
-        says = f"frame.heading_deg {given:g} looks like radians: the vehicle's heading is {heading_deg:.0f} "
-        says += f"deg, and {given:g} rad are {in_radians % 360.0:.0f} deg; give degrees"
-        yield CheckFinding("heading", False, says)
+        message = (
+            f"frame.heading_deg {given:g} looks like radians: the vehicle's heading is {heading_deg:.0f} "
+        )
+        message += f"deg, and {given:g} rad are {in_radians % 360.0:.0f} deg; give degrees"
+        yield CheckFinding("heading", False, message)

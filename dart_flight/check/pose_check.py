@@ -55,28 +55,28 @@ def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFi
             f"PX4's estimate is {apart_m:.2f} m and {apart_deg:.0f} deg off the poses: "
             "check EKF2_EV_CTRL, and that no other program sends poses"
         )
-    findings = [CheckFinding(_ITEM, False, says) for says in wrong]
+    findings = [CheckFinding(_ITEM, False, message) for message in wrong]
     if not wrong:
         age = "" if poses.age_ms is None else f", {poses.age_ms:.0f} ms old"
-        says = (
+        message = (
             f"{poses.rate_hz:.0f} poses/s{age}; PX4's estimate is {apart_m:.2f} m and {apart_deg:.1f} deg off"
         )
-        findings = [CheckFinding(_ITEM, True, says)]
+        findings = [CheckFinding(_ITEM, True, message)]
     if poses.age_ms is None:
-        says = (
+        message = (
             "the poses have no stamps, or stamps that do not advance in fractions of a second: "
             "the program uses their time of arrival and cannot detect growing delays"
         )
-        findings.append(CheckFinding(_ITEM, True, says, remark=True))
+        findings.append(CheckFinding(_ITEM, True, message, remark=True))
     answering = sorted(
         f"system {s.sender.system} component {s.sender.component}"
         for s in observed.sources
         if s.sender.message == "TIMESYNC" and not s.is_vehicle and s.arriving_hz >= _ARRIVES_HZ
     )
     if answering:
-        says = (
+        message = (
             f"{', '.join(answering)} sends TIMESYNC: if it answers PX4, PX4 stamps poses by that program's "
             "clock and EKF2_EV_DELAY is wrong; switch TIMESYNC off in that program"
         )
-        findings.append(CheckFinding(_ITEM, True, says, remark=True))
+        findings.append(CheckFinding(_ITEM, True, message, remark=True))
     return findings

@@ -29,29 +29,29 @@ def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterato
     length_m = math.hypot(ex - bx, ey - by)
     way = f"the vehicle probes for wall {wall.name} from ({bx:.2f}, {by:.2f}) to ({ex:.2f}, {ey:.2f})"
     if collision.mode is Mode.FLEXIBLE and probe.speed_m_s < _LEAST_FLEXIBLE_M_S:
-        says = (
+        message = (
             f"{way} at {probe.speed_m_s:g} m/s: too slow to detect a contact with flexible arms; probe "
             "rigid or "
         )
-        yield CheckFinding(item, False, f"{says}at {_LEAST_FLEXIBLE_M_S:g} m/s")
+        yield CheckFinding(item, False, f"{message}at {_LEAST_FLEXIBLE_M_S:g} m/s")
         return
     force_n, limit_n = _largest_force_n(mission, collision, probe), mission.limits.peak_force_n
     surface = f"on {wall.material}" if wall.material_known else "on the stiffest known material"
-    says = f"{way} at {probe.speed_m_s:g} m/s, at most {force_n:.0f} N {surface}"
+    message = f"{way} at {probe.speed_m_s:g} m/s, at most {force_n:.0f} N {surface}"
     if force_n > limit_n:
-        yield CheckFinding(item, False, f"{says}, limits.peak_force_n is {limit_n:g} N")
+        yield CheckFinding(item, False, f"{message}, limits.peak_force_n is {limit_n:g} N")
         return
     if not wall.sought and collision.impact_point is not None:
         reach_m = length_m - math.dist(probe.begin, collision.impact_point)
         margin_m = float(position_margin_m(wall, collision.impact_point))
         if reach_m < margin_m:
-            says += (
+            message += (
                 f"; the probe ends {reach_m:.2f} m behind the planned wall, but the wall may be "
                 f"{margin_m:.2f} m further away ({SURE_SD:g} standard deviations)"
             )
-            yield CheckFinding(item, True, says, remark=True)
+            yield CheckFinding(item, True, message, remark=True)
             return
-    yield CheckFinding(item, True, f"{says}, limit {limit_n:g} N")
+    yield CheckFinding(item, True, f"{message}, limit {limit_n:g} N")
 
 
 def _largest_force_n(mission: Mission, collision: Collision, probe: Probe) -> float:
@@ -74,11 +74,11 @@ def _largest_force_n(mission: Mission, collision: Collision, probe: Probe) -> fl
 def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
     """Describe a collision with a wall that a probe locates in flight."""
     assert collision.approach_m_s is not None
-    says = (
+    message = (
         f"a probe locates wall {collision.wall.name}; the vehicle then checks the space for the run-up, and "
         f"hits the wall at {math.hypot(*collision.approach_m_s):.2f} m/s"
     )
-    yield CheckFinding(f"approach_{collision.index}", True, says)
+    yield CheckFinding(f"approach_{collision.index}", True, message)
 
 
 def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
@@ -93,18 +93,18 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
         if collision.probe is None and by:
             age_s = times[collision.index] - times[by[-1].index]
             sd_m = age_s * mission.vehicle.estimation.position_drift_m_s
-            says = (
+            message = (
                 f"collision {by[-1].index} corrects the frame along the normal of wall {collision.wall.name} "
                 f"about {age_s:.0f} s before the impact on this wall; at the impact, the wall's position is "
                 f"known to {sd_m:.2f} m (1 sd)"
             )
-            yield CheckFinding(item, True, says, figures={"age_s": age_s, "sd_m": sd_m})
+            yield CheckFinding(item, True, message, figures={"age_s": age_s, "sd_m": sd_m})
         elif collision.probe is None:
-            says = (
+            message = (
                 "no earlier contact corrects the frame along the normal of wall "
                 f"{collision.wall.name}: touch this wall or a parallel wall first"
             )
-            yield CheckFinding(item, False, says)
+            yield CheckFinding(item, False, message)
         if not collision.wall.sought:
             touched.append(collision)
 

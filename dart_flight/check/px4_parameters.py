@@ -220,11 +220,11 @@ def evaluate_parameters(
                 CheckFinding(name, False, "PX4 does not report this parameter, so PX4's behaviour is unknown")
             )
             continue
-        go, says = judge(values[name], mission)
+        go, message = judge(values[name], mission)
         if go and difference is not None:
-            says += f"; recommended {show_value(difference.wanted)}, not {show_value(values[name])}: "
-            says += difference.reason
-        findings.append(CheckFinding(name, go, says, remark=go and difference is not None))
+            message += f"; recommended {show_value(difference.wanted)}, not {show_value(values[name])}: "
+            message += difference.reason
+        findings.append(CheckFinding(name, go, message, remark=go and difference is not None))
     if source is PositionSource.MOCAP and POSE_DELAY in values:
         findings.append(_evaluate_pose_delay(mission, values[POSE_DELAY], different.pop(POSE_DELAY, None)))
     findings += _evaluate_configured(different)
@@ -254,17 +254,17 @@ def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[Chec
             continue
         shown = show_value(difference.actual)
         if name in GAINS:
-            says = (
+            message = (
                 f"{shown} on the vehicle, {show_value(difference.wanted)} in the configuration: "
                 "recoveries differ from the prediction"
             )
         else:
-            says = (
+            message = (
                 f"{shown} m on the vehicle, {show_value(difference.wanted)} m in imu.position_m: PX4's "
                 "velocity or the estimated force mistakes rotation for motion; measure from the centre of "
                 "mass and set both"
             )
-        findings.append(CheckFinding(name, name not in GAINS, says, remark=name not in GAINS))
+        findings.append(CheckFinding(name, name not in GAINS, message, remark=name not in GAINS))
     return findings
 
 
@@ -277,20 +277,20 @@ def _evaluate_pose_delay(
     """
     measured_ms = mission.vehicle.mocap.delay_ms
     if measured_ms is None:
-        says = f"{show_value(delay_ms)} ms" if difference is None else difference.line()
-        says += (
+        message = f"{show_value(delay_ms)} ms" if difference is None else difference.line()
+        message += (
             "; mocap.delay_ms is not set: measure the age of a pose on arrival at PX4, and set "
             f"mocap.delay_ms and {POSE_DELAY} to this age"
         )
-        return CheckFinding(POSE_DELAY, True, says, remark=True)
+        return CheckFinding(POSE_DELAY, True, message, remark=True)
     apart_ms = abs(delay_ms - measured_ms)
-    says = f"{show_value(delay_ms)} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
+    message = f"{show_value(delay_ms)} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
     if apart_ms > _POSE_DELAY_TOLERANCE_MS:
-        says += (
+        message += (
             f"; the difference of {apart_ms:g} ms, limit {_POSE_DELAY_TOLERANCE_MS:g} ms, makes the position "
             f"estimate oscillate: set {POSE_DELAY} to {measured_ms:g}"
         )
-    return CheckFinding(POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, says)
+    return CheckFinding(POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, message)
 
 
 # --- position source -------------------------------------------------------------------------------------

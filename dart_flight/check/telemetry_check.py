@@ -58,10 +58,10 @@ def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[C
     """Judge the rate of each stream; the only parameter used is MAV_ODOM_LP (`LOOPBACK`), if present."""
     findings = []
     for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):
-        go, says = stream.enough, stream.describe
+        go, message = stream.enough, stream.describe
         if stream.name == "odometry" and values.get(LOOPBACK):
-            go, says = False, f"{says}; {LOOPBACK} is {values[LOOPBACK]:g}, set it to 0"
-        findings.append(CheckFinding(f"rate_{stream.name}", go, says))
+            go, message = False, f"{message}; {LOOPBACK} is {values[LOOPBACK]:g}, set it to 0"
+        findings.append(CheckFinding(f"rate_{stream.name}", go, message))
     return findings
 
 
@@ -72,11 +72,11 @@ def evaluate_sources(observed: Observation) -> list[CheckFinding]:
         return []
     systems = sorted({s.sender.system for s in taken})
     names = ", ".join(dict.fromkeys(s.sender.message for s in taken))
-    says = f"system {', '.join(map(str, systems))} component 1: {names}"
+    message = f"system {', '.join(map(str, systems))} component 1: {names}"
     others = [_describe(s) for s in observed.sources if _is_other(s)]
     if others:
-        says += "; not used: " + "; ".join(others)
-    return [CheckFinding("sources", True, says, remark=bool(others))]
+        message += "; not used: " + "; ".join(others)
+    return [CheckFinding("sources", True, message, remark=bool(others))]
 
 
 def evaluate_systems(mission: Mission, observed: Observation) -> list[CheckFinding]:
@@ -86,14 +86,16 @@ def evaluate_systems(mission: Mission, observed: Observation) -> list[CheckFindi
     vehicle, own = observed.systems
     station = mission.vehicle.ground_station.system_id
     if station == vehicle:
-        says = f"vehicle and ground station (ground_station.system_id) are both system {vehicle}: change one"
-        return [CheckFinding("system_id", False, says)]
+        message = (
+            f"vehicle and ground station (ground_station.system_id) are both system {vehicle}: change one"
+        )
+        return [CheckFinding("system_id", False, message)]
     if own != vehicle:
-        says = (
+        message = (
             f"this program sends as system {own}, the vehicle is system {vehicle}: PX4 does not forward the "
             f"ground station's buttons; set MAV_SYS_ID to {own}"
         )
-        return [CheckFinding("system_id", False, says)]
+        return [CheckFinding("system_id", False, message)]
     return []
 
 
@@ -120,15 +122,17 @@ def evaluate_battery(mission: Mission, observed: Observation) -> CheckFinding:
     low = (left is not None and left < 2.0 * guard.battery_remaining) or (
         volts is not None and volts < guard.battery_v
     )
-    says = ", ".join(battery_figures(left, volts)) or "not reported"
+    message = ", ".join(battery_figures(left, volts)) or "not reported"
     if observed.battery_id is not None:
-        says = f"id {observed.battery_id}: {says}"
+        message = f"id {observed.battery_id}: {message}"
     also = [r for r in observed.batteries if r.id != observed.battery_id]
     if also:
-        says += "; better: " + ", ".join(describe_reading(r) for r in also)
+        message += "; better: " + ", ".join(describe_reading(r) for r in also)
     if observed.other_batteries:
-        says += "; not a flight battery: " + ", ".join(describe_reading(r) for r in observed.other_batteries)
-    return CheckFinding("battery", not low, says)
+        message += "; not a flight battery: " + ", ".join(
+            describe_reading(r) for r in observed.other_batteries
+        )
+    return CheckFinding("battery", not low, message)
 
 
 def evaluate_resting_force(observed: Observation) -> list[CheckFinding]:
@@ -136,8 +140,8 @@ def evaluate_resting_force(observed: Observation) -> list[CheckFinding]:
     force = observed.specific_force_m_s2
     if force is None or abs(force - GRAVITY_M_S2) <= _REST_TOLERANCE * GRAVITY_M_S2:
         return []
-    says = f"HIGHRES_IMU reports {force:.2f} m/s2 on the ground, not 9.81: wrong unit or not calibrated"
-    return [CheckFinding("imu_scale", False, says)]
+    message = f"HIGHRES_IMU reports {force:.2f} m/s2 on the ground, not 9.81: wrong unit or not calibrated"
+    return [CheckFinding("imu_scale", False, message)]
 
 
 # --- motor outputs -----------------------------------------------------------------------------------------
@@ -187,10 +191,10 @@ def evaluate_motor_outputs(
     bank = next((bank for bank in _BANKS if _has_motors(bank, values, motors)), None)
     if bank is None:
         if f"{_BANKS[0]}_FUNC1" in values:
-            says = (
+            message = (
                 f"none of the outputs 1 to {motors} of {', '.join(_BANKS)} drives a motor: thrust is unknown"
             )
-            return [CheckFinding(item, False, says)]
+            return [CheckFinding(item, False, message)]
         by_values = (
             f"{observed_scale.describe()}, inferred from the values"
             if observed_scale
@@ -202,9 +206,9 @@ def evaluate_motor_outputs(
         return [CheckFinding(item, False, wrong)]
     scale = _configured_scale(bank, values)
     if observed_scale is not None and observed_scale != scale:
-        says = f"the parameters of {bank} select {scale.describe()}, but the vehicle sends "
-        says += observed_scale.describe()
-        return [CheckFinding(item, False, says)]
+        message = f"the parameters of {bank} select {scale.describe()}, but the vehicle sends "
+        message += observed_scale.describe()
+        return [CheckFinding(item, False, message)]
     return [CheckFinding(item, True, f"{scale.describe()}, on {bank}")]
 
 

@@ -27,8 +27,8 @@ def evaluate_round_trip(mission: Mission, seconds: float | None) -> CheckFinding
     item, limit_s = "round_trip", round_trip_limit_s(mission)
     if seconds is None:
         return CheckFinding(item, True, "the vehicle does not answer TIMESYNC", remark=True)
-    says = f"{seconds * 1e3:.0f} ms between vehicle and program, limit {limit_s * 1e3:.0f} ms"
-    return CheckFinding(item, seconds <= limit_s, says)
+    message = f"{seconds * 1e3:.0f} ms between vehicle and program, limit {limit_s * 1e3:.0f} ms"
+    return CheckFinding(item, seconds <= limit_s, message)
 
 
 def evaluate_observation(observed: Observation) -> list[CheckFinding]:
@@ -43,11 +43,11 @@ def evaluate_observation(observed: Observation) -> list[CheckFinding]:
     if observed.other_vehicle is not None:
         findings.append(CheckFinding("second_vehicle", False, observed.other_vehicle))
     reasons = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
-    says = "the local position is valid"
+    message = "the local position is valid"
     if not observed.local_position_ok:
-        says = "; ".join(["no valid local position", *observed.own_findings])
-        says += f"; PX4 reports: {reasons}" if reasons else ""
-    findings.append(CheckFinding("estimator", observed.local_position_ok, says))
+        message = "; ".join(["no valid local position", *observed.own_findings])
+        message += f"; PX4 reports: {reasons}" if reasons else ""
+    findings.append(CheckFinding("estimator", observed.local_position_ok, message))
     if observed.blocking or observed.texts:
         # This is only a remark: PX4 judges its present mode, but `fly` arms in offboard mode.
         begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 reports: "
@@ -59,8 +59,8 @@ def evaluate_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return a no-go that names the autopilot if it is not PX4."""
     if mode is None or not mode.not_px4:
         return []
-    says = f"heartbeats arrive, but {mode.not_px4}: this program supports only PX4"
-    return [CheckFinding("autopilot", False, says)]
+    message = f"heartbeats arrive, but {mode.not_px4}: this program supports only PX4"
+    return [CheckFinding("autopilot", False, message)]
 
 
 def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
@@ -70,8 +70,8 @@ def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """
     if mode is None or not mode.hil:
         return []
-    says = "PX4 uses simulated sensors (hardware in the loop): set SYS_HITL to 0 and restart PX4"
-    return [CheckFinding("hil_mode", False, says)]
+    message = "PX4 uses simulated sensors (hardware in the loop): set SYS_HITL to 0 and restart PX4"
+    return [CheckFinding("hil_mode", False, message)]
 
 
 def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
@@ -101,8 +101,8 @@ def evaluate_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFi
         return []
     if not DRIVERS[lock.driver].moves:
         real = driver_names(lambda entry: entry.moves)
-        says = f"lock.driver is {lock.driver.value}: no real servo moves; choose {real} (--driver)"
-        return [CheckFinding("lock_driver", False, says)]
+        message = f"lock.driver is {lock.driver.value}: no real servo moves; choose {real} (--driver)"
+        return [CheckFinding("lock_driver", False, message)]
     if lock.driver is not LockDriver.PX4:
         return [
             CheckFinding("lock_driver", True, f"{lock.driver.value}; try it with `dart-flight lock toggle`")

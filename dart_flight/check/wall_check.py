@@ -19,7 +19,7 @@ from dart_flight.core.mission.approach import (
 )
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, end_margin_m, position_margin_m
 from dart_flight.planning.envelope import incidence_deg, max_incidence_deg
-from dart_flight.planning.predicted_flight import PredictedFlight, PredictedImpact, impact_place
+from dart_flight.planning.predicted_flight import PredictedContact, PredictedFlight, impact_place
 
 _INCIDENCE_SD = 2.0
 _OPPOSITE = -0.9  # product of the normals of two opposite walls: up to 26 degrees from antiparallel
@@ -38,7 +38,7 @@ def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[Check
     return [*faces, *_check_ends(mission, hits), *found, *_check_way_to_goal(mission, hits)]
 
 
-def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:
+def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedContact]) -> Iterator[CheckFinding]:
     """Return a no-go if a wall is between the last impact and the goal, where the vehicle then holds."""
     if not mission.recovers_to_goal or mission.goal_trajectory is not None:
         return
@@ -47,11 +47,11 @@ def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedImpact]) ->
     before = (x + ON_PLANE_M * nx, y + ON_PLANE_M * ny)
     for wall in mission.walls:
         if is_blocked(wall, before, mission.goal.position_m, 0.0, 0.0):
-            says = (
+            message = (
                 f"wall {wall.name} is between the last impact and the goal: the vehicle would fly into it; "
                 "move the goal, or lead around the wall by waypoints"
             )
-            yield CheckFinding("way_to_goal", False, says)
+            yield CheckFinding("way_to_goal", False, message)
             return
 
 
@@ -71,18 +71,18 @@ def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
         names = f"walls {one.name} and {other.name}"
         figures = {"gap_m": min(gaps, key=abs)}
         if _SAME_PLACE_M < min(gaps) < 2.0 * contact_m:
-            says = (
+            message = (
                 f"{names} face each other at {min(gaps):.3f} m, minimum {2.0 * contact_m:.2f} m for the "
                 "vehicle: check their places; if they are one partition, their normals must point apart, and "
                 "one entry with thickness_m gives both"
             )
-            yield CheckFinding("opposite_walls", False, says, figures=figures)
+            yield CheckFinding("opposite_walls", False, message, figures=figures)
         elif -contact_m < max(gaps) <= _SAME_PLACE_M:
-            says = (
+            message = (
                 f"{names} are back to back at {max(0.0, -max(gaps)):.3f} m, less than the contact distance "
                 f"{contact_m:.2f} m: enter the partition as one wall with thickness_m"
             )
-            yield CheckFinding("opposite_walls", False, says, figures=figures)
+            yield CheckFinding("opposite_walls", False, message, figures=figures)
 
 
 def _places_before(one: Wall, other: Wall) -> list[Vec2]:
@@ -97,7 +97,7 @@ def _places_before(one: Wall, other: Wall) -> list[Vec2]:
     return [(lx + share * (rx - lx), ly + share * (ry - ly)) for share in shares]
 
 
-def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:
+def _check_ends(mission: Mission, hits: Mapping[int, PredictedContact]) -> Iterator[CheckFinding]:
     """Judge the collision nearest to a wall's end, because the whole vehicle must meet the wall.
 
     Posts have no ends and are skipped.
@@ -115,21 +115,21 @@ def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterat
     wall = nearest.wall
     distance_m, slack = float(wall.end_distance_m(place)), float(position_margin_m(wall, place))
     side = "from" if distance_m >= 0.0 else "beyond"
-    says = f"the impact on wall {wall.name} is {abs(distance_m):.2f} m {side} the wall's end"
+    message = f"the impact on wall {wall.name} is {abs(distance_m):.2f} m {side} the wall's end"
     needed = f"half a vehicle ({wall.half_vehicle_m:.2f} m)"
     if slack > 0.0:
         needed += f" plus {SURE_SD:g} standard deviations of the wall's position ({slack:.2f} m)"
     figures = {"distance_m": distance_m, "margin_m": wall.half_vehicle_m + slack}
     if room_m((nearest, place)) < 0.0:
-        says += f", minimum {needed}"
+        message += f", minimum {needed}"
         if distance_m < mission.vehicle.airframe.guard_along_m + slack:
-            says += "; at this place not all guards touch the wall, so the contact rotates the vehicle"
-        says += ": move the impact along the wall"
-    yield CheckFinding("wall_end", room_m((nearest, place)) >= 0.0, says, figures=figures)
+            message += "; at this place not all guards touch the wall, so the contact rotates the vehicle"
+        message += ": move the impact along the wall"
+    yield CheckFinding("wall_end", room_m((nearest, place)) >= 0.0, message, figures=figures)
 
 
 def _check_collision(
-    mission: Mission, collision: Collision, hits: Mapping[int, PredictedImpact]
+    mission: Mission, collision: Collision, hits: Mapping[int, PredictedContact]
 ) -> Iterator[CheckFinding]:
     wall, item = collision.wall, f"survey_{collision.index}"
     problems = [
@@ -140,8 +140,8 @@ def _check_collision(
         yield CheckFinding(item, False, f"within {SURE_SD:g} standard deviations {', '.join(problems)}")
     elif wall.is_uncertain:
         slack = float(position_margin_m(wall, impact_place(collision, hits)))
-        says = f"wall {wall.name}: the impact tolerates a position error of {slack:.2f} m ({SURE_SD:g} sd)"
-        yield CheckFinding(item, True, says)
+        message = f"wall {wall.name}: the impact tolerates a position error of {slack:.2f} m ({SURE_SD:g} sd)"
+        yield CheckFinding(item, True, message)
     planned_deg, most_deg = (
         incidence_deg(mission, collision),
         max_incidence_deg(mission.vehicle, collision.mode),

@@ -88,20 +88,20 @@ def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[s
     wanted = dict(vehicle_parameters(None if source is None else effective_source(mission, source)))
     delay_ms = vehicle.mocap.delay_ms
     if delay_ms is not None and POSE_DELAY in wanted:
-        says = "mocap.delay_ms, the measured age of a pose on arrival"
-        wanted[POSE_DELAY] = Parameter(POSE_DELAY, float(delay_ms), says, tolerance=_DELAY_TOLERANCE_MS)
+        reason = "mocap.delay_ms, the measured age of a pose on arrival"
+        wanted[POSE_DELAY] = Parameter(POSE_DELAY, float(delay_ms), reason, tolerance=_DELAY_TOLERANCE_MS)
     for name in _FAILURE_ANGLES:
         if wanted[name].value < vehicle.guard.tilt_deg:
-            says = "at the tilt limit guard.tilt_deg, the guard must act before PX4's failure detector"
-            wanted[name] = Parameter(name, math.ceil(vehicle.guard.tilt_deg), says)
+            reason = "at the tilt limit guard.tilt_deg, the guard must act before PX4's failure detector"
+            wanted[name] = Parameter(name, math.ceil(vehicle.guard.tilt_deg), reason)
     wanted[_HITL] = Parameter(_HITL, 0, "PX4 uses its own sensors")
     for name in (*GAINS, _OFFBOARD_LOSS):
         value = float(getattr(vehicle.px4, name.lower()))
-        says = f"the predictions assume px4.{name} of the configuration"
-        wanted[name] = Parameter(name, value, says, tolerance=_GAIN_TOLERANCE * abs(value))
+        reason = f"the predictions assume px4.{name} of the configuration"
+        wanted[name] = Parameter(name, value, reason, tolerance=_GAIN_TOLERANCE * abs(value))
     for name, place, axis in zip(IMU_POSITION, vehicle.imu.position_m, "xyz", strict=True):
-        says = f"{axis} of the IMU relative to the centre of mass, metres (imu.position_m)"
-        wanted[name] = Parameter(name, place, says, tolerance=_POSITION_TOLERANCE_M)
+        reason = f"{axis} of the IMU relative to the centre of mass, metres (imu.position_m)"
+        wanted[name] = Parameter(name, place, reason, tolerance=_POSITION_TOLERANCE_M)
     return wanted
 
 

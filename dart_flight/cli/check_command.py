@@ -123,7 +123,7 @@ def show(report: CheckReport, console: Console) -> None:
             word, style = "remark", "yellow"
         if finding.overruled:
             word, style = "overruled", "yellow"
-        line = styled((f"{word:9}", style), " ", (finding.item, "bold"), f": {finding.says}")
+        line = styled((f"{word:9}", style), " ", (finding.item, "bold"), f": {finding.message}")
         console.print(line, soft_wrap=True)
     if any(PX4_NAME.match(f.item) and (f.remark or not f.go) for f in report.findings):
         console.print(

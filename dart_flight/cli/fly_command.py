@@ -84,8 +84,8 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     context = FlightContext(mission, arguments.log_dir, url, arguments.position_from, answer)
     findings = run_checks(context, Stage.FILE, Stage.COMPUTER, Stage.VEHICLE)
     if cancelled:
-        says = "a landing was requested during the check: the vehicle does not take off"
-        findings.append(CheckFinding("operator", False, says))
+        message = "a landing was requested during the check: the vehicle does not take off"
+        findings.append(CheckFinding("operator", False, message))
     before = _listed(mission, url) if arguments.px4_log else None
     verdict = fly_if_go(arguments, mission, url, lease, findings)
     if verdict is None:

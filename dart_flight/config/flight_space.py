@@ -1,19 +1,19 @@
-"""Checks that walls, positions, modes and vehicle agree, for missions and scenarios.
+"""The flight space of a mission or scenario: walls, posts, bounds, and the vehicle that flies there.
 
-If a check fails, the function raises an `InputError` that names the key in the document.
+If parts contradict each other, a method raises an `InputError` that names the key in the document.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from typing import Protocol
 
 import msgspec
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import FRONT, Post, Wall
-from dart_flight.config.document import Document, Key, unknown_name
+from dart_flight.config.document import Document, InputError, Key, unknown_name
 from dart_flight.config.mission_file import BoundsSpec, GoalSpec, Limits, PostSpec, StartSpec, WallSpec
 from dart_flight.config.vehicle import VehicleConfig
 
@@ -24,23 +24,21 @@ _LIKE_CONTACT_DISTANCE_M = 0.03  # deviation at which a distance counts as the c
 LIMITED_KEYS = ("acceleration_m_s2", "transit_speed_m_s", "jerk_m_s3")  # the mission's limits set these
 
 
-def resolve_space(
-    start: StartSpec,
-    goal: GoalSpec,
-    bounds: BoundsSpec,
-    walls: dict[str, WallSpec],
-    vehicle: VehicleConfig,
-    document: Document,
-) -> dict[str, Wall]:
-    """Check start, goal, bounds and walls against each other, and return the walls by name."""
-    for axis in ("x", "y", "z"):
-        low, high = getattr(bounds, axis)
-        if not low < high:
-            raise document.error(("bounds_m", axis), f"[low, high] needs low < high, not [{low:g}, {high:g}]")
-    planes = resolve_walls(walls, vehicle, document)
-    check_place(bounds, planes, start.position_m, start.altitude_m, ("start",), document)
-    check_place(bounds, planes, goal.position_m, None, ("goal",), document)
-    return planes
+class SpaceFile(Protocol):
+    """The keys of the flight space in a mission file or scenario file."""
+
+    @property
+    def start(self) -> StartSpec: ...
+    @property
+    def goal(self) -> GoalSpec: ...
+    @property
+    def bounds_m(self) -> BoundsSpec: ...
+    @property
+    def limits(self) -> Limits: ...
+    @property
+    def walls(self) -> dict[str, WallSpec]: ...
+    @property
+    def posts(self) -> dict[str, PostSpec]: ...
 
 
 def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
@@ -58,12 +56,10 @@ def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
 
 
 def resolve_walls(
-    specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document, section: str = "walls"
+    specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document, section: str
 ) -> dict[str, Wall]:
-    """Return the walls by name; `section` is their key in the file.
-
-    A wall is the plane in which the vehicle's centre lies when the vehicle first touches the wall.
-    """
+    """Return the walls of a section of the file by name."""
+    contact_m = vehicle.airframe.contact_distance_m
     walls: dict[str, Wall] = {}
     for name, spec in specs.items():
         key: Key = (section, name)
@@ -77,158 +73,157 @@ def resolve_walls(
             raise document.error((*key, "material"), unknown_name(spec.material, list(vehicle.materials)))
         if spec.thickness_m is not None and spec.given_at is None:
             text = (
-                "a partition needs given_at: surface if point_m is on its front face, or centre if point_m "
-                f"is the vehicle's centre at first touch, {vehicle.airframe.contact_distance_m:g} m before it"
+                "a partition needs given_at: surface if point_m is on its front face, or centre if "
+                f"point_m is the vehicle's centre at first touch, {contact_m:g} m before it"
             )
             raise document.error(key, text)
-        offset = vehicle.airframe.contact_distance_m if spec.given_at == "surface" else 0.0
-        point = (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1])
-        yaw_sd_rad = None if spec.yaw_sd_deg is None else math.radians(spec.yaw_sd_deg)
-        half_m = vehicle.airframe.contact_distance_m
-        wall = Wall(name, point, normal, spec.length_m, spec.material, spec.position_sd_m, yaw_sd_rad, half_m)
-        for face in (wall,) if spec.thickness_m is None else _faces(wall, spec.thickness_m):
+        offset = contact_m if spec.given_at == "surface" else 0.0
+        wall = Wall(
+            name,
+            (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1]),
+            normal,
+            spec.length_m,
+            spec.material,
+            spec.position_sd_m,
+            None if spec.yaw_sd_deg is None else math.radians(spec.yaw_sd_deg),
+            contact_m,
+        )
+        faces = [wall]
+        if spec.thickness_m is not None:
+            front = msgspec.structs.replace(wall, name=name + FRONT, thickness_m=spec.thickness_m)
+            faces = [front, front.back()]
+        for face in faces:
             if face.name in walls:
                 raise document.error(key, f"another wall already has the name {face.name}")
             walls[face.name] = face
     return walls
 
 
-def hint_at_surface(off_m: float, contact_distance_m: float) -> str:
-    """Return a hint for a message if a distance equals the contact distance, otherwise an empty string."""
-    if not contact_distance_m > 0.0 or abs(off_m - contact_distance_m) > _LIKE_CONTACT_DISTANCE_M:
-        return ""
-    return (
-        f"; airframe.contact_distance_m is {contact_distance_m:g} m: if point_m is on the wall itself, give "
-        "given_at: surface"
-    )
+class FlightSpace:
+    """A flight space in which start, goal, bounds, walls and posts agree.
 
-
-def _faces(wall: Wall, thickness_m: float) -> tuple[Wall, Wall]:
-    front = msgspec.structs.replace(wall, name=wall.name + FRONT, thickness_m=thickness_m)
-    return front, front.back()
-
-
-def resolve_posts(
-    specs: dict[str, PostSpec], walls: dict[str, Wall], vehicle: VehicleConfig, document: Document
-) -> dict[str, Post]:
-    for name, spec in specs.items():
-        if name in walls:
-            raise document.error(("posts", name), f"a wall already has the name {name}")
-        if spec.material not in vehicle.materials:
-            key: Key = ("posts", name, "material")
-            raise document.error(key, unknown_name(spec.material, list(vehicle.materials)))
-    return {name: Post(name, spec.centre_m, spec.radius_m, spec.material) for name, spec in specs.items()}
-
-
-def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, document: Document) -> Wall:
-    """Return a post's tangent plane as a wall with the post's name.
-
-    The plane contains the vehicle's centre at the first touch of the post, so `impact` must be at that
-    distance from the post's axis. The wall's length is the range in which the vehicle's leading side touches
-    the post. Beyond this range the vehicle passes the post, or another part of the vehicle touches it.
+    Attributes:
+        vehicle: the vehicle with the file's limits.
+        walls: walls by name. A wall is the plane in which the vehicle's centre lies when the vehicle first
+            touches the wall.
+        posts: posts by name.
     """
-    reach = post.radius_m + vehicle.airframe.contact_distance_m
-    dx, dy = impact[0] - post.centre[0], impact[1] - post.centre[1]
-    distance = math.hypot(dx, dy)
-    if abs(distance - reach) > _ON_POST_M:
-        text = f"is {distance:.3f} m from the axis of post {post.name}, minimum {reach:.3f} m"
-        if distance > 0.0:
-            x, y = post.centre[0] + dx / distance * reach, post.centre[1] + dy / distance * reach
-            text += f"; the nearest possible point is [{x:.3f}, {y:.3f}]"
-        raise document.error((*key, "impact_point_m"), text)
-    length = 2.0 * (post.radius_m + vehicle.airframe.guard_along_m)
-    normal = (dx / distance, dy / distance)
-    return Wall(post.name, impact, normal, length, post.material, post_radius_m=post.radius_m)
 
+    def __init__(self, file: SpaceFile, vehicle: VehicleConfig, document: Document) -> None:
+        self._bounds, self._document = file.bounds_m, document
+        self.vehicle = apply_limits(vehicle, file.limits)
+        self._contact_m = vehicle.airframe.contact_distance_m
+        for axis in ("x", "y", "z"):
+            low, high = getattr(file.bounds_m, axis)
+            if not low < high:
+                text = f"[low, high] needs low < high, not [{low:g}, {high:g}]"
+                raise self.error(("bounds_m", axis), text)
+        self.posts: dict[str, Post] = {}
+        self.walls = self.resolve_walls(file.walls, "walls")
+        self.check_place(file.start.position_m, file.start.altitude_m, ("start",))
+        self.check_place(file.goal.position_m, None, ("goal",))
+        for name, spec in file.posts.items():
+            if name in self.walls:
+                raise self.error(("posts", name), f"a wall already has the name {name}")
+            self.check_material(spec.material, ("posts", name, "material"))
+            self.posts[name] = Post(name, spec.centre_m, spec.radius_m, spec.material)
+        self.check_clear_of_posts(file.start.position_m, ("start",))
+        self.check_clear_of_posts(file.goal.position_m, ("goal",))
 
-def check_clear_of_posts(
-    posts: dict[str, Post], point: Vec2, vehicle: VehicleConfig, key: Key, document: Document
-) -> None:
-    """Check that a vehicle at a position neither overlaps nor touches a post."""
-    for post in posts.values():
-        if post.distance_to_segment(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:
-            raise document.error((*key, "position_m"), f"is in or at post {post.name}")
+    def error(self, key: Key, message: str) -> InputError:
+        """Return an error at a key of the document, with the line of the key."""
+        return self._document.error(key, message)
 
+    # -- walls and posts --
 
-def walls_as_written(walls: Iterable[Wall]) -> dict[str, WallSpec]:
-    """Return resolved walls in the form of a mission file: one entry for both faces of a partition."""
-    return {_name_of_entry(wall): _wall_as_written(wall) for wall in walls if not wall.is_back}
+    def resolve_walls(self, specs: dict[str, WallSpec], section: str) -> dict[str, Wall]:
+        """Return the walls of a section of the file by name."""
+        return resolve_walls(specs, self.vehicle, self._document, section)
 
+    def tangent_wall(self, post: Post, impact: Vec2, key: Key) -> Wall:
+        """Return a post's tangent plane as a wall with the post's name.
 
-def _name_of_entry(wall: Wall) -> str:
-    return wall.name if wall.thickness_m is None else wall.name.removesuffix(FRONT)
+        The plane contains the vehicle's centre at the first touch of the post, so `impact` must be at that
+        distance from the post's axis. The wall's length is the range in which the vehicle's leading side
+        touches the post. Beyond this range the vehicle passes the post, or another part of the vehicle
+        touches it.
+        """
+        reach = post.radius_m + self._contact_m
+        dx, dy = impact[0] - post.centre[0], impact[1] - post.centre[1]
+        distance = math.hypot(dx, dy)
+        if abs(distance - reach) > _ON_POST_M:
+            text = f"is {distance:.3f} m from the axis of post {post.name}, minimum {reach:.3f} m"
+            if distance > 0.0:
+                x, y = post.centre[0] + dx / distance * reach, post.centre[1] + dy / distance * reach
+                text += f"; the nearest possible point is [{x:.3f}, {y:.3f}]"
+            raise self.error((*key, "impact_point_m"), text)
+        length = 2.0 * (post.radius_m + self.vehicle.airframe.guard_along_m)
+        normal = (dx / distance, dy / distance)
+        return Wall(post.name, impact, normal, length, post.material, post_radius_m=post.radius_m)
 
-
-def _wall_as_written(wall: Wall) -> WallSpec:
-    # Rounding restores the angle as the user wrote it.
-    yaw_sd_deg = None if wall.yaw_sd_rad is None else round(math.degrees(wall.yaw_sd_rad), 12)
-    return WallSpec(
-        point_m=wall.point,
-        normal=wall.normal,
-        length_m=wall.length_m,
-        material=wall.material,
-        given_at="centre",
-        position_sd_m=wall.position_sd_m,
-        yaw_sd_deg=yaw_sd_deg,
-        thickness_m=wall.thickness_m,
-    )
-
-
-def check_place(
-    bounds: BoundsSpec,
-    walls: dict[str, Wall],
-    point: Vec2,
-    altitude_m: float | None,
-    key: Key,
-    document: Document,
-) -> None:
-    """Check that a position, with its altitude if given, is within the bounds and in front of the walls."""
-    if bounds.excess2(point) > 0.0:
-        raise document.error(
-            (*key, "position_m"),
-            f"({point[0]:g}, {point[1]:g}) is outside bounds_m x [{bounds.x[0]:g}, {bounds.x[1]:g}], "
-            f"y [{bounds.y[0]:g}, {bounds.y[1]:g}]",
+    def hint_at_surface(self, off_m: float) -> str:
+        """Return a hint for a message if a distance is the contact distance, otherwise an empty string."""
+        if not self._contact_m > 0.0 or abs(off_m - self._contact_m) > _LIKE_CONTACT_DISTANCE_M:
+            return ""
+        return (
+            f"; airframe.contact_distance_m is {self._contact_m:g} m: if point_m is on the wall itself, give "
+            "given_at: surface"
         )
-    if altitude_m is not None and not bounds.z[0] <= altitude_m <= bounds.z[1]:
-        raise document.error(
-            (*key, "altitude_m"), f"must be within bounds_m z [{bounds.z[0]:g}, {bounds.z[1]:g}]"
-        )
-    for name, wall in walls.items():
-        if wall.spans(point) and -min(0.5, wall.behind_m) <= wall.signed_distance(point) <= 0.0:
-            raise document.error((*key, "position_m"), f"is in or behind wall {name}")
 
+    # -- checks --
 
-def refuse_mode(mode: Mode, vehicle: VehicleConfig, key: Key, document: Document) -> None:
-    problem = vehicle.mode_problem(mode)
-    if problem is not None:
-        raise document.error(key, problem)
+    def check_place(self, point: Vec2, altitude_m: float | None, key: Key) -> None:
+        """Check that a position, with its altitude if given, is within the bounds and not in a wall."""
+        self.check_bounds(point, key)
+        z = self._bounds.z
+        if altitude_m is not None and not z[0] <= altitude_m <= z[1]:
+            raise self.error((*key, "altitude_m"), f"must be within bounds_m z [{z[0]:g}, {z[1]:g}]")
+        for name, wall in self.walls.items():
+            if wall.spans(point) and -min(0.5, wall.behind_m) <= wall.signed_distance(point) <= 0.0:
+                raise self.error((*key, "position_m"), f"is in or behind wall {name}")
 
+    def check_bounds(self, point: Vec2, key: Key) -> None:
+        if self._bounds.excess2(point) > 0.0:
+            (x0, x1), (y0, y1) = self._bounds.x, self._bounds.y
+            text = f"({point[0]:g}, {point[1]:g}) is outside bounds_m x [{x0:g}, {x1:g}], y [{y0:g}, {y1:g}]"
+            raise self.error((*key, "position_m"), text)
 
-def resolve_alphas(
-    per_axis: tuple[float, float] | None,
-    per_wall: tuple[float, float] | None,
-    wall: Wall,
-    key: Key,
-    document: Document,
-) -> tuple[float, float]:
-    """Return the gains (A_n, A_t) in the wall's axes, m/N, from `alpha_m_per_n` or `alpha_wall_m_per_n`.
+    def check_clear_of_posts(self, point: Vec2, key: Key) -> None:
+        """Check that a vehicle at a position neither overlaps nor touches a post."""
+        for post in self.posts.values():
+            if post.distance_to_segment(point, point) <= post.radius_m + self._contact_m:
+                raise self.error((*key, "position_m"), f"is in or at post {post.name}")
 
-    Exactly one of the two keys must be given, and the gain along the normal must be above 0. The two gains of
-    `alpha_m_per_n` may differ only for a wall that is parallel to one of the mission's axes.
-    """
-    if (per_axis is None) == (per_wall is None):
-        raise document.error(key, "give exactly one of alpha_m_per_n and alpha_wall_m_per_n")
-    alphas = per_wall or (0.0, 0.0)
-    if per_axis is not None:
-        ax, ay = per_axis
-        across = abs(wall.normal[0]) < _AXIS_TOLERANCE
-        if ax != ay and not across and abs(wall.normal[1]) >= _AXIS_TOLERANCE:
-            raise document.error(
-                (*key, "alpha_m_per_n"),
-                "the wall is oblique to the mission's axes, so different gains per axis could lead the "
-                "recovery into the wall; use alpha_wall_m_per_n: [normal, tangential]",
-            )
-        alphas = (ay, ax) if across else (ax, ay)
-    if not alphas[0] > 0.0:
-        raise document.error(key, "the gain along the wall's normal must be above 0")
-    return alphas
+    def check_material(self, material: str, key: Key) -> None:
+        if material not in self.vehicle.materials:
+            raise self.error(key, unknown_name(material, list(self.vehicle.materials)))
+
+    def check_mode(self, mode: Mode, key: Key) -> None:
+        problem = self.vehicle.mode_problem(mode)
+        if problem is not None:
+            raise self.error(key, problem)
+
+    def alphas(
+        self, per_axis: tuple[float, float] | None, per_wall: tuple[float, float] | None, wall: Wall, key: Key
+    ) -> tuple[float, float]:
+        """Return the gains (A_n, A_t) in the wall's axes, m/N, from `alpha_m_per_n` or `alpha_wall_m_per_n`.
+
+        Exactly one of the two keys must be given, and the gain along the normal must be above 0. The two
+        gains of `alpha_m_per_n` may differ only for a wall that is parallel to one of the mission's axes.
+        """
+        if (per_axis is None) == (per_wall is None):
+            raise self.error(key, "give exactly one of alpha_m_per_n and alpha_wall_m_per_n")
+        alphas = per_wall or (0.0, 0.0)
+        if per_axis is not None:
+            ax, ay = per_axis
+            across = abs(wall.normal[0]) < _AXIS_TOLERANCE
+            if ax != ay and not across and abs(wall.normal[1]) >= _AXIS_TOLERANCE:
+                raise self.error(
+                    (*key, "alpha_m_per_n"),
+                    "the wall is oblique to the mission's axes, so different gains per axis could lead the "
+                    "recovery into the wall; use alpha_wall_m_per_n: [normal, tangential]",
+                )
+            alphas = (ay, ax) if across else (ax, ay)
+        if not alphas[0] > 0.0:
+            raise self.error(key, "the gain along the wall's normal must be above 0")
+        return alphas

@@ -1,8 +1,9 @@
-"""The checked mission that the flight core flies, and its conversion from and to a mission file.
+"""The checked mission that the flight core flies, and its conversion from a mission file.
 
 The file contains what a person writes (`config.mission_file`). `Mission` is the resolved form with unit
 normals, gains in the wall's axes, and impact points. A wall is the plane in which the vehicle's centre lies
-when the vehicle first touches the wall.
+when the vehicle first touches the wall. A mission keeps the keys of its file, and only `Mission.replace`
+changes the resolved parts.
 """
 
 from __future__ import annotations
@@ -20,30 +21,13 @@ from dart_flight.base.records import AfterImpact, Mode
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import IN_PYTHON, Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document, refuse_other_keys
-from dart_flight.config.flight_space import (
-    LIMITED_KEYS,
-    apply_limits,
-    check_clear_of_posts,
-    check_place,
-    hint_at_surface,
-    refuse_mode,
-    resolve_alphas,
-    resolve_posts,
-    resolve_space,
-    resolve_walls,
-    tangent_wall,
-    walls_as_written,
-)
+from dart_flight.config.flight_space import LIMITED_KEYS, FlightSpace, apply_limits
 from dart_flight.config.mission_file import (
-    ApproachSpec,
     BoundsSpec,
     CollisionKeys,
     CollisionSpec,
     MissionFile,
     MissionKeys,
-    PostSpec,
-    ProbeSpec,
-    StartSpec,
     TrajectoryPieces,
     WaypointKeys,
     WaypointSpec,
@@ -95,44 +79,6 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
         if self.approach_m_s is None:
             return (0.0, 0.0, 0.0)
         return self.wall.from_collision((self.approach_m_s[0], self.approach_m_s[1], 0.0))
-
-    def as_written(self, start: Vec2) -> CollisionSpec:
-        """Return the collision as in a file; omit an impact point that follows from the approach."""
-        if self.probe is not None:
-            return self._probe_as_written(self.probe)
-        approach: ApproachSpec | None = None
-        impact: Vec2 | None = self.impact_point
-        if self.wall.post_radius_m > 0.0:
-            impact = self.wall.point
-        elif self.approach_m_s is not None and impact == _default_impact(self, start):
-            impact = None
-        along = None
-        if self.wall.sought and self.impact_point is not None:
-            impact, along = None, self.wall.along(self.impact_point)
-        if self.approach_m_s is not None:
-            approach = ApproachSpec(*self.approach_m_s)
-        return CollisionSpec(
-            **shared_keys(self, CollisionKeys),
-            wall=self.wall.name,
-            approach=approach,
-            impact_point_m=impact,
-            impact_along_m=along,
-            alpha_wall_m_per_n=(self.alpha_normal_m_per_n, self.alpha_tangential_m_per_n),
-        )
-
-    def _probe_as_written(self, probe: Probe) -> CollisionSpec:
-        (bx, by), (ex, ey) = probe.begin, probe.end
-        length = math.hypot(ex - bx, ey - by)
-        written = ProbeSpec(
-            from_m=probe.begin,
-            length_m=length,
-            direction=((ex - bx) / length, (ey - by) / length),
-            speed_m_s=probe.speed_m_s,
-            back_m=probe.back_m,
-            from_here=probe.from_here,
-            material=self.wall.material if self.wall.sought and self.wall.material_known else None,
-        )
-        return CollisionSpec(**shared_keys(self, CollisionKeys), wall=self.wall.name, probe=written)
 
 
 class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
@@ -191,7 +137,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         simulated_walls: additional walls that exist only in simulation.
         posts: the posts.
         vehicle_source: origin of the vehicle's configuration, or None if built in Python.
-        written: the keys as written, or None if built in Python.
+        written: the keys as written, or None if read from a log that lacks them.
     """
 
     source: str
@@ -269,27 +215,15 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return hashlib.sha256(msgspec.json.encode(tree, order="sorted")).hexdigest()[:32]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the resolved mission and its vehicle with the keys of a file; `load_mission` can read them.
+        """Return all keys of the mission's file, and all keys of its vehicle; `load_mission` can read them.
 
-        Walls have `given_at: centre`, and gains are in the wall's axes. An impact point that follows from
-        start and approach is omitted. The name of the vehicle's file is not included.
+        The name of the vehicle's file is not included.
+
+        Raises:
+            InputError: code has changed walls or other resolved parts of the mission without `replace`.
         """
-        return {**self._own_keys(), "vehicle": self.vehicle.to_dict()}
-
-    def _own_keys(self) -> dict[str, Any]:
-        written = MissionFile(
-            **shared_keys(self, MissionKeys),
-            version=1,
-            start=StartSpec(self.start, self.altitude_m),
-            bounds_m=self.bounds,
-            walls=walls_as_written(self.flat_walls),
-            simulated_walls=walls_as_written(self.simulated_walls),
-            posts={post.name: PostSpec(post.centre, post.radius_m, post.material) for post in self.posts},
-            collisions=[collision.as_written(self.start) for collision in self.collisions],
-            waypoints=list(_waypoints_as_written(self)),
-        )
-        tree: dict[str, Any] = msgspec.to_builtins(written)
-        return tree
+        file = Document.from_tree(self._keys_as_written(self.vehicle_as_written())).convert(MissionFile)
+        return {**msgspec.to_builtins(file), "vehicle": self.vehicle.to_dict()}
 
     def replace(self, changes: Mapping[str, Any]) -> Mission:
         """Return the mission that the file would define with some keys changed.
@@ -301,7 +235,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
         Raises:
             InputError: a key is unknown, a value has the wrong type or is out of range, or the parts
-                contradict each other.
+                contradict each other; or code has changed resolved parts without `replace`.
         """
         own = {key: value for key, value in changes.items() if key.partition(".")[0] != "vehicle"}
         own_vehicle = self.vehicle_as_written()
@@ -335,17 +269,15 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return vehicle if apply_limits(vehicle, self.limits) == self.vehicle else self.vehicle
 
     def _keys_as_written(self, vehicle: VehicleConfig) -> dict[str, Any]:
-        """Return the keys of the file; if Python code has changed the resolved parts, return those."""
+        """Return the keys of the file, with the keys that code has changed since, such as `standoff_m`."""
         if self.written is None:
-            return self._own_keys()
-        try:
-            same = parse_mission(Document.from_tree(self.written.tree), vehicle)
-        except InputError:  # another vehicle
-            return self._own_keys()
+            raise InputError("does not contain the keys of its mission", source=self.source)
+        same = parse_mission(Document.from_tree(self.written.tree), vehicle)
         unequal = {n for n in self.__struct_fields__ if getattr(self, n) != getattr(same, n)}
         unequal -= {"source", "vehicle", "vehicle_source"}
-        if unequal - set(MissionKeys.__struct_fields__):
-            return self._own_keys()
+        resolved = sorted(unequal - set(MissionKeys.__struct_fields__))
+        if resolved:
+            raise InputError(f"the program has changed {', '.join(resolved)} of a mission without `replace`")
         changed: dict[str, Any] = msgspec.to_builtins({name: getattr(self, name) for name in unequal})
         return self.written.tree | changed
 
@@ -360,25 +292,6 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
             north += takeoff_ned[0] - offset[0]
             east += takeoff_ned[1] - offset[1]
         return MissionFrame(north, east, takeoff_ned[2], math.radians(self.frame.heading_deg))
-
-
-def _waypoints_as_written(mission: Mission) -> Iterator[WaypointSpec]:
-    """Yield waypoints and pauses in the form of a file, and omit values that follow from others."""
-    altitude_m, usual_m_s = mission.altitude_m, mission.vehicle.flying.transit_speed_m_s
-    for one in mission.waypoints:
-        keys = shared_keys(one, WaypointKeys)
-        if one.position is None:
-            yield WaypointSpec(**keys, pause="operator", timeout_s=one.hold_s)
-            continue
-        x, y, z = one.position
-        yield WaypointSpec(
-            **keys,
-            position_m=(x, y) if one.at_wall is None else None,
-            altitude_m=None if z == altitude_m else z,
-            speed_m_s=None if one.speed_m_s == usual_m_s else one.speed_m_s,
-            hold_s=one.hold_s,
-        )
-        altitude_m = z
 
 
 def load_mission(
@@ -424,12 +337,30 @@ def parse_mission(
     """Resolve a parsed mission as `load_mission` does; `config` may be a loaded configuration."""
     refuse_other_keys(document, FileKind.MISSION)
     spec = document.convert(MissionFile)
-    if isinstance(config, VehicleConfig):
-        return resolve(spec, config, document)
-    if not isinstance(config, LoadedVehicle):
+    if not isinstance(config, VehicleConfig | LoadedVehicle):
         config = _find_vehicle(spec, config, document, settings)
-    mission = resolve(spec, config.config, document)
-    return msgspec.structs.replace(mission, vehicle_source=config.source)
+    vehicle, source = (config, None) if isinstance(config, VehicleConfig) else config
+    space = FlightSpace(spec, vehicle, document)
+    space.check_mode(spec.transit_mode, ("transit_mode",))
+    _add_tangent_walls(spec, space)
+    _check_goal_trajectory(spec, space)
+    walls = space.walls | unknown_walls(spec, space)
+    tree = {key: value for key, value in document.tree.items() if key != "vehicle"}
+    return Mission(
+        **shared_keys(spec, MissionKeys),
+        source=document.source,
+        vehicle=space.vehicle,
+        start=spec.start.position_m,
+        altitude_m=spec.start.altitude_m,
+        bounds=spec.bounds_m,
+        walls=tuple(space.walls.values()),
+        collisions=tuple(_resolve_collisions(spec, walls, space)),
+        waypoints=tuple(_resolve_waypoints(spec, walls, space)),
+        posts=tuple(space.posts.values()),
+        simulated_walls=tuple(space.resolve_walls(spec.simulated_walls, "simulated_walls").values()),
+        vehicle_source=source,
+        written=WrittenForm(tree, vehicle.flying),
+    )
 
 
 def _find_vehicle(
@@ -445,94 +376,48 @@ def _find_vehicle(
     return find_vehicle(config, settings)
 
 
-def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mission:
-    tree = {key: value for key, value in document.tree.items() if key != "vehicle"}
-    written = WrittenForm(tree, vehicle.flying)
-    vehicle = apply_limits(vehicle, spec.limits)
-    walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
-    refuse_mode(spec.transit_mode, vehicle, ("transit_mode",), document)
-    posts = resolve_posts(spec.posts, walls, vehicle, document)
-    check_clear_of_posts(posts, spec.start.position_m, vehicle, ("start",), document)
-    check_clear_of_posts(posts, spec.goal.position_m, vehicle, ("goal",), document)
-    _add_tangent_walls(spec, posts, vehicle, walls, document)
-    _check_goal_trajectory(spec, document)
-    sought = unknown_walls(spec, vehicle, walls, document)
-    collisions = tuple(
-        _resolve_collision(i, one, spec, vehicle, walls | sought, document)
-        for i, one in enumerate(spec.collisions)
-    )
-    simulated = resolve_walls(spec.simulated_walls, vehicle, document, "simulated_walls")
-    return Mission(
-        **shared_keys(spec, MissionKeys),
-        source=document.source,
-        vehicle=vehicle,
-        start=spec.start.position_m,
-        altitude_m=spec.start.altitude_m,
-        bounds=spec.bounds_m,
-        walls=tuple(walls.values()),
-        collisions=collisions,
-        waypoints=_resolve_waypoints(spec, vehicle, walls, sought, posts, document),
-        posts=tuple(posts.values()),
-        simulated_walls=tuple(simulated.values()),
-        written=written,
-    )
-
-
-def _add_tangent_walls(
-    spec: MissionFile,
-    posts: dict[str, Post],
-    vehicle: VehicleConfig,
-    walls: dict[str, Wall],
-    document: Document,
-) -> None:
+def _add_tangent_walls(spec: MissionFile, space: FlightSpace) -> None:
     """Add the tangent plane of each post to be hit to the walls.
 
     Raise InputError if an impact on a post has no point, if impacts on a post have different points, or if
     a probe searches for a post.
     """
     for i, one in enumerate(spec.collisions):
-        if one.wall not in posts:
+        if one.wall not in space.posts:
             continue
         key: Key = ("collisions", i)
         if one.probe is not None:
-            raise document.error((*key, "probe"), f"{one.wall} is a post, but a probe searches for a wall")
+            raise space.error((*key, "probe"), f"{one.wall} is a post, but a probe searches for a wall")
         if one.impact_point_m is None:
-            raise document.error(key, f"a collision with post {one.wall} needs impact_point_m")
-        wall = tangent_wall(posts[one.wall], one.impact_point_m, vehicle, key, document)
-        if walls.setdefault(one.wall, wall) != wall:
+            raise space.error(key, f"a collision with post {one.wall} needs impact_point_m")
+        wall = space.tangent_wall(space.posts[one.wall], one.impact_point_m, key)
+        if space.walls.setdefault(one.wall, wall) != wall:
             text = (
                 f"an earlier collision hits post {one.wall} at a different point; all impacts on a post "
                 "must be at the same point"
             )
-            raise document.error((*key, "impact_point_m"), text)
+            raise space.error((*key, "impact_point_m"), text)
 
 
-def _resolve_waypoints(
-    spec: MissionFile,
-    vehicle: VehicleConfig,
-    walls: dict[str, Wall],
-    sought: dict[str, Wall],
-    posts: dict[str, Post],
-    document: Document,
-) -> tuple[Waypoint, ...]:
+def _resolve_waypoints(spec: MissionFile, walls: dict[str, Wall], space: FlightSpace) -> Iterator[Waypoint]:
+    """Yield the waypoints and pauses; `walls` includes the walls that probes search for."""
     altitude_m, flown = spec.start.altitude_m, 0
-    found = []
     for i, one in enumerate(spec.waypoints):
         key: Key = ("waypoints", i)
-        _check_order(one, flown, spec, key, document)
+        _check_order(one, flown, spec, key, space)
         flown = one.after
-        wall_at = None if one.at_wall is None else (walls | sought)[one.at_wall.wall]
+        wall_at = None if one.at_wall is None else walls[one.at_wall.wall]
         if one.pause is None:
             position = one.position_m
             if one.at_wall is not None and wall_at is not None:
                 position = resolve_place(wall_at, one.at_wall)
             assert position is not None
             altitude_m = altitude_m if one.altitude_m is None else one.altitude_m
-            check_place(spec.bounds_m, walls, position, one.altitude_m, key, document)
-            check_clear_of_posts(posts, position, vehicle, key, document)
-            speed = one.speed_m_s or vehicle.flying.transit_speed_m_s
+            space.check_place(position, one.altitude_m, key)
+            space.check_clear_of_posts(position, key)
+            speed = one.speed_m_s or space.vehicle.flying.transit_speed_m_s
             if speed > spec.limits.speed_m_s:
-                raise document.error(
+                raise space.error(
                     (*key, "speed_m_s"), f"{speed:g} m/s exceeds limits.speed_m_s {spec.limits.speed_m_s:g}"
                 )
             place: Vec3 | None = (*position, altitude_m)
@@ -540,104 +425,97 @@ def _resolve_waypoints(
         else:
             place, speed, hold_s = None, 0.0, one.timeout_s or _PAUSE_S
         keys = shared_keys(one, WaypointKeys)
-        found.append(
-            Waypoint(**keys, index=i + 1, position=place, speed_m_s=speed, hold_s=hold_s, wall_at=wall_at)
-        )
-    return tuple(found)
+        yield Waypoint(**keys, index=i + 1, position=place, speed_m_s=speed, hold_s=hold_s, wall_at=wall_at)
 
 
-def _check_order(one: WaypointSpec, flown: int, spec: MissionFile, key: Key, document: Document) -> None:
+def _check_order(one: WaypointSpec, flown: int, spec: MissionFile, key: Key, space: FlightSpace) -> None:
     """Raise InputError if an entry mixes keys of a waypoint and a pause, or if `after` is out of order."""
     if [one.position_m, one.at_wall, one.pause].count(None) != 2:
-        raise document.error(key, "give exactly one key: position_m or at_wall for a waypoint, or pause")
+        raise space.error(key, "give exactly one key: position_m or at_wall for a waypoint, or pause")
     others = ("timeout_s",) if one.pause is None else ("altitude_m", "speed_m_s", "hold_s")
     for name in others:
         if getattr(one, name) is not None:
             what = "a waypoint" if one.pause is None else "a pause"
-            raise document.error((*key, name), f"{what} cannot have this key")
+            raise space.error((*key, name), f"{what} cannot have this key")
     count = len(spec.collisions)
     if not flown <= one.after <= count:
         text = f"{one.after}, expected {flown} to {count}: the list is in the order of the flight"
-        raise document.error((*key, "after"), text)
+        raise space.error((*key, "after"), text)
     following = spec.collisions[one.after] if one.after < count else None
     if 0 < one.after < count and following and following.approach is None and following.probe is None:
         text = f"needs an approach: the recovery from the previous collision leads to waypoints[{key[1]}]"
-        raise document.error(("collisions", one.after), text)
+        raise space.error(("collisions", one.after), text)
 
 
-def _collision_mode(spec: CollisionSpec, vehicle: VehicleConfig, key: Key, document: Document) -> Mode:
-    """Return the mode in the file or, without one, the only mode of the vehicle."""
-    if spec.mode is None:
-        if vehicle.has_lock:
-            raise document.error(key, "missing key mode: " + " or ".join(vehicle.modes))
-        return vehicle.modes[0]
-    refuse_mode(spec.mode, vehicle, (*key, "mode"), document)
-    return spec.mode
-
-
-def _resolve_collision(
-    i: int,
-    spec: CollisionSpec,
-    mission: MissionFile,
-    vehicle: VehicleConfig,
-    walls: dict[str, Wall],
-    document: Document,
-) -> Collision:
-    key: Key = ("collisions", i)
-    if spec.wall not in walls:
-        raise document.error((*key, "wall"), unknown_name(spec.wall, [*walls, *mission.posts]))
-    wall = walls[spec.wall]
-    mode = _collision_mode(spec, vehicle, key, document)
-    if spec.probe is not None:
-        probe, probe_m_s, met = resolve_probe(i, spec, mission, wall, document)
-        return Collision(
+def _resolve_collisions(
+    mission: MissionFile, walls: dict[str, Wall], space: FlightSpace
+) -> Iterator[Collision]:
+    """Yield the collisions; `walls` includes the walls that probes search for."""
+    for i, spec in enumerate(mission.collisions):
+        key: Key = ("collisions", i)
+        if spec.wall not in walls:
+            raise space.error((*key, "wall"), unknown_name(spec.wall, [*walls, *mission.posts]))
+        wall, mode = walls[spec.wall], spec.mode
+        if mode is not None:
+            space.check_mode(mode, (*key, "mode"))
+        elif space.vehicle.has_lock:
+            raise space.error(key, "missing key mode: " + " or ".join(space.vehicle.modes))
+        else:
+            (mode,) = space.vehicle.modes
+        probe, alphas = None, (0.0, 0.0)
+        approach: Vec2 | None
+        impact: Vec2 | None
+        if spec.probe is not None:
+            probe, approach, impact = resolve_probe(i, spec, mission, wall, space)
+        else:
+            alphas = space.alphas(spec.alpha_m_per_n, spec.alpha_wall_m_per_n, wall, key)
+            approach, impact = _resolve_approach(i, spec, mission, wall, space)
+        yield Collision(
             **shared_keys(spec, CollisionKeys) | {"mode": mode},
             index=i + 1,
             wall=wall,
-            approach_m_s=probe_m_s,
-            impact_point=met,
-            alpha_normal_m_per_n=0.0,
-            alpha_tangential_m_per_n=0.0,
+            approach_m_s=approach,
+            impact_point=impact,
+            alpha_normal_m_per_n=alphas[0],
+            alpha_tangential_m_per_n=alphas[1],
             probe=probe,
         )
+
+
+def _resolve_approach(
+    i: int, spec: CollisionSpec, mission: MissionFile, wall: Wall, space: FlightSpace
+) -> tuple[Vec2 | None, Vec2 | None]:
+    """Return impact velocity (normal, tangential) and impact point; None if a recovery leads to the wall."""
+    key: Key = ("collisions", i)
     if spec.approach is None and i > 0 and mission.collisions[i - 1].probe is not None:
-        raise document.error(key, "needs an approach, because the vehicle is at rest after a probe")
-    alpha_n, alpha_t = resolve_alphas(spec.alpha_m_per_n, spec.alpha_wall_m_per_n, wall, key, document)
+        raise space.error(key, "needs an approach, because the vehicle is at rest after a probe")
     approach = None
     impact = None
     if spec.approach is not None:
         approach = (spec.approach.normal_m_s, spec.approach.tangential_m_s)
         speed = math.hypot(*approach)
         if speed > mission.limits.speed_m_s:
-            raise document.error(
+            raise space.error(
                 (*key, "approach"), f"{speed:.2f} m/s exceeds limits.speed_m_s {mission.limits.speed_m_s:g}"
             )
         if spec.trajectory is None or (spec.impact_point_m or spec.impact_along_m) is not None:
-            impact = _impact_point(spec, mission.start.position_m, wall, approach, key, document)
+            impact = _impact_point(spec, mission.start.position_m, wall, approach, key, space)
         else:
             impact = wall.foot(spec.trajectory.states()[-1].position)
         if not wall.spans(impact):
-            raise document.error(
+            raise space.error(
                 (*key, "approach"),
                 f"meets the plane of wall {wall.name} at ({impact[0]:.3f}, {impact[1]:.3f}), "
                 f"beyond the end of the wall, which is {wall.length_m:g} m long",
             )
     elif i == 0:
-        raise document.error(key, "the first collision needs an approach")
+        raise space.error(key, "the first collision needs an approach")
     if spec.trajectory is not None:
-        _check_trajectory(spec.trajectory, i, spec, mission, wall, document)
+        _check_trajectory(spec.trajectory, i, spec, mission, wall, space)
     for name in ("impact_point_m", "impact_along_m"):
         if approach is None and getattr(spec, name) is not None and not wall.post_radius_m:
-            raise document.error((*key, name), "only a collision with an approach can have this key")
-    return Collision(
-        **shared_keys(spec, CollisionKeys) | {"mode": mode},
-        index=i + 1,
-        wall=wall,
-        approach_m_s=approach,
-        impact_point=impact,
-        alpha_normal_m_per_n=alpha_n,
-        alpha_tangential_m_per_n=alpha_t,
-    )
+            raise space.error((*key, name), "only a collision with an approach can have this key")
+    return approach, impact
 
 
 def _check_trajectory(
@@ -646,31 +524,29 @@ def _check_trajectory(
     spec: CollisionSpec,
     mission: MissionFile,
     wall: Wall,
-    document: Document,
+    space: FlightSpace,
 ) -> None:
     """Raise InputError if a trajectory does not lead from the vehicle to the expected impact."""
     key: Key = ("collisions", i, "trajectory")
     if spec.predicted is None:
-        raise document.error(key, "needs the key `predicted`, which gives the expected impact")
+        raise space.error(key, "needs the key `predicted`, which gives the expected impact")
     planned, end = spec.predicted, written.states()[-1]
     off_m = abs(wall.signed_distance(end.position))
     if off_m > _TRAJECTORY_OFF_M:
-        raise document.error(key, f"ends {off_m:.2f} m off the plane of wall {wall.name}")
+        raise space.error(key, f"ends {off_m:.2f} m off the plane of wall {wall.name}")
     normal, tangential, _ = wall.to_collision((*end.velocity, 0.0))
     off_m_s = math.hypot(normal - planned.normal_m_s, tangential - planned.tangential_m_s)
     if off_m_s > _TRAJECTORY_OFF_M_S:
-        raise document.error(
-            key, f"ends at ({normal:.2f}, {tangential:.2f}) m/s, not at the predicted velocity"
-        )
+        raise space.error(key, f"ends at ({normal:.2f}, {tangential:.2f}) m/s, not at the predicted velocity")
     if spec.approach is None:
-        _check_replanned(mission, key, document)
+        _check_replanned(mission, key, space)
     else:
-        _check_from_rest(written, _rest_before(mission, i), key, document)
+        _check_from_rest(written, _rest_before(mission, i), key, space)
 
 
-def _check_replanned(mission: MissionFile, key: Key, document: Document) -> None:
+def _check_replanned(mission: MissionFile, key: Key, space: FlightSpace) -> None:
     if mission.after_impact is not AfterImpact.REPLAN:
-        raise document.error(key, "a trajectory after a collision needs `after_impact: replan`")
+        raise space.error(key, "a trajectory after a collision needs `after_impact: replan`")
 
 
 def _rest_before(mission: MissionFile, flown: int) -> Vec2 | None:
@@ -679,47 +555,47 @@ def _rest_before(mission: MissionFile, flown: int) -> Vec2 | None:
     return reached[-1] if reached else mission.start.position_m if flown == 0 else None
 
 
-def _check_from_rest(written: TrajectoryPieces, place: Vec2 | None, key: Key, document: Document) -> None:
+def _check_from_rest(written: TrajectoryPieces, place: Vec2 | None, key: Key, space: FlightSpace) -> None:
     if place is None:
-        raise document.error(key, "a trajectory from rest must follow a waypoint")
+        raise space.error(key, "a trajectory from rest must follow a waypoint")
     off_m = math.dist(written.position_m, place)
     if off_m > _TRAJECTORY_OFF_M or any((*written.velocity_m_s, *written.acceleration_m_s2)):
         text = f"must begin at rest at ({place[0]:g}, {place[1]:g}); its first point is {off_m:.2f} m away"
-        raise document.error(key, text)
+        raise space.error(key, text)
 
 
-def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
+def _check_goal_trajectory(mission: MissionFile, space: FlightSpace) -> None:
     """Raise InputError if the trajectory to the goal cannot be flown or does not end at rest at the goal."""
     written, key = mission.goal_trajectory, ("goal_trajectory",)
     if written is None:
         return
     count = len(mission.collisions)
     if count and any(w.after == count for w in mission.waypoints):
-        raise document.error(key, "the path from a waypoint to the goal is straight: remove this key")
+        raise space.error(key, "the path from a waypoint to the goal is straight: remove this key")
     if count and mission.collisions[-1].probe is not None:
-        raise document.error(key, "the path from a probe to the goal is straight: remove this key")
+        raise space.error(key, "the path from a probe to the goal is straight: remove this key")
     if count:
-        _check_replanned(mission, key, document)
+        _check_replanned(mission, key, space)
     else:
-        _check_from_rest(written, _rest_before(mission, 0), key, document)
+        _check_from_rest(written, _rest_before(mission, 0), key, space)
     end = written.states()[-1]
     off_m, speed_m_s = math.dist(end.position, mission.goal.position_m), math.hypot(*end.velocity)
     if off_m > _TRAJECTORY_OFF_M or speed_m_s > _TRAJECTORY_OFF_M_S:
         text = f"ends {off_m:.2f} m from the goal at {speed_m_s:.2f} m/s, not at rest at the goal"
-        raise document.error(key, text)
+        raise space.error(key, text)
 
 
 def _impact_point(
-    spec: CollisionSpec, start: Vec2, wall: Wall, approach_m_s: Vec2, key: Key, document: Document
+    spec: CollisionSpec, start: Vec2, wall: Wall, approach_m_s: Vec2, key: Key, space: FlightSpace
 ) -> Vec2:
     """Return the file's impact point, or the point where the approach from the start crosses the plane."""
     given, along = spec.impact_point_m, spec.impact_along_m
     if given is not None and along is not None:
-        raise document.error((*key, "impact_along_m"), "give impact_along_m or impact_point_m, not both")
+        raise space.error((*key, "impact_along_m"), "give impact_along_m or impact_point_m, not both")
     if wall.sought:
         if given is not None:
             text = f"the position of wall {wall.name} is unknown: give impact_along_m"
-            raise document.error((*key, "impact_point_m"), text)
+            raise space.error((*key, "impact_point_m"), text)
         along = along or 0.0
     if given is not None:
         off = abs(wall.signed_distance(given))
@@ -727,25 +603,18 @@ def _impact_point(
             x, y = wall.foot(given)
             text = f"is {off:.3f} m off wall {wall.name}, whose nearest point is [{x:.3f}, {y:.3f}]; "
             text += f"or give impact_along_m: {wall.along((x, y)):.3f}"
-            text += hint_at_surface(off, wall.half_vehicle_m)
-            raise document.error((*key, "impact_point_m"), text)
+            text += space.hint_at_surface(off)
+            raise space.error((*key, "impact_point_m"), text)
         return given
     if along is None:
         if wall.signed_distance(start) <= 0.0:
-            raise document.error((*key, "approach"), f"start is not in front of wall {wall.name}")
+            raise space.error((*key, "approach"), f"start is not in front of wall {wall.name}")
         return _project_onto_wall(start, wall, approach_m_s)
     (x, y), (tx, ty), reach = wall.point, wall.tangent, 0.5 * wall.length_m
     if abs(along) > reach:
         text = f"{along:g} m is beyond the wall, which extends from {-reach:g} to {reach:g} m"
-        raise document.error((*key, "impact_along_m"), text)
+        raise space.error((*key, "impact_along_m"), text)
     return (x + along * tx, y + along * ty)
-
-
-def _default_impact(collision: Collision, start: Vec2) -> Vec2:
-    assert collision.approach_m_s is not None
-    if collision.trajectory is not None:
-        return collision.wall.foot(collision.trajectory.states()[-1].position)
-    return _project_onto_wall(start, collision.wall, collision.approach_m_s)
 
 
 def _project_onto_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:

@@ -3,8 +3,7 @@
 A key is one field of one class: the field has type, bounds and default, and `Attributes:` has the meaning
 (and the unit, if the name has none). Keys that the flight uses as written are in `MissionKeys`,
 `CollisionKeys` or `WaypointKeys`, which the file and the resolved mission share. Keys that must be resolved
-are only in the file's class, such as `CollisionSpec`; `config.mission` converts them in both directions
-(docs/extending.md).
+are only in the file's class, such as `CollisionSpec`; `config.mission` resolves them (docs/extending.md).
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ import msgspec
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
-from dart_flight.config.document import Document, Key, unknown_name
+from dart_flight.config.document import Key, unknown_name
+from dart_flight.config.flight_space import FlightSpace
 from dart_flight.config.mission_file import CollisionSpec, MissionFile, PlaceAtWall, ProbeSpec, WaypointSpec
-from dart_flight.config.vehicle import VehicleConfig
 
 # Assumed length of a wall that a probe has found, and standard deviation of the direction before contact.
 _SOUGHT_LENGTH_M, _SOUGHT_SD_RAD = 1.0, math.radians(15.0)
@@ -45,89 +45,81 @@ class Probe(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(self, begin=here, end=(here[0] + ex - bx, here[1] + ey - by))
 
 
-def unknown_walls(
-    spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
-) -> dict[str, Wall]:
+def unknown_walls(spec: MissionFile, space: FlightSpace) -> dict[str, Wall]:
     """Return the walls at unknown positions, by name; each is perpendicular to its probe's leg at its end.
 
     Raise InputError if a probe has no direction, an unknown material or a name in use; if a collision at an
     unknown wall comes before the wall's probe; or if a condition names a wall without an earlier probe.
     """
-    stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].coefficients(Mode.RIGID).k)
+    walls, materials = space.walls, space.vehicle.materials
+    stiffest = max(materials, key=lambda name: materials[name].coefficients(Mode.RIGID).k)
     looked_for = {one.wall for one in spec.collisions if one.probe is not None}
     sought: dict[str, Wall] = {}
     probed: set[str] = set()
     for i, one in enumerate(spec.collisions):
         key: Key = ("collisions", i)
-        _check_conditions(one, probed, key, document)
+        _check_conditions(one, probed, key, space)
         for j, waypoint in enumerate(spec.waypoints):
             if waypoint.after == i:
-                _check_waypoint_wall(waypoint, probed, walls, ("waypoints", j), document)
+                _check_waypoint_wall(waypoint, probed, ("waypoints", j), space)
         if one.probe is None:
             if one.wall not in walls and one.wall not in probed and one.wall in looked_for:
-                raise document.error((*key, "wall"), f"no earlier probe looks for wall {one.wall}")
+                raise space.error((*key, "wall"), f"no earlier probe looks for wall {one.wall}")
             continue
         if one.wall in walls:
             probed.add(one.wall)
             continue
         if one.wall in probed:
-            raise document.error(
-                (*key, "wall"), f"two probes look for {one.wall}; give the second wall another name"
-            )
+            text = f"two probes look for {one.wall}; give the second wall another name"
+            raise space.error((*key, "wall"), text)
         probed.add(one.wall)
         if one.wall in spec.simulated_walls:
-            raise document.error((*key, "wall"), f"a simulated wall already has the name {one.wall}")
+            raise space.error((*key, "wall"), f"a simulated wall already has the name {one.wall}")
         if one.probe.direction is None:
             known = ", ".join(walls) or "none"
             text = f"{one.wall} is not a wall of the mission ({known}): a probe for it needs a direction"
-            raise document.error((*key, "probe"), text)
+            raise space.error((*key, "probe"), text)
         material = one.probe.material
-        if material is not None and material not in vehicle.materials:
-            text = unknown_name(material, list(vehicle.materials))
-            raise document.error((*key, "probe", "material"), text)
-        (dx, dy), end = _probe_direction(one.probe.direction, key, document), _probe_end(one.probe, None)
+        if material is not None:
+            space.check_material(material, (*key, "probe", "material"))
+        dx, dy = one.probe.direction
+        length = math.hypot(dx, dy)
+        if not length > 1e-9:
+            raise space.error((*key, "probe", "direction"), "the direction has length 0")
         sought[one.wall] = Wall(
             one.wall,
-            end,
-            (-dx, -dy),
+            _probe_end(one.probe, None),
+            (-(dx / length), -(dy / length)),
             _SOUGHT_LENGTH_M,
             material or stiffest,
             yaw_sd_rad=_SOUGHT_SD_RAD,
-            half_vehicle_m=vehicle.airframe.contact_distance_m,
+            half_vehicle_m=space.vehicle.airframe.contact_distance_m,
             sought=True,
             material_known=material is not None,
         )
     for j, waypoint in enumerate(spec.waypoints):
         if waypoint.after >= len(spec.collisions):
-            _check_waypoint_wall(waypoint, probed, walls, ("waypoints", j), document)
+            _check_waypoint_wall(waypoint, probed, ("waypoints", j), space)
     return sought
 
 
 def _check_conditions(
-    one: CollisionSpec | WaypointSpec, probed: set[str], key: Key, document: Document
+    one: CollisionSpec | WaypointSpec, probed: set[str], key: Key, space: FlightSpace
 ) -> None:
     """Raise InputError if a condition names a wall that no earlier probe searches for."""
     for name in ("if_met", "if_not_met"):
         wall = getattr(one, name)
         if wall is not None and wall not in probed:
             text = unknown_name(wall, sorted(probed)) if probed else "there is no earlier probe"
-            raise document.error((*key, name), text)
+            raise space.error((*key, name), text)
 
 
-def _check_waypoint_wall(
-    one: WaypointSpec, probed: set[str], walls: dict[str, Wall], key: Key, document: Document
-) -> None:
-    _check_conditions(one, probed, key, document)
-    if one.at_wall is not None and one.at_wall.wall not in {*probed, *walls}:
-        text = unknown_name(one.at_wall.wall, sorted({*probed, *walls}))
-        raise document.error((*key, "at_wall", "wall"), text)
-
-
-def _probe_direction(direction: Vec2, key: Key, document: Document) -> Vec2:
-    length = math.hypot(*direction)
-    if not length > 1e-9:
-        raise document.error((*key, "probe", "direction"), "the direction has length 0")
-    return (direction[0] / length, direction[1] / length)
+def _check_waypoint_wall(one: WaypointSpec, probed: set[str], key: Key, space: FlightSpace) -> None:
+    _check_conditions(one, probed, key, space)
+    known = {*probed, *space.walls}
+    if one.at_wall is not None and one.at_wall.wall not in known:
+        text = unknown_name(one.at_wall.wall, sorted(known))
+        raise space.error((*key, "at_wall", "wall"), text)
 
 
 def _probe_end(probe: ProbeSpec, wall: Wall | None) -> Vec2:
@@ -138,7 +130,7 @@ def _probe_end(probe: ProbeSpec, wall: Wall | None) -> Vec2:
 
 
 def resolve_probe(
-    i: int, spec: CollisionSpec, mission: MissionFile, wall: Wall, document: Document
+    i: int, spec: CollisionSpec, mission: MissionFile, wall: Wall, space: FlightSpace
 ) -> tuple[Probe, Vec2, Vec2]:
     """Return a probe, its nominal impact velocity (normal, tangential), and its nominal impact point.
 
@@ -151,9 +143,9 @@ def resolve_probe(
     assert probe is not None
     for name in _NOT_OF_PROBES:
         if getattr(spec, name) is not None:
-            raise document.error((*key, name), "a probe cannot have this key")
+            raise space.error((*key, name), "a probe cannot have this key")
     if not wall.sought and probe.material is not None:
-        raise document.error(
+        raise space.error(
             (*key, "probe", "material"),
             f"wall {wall.name} of the mission already has a material: remove this key",
         )
@@ -162,23 +154,23 @@ def resolve_probe(
         excess_m = mission.bounds_m.excess2(place)
         if excess_m > 0.0:
             where = f"({place[0]:.2f}, {place[1]:.2f})"
-            raise document.error((*key, "probe", name), f"{where} is {excess_m:.2f} m outside bounds_m")
+            raise space.error((*key, "probe", name), f"{where} is {excess_m:.2f} m outside bounds_m")
     if probe.speed_m_s > mission.limits.speed_m_s:
         text = f"{probe.speed_m_s:g} m/s exceeds limits.speed_m_s {mission.limits.speed_m_s:g}"
-        raise document.error((*key, "probe", "speed_m_s"), text)
+        raise space.error((*key, "probe", "speed_m_s"), text)
     share = probe.speed_m_s / probe.length_m
     vx, vy = share * (end[0] - probe.from_m[0]), share * (end[1] - probe.from_m[1])
     normal_m_s, tangential_m_s, _ = wall.to_collision((vx, vy, 0.0))
     if not normal_m_s < -0.5 * probe.speed_m_s or wall.signed_distance(probe.from_m) <= 0.0:
         text = f"begins behind wall {wall.name}, or the angle between probe and normal exceeds 60 degrees"
-        raise document.error((*key, "probe"), text)
+        raise space.error((*key, "probe"), text)
     reach_m = wall.signed_distance(probe.from_m) / -normal_m_s * probe.speed_m_s
     if reach_m > probe.length_m + _ON_PLANE_M:
         text = (
             f"wall {wall.name} is {reach_m:.2f} m away; length_m must be this distance plus the wall's "
             "uncertainty"
         )
-        raise document.error((*key, "probe", "length_m"), text)
+        raise space.error((*key, "probe", "length_m"), text)
     met = reach_m / probe.length_m
     impact = (
         probe.from_m[0] + met * (end[0] - probe.from_m[0]),

@@ -53,7 +53,6 @@ def _default_of(field: msgspec.structs.FieldInfo) -> Any:
 def shared_keys(section: Section, kind: type[Section]) -> dict[str, Any]:
     """Return names and values of the section's keys that `kind` defines.
 
-    The conversions from a file to its resolved form and back use this function, so that neither direction
-    loses a key.
+    The conversion from a file to its resolved form uses this function, so that it loses no key.
     """
     return {name: getattr(section, name) for name in kind.__struct_fields__}

@@ -34,12 +34,12 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.law import Onset, normal_force
 from dart_flight.contact.propeller_guards import (
     NEAR_M,
-    UNTOUCHED,
+    NO_LOAD,
     BodyMotion,
     GuardLaw,
     Plane,
     PropellerGuard,
-    Touch,
+    WallLoad,
 )
 
 EDGE_RADIUS_M: Final = 0.01  # a sharp edge has no normal; a board is about this thick
@@ -66,7 +66,7 @@ class NearestPoint(NamedTuple):
     Attributes:
         x_m: distance to the cylinder's face; negative inside the cylinder.
         normal: NED, horizontal, from the cylinder into the vehicle.
-        share: stiffness and damping at this point, as a share of the whole side's k and f.
+        share: stiffness and damping at this point, divided by the whole side's k and f.
         deflections: index and deflection per metre of depth, for each guard whose spring supports the point.
     """
 
@@ -197,13 +197,13 @@ class PostContact:
     def nearest(self, q: Quaternion, position: Vec3) -> NearestPoint:
         return nearest_point(self._corners, q, position, self.contact.cylinder)
 
-    def touch(self, c: Coefficients, motion: BodyMotion, law: GuardLaw) -> Touch:
+    def touch(self, c: Coefficients, motion: BodyMotion, law: GuardLaw) -> WallLoad:
         """Return force and torque on the vehicle, as `propeller_guards.touch`; `c` is for the whole side."""
         near = self.nearest(motion.q, motion.position)
         point = self.contact.point(near, c, False)
         self.depths = [0.0] * len(self.depths)
         if point is None:
-            return UNTOUCHED
+            return NO_LOAD
         total, forces = _press([point], motion, law)
         self.contact.settle(near, forces[0])
         _update_deflections(self.depths, near, forces[0])
@@ -259,7 +259,7 @@ class WallWithEnds:
             edge.share, edge.stood_in = None, near.x_m < 0.0
 
     def holds(self, number: int, q: Quaternion, position: Vec3) -> bool:
-        """Return whether a guard is in the wall from the front, or bears a force of the wall."""
+        """Return whether a guard has entered the wall from the front, or carries a force of the wall."""
         if number in self.bearing or number in self.beside:
             return number in self.bearing
         height, along = self._foot_point(number, q, position)
@@ -306,7 +306,7 @@ class WallWithEnds:
 
     def touch(
         self, c: Coefficients, motion: BodyMotion, law: GuardLaw, faces: Sequence[WallWithEnds] = ()
-    ) -> Touch:
+    ) -> WallLoad:
         """Return force and torque on the vehicle; `motion` is in NED.
 
         If every guard is in front of the finite surface, the result equals `propeller_guards.touch`, except
@@ -353,7 +353,7 @@ class WallWithEnds:
         for near, force in loaded:
             _update_deflections(self.depths, near, force)
         if not points:
-            return UNTOUCHED
+            return NO_LOAD
         return _press(points, motion, law)[0]
 
     def _foot_points(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
@@ -378,11 +378,11 @@ def _force(point: ContactPoint, motion: BodyMotion, onset: Onset) -> float:
     return normal_force(point.c, onset, point.x_m, closing)
 
 
-def _press(points: Sequence[ContactPoint], motion: BodyMotion, law: GuardLaw) -> tuple[Touch, list[float]]:
+def _press(points: Sequence[ContactPoint], motion: BodyMotion, law: GuardLaw) -> tuple[WallLoad, list[float]]:
     forces = [_force(point, motion, law.onset) for point in points]
     total = sum(forces)
     if not total > 0.0:
-        return UNTOUCHED, forces
+        return NO_LOAD, forces
     force = torque = (0.0, 0.0, 0.0)
     friction = 0.0
     _, velocity, q, rate_frd = motion
@@ -411,7 +411,7 @@ def _press(points: Sequence[ContactPoint], motion: BodyMotion, law: GuardLaw) ->
             torque[2] + push * pushed[2] + rub * rubbed[2] + lever * lifted[2],
         )
     strongest = points[max(range(len(points)), key=forces.__getitem__)]
-    return Touch(force, torque, total, friction, strongest.normal), forces
+    return WallLoad(force, torque, total, friction, strongest.normal), forces
 
 
 def _bar_load(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tuple[int, float], ...]]:

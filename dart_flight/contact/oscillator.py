@@ -1,8 +1,12 @@
 """A contact as a damped oscillator: initial state, motion in time, and times of its events.
 
-The symbols are those of `dart_flight.contact.contact_map`, the only module that uses this one. V is the speed
-scale, the force is lx = m V omega (phi - alpha), and the normal velocity is V xi'. phi, xi and xi' all solve
-z'' + 2 zeta z' + z = 0 in tau = omega t. Any damping is covered, from none to far above critical.
+This is the only evaluation of the point law over time. `contact_map` uses a contact's outcome,
+`planning/contact_stage.py` its events and speeds, and `lab/predict/path.py` its whole course. The simulated
+vehicle integrates `law.py` instead.
+
+The symbols are those of `contact_map`. V is the speed scale, the force is lx = m V omega (phi - alpha), and
+the normal velocity is V xi'. phi, xi and xi' all solve z'' + 2 zeta z' + z = 0 in tau = omega t. Any damping
+is covered, from none to far above critical.
 
 All arguments and results are float64 arrays of one shape (or shapes that broadcast).
 """
@@ -38,6 +42,14 @@ def quarter_time(zeta: Array, w2: Array) -> Array:
     return np.where(near, 1.0 + w2 / 6.0, angle / safe)
 
 
+class NormalMotion(NamedTuple):
+    """Position (m), velocity (m/s) and contact force (N) along the normal, collision frame."""
+
+    position_m: Array
+    velocity_m_s: Array
+    force_n: Array
+
+
 class Oscillation(NamedTuple):
     """A contact in dimensionless units: phi - alpha is the force, xi' the normal velocity (see the module).
 
@@ -54,6 +66,21 @@ class Oscillation(NamedTuple):
     phi0: Array
     slope0: Array  # phi' at the onset
     hits: NDArray[np.bool_]
+
+    def at(self, tau: Array) -> NormalMotion:
+        phi, _, xi1 = motion(self, tau)
+        return NormalMotion(
+            self.speed / self.omega * (self.alpha - phi - 2.0 * self.zeta * xi1),
+            self.speed * xi1,
+            self.mass * self.speed * self.omega * np.maximum(phi - self.alpha, 0.0),
+        )
+
+    def impulse(self, tau: Array) -> Array:
+        """Return the time integral of the force since the onset, N s; infinite for an endless push."""
+        ends = np.isfinite(tau)
+        gained = motion(self, tau)[2] + self.u - self.alpha * np.where(ends, tau, 0.0)
+        endless = np.where(ends | (self.alpha >= 0.0), 0.0, math.inf)
+        return np.asarray(self.mass * self.speed * (np.maximum(gained, 0.0) + endless))
 
 
 def begin_contact(
@@ -199,3 +226,15 @@ def find_contact_times(c: Oscillation) -> ContactTimes:
     end = falling_root(force, low, high, np.where(pulled, high, low))
     end = np.where(c.alpha == 0.0, turn, np.where(ends, end, math.inf))
     return ContactTimes(peak, turn, end)
+
+
+def time_of_drop(c: Oscillation, times: ContactTimes, fraction: float) -> Array:
+    """Return the time, in 1/omega, at which the force of an unpushed contact is a fraction below its peak."""
+    end = np.where(np.isfinite(times.end), times.end, 2.0 * times.peak + 1.0)
+    level = (1.0 - fraction) * motion(c, times.peak)[0]
+
+    def excess(tau: Array) -> tuple[Array, Array]:
+        phi, slope, _ = motion(c, tau)
+        return phi - level, slope
+
+    return falling_root(excess, times.peak, end, 0.5 * (times.peak + end))

@@ -13,8 +13,8 @@ parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at
 arm. The sliding velocity is computed at the same point, so friction only removes energy.
 
 Unlocked arms fold: each arm rotates in the horizontal plane about a bearing in the vehicle's middle. Its
-guard thereby moves back by a share of the penetration (`fold_angles`). The law already contains this movement
-as a smaller k, so the fold angles are only used to displace the arms' motors.
+guard thereby moves back by a fraction of the penetration (`fold_angles`). The law already contains this
+movement as a smaller k, so the fold angles are only used to displace the arms' motors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dart_flight.base.geometry import Quaternion, Vec3, rotate_back
 from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody
 from dart_flight.contact.law import Onset, normal_force
 
-NEAR_M: Final = 0.08  # below 5 m/s no contact begins at a greater distance
+NEAR_M: Final = 0.08  # largest distance at which a contact below 5 m/s begins
 
 
 class PropellerGuard(NamedTuple):
@@ -84,7 +84,7 @@ class GuardLaw(NamedTuple):
     vertical_lever_m: float
 
 
-class Touch(NamedTuple):
+class WallLoad(NamedTuple):
     """Force and torque of one wall on the guards.
 
     Attributes:
@@ -101,7 +101,7 @@ class Touch(NamedTuple):
     normal: Vec3
 
 
-UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, (0.0, 0.0, 0.0))
+NO_LOAD = WallLoad((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, (0.0, 0.0, 0.0))
 
 
 def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
@@ -123,7 +123,7 @@ def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
 
 def touch(
     guards: Sequence[PropellerGuard], c: Coefficients, plane: Plane, motion: BodyMotion, law: GuardLaw
-) -> Touch:
+) -> WallLoad:
     """Return force and torque of one wall on the guards; every guard must lie between the wall's ends.
 
     The coefficients are those of the whole side, as in the point law. The computation uses body axes:
@@ -146,7 +146,7 @@ def touch(
         if force > 0.0:
             pressed.append((force, (rx, ry, rz), friction_at))
     if not pressed:
-        return UNTOUCHED
+        return NO_LOAD
     t, d = rotate_back(q, plane.tangent), rotate_back(q, plane.down)
     world = plane.tangent
     sliding = world[0] * velocity[0] + world[1] * velocity[1] + world[2] * velocity[2]
@@ -163,7 +163,7 @@ def touch(
     lift = law.vertical_sign * c.nu * total / (1.0 + total)
     lever = -law.vertical_lever_m * lift
     n, t_world, d_world = plane.normal, plane.tangent, plane.down
-    return Touch(
+    return WallLoad(
         (
             total * n[0] + friction * t_world[0] + lift * d_world[0],
             total * n[1] + friction * t_world[1] + lift * d_world[1],
@@ -200,7 +200,7 @@ def fold_angles(
     """Return the fold angle of each arm (`arm_of`), radians, positive clockwise seen from above.
 
     Args:
-        share: movement of an arm as a share of the guard's penetration.
+        share: movement of an arm as a fraction of the guard's penetration.
         depths: penetration of each guard in the order of `propeller_guards`, m; 0 without contact.
     """
     angles = [0.0, 0.0, 0.0, 0.0]
@@ -219,4 +219,4 @@ def arm_of(x: float, y: float) -> int:
 
 
 _CENTRE = (0.0, 0.0, 0.0)
-_MIN_ARM_M: Final = 0.05  # shorter levers would give unlimited angles
+_MIN_ARM_M: Final = 0.05  # minimum lever, because shorter levers would give unlimited angles

@@ -16,7 +16,7 @@ from dart_flight.core.mission.wall_uncertainty import early_m, overrun_m
 from dart_flight.core.sense.state import FlightState
 
 BATCH_S: Final = 0.02  # the tick's period; a quarter of the IMU silence that triggers the guard
-_LEAD_S: Final = 0.2  # batching ends this long before a possible impact: ten times a batch's delay
+_LEAD_S: Final = 0.2  # time before a possible impact at which batching ends: ten times a batch's delay
 
 
 class Pace(Enum):

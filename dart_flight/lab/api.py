@@ -25,7 +25,7 @@ from dart_flight.config.vehicle import VehicleConfig, packaged
 from dart_flight.config.vehicle import load_vehicle as load_vehicle_file
 from dart_flight.config.vehicle.configuration import parse_vehicle
 from dart_flight.contact.coefficients import CoefficientArrays
-from dart_flight.contact.contact_map import Drop, WallHit, collide, contact_map, drop
+from dart_flight.contact.contact_map import Drop, WallContact, collide, contact_map, drop
 from dart_flight.lab.identify.estimates import Identification
 from dart_flight.lab.identify.flight_trials import trials_at_one
 from dart_flight.lab.identify.identify_trials import columns_of, identify_trials
@@ -190,17 +190,17 @@ def _settings_of(vary: str | Iterable[str] | Mapping[str, float] | None) -> list
 def predict(
     vehicle: VehicleConfig, surface: str, mode: str, normal_m_s: float,
     tangential_m_s: float = 0.0, *, onset: str | None = None, incidence_deg: float = 0.0,
-) -> WallHit[float]: ...  # fmt: skip
+) -> WallContact[float]: ...  # fmt: skip
 @overload
 def predict(
     vehicle: VehicleConfig, surface: str, mode: str, normal_m_s: Numbers,
     tangential_m_s: float | Numbers = 0.0, *, onset: str | None = None, incidence_deg: float = 0.0,
-) -> WallHit[Array]: ...  # fmt: skip
+) -> WallContact[Array]: ...  # fmt: skip
 @overload
 def predict(
     vehicle: VehicleConfig, surface: str, mode: str, normal_m_s: float,
     tangential_m_s: Numbers, *, onset: str | None = None, incidence_deg: float = 0.0,
-) -> WallHit[Array]: ...  # fmt: skip
+) -> WallContact[Array]: ...  # fmt: skip
 def predict(
     vehicle: VehicleConfig,
     surface: str,
@@ -210,7 +210,7 @@ def predict(
     *,
     onset: str | None = None,
     incidence_deg: float = 0.0,
-) -> WallHit[float] | WallHit[Array]:
+) -> WallContact[float] | WallContact[Array]:
     """Return the outcome of a wall hit in closed form (paper, Sec. IV-B).
 
     Args:
@@ -224,7 +224,7 @@ def predict(
         incidence_deg: angle between the leading edge and the wall, 0 to 45 degrees.
 
     Returns:
-        A `contact.contact_map.WallHit` with `normal_out_m_s`, `peak_normal_force_n`, `contact_time_s`, ...
+        A `contact.contact_map.WallContact`: `normal_out_m_s`, `peak_normal_force_n`, `contact_time_s`, ...
 
     Raises:
         InputError: the surface, the mode or the onset is unknown, or a velocity does not point

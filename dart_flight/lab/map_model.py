@@ -1,7 +1,8 @@
 """What a map shows, as data: the room of a mission, and the paths, places and vehicles in it.
 
-`lab/report/figures/map_drawing.py` draws a map from above and from the side. Points are in the mission frame,
-metres, (x, y, z), z up.
+`lab/report/figures/map_drawing.py` draws a map from above and from the side, `lab/report/player.py` draws the
+animation of a page, and `lab/scene/drawing.py` the scene of a viewer. Points are (x, y, z) in the mission
+frame, metres, z up.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import msgspec
 import numpy as np
 
 from dart_flight.base.geometry import Vec2, Vec3
-from dart_flight.base.records import Mode
+from dart_flight.base.records import AfterImpact, Mode
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.mission_file import BoundsSpec
 from dart_flight.config.vehicle import Airframe
 from dart_flight.lab.flight_arrays import Array
+from dart_flight.planning.predicted_flight import PredictedFlight, predicted_segments
 
 SURE = 3.0  # standard deviations of the band around an uncertain wall
 THICKNESS_M = 0.12  # drawn thickness of a wall; the true one is unknown
@@ -139,10 +141,9 @@ class DrawnWall(NamedTuple):
 
     @property
     def outline(self) -> Array:
-        """Corners (4, 2) of the drawn wall: its surface, and the back behind it."""
+        """The corners (4, 2), m: both ends of the surface, then both corners behind it."""
         surface = np.array(self.surface.ends)
-        back = surface - self.thickness_m * np.array(self.surface.normal)
-        return np.vstack([surface, back[::-1]])
+        return np.vstack([surface, (surface - self.thickness_m * np.array(self.surface.normal))[::-1]])
 
 
 def named_material(thing: Wall | Post) -> str:
@@ -155,12 +156,16 @@ class RoomMap(msgspec.Struct):
 
     Attributes:
         north_rad: direction of north, counter-clockwise from x.
+        goal: end of the flight, at its altitude after all waypoints.
         newton_per_m: scale of the arrows of forces.
     """
 
     airframe: Airframe
     bounds: BoundsSpec
     north_rad: float
+    start: Vec3
+    goal: Vec3
+    capture_radius_m: float
     walls: tuple[DrawnWall, ...]
     posts: tuple[Post, ...]
     areas: list[Line] = []
@@ -188,18 +193,22 @@ class RoomMap(msgspec.Struct):
 
 def room_map(mission: Mission) -> RoomMap:
     """Return a map of the mission's bounds, walls, posts, waypoints, start and goal."""
+    start = (*mission.start, mission.altitude_m)
     goal = (*mission.goal.position_m, mission.altitude_at(len(mission.collisions)))
     airframe = mission.vehicle.airframe
     return RoomMap(
         airframe,
         mission.bounds,
         math.radians(mission.frame.heading_deg),
+        start,
+        goal,
+        mission.goal.capture_radius_m,
         tuple(drawn_walls(mission.flat_walls, airframe)),
         mission.posts,
         paths=[Line(MapKind.CAPTURE, circle(goal, mission.goal.capture_radius_m))],
         places=[
             *(Place(MapKind.WAYPOINT, w.position) for w in mission.waypoints if w.position is not None),
-            Place(MapKind.START, (*mission.start, mission.altitude_m)),
+            Place(MapKind.START, start),
             Place(MapKind.GOAL, goal),
         ],
         labels=[Label(named_material(post), post.centre, colour="#333333") for post in mission.posts],
@@ -230,6 +239,25 @@ def uncertainty_band(line: Array, normal: Vec2, sd_m: Array) -> Array:
     """Return the outline of `SURE` standard deviations on both sides of a line (n, 2); `sd_m` is (n,)."""
     apart = SURE * sd_m[:, None] * np.array(normal)
     return np.vstack([line + apart, (line - apart)[::-1]])
+
+
+def planned_lines(mission: Mission, planned: PredictedFlight) -> list[Array]:
+    """Return the predicted path in the air as lines (n, 3).
+
+    If a recovery has no predicted leg, its line leads straight from the hit to the setpoint. With
+    `after_impact: replan`, the last recovery leads to the goal instead.
+    """
+    last = len(mission.collisions)
+    replans = mission.after_impact is AfterImpact.REPLAN and mission.goal_trajectory is None
+    to_goal = last if replans and mission.recovers_to_goal else None
+    legs = {index: leg for index, leg in planned.legs.items() if index != to_goal}
+    found = [np.array([s.begin or s.end, s.end]) for s in predicted_segments(mission, planned.hits)]
+    for index, hit in planned.hits.items():
+        if index not in legs and mission.standoff_m is None:
+            end = mission.goal.position_m if index == to_goal else hit.setpoint
+            found.append(at_altitude([hit.position, end], mission.altitude_at(index - 1)))
+    lines: list[tuple[int, FlatLine]] = [*planned.approaches.items(), *legs.items()]
+    return found + [at_altitude(line, mission.altitude_at(index - 1)) for index, line in lines]
 
 
 def circle(centre: Sequence[float], radius_m: float) -> Array:

@@ -12,26 +12,25 @@ from typing import NamedTuple
 import numpy as np
 
 from dart_flight.base.geometry import Vec2, Vec3
-from dart_flight.base.records import AfterImpact, Mode
+from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.planned_impact import describe_force
 from dart_flight.lab.figure_style import FORCE
-from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.map_model import (
     Arrow,
     DrawnVehicle,
-    FlatLine,
     Label,
     Line,
     MapKind,
     Place,
     RoomMap,
     at_altitude,
+    planned_lines,
     room_map,
 )
 from dart_flight.planning.envelope import impact_yaw, incidence_deg
-from dart_flight.planning.predicted_flight import PredictedFlight, predicted_segments
+from dart_flight.planning.predicted_flight import PredictedFlight
 
 
 def mission_map(
@@ -66,33 +65,6 @@ def _add_probes(shown: RoomMap, mission: Mission, *, labelled: bool) -> None:
             shown.labels.append(Label(text, (float(middle[0]), float(middle[1])), across, FORCE))
 
 
-def paths_from_rest(mission: Mission, planned: PredictedFlight) -> list[Array]:
-    """Return the two ends (2, 3), m, of each straight segment from rest to rest, also after recoveries.
-
-    A recovery that ends at rest leads straight from the hit to the setpoint. With `after_impact: replan`, the
-    last recovery leads to the goal instead of the setpoint.
-    """
-    segments = predicted_segments(mission, planned.hits)
-    found = [np.array([segment.begin or segment.end, segment.end]) for segment in segments]
-    for index, hit in planned.hits.items():
-        if index not in flown_legs(mission, planned) and mission.standoff_m is None:
-            z, to_goal = mission.altitude_at(index - 1), index == _replanned_to_goal(mission)
-            ends = mission.goal.position_m if to_goal else hit.setpoint
-            found.append(np.array([(*hit.position, z), (*ends, z)]))
-    return found
-
-
-def _replanned_to_goal(mission: Mission) -> int | None:
-    """Return the index of the collision after which the vehicle plans a trajectory to the goal, or None."""
-    replans = mission.after_impact is AfterImpact.REPLAN and mission.goal_trajectory is None
-    return len(mission.collisions) if replans and mission.recovers_to_goal else None
-
-
-def flown_legs(mission: Mission, planned: PredictedFlight) -> dict[int, Array]:
-    """Return the predicted legs, without the leg that the flight replaces by a trajectory to the goal."""
-    return {index: leg for index, leg in planned.legs.items() if index != _replanned_to_goal(mission)}
-
-
 def _add_draws(shown: RoomMap, mission: Mission, drawn: Sequence[PredictedFlight]) -> None:
     """Add the wall surfaces and the paths after the hits for every set of randomly varied walls."""
     legend = f"{len(drawn)} draws of the walls"
@@ -103,10 +75,7 @@ def _add_draws(shown: RoomMap, mission: Mission, drawn: Sequence[PredictedFlight
 
 
 def _add_trajectory(shown: RoomMap, mission: Mission, planned: PredictedFlight) -> None:
-    shown.paths += [Line(MapKind.PREDICTED, path) for path in paths_from_rest(mission, planned)]
-    lines: list[tuple[int, FlatLine]] = [*planned.approaches.items(), *flown_legs(mission, planned).items()]
-    for index, line in lines:
-        shown.paths.append(Line(MapKind.PREDICTED, at_altitude(line, mission.altitude_at(index - 1))))
+    shown.paths += [Line(MapKind.PREDICTED, line) for line in planned_lines(mission, planned)]
     for index, line in planned.approaches.items():
         begins = 0 if mission.collisions[index - 1].trajectory is not None else -2
         shown.places.append(Place(MapKind.RUN_UP, line[begins]))

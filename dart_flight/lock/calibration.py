@@ -1,4 +1,4 @@
-"""Calibration of the two end stops by hand, in small steps. The caller's function moves the servo.
+"""Manual calibration of the two end stops, in small steps. The caller's function moves the servo.
 
 The cam's angles at the two ends are known: theta_0 (flexible) and theta_0 + 90 degrees (rigid). The operator
 therefore calibrates only the pulse width of each end. The direction follows from the two pulse widths.
@@ -33,7 +33,7 @@ class Calibration:
 
     Args:
         config: servo range, and limits for the result.
-        start_us: present pulse width.
+        start_us: current pulse width.
         move: outputs a pulse width in us and waits for a small step to finish; may raise any exception.
     """
 

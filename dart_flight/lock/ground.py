@@ -1,7 +1,7 @@
 """Operation of the lock on the ground, in real time, for the command `dart-flight lock`.
 
 The operator stands beside the vehicle and sees the arms. Locking is therefore permitted. At the start the
-lock adopts its present position and is not homed.
+lock adopts its current position and is not homed.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class GroundLock:
 
 
 def calibration(config: LockConfig, driver: Driver) -> Calibration:
-    """Return a calibration that starts at the servo's present pulse, or in the middle of its range."""
+    """Return a calibration that starts at the servo's current pulse, or in the middle of its range."""
     reading = driver.read()
 
     def move(pulse_us: float) -> None:

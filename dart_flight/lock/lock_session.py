@@ -41,7 +41,7 @@ class LockSession:
         return self.machine.state
 
     def start(self) -> CommandRefused | None:
-        """Home the lock or adopt the present position, as configured."""
+        """Home the lock or adopt the current position, as configured."""
         asked_us = self._clock_us()
         try:
             self.driver.open()

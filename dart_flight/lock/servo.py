@@ -2,8 +2,8 @@
 
 All code here is pure: the time, an integer in microseconds, is an argument. The configuration contains the
 data of the HiTec HS-322HD (manufacturer's catalogue): 0.19 s per 60 degrees at 4.8 V, 0.15 s at 6 V, 50 Hz
-frame, 900 to 2100 us. The servo has no position feedback: the software knows the command and the travel time,
-not the position of the horn.
+frame, 900 to 2100 us. The servo has no position feedback: the command and the travel time are known, but not
+the horn's position.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ NO_FAULTS = ServoFaults()
 class ServoModel:
     """Model of the horn's true motion: the horn moves at constant speed to the commanded pulse width.
 
-    Without pulses the horn keeps its position by gear friction. Time never runs backwards: a `t_us` before
-    the previous `t_us` is replaced by the previous value.
+    Without pulses the horn keeps its position by gear friction. A `t_us` before the previous `t_us` is
+    replaced by the previous one, so time never runs backwards.
     """
 
     def __init__(self, servo: Servo, pulse_us: float, faults: ServoFaults = NO_FAULTS) -> None:

@@ -32,7 +32,7 @@ class DriverReading(msgspec.Struct, frozen=True):
     """State that a driver reports; a switch is None if its end has none.
 
     Attributes:
-        pulse_us: present output pulse width, read from the hardware if possible. The value is None if the
+        pulse_us: current output pulse width, read from the hardware if possible. The value is None if the
             pulses are off, or if the hardware cannot be read and nothing was commanded yet.
         rigid_switch: whether the limit switch at the rigid end is closed.
         flexible_switch: whether the limit switch at the flexible end is closed.
@@ -127,7 +127,7 @@ def status_text(state: LockState) -> str:
 
 
 def _run_start(before_us: int | None, t_us: int) -> int:
-    """Return when the present run of readings began; `t_us` if it begins now."""
+    """Return when the current run of readings began; `t_us` if it begins now."""
     return t_us if before_us is None else before_us
 
 
@@ -143,7 +143,7 @@ class LockStateMachine:
         self._permitted = False
         self._target: Mode | None = None  # the commanded or found mode; kept in a fault to compare readings
         self._pulses_off = False  # whether readings without pulses are expected
-        self._begun_us = t_us  # start of the present travel
+        self._begun_us = t_us  # start of the current travel
         self._sent_us: int | None = None  # start of the target's pulse at the driver's output
         self._closed_since_us: int | None = None  # start of the target switch's closure during a travel
         self._wrong_since_us: int | None = None  # start of a lost pulse or of contradicting switches
@@ -167,7 +167,7 @@ class LockStateMachine:
         """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
         The lock adopts the end whose limit switch is closed. If no switch is closed but the hardware outputs
-        the pulse of an end, the lock adopts that end. The lock then waits for the travel time from `t_us`,
+        the pulse of an end, the lock adopts that end. The lock then waits until one travel time after `t_us`,
         because the servo may still move. Without such a switch or pulse, or if the inputs contradict each
         other, the lock stays `unknown`. A command stored by the last run does not prove the position of the
         horn.
@@ -325,7 +325,7 @@ class LockStateMachine:
             shown = "no pulses" if last.pulse_us is None else f"{last.pulse_us:.0f} us"
             wanted = f"{self.config.servo.pulse_us(target):.0f} us"
             return self._fault_reason(f"the controller outputs {shown} instead of {wanted}", last)
-        return f"after the travel time, no reading arrived {within} of the command"
+        return f"no reading that confirms the travel arrived {within} of the command"
 
     def _find_position(self, reading: DriverReading | None) -> tuple[Mode | None, str]:
         if reading is None:

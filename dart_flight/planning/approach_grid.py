@@ -1,4 +1,4 @@
-"""Run-ups and approaches of all candidates at once, by the core's rules (`core.mission.approach`)."""
+"""Run-ups and approaches of all candidates together, by the core's rules (`core.mission.approach`)."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from dart_flight.base.arithmetic import Number
 from dart_flight.base.walls import Wall
+from dart_flight.contact.coefficients import Array
 from dart_flight.core.mission.approach import impact_time_s, is_blocked, run_up, segments_to_impact
 from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.planning.constraints import Constraints, Refusal
 from dart_flight.planning.task import Task
 
-Array = NDArray[np.float64]
 Codes = NDArray[np.int8]
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dart_flight.base.arithmetic import Number
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2
 from dart_flight.base.walls import Post, Wall
+from dart_flight.contact.coefficients import Array
 from dart_flight.core.mission.commitment import (
     SETPOINT_OUTSIDE_M,
     SETTLED_BEFORE_S,
@@ -30,14 +31,13 @@ from dart_flight.core.mission.wall_uncertainty import spans_with_margin
 from dart_flight.planning.flight_model import GridWindow, SetpointResponse
 from dart_flight.planning.task import Task
 
-Array = NDArray[np.float64]
 Codes = NDArray[np.int8]
 
 MIN_REBOUND_M_S = 0.05
 # A wall counts as touched if the vehicle would reach the plane within this time, because forces may begin
 # before the plane (`lcp`).
 _TOUCH_S = 0.01
-_THICK_M = 0.5  # beyond this distance behind the plane the vehicle is on the other side of the wall
+_THICK_M = 0.5  # distance behind the plane above which the vehicle is on the wall's other side
 _LOCK_POLL_S = 0.02
 
 
@@ -72,7 +72,7 @@ CODE = {reason: i + 1 for i, reason in enumerate(REFUSALS)}
 class Constraints:
     """The tests of one task, vectorised over candidates.
 
-    `ignored` reasons do not count, to find out which reasons prevent a plan.
+    Reasons in `ignored` do not count; this shows which reasons prevent a plan.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class Constraints:
         begins: bool,
         walls: Sequence[Wall] | None = None,
     ) -> Codes:
-        """Check each flight for walls, posts, the bounds and the speed limit.
+        """Check each flight against the walls, posts, bounds and speed limit.
 
         Args:
             until: first grid index that is not checked, for each candidate.
@@ -220,7 +220,7 @@ class Constraints:
     def lock_in_time(self, leg: SetpointResponse, wall: Wall) -> NDArray[np.bool_]:
         """Return, for each state, whether a command to hold position would stop the vehicle before the wall.
 
-        The executive decides by the same prediction (`least_distance_m`).
+        The executive uses the same prediction (`least_distance_m`).
         """
         nx, ny = wall.normal
         distance = wall.signed_distance((leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y))
@@ -313,8 +313,8 @@ def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
 
     The braking distance is proportional to a sum: the speed plus `ATTITUDE_LAG_S` times the acceleration. The
     tables give the distance for a sum of 1 m/s. The first table holds for an acceleration towards the wall,
-    the second for an acceleration away from the wall. A third array contains the sum's share that is due to
-    the speed, for each entry.
+    the second for an acceleration away from the wall. A third array contains, for each entry, the fraction of
+    the sum that is due to the speed.
     """
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0

@@ -1,6 +1,7 @@
 """Fit of the contact law to the readings of one contact.
 
-The fit estimates the wall's coefficients, the wall's plane and the arms' mode.
+The fit estimates the wall's coefficients, the wall's plane and the arms' mode. It steps the law itself,
+because the measured rotation loads two guards unequally, for which the law of a point has no closed form.
 
 Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
 positive if the vehicle is turned left. Each side of the vehicle has a right guard (g = 1) and a left guard
@@ -48,11 +49,10 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.contact_recorder import undecided
-
-Array = NDArray[np.float64]
 
 FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/felt.md)
 CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall
@@ -60,14 +60,16 @@ SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong 
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
-_PLACE_M: Final = 0.1  # least deviation of a wall's position; wide, because the force determines the position
-_WALL_RAD: Final = math.radians(4.0)  # least deviation of a planned wall's direction and of the attitude
-_UNPLANNED_RAD: Final = math.radians(15.0)  # the same for an unplanned wall: its normal is the force's
+_PLACE_M: Final = 0.1  # minimum deviation of a wall's position; wide, because the force determines it
+_WALL_RAD: Final = math.radians(4.0)  # minimum deviation of a planned wall's direction and of the attitude
+_UNPLANNED_RAD: Final = math.radians(
+    15.0
+)  # the same for an unplanned wall, with the force's direction as normal
 _UNKNOWN_SPREAD: Final = 0.8  # relative deviation of the coefficients if the material is unknown
 _KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations above which the material is not in the table
 _MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which the law does not fit
 _VELOCITY_M_S: Final = 0.04  # standard deviation of PX4's velocity at rest
-_VELOCITY_SHARE: Final = 0.02  # share of the speed that is added to this deviation
+_VELOCITY_SHARE: Final = 0.02  # fraction of the speed that is added to this deviation
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
 _LEVER_SHARE: Final = 0.3  # prior mean of b, the friction's lever divided by d
 _LEVER_SD: Final = 0.3  # prior standard deviation of b: a contact may also have no lever, or twice the mean
@@ -75,23 +77,23 @@ _LEVER_SD: Final = 0.3  # prior standard deviation of b: a contact may also have
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
 _TORQUE_ERROR: Final = 0.05  # errors of successive ticks are correlated
-_SURE_SIGMA: Final = 5.0  # if the readings' sum is fewer standard deviations, there was no contact
+_SURE_SIGMA: Final = 5.0  # standard deviations of the readings' sum below which there was no contact
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
 # Angles of incidence from which the fits start.
 _STARTS_RAD = np.radians([-19, -14, -10, -7, -4, -1.5, 0, 1.5, 4, 7, 10, 14, 19])
-_SCREENED: Final = 3  # after this many steps, only the best starts are kept
+_SCREENED: Final = 3  # steps after which only the best starts are kept
 _KEPT: Final = 4
 _STEPS: Final = 10
-_SETTLED: Final = 1e-2  # a smaller reduction of the cost ends the search
+_SETTLED: Final = 1e-2  # reduction of the cost below which the search ends
 _DAMPINGS = np.array([1.0, 10.0, 100.0])  # all are tried at every step
 _DIFFERENCE: Final = 1e-5  # step of a parameter for the numerical derivatives
 _SUBSTEPS: Final = 2  # integration steps per tick
 _FINE: Final = 4  # integration steps per tick for the torque's peak
-_MAX_TICKS: Final = 36  # if there are more, neighbouring ticks are merged
+_MAX_TICKS: Final = 36  # number of ticks above which neighbouring ticks are merged
 _QUADRATIC = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35.0
-_NEAR_TOP: Final = 0.6  # share of the torque's top above which samples determine its size
-_SURE_TORQUE: Final = 4.0  # a fitted torque below this many times the noise does not give the peak's shape
+_NEAR_TOP: Final = 0.6  # fraction of the torque's top above which samples determine its size
+_SURE_TORQUE: Final = 4.0  # ratio to the noise below which a fitted torque does not give the peak's shape
 _QUARTER: Final = 0.5 * math.pi
 _K, _F, _X, _V, _D, _MU, _W, _B = range(8)  # k, f, place, velocity, angle, mu, velocity along, lever
 _FACTORS = [_K, _F, _MU]
@@ -155,7 +157,7 @@ class Ticks(NamedTuple):
         return Ticks._make([h, *map(mean, self[1:9]), count, bound])
 
 
-class Contact(NamedTuple):
+class ContactReadings(NamedTuple):
     """The readings of one contact and what was known before the fit.
 
     Attributes:
@@ -208,7 +210,11 @@ class ContactFit:
     """
 
     def __init__(
-        self, contact: Contact, before: list[Belief], vehicle: VehicleConfig, scatter: float = CONTACT_SCATTER
+        self,
+        contact: ContactReadings,
+        before: list[Belief],
+        vehicle: VehicleConfig,
+        scatter: float = CONTACT_SCATTER,
     ) -> None:
         self.contact, self.before, self._vehicle, self._scatter = contact, before, vehicle, scatter
         self._mass, self._along = vehicle.airframe.mass_kg, vehicle.airframe.guard_along_m
@@ -455,14 +461,14 @@ class ContactFitter:
         fits = fit.run()
         if not all(math.isfinite(h.evidence) for h in fits):
             raise ValueError("no solution")
-        odds, felt = 0.0, None
+        odds, sure = 0.0, None
         if len(fits) == len(Mode):  # a vehicle without a lock has one mode and no odds
             misfit = min(h.misfit for h in fits)
             odds = (fits[0].evidence - fits[1].evidence) / max(1.0, misfit)
             if abs(odds) >= SURE_LOG_ODDS and misfit <= _MAX_MISFIT:
-                felt = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
+                sure = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
         likely = Mode.RIGID if odds > 0.0 else modes[-1]
-        mode = felt or reported or likely
+        mode = sure or reported or likely
         index = modes.index(mode)
         found, onset, wall = fits[index], request.onset, request.wall
         lead = 2.0 * self._vehicle.airframe.guard_along_m * math.sin(found.incidence_rad)
@@ -489,7 +495,7 @@ class ContactFitter:
         (x, y, _), (vx, vy, _), away = onset.position_mission, onset.velocity_mission, found.place_m
         estimate = msgspec.structs.replace(
             undecided(request, wall, self._vehicle),
-            mode_felt=felt,
+            mode_felt=sure,
             log_odds=odds,
             incidence_rad=found.incidence_rad,
             incidence_sigma_rad=found.incidence_sd,
@@ -520,7 +526,7 @@ class ContactFitter:
         if wall is not None:
             place_sd = max(_PLACE_M, float(wall.plane_sd_m(onset.position_mission)))
             angle_sd = max(_WALL_RAD, wall.yaw_sd_rad or 0.0)
-        contact = Contact(
+        contact = ContactReadings(
             self._ticks(request),
             (onset.first_us - begin_us) * 1e-6 - 0.75 * imu.tick_s,
             velocity,
@@ -582,13 +588,17 @@ class ContactFitter:
             )
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
-    def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
-        """Return the configured material with the coefficients nearest to `felt`, or None if all are far."""
+    def _likely_material(self, belief: Belief, mode: Mode) -> str | None:
+        """Return the material whose coefficients are nearest to `belief`, or None if all are far."""
         spread2 = self._vehicle.estimation.walls.spread**2
 
         def misfit(name: str) -> float:
             c = self._vehicle.materials[name].coefficients(mode)
-            pairs = ((felt.k, felt.k_sd, c.k), (felt.f, felt.f_sd, c.f), (felt.mu, felt.mu_sd, c.mu))
+            pairs = (
+                (belief.k, belief.k_sd, c.k),
+                (belief.f, belief.f_sd, c.f),
+                (belief.mu, belief.mu_sd, c.mu),
+            )
             return sum(math.log(value / of) ** 2 / (sd * sd + spread2) for value, sd, of in pairs if of > 0.0)
 
         best = min(self._vehicle.materials, key=misfit)

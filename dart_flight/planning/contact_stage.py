@@ -1,12 +1,12 @@
 """A planned contact: the contact law, and PX4's controller, which remains active during the contact.
 
-The contact law alone (paper, Sec. IV-B) determines the duration T, the time t_p of the force peak and, with
-the detector's rule, the time t_e of the recovery setpoint. All three depend on coefficients and mass, not on
-the speed. The feed-forward (`core/mission/contact_feedforward.py`) keeps PX4 from pushing against the wall.
-Until t_e, the setpoint is the measured motion, so the controller's error e is 0. After t_e, the error e is
-kp (s - x) - x', where s is the recovery setpoint. The feed-forward also cancels the D term's response to the
-wall's force, before and after t_e. The symbols a, b and i are those of `planning/flight_model.py`. Along the
-normal, PX4's loop gives
+The contact law of a point (paper, Sec. IV-B; `contact/oscillator.py`) determines the duration T, the time t_p
+of the force peak and, with the detector's rule, the time t_e of the recovery setpoint. All three depend on
+coefficients and mass, not on the speed. The feed-forward (`core/mission/contact_feedforward.py`) keeps PX4
+from pushing against the wall. Until t_e, the setpoint is the measured motion, so the controller's error e is
+0. After t_e, the error e is kp (s - x) - x', where s is the recovery setpoint. The feed-forward also cancels
+the D term's response to the wall's force, before and after t_e. The symbols a, b and i are those of
+`planning/flight_model.py`. Along the normal, PX4's loop gives
 
     x'' = -(k x + f x')/m + a - b x'
     a'  = (kv e + i - kd (a - b x') - a) / tau,      i' = ki e
@@ -22,7 +22,7 @@ In these equations, lx is the normal force of the contact law alone, at the spee
 also determines the peak friction force. The recovery setpoint (`core/mission/recovery.py`) is the position at
 the force peak plus the peak normal and friction forces, each times its gain. All equations along the normal
 are linear. One constant matrix per material and mode therefore describes the motion along the normal. The
-matrix exponential gives this matrix exactly.
+matrix exponential gives this constant matrix exactly.
 
 The motion along the wall needs only integrals of exp(-c (1 + xi')). Here c is mu times the normal speed at
 the onset, and xi' is the normal velocity divided by this speed. Gauss quadrature is accurate to about 1e-10.
@@ -36,28 +36,20 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
-from dart_flight.contact.coefficients import CoefficientArrays
+from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.contact_map import friction_per_speed
 from dart_flight.contact.law import Onset
-from dart_flight.contact.oscillator import (
-    Oscillation,
-    begin_contact,
-    falling_root,
-    find_contact_times,
-    motion,
-)
+from dart_flight.contact.oscillator import Oscillation, begin_contact, find_contact_times, time_of_drop
 from dart_flight.core.mission.position_loop import PositionLoop
+from dart_flight.core.mission.recovery import recovery_offset
 from dart_flight.core.sense.detector import PEAK_DROP_FRACTION
-
-Array = NDArray[np.float64]
 
 _NODES = 10  # Gauss nodes in each of the two phases of a contact
 _SUB = 12
-# Delay after the force has fallen by the detector's share: one more IMU sample, and on average half a period
-# of PX4's position controller (125 Hz).
+# Delay from the detected force drop (PEAK_DROP_FRACTION) until PX4 uses the setpoint: one IMU sample plus, on
+# average, half a period of PX4's position controller (125 Hz).
 _SETPOINT_USED_S = 0.004
 _MIN_AFTER_PEAK_S = 0.008  # the detector needs two samples after the maximum
 
@@ -198,7 +190,7 @@ class ContactStage:
         flat = c.reshape(-1, 1)
         slip = np.exp(-flat * self._depths)  # u at the nodes per unit of u at the onset
         slip_end = np.exp(-flat * self._depth_end)
-        kept = np.exp(-flat * (self._depth_end - self._depths))  # share at T of a push at the nodes
+        kept = np.exp(-flat * (self._depth_end - self._depths))  # fraction left at T of a push at the nodes
         values = slip @ self._by_speed.T
         push = kept @ self._push
         push_v = np.einsum("nj,nj->n", kept, slip @ self._push_speed.T)
@@ -219,7 +211,7 @@ class ContactStage:
         At the onset, v is the velocity along the wall, a the acceleration and i the velocity loop's integral.
         """
         friction = -s.friction_v * v
-        setpoint = s.distance_to_peak * v - self.alphas[1] * friction
+        setpoint = s.distance_to_peak * v + recovery_offset((0.0, friction), self.alphas)[1]
         (aa, ai, a_s), (_, ii, i_s) = self._ends
         return TangentialOut(
             s.distance * v,
@@ -256,7 +248,7 @@ def build_stages(
     )
     events = find_contact_times(course)
     omega = course.omega
-    drop = _time_of_drop(course, events.peak, events.end, PEAK_DROP_FRACTION)
+    drop = time_of_drop(course, events, PEAK_DROP_FRACTION)
     delay = np.maximum((drop - events.peak) / omega, _MIN_AFTER_PEAK_S) + 1.0 / vehicle.imu.rate_hz
     engaged = events.peak / omega + np.maximum(delay + _SETPOINT_USED_S + np.asarray(extra_delay_s), 0.0)
     loop = PositionLoop.from_px4(vehicle.px4)
@@ -270,18 +262,6 @@ def build_stages(
         _prepare_normal(stage, loop, drags[i])
         _prepare_tangential(stage, loop, one)
     return stages
-
-
-def _time_of_drop(course: Oscillation, peak: Array, end: Array, fraction: float) -> Array:
-    """Return the time, in units of 1/omega, at which the force has dropped by a fraction of its peak."""
-    finite = np.where(np.isfinite(end), end, 2.0 * peak + 1.0)
-    level = (1.0 - fraction) * motion(course, peak)[0]
-
-    def excess(tau: Array) -> tuple[Array, Array]:
-        phi, slope, _ = motion(course, tau)
-        return phi - level, slope
-
-    return falling_root(excess, peak, finite, 0.5 * (peak + finite))
 
 
 def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> None:
@@ -311,7 +291,7 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
     start[1, 0] = start[2, 1] = start[3, 2] = 1.0
     at_peak = to_peak @ start
     force = -c.k * at_peak[0] - c.f * at_peak[1]
-    setpoint = at_peak[0] + stage.alphas[0] * force
+    setpoint = at_peak[0] + recovery_offset((force, 0.0), stage.alphas)[0]
     engaged = to_engaged @ start
     engaged[4] = setpoint
     end = rest @ engaged
@@ -386,6 +366,6 @@ def _prepare_tangential(stage: ContactStage, loop: PositionLoop, course: Oscilla
     pushed[:, 0] += faded
     stage._push = weights[:, None] * pushed[:count]
     stage._ends = np.stack([pushed[count], integral[count]])
-    tau_nodes = float(course.omega) * times
-    stage._depths = motion(course, tau_nodes)[2] + 1.0
-    stage._depth_end = float(motion(course, np.asarray(float(course.omega) * stage.duration_s))[2]) + 1.0
+    omega = float(course.omega)  # the course begins at 1 m/s, so its velocity is xi'
+    stage._depths = course.at(omega * times).velocity_m_s + 1.0
+    stage._depth_end = float(course.at(np.asarray(omega * stage.duration_s)).velocity_m_s) + 1.0

@@ -25,7 +25,7 @@ FLOWN_UP_TO_M_S = 3.0
 INCIDENCE_FLOWN_DEG = 30.0
 # Largest distances (m) of the guards from the centre of mass at which the tilt stays below 60 degrees
 # (docs/results/tumbles.md). Columns: normal speed (m/s), below with rigid arms, below with flexible arms,
-# above. Guards below are worse, because the impact tips the vehicle the way that the setpoint leans it.
+# above. Guards below are worse, because the impact and the setpoint tilt the vehicle in the same direction.
 HEIGHTS_FLOWN_M = (
     (0.5, 0.060, 0.060, 0.05),
     (1.0, 0.060, 0.060, 0.05),
@@ -35,8 +35,8 @@ HEIGHTS_FLOWN_M = (
     (3.0, 0.005, 0.0, 0.03),
 )
 HEIGHT_SURE_SD = 2.0  # standard deviations of the guards' height that `check` allows for
-CLIP_SHARE = 0.95  # usable share of full scale; the rest is a margin for tilt, noise and friction
-# Share of full scale above which PX4 loses its position. The position was wrong by 0.16 to 0.26 m at 254 N
+CLIP_SHARE = 0.95  # usable fraction of full scale; the rest is a margin for tilt, noise and friction
+# Fraction of full scale above which PX4 loses its position. The position was wrong by 0.16 to 0.26 m at 254 N
 # (1.25), and by 1.3 m at 296 N (1.45).
 LOST_SHARE = 1.3
 
@@ -138,9 +138,9 @@ def heights_flown_m(normal_m_s: float, mode: Mode) -> tuple[float, float]:
 
 
 def is_leaned(mission: Mission, collision: Collision) -> bool:
-    """Return whether the vehicle leans to compensate the guards' height, which an earlier touch measured.
+    """Return whether the vehicle tilts to compensate for the guards' height, measured by an earlier touch.
 
-    The vehicle leans only before an impact at the end of a mission's trajectory (docs/replanning.md).
+    The vehicle tilts only before an impact at the end of a mission's trajectory (docs/replanning.md).
     """
     touched = any(c.index < collision.index for c in mission.collisions)
     return touched and collision.trajectory is not None and mission.after_impact is AfterImpact.REPLAN

@@ -1,7 +1,7 @@
-"""Free flight under PX4's position loop, in closed form, for many candidates at once.
+"""Free flight under PX4's position loop, in closed form, for many candidates together.
 
 The equations hold for each axis of the mission frame. p is the position relative to the setpoint, v the
-velocity, and a the acceleration at the present attitude. i is the velocity loop's integral, and b the air
+velocity, and a the acceleration at the current attitude. i is the velocity loop's integral, and b the air
 drag. `core/mission/position_loop.py` defines kp, kv, ki, kd and tau:
 
     p' = v,   v' = a - b v,   i' = ki (-kp p - v)
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.mission.position_loop import PositionLoop
 from dart_flight.planning.contact_stage import expm
+from dart_flight.planning.polynomials import with_derivatives
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -32,9 +33,9 @@ Rows = NDArray[np.intp]
 
 GRID_S = 0.05
 WINDOW = 20  # grid steps evaluated together; most events are within the first second
-_ORDER = 11  # one grid step away, the fastest mode's (9 1/s) next term is 1e-13 of the position
+_ORDER = 11  # series order; one grid step away, the fastest mode's next term is 1e-13 of the position
 _NEWTON_STEPS = 6
-_SINGLE_M = 1e-4  # well above the rounding of single precision
+_SINGLE_M = 1e-4  # tolerance, well above the rounding of single precision
 
 
 class SetpointResponse(NamedTuple):
@@ -202,50 +203,14 @@ class SeriesSolution:
         states = []
         for axis, z in zip(self._flight.axes, (self._zx, self._zy), strict=True):
             terms = (axis.series.reshape(-1, 4) @ z).reshape(_ORDER + 1, 4, -1)
-            states.append(_horner(terms, d))
+            states += with_derivatives(terms, d, 0)
         return SetpointResponse(states[0], states[1], self._leg.goal_x, self._leg.goal_y)
-
-
-def _horner(coefficients: Array, d: Array) -> Array:
-    """Return values (..., n) of polynomials with coefficients (order + 1, ..., n) at d (n,)."""
-    value: Array = coefficients[-1].copy()
-    for row in coefficients[-2::-1]:
-        value *= d
-        value += row
-    return value
-
-
-def _with_slope(coefficients: Array, d: Array) -> tuple[Array, Array]:
-    """Return values of polynomials as in `_horner`, and their first derivative."""
-    value = coefficients[-1].copy()
-    slope = np.zeros_like(value)
-    for row in coefficients[-2::-1]:
-        slope *= d
-        slope += value
-        value *= d
-        value += row
-    return value, slope
-
-
-def _with_curvature(coefficients: Array, d: Array) -> tuple[Array, Array, Array]:
-    """Return values of polynomials as in `_horner`, and their first and second derivative."""
-    value = coefficients[-1].copy()
-    slope = np.zeros_like(value)
-    half = np.zeros_like(value)
-    for row in coefficients[-2::-1]:
-        half *= d
-        half += slope
-        slope *= d
-        slope += value
-        value *= d
-        value += row
-    return value, slope, 2.0 * half
 
 
 def first_crossing(position: Array, lead_s: float, low: float, high: float) -> Array:
     """Return the time between `low` and `high` at which x + lead_s x' falls below 0.
 
-    `position` is the power series (order + 1, n) of x about the grid point, from which times count.
+    `position` is the power series (order + 1, n) of x about the grid point; times count from that point.
     """
     g = position
     if lead_s:
@@ -253,7 +218,7 @@ def first_crossing(position: Array, lead_s: float, low: float, high: float) -> A
         g[:-1] += lead_s * np.arange(1, position.shape[0])[:, None] * position[1:]
     d = np.zeros(position.shape[1])
     for _ in range(_NEWTON_STEPS):
-        value, slope = _with_slope(g, d)
+        value, slope = with_derivatives(g, d, 1)
         step = value / np.where(slope < 0.0, slope, -1.0)
         new = np.clip(d - step, low, high)
         done = bool((np.abs(new - d) <= 1e-9).all())
@@ -279,7 +244,7 @@ def closest(
     at = np.array(goal)[:, None]
     d = np.zeros(x.shape[1])
     for _ in range(_NEWTON_STEPS + 2):
-        p, u, b = _with_curvature(both, d)
+        p, u, b = with_derivatives(both, d, 2)
         p -= at
         slope = (p * u).sum(axis=0)
         speed2 = (u * u).sum(axis=0)
@@ -291,5 +256,5 @@ def closest(
         d = new
         if done:
             break
-    p, u = _with_slope(both, d)
+    p, u = with_derivatives(both, d, 1)
     return d, np.hypot(p[0] - goal[0], p[1] - goal[1]), (p[0], p[1], u[0], u[1])

@@ -22,11 +22,12 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.mission_file import GoalSpec, MotionState, TrajectoryPieces
 from dart_flight.core.mission.approach import TransitSegment, transit_segments
 from dart_flight.core.mission.planned_impact import expected_hit
+from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.flight_model import FreeFlight
 from dart_flight.planning.rollout import (
     Arrivals,
-    Hits,
+    PredictedContacts,
     Rollout,
     UncertaintyDraw,
     new_flight,
@@ -37,8 +38,8 @@ from dart_flight.planning.task import MissionTask, make_task
 _POINTS = 60  # points per leg
 
 
-class PredictedImpact(NamedTuple):
-    """A predicted impact.
+class PredictedContact(NamedTuple):
+    """A predicted contact.
 
     Attributes:
         position: position of the vehicle's centre at the onset, mission frame.
@@ -66,7 +67,7 @@ class PredictedFlight(msgspec.Struct):
         legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg begins at the onset of a contact. It
             ends at the next onset, or at the closest approach to the goal. Index 0 is a trajectory from rest
             at the start to the goal. In the first row of a leg after a contact, the velocity is 0.
-        hits: impacts by collision index, except impacts that the model does not reach.
+        hits: contacts by collision index, except those that the model does not reach.
         goal_miss_m: smallest distance to the goal after the last contact; None if not predicted.
         walls: walls at random positions, drawn from the uncertainty that the mission declares; empty if the
             prediction uses the nominal walls.
@@ -74,12 +75,12 @@ class PredictedFlight(msgspec.Struct):
 
     approaches: dict[int, list[Vec2]]
     legs: dict[int, NDArray[np.float64]]
-    hits: dict[int, PredictedImpact]
+    hits: dict[int, PredictedContact]
     goal_miss_m: float | None = None
     walls: tuple[Wall, ...] = ()
 
 
-def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> Vec2:
+def impact_place(collision: Collision, hits: Mapping[int, PredictedContact]) -> Vec2:
     """Return the impact point, mission frame: the mission's, else the model's, else the wall's middle."""
     if collision.impact_point is not None:
         return collision.impact_point
@@ -89,7 +90,7 @@ def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> V
     return hit.position if hit is not None else collision.wall.point
 
 
-def predicted_segments(mission: Mission, hits: Mapping[int, PredictedImpact]) -> list[TransitSegment]:
+def predicted_segments(mission: Mission, hits: Mapping[int, PredictedContact]) -> list[TransitSegment]:
     """Return the rest-to-rest segments; a segment after a recovery begins at the predicted setpoint.
 
     Its beginning is None if the collision before it has no predicted impact.
@@ -166,7 +167,7 @@ def _add_prediction(
     `last` is True if the vehicle recovers to the goal after the last of these collisions.
     """
     for i, (collision, hit) in enumerate(zip(group, arrivals.hits, strict=True)):
-        planned.hits[collision.index] = PredictedImpact(
+        planned.hits[collision.index] = PredictedContact(
             position=(float(hit.x[0]), float(hit.y[0])),
             normal_m_s=float(hit.normal_m_s[0]),
             tangential_m_s=float(hit.tangential_m_s[0]),
@@ -189,28 +190,26 @@ def _add_written(planned: PredictedFlight, mission: Mission, group: Sequence[Col
         return
     for i, collision in enumerate(group):
         assert collision.predicted is not None
-        predicted, wall = collision.predicted, collision.wall
+        predicted = collision.predicted
         hit = expected_hit(mission, collision)
         friction_n = (
             0.0 if hit is None else -math.copysign(hit.peak_friction_force_n, predicted.tangential_m_s)
         )
-        (nx, ny), (tx, ty), (x, y) = wall.normal, wall.tangent, predicted.position_m
-        away = collision.alpha_normal_m_per_n * predicted.peak_force_n
-        onward = -collision.alpha_tangential_m_per_n * friction_n
-        setpoint = (x + nx * away + tx * onward, y + ny * away + ty * onward)
-        planned.hits[collision.index] = PredictedImpact(
-            (x, y),
+        alphas = (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n)
+        peaks = (predicted.peak_force_n, friction_n)
+        planned.hits[collision.index] = PredictedContact(
+            predicted.position_m,
             predicted.normal_m_s,
             predicted.tangential_m_s,
             predicted.peak_force_n,
             friction_n,
-            setpoint,
+            recovery_point(predicted.position_m, collision.wall.normal, peaks, alphas),
         )
         last = collision is mission.collisions[-1]
         following = mission.goal_trajectory if last else group[i + 1].trajectory if group[i + 1 :] else None
         if following is not None:
             rows = [(*state.position, *state.velocity) for state in _sampled(following)]
-            planned.legs[collision.index] = np.array([(x, y, 0.0, 0.0), *rows])
+            planned.legs[collision.index] = np.array([(*predicted.position_m, 0.0, 0.0), *rows])
     if group[-1] is mission.collisions[-1] and mission.recovers_to_goal and mission.predicted is not None:
         planned.goal_miss_m = mission.predicted.goal_miss_m
 
@@ -272,7 +271,7 @@ def _rollout(task: MissionTask, flight: FreeFlight, walls: Mapping[str, Wall] | 
     return Rollout(there, tuple(task.walls), flight, None, keep_hits=True)
 
 
-def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:
+def _path(flight: FreeFlight, hit: PredictedContacts, until_s: float) -> NDArray[np.float64]:
     """Return the path from the onset of an impact to `until_s`, mission frame, (n, 4).
 
     The first row is the onset. All other rows are after the release.

@@ -7,7 +7,7 @@ end, the polynomial and its first two derivatives reach zero. The trajectory the
 shape, the end and the final velocity of the plan, with small additional accelerations.
 
 In the last tenths of a second before a wall, only two differences from the plan remain. The end is shifted to
-the estimated wall, and the final acceleration gives the wanted tilt of the vehicle. If the correction lasted
+the estimated wall, and the final acceleration gives the desired tilt of the vehicle. If the correction lasted
 until the impact, the vehicle would still be rotating at the impact.
 """
 
@@ -18,29 +18,26 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dart_flight.base.geometry import Vec2
+from dart_flight.contact.coefficients import Array, Rows
 from dart_flight.core.mission.trajectories import Trajectory
-from dart_flight.planning.polynomials import quintic
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
+from dart_flight.planning.polynomials import derivative, quintic
 
 _SAMPLES = 24
 _STEP_S = 0.03  # step between the possible starting times on the planned trajectory
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
 _LEAST_S = 0.2  # shortest trajectory
-_SAME_S = 1e-6  # shorter pieces are dropped
-SETTLED_S = 0.2  # the last part before a wall follows the plan for this time, the attitude's lag
-_SETTLED_SHARE = 0.3  # largest share of a trajectory that this part takes
+_SAME_S = 1e-6  # duration below which pieces are dropped
+SETTLED_S = 0.2  # duration of the last part before a wall, which follows the plan: the attitude's lag
+_SETTLED_SHARE = 0.3  # largest fraction of a trajectory for this part
 
 
 class RejoiningTrajectories(NamedTuple):
     """The n candidate trajectories back to a planned trajectory, sampled at k times each.
 
     Attributes:
-        shares: (k,) sampling times, as shares of each duration.
+        shares: (k,) sampling times, as fractions of each duration.
         from_s: (n,) time on the planned trajectory at which the candidate begins.
         slower: (n,) factor, 1 or larger, by which the candidate slows down the planned trajectory.
         duration_s: (n,) duration of the candidate.
@@ -128,8 +125,9 @@ def candidate_trajectories(
         kept[axis, :, :3] = np.stack([left[0], left[1], 0.5 * push], axis=1)
     since = shares * duration[:, None]
     early, late = np.minimum(since, until[:, None]), np.maximum(since - until[:, None], 0.0)
+    before, after = (np.moveaxis(rows, -1, 0)[..., None] for rows in (added, kept))
     states = [
-        shape[order] + np.where(late > 0.0, _derivative(kept, late, order), _derivative(added, early, order))
+        shape[order] + np.where(late > 0.0, derivative(after, late, order), derivative(before, early, order))
         for order in range(4)
     ]
     return RejoiningTrajectories(planned, shares, from_s, slower, duration, until, added, kept, *states)
@@ -141,23 +139,8 @@ def _sampled(planned: Trajectory, times: Array) -> Array:
     piece = np.clip(np.searchsorted(begins, times, side="right") - 1, 0, begins.size - 1)
     since = times - begins[piece]
     by_axis = np.array([planned.x, planned.y]).reshape(2, -1, 6)
-    rows = by_axis[:, piece]
-    return np.stack([_derivative(rows, since, order, per_time=True) for order in range(4)])
-
-
-def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = False) -> Array:
-    """Return a derivative (2, n, k) of polynomials (2, n, 6) at times (n, k).
-
-    If `per_time`, the coefficients are (2, n, k, 6): one polynomial for every time.
-    """
-    for _ in range(order):
-        coefficients = coefficients[..., 1:] * np.arange(1, coefficients.shape[-1])
-    if not per_time:
-        coefficients = coefficients[:, :, None, :]
-    value = np.zeros((2, *times.shape))
-    for power in range(coefficients.shape[-1] - 1, -1, -1):
-        value = value * times + coefficients[..., power]
-    return value
+    rows = np.moveaxis(by_axis[:, piece], -1, 0)  # one polynomial for every time
+    return np.stack([derivative(rows, since, order) for order in range(4)])
 
 
 def _shift_polynomial(coefficients: tuple[float, ...], by: float) -> list[float]:

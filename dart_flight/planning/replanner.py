@@ -42,30 +42,30 @@ from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, end_margin
 from dart_flight.planning.constraints import REFUSALS, Constraints
 from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, GridWindow, Rows, loop_matrix
-from dart_flight.planning.polynomials import quintic
+from dart_flight.planning.polynomials import derivative, quintic
 from dart_flight.planning.predicted_flight import impact_place, predict_mission
 from dart_flight.planning.rejoining import SETTLED_S, RejoiningTrajectories, candidate_trajectories
 from dart_flight.planning.task import MissionTask, drag_along
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
 _ALONG_M = np.arange(-0.8, 0.81, 0.05)  # impact points along the wall, relative to the planned point
-_SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # shares of the planned velocity, tried in this order
+_SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # fractions of the planned velocity, tried in this order
 # Durations at constant velocity before the wall, so that the attitude settles; the second for small rooms.
 _STRAIGHT_S = (0.3, 0.1)
 _SAMPLES = 24  # samples of a trajectory at which the constraints are checked
-_LAST = 3  # number of a trajectory's last samples
+_LAST = 3  # number of samples that count as a trajectory's end
 _PUSH_SAMPLES = 12  # samples at which acceleration and jerk are checked, before the other constraints
-# Usable share of PX4's tilt limit; the rest is for wind, errors and the position loop's corrections.
+# Usable fraction of PX4's tilt limit; the rest is for wind, errors and the position loop's corrections.
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt per second, which the attitude loop can follow
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
 _GENTLE_REJOINING_S = 0.05  # the same for rejoining, because the joined trajectory is within limits
 _REJOINING_ALLOWANCE = 1.25  # factor on the limit, because the planned trajectory may already reach the limit
 _SPEED_TOLERANCE = 1.01  # largest ratio of planned to flown speed
-# Two errors turn the vehicle in a contact (docs/results/faster_hits.md). One is too much lean off the wall in
-# plans for rigid arms. The other is a lean into the wall that begins so late that the lag removes the lean.
-_THRUST_OFF_SHARE = 0.5  # rigid arms: share of the plan's final thrust off the wall; the lag removes the rest
-_LEANS_IN_M_S3 = 8.0  # jerk into the wall at the end above which another trajectory is preferred
+# Two errors turn the vehicle in a contact (docs/results/faster_hits.md). One is too much tilt away from the
+# wall in plans for rigid arms. The other is a tilt into the wall that begins so late that the lag removes it.
+_THRUST_OFF_SHARE = 0.5  # rigid arms: fraction of the plan's final thrust off the wall; lag removes the rest
+_LEANS_IN_M_S3 = 8.0  # final jerk into the wall above which another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
 _COMPRESSED_M = 0.15  # greatest depth behind a wall, from compressed arms and its position error
 _OFF_PLACE_S = 1.0  # cost of a contact as far from the planned point as the mission tolerates
@@ -123,13 +123,13 @@ class Replanner:
         self._planned_m_s2 = min(self._most_m_s2, limits.acceleration_m_s2 or math.inf)
         self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
 
-    def update_wall(self, felt: WallEstimate) -> None:
+    def update_wall(self, estimate: WallEstimate) -> None:
         """Store a wall estimate; use its coefficients only if the mode is known and the fit succeeded."""
-        self._survey.add_estimate(felt, self._walls[felt.wall])
-        mode = felt.mode_felt or felt.mode_reported
-        if mode is not None and not felt.problem:
-            self._coefficients[felt.wall, mode] = Coefficients(
-                felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m, felt.nu_n
+        self._survey.add_estimate(estimate, self._walls[estimate.wall])
+        mode = estimate.mode_felt or estimate.mode_reported
+        if mode is not None and not estimate.problem:
+            self._coefficients[estimate.wall, mode] = Coefficients(
+                estimate.k_n_per_m, estimate.f_ns_per_m, estimate.mu_s_per_m, estimate.nu_n
             )
 
     def move_frame(self, anchor: FrameAnchor) -> None:
@@ -139,7 +139,7 @@ class Replanner:
             self._anchors.add_recorded(anchor)
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
-        """Return the trajectory from a request's state. If none is found, the answer has a `problem`.
+        """Plan a trajectory that starts in the requested state. If none is found, the answer has a `problem`.
 
         An exception in the planner also becomes a `problem`, so that it does not end the flight.
         """
@@ -311,7 +311,7 @@ class Replanner:
                 [place + ahead_s * (speed + 0.5 * ahead_s * push), speed + ahead_s * push, push]
             )
             return states[:, 0], states[:, 1]
-        if request.coasts:  # the vehicle levels at once after a contact
+        if request.coasts:  # the vehicle levels immediately after a contact
             lag, left = ATTITUDE_LAG_S, math.exp(-ahead_s / ATTITUDE_LAG_S)
             gained = lag * (1.0 - left) * push
             flown = ahead_s * speed + lag * (ahead_s * push - gained)
@@ -362,9 +362,9 @@ class Replanner:
         that PX4's tilt limit permits.
         """
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
-        push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
+        push = np.hypot(*(derivative(c[:, :, None], times, 2) for c in (x, y))).max(axis=1)
         rows = np.flatnonzero(push <= self._planned_m_s2)
-        jerk = np.hypot(*(_derivative(c[:, rows], times[rows], 3) for c in (x, y))).max(axis=1)
+        jerk = np.hypot(*(derivative(c[:, rows, None], times[rows], 3) for c in (x, y))).max(axis=1)
         return rows[jerk <= self._planned_m_s3], push / self._most_m_s2
 
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
@@ -386,7 +386,9 @@ class Replanner:
     ) -> NDArray[np.bool_]:
         """Return which trajectories respect the bounds and speed limit and touch no wall except `wall`."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
-        states = (_derivative(c, times, order).astype(np.float32) for order in (0, 1) for c in (x, y))
+        states = (
+            derivative(c[:, :, None], times, order).astype(np.float32) for order in (0, 1) for c in (x, y)
+        )
         window = GridWindow(np.linspace(0.0, 1.0, _SAMPLES), *states)
         until = np.full(duration_s.size, _SAMPLES)
         codes = self._constraints.path(window, until, wall, begins=True, walls=obstacles)
@@ -443,14 +445,3 @@ def _straights(slack: float) -> list[tuple[float, float]]:
 
 def _no_plan(answer: PlanAnswer, problem: str) -> PlanAnswer:
     return msgspec.structs.replace(answer, problem=problem)
-
-
-def _derivative(coefficients: Array, t: Array, order: int) -> Array:
-    """Return a derivative of polynomials (6, n) at times (n, k), as (n, k)."""
-    for _ in range(order):
-        coefficients = coefficients[1:] * np.arange(1, len(coefficients))[:, None]
-    value = np.zeros_like(t)
-    for c in coefficients[::-1]:
-        value *= t
-        value += c[:, None]
-    return value

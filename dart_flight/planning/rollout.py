@@ -42,14 +42,14 @@ from dart_flight.planning.flight_model import (
 )
 from dart_flight.planning.task import Task, drag_along
 
-_HORIZON_S = 6.0  # later events do not occur, because the loop has settled
+_HORIZON_S = 6.0  # time of the last events, because the loop has then settled
 MIN_FACTOR = 0.1  # lower limit of a drawn coefficient relative to its nominal value
 Outcome = TypeVar("Outcome", NormalOut, TangentialOut)
 Stages = dict[tuple[str, Mode], ContactStage]
 
 
-class Hits(NamedTuple):
-    """One collision of the sequence, for n candidates; arrays (n,).
+class PredictedContacts(NamedTuple):
+    """The contacts of n candidates with one wall of the sequence; arrays (n,).
 
     Attributes:
         t_s: time from the start of the run-up to the onset.
@@ -75,8 +75,8 @@ class Hits(NamedTuple):
     def peak_force_n(self) -> Array:
         return np.hypot(self.normal_n, self.tangential_n)
 
-    def select(self, rows: Rows | NDArray[np.bool_]) -> Hits:
-        return Hits._make((self.wall, *(v[rows] for v in self[1:-1]), self.leg.select(rows)))
+    def select(self, rows: Rows | NDArray[np.bool_]) -> PredictedContacts:
+        return PredictedContacts._make((self.wall, *(v[rows] for v in self[1:-1]), self.leg.select(rows)))
 
 
 class Arrivals(NamedTuple):
@@ -89,7 +89,7 @@ class Arrivals(NamedTuple):
         t_s: time from the start of the run-up to the closest approach to the goal.
         force_n: largest peak force of all collisions.
         x, y, vx, vy: state at the closest approach.
-        hits: the collisions, if requested.
+        hits: the contacts, if requested.
     """
 
     rows: Rows
@@ -101,11 +101,11 @@ class Arrivals(NamedTuple):
     y: Array
     vx: Array
     vy: Array
-    hits: tuple[Hits, ...]
+    hits: tuple[PredictedContacts, ...]
 
 
-class _Impacts(NamedTuple):
-    """Candidates at their impact on one wall; arrays (n,). The velocity is in the wall's frame."""
+class _AtWall(NamedTuple):
+    """Candidates at the onset on one wall; arrays (n,). The velocity is in the wall's frame."""
 
     wall: Wall
     number: int  # number of the wall in the sequence, from 1
@@ -113,7 +113,7 @@ class _Impacts(NamedTuple):
     modes: Rows
     t_s: Array
     force_n: Array
-    hits: tuple[Hits, ...]
+    hits: tuple[PredictedContacts, ...]
     position: tuple[Array, Array]
     velocity: tuple[Array, Array]
     normal: NormalOut
@@ -129,7 +129,7 @@ class _Released(NamedTuple):
     since_peak_s: Array  # time from the recovery setpoint to the release
     force_n: Array
     leg: SetpointResponse
-    hits: tuple[Hits, ...]
+    hits: tuple[PredictedContacts, ...]
 
     def select(self, rows: Rows | NDArray[np.bool_]) -> _Released:
         hits = tuple(hit.select(rows) for hit in self.hits)
@@ -140,7 +140,7 @@ def _merge(fronts: list[_Released]) -> _Released:
     if len(fronts) == 1:
         return fronts[0]
     hits = tuple(
-        Hits._make(
+        PredictedContacts._make(
             (
                 same[0].wall,
                 *_concatenate([hit[1:-1] for hit in same]),
@@ -178,7 +178,7 @@ def draw_wall(wall: Wall, rng: np.random.Generator) -> Wall:
 
 
 def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stages]:
-    """Return the contact stages by wall and mode, for every draw; None stands for the nominal values.
+    """Return the contact stages by wall and mode, for every draw; None means the nominal values.
 
     Only walls with gains (`task.alphas`) have stages.
     """
@@ -204,9 +204,9 @@ class Rollout:
     """One sequence of walls, in the order of the impacts, for any approach velocities.
 
     Args:
-        flight: the loop's tables, shared between rollouts.
+        flight: precomputed tables of the position loop, shared between rollouts.
         constraints: constraints of the task, or None to fly every candidate to its end (for comparisons).
-        keep_hits: whether arrivals contain their collisions.
+        keep_hits: whether each returned arrival includes its hits.
     """
 
     def __init__(
@@ -320,9 +320,9 @@ class Rollout:
         y = grid.impact_y.ravel()[rows] + ny * onset + ty * back
         time = grid.impact_s.ravel()[rows] - stage.lead_s
         modes, force = np.full(rows.size, mode), np.zeros(rows.size)
-        return self._release(stage, _Impacts(wall, 1, rows, modes, time, force, (), (x, y), (n, t), *flat))
+        return self._release(stage, _AtWall(wall, 1, rows, modes, time, force, (), (x, y), (n, t), *flat))
 
-    def _release(self, stage: ContactStage, impacts: _Impacts) -> _Released | None:
+    def _release(self, stage: ContactStage, impacts: _AtWall) -> _Released | None:
         """Return the candidates released from a contact, without those whose recovery exceeds a limit."""
         wall, number, rows, modes, time, force, hits, position, velocity, n, t = impacts
         (nx, ny), (tx, ty) = wall.normal, wall.tangent
@@ -342,7 +342,7 @@ class Rollout:
             position[1] + sy,
         )
         duration = np.full(rows.size, stage.duration_s)
-        hit = Hits(wall, time, *position, *velocity, n.peak_force_n, t.friction_n, duration, leg)
+        hit = PredictedContacts(wall, time, *position, *velocity, n.peak_force_n, t.friction_n, duration, leg)
         front = _Released(
             rows,
             modes,
@@ -474,7 +474,7 @@ class Rollout:
                 front, out, slide = front.select(stays), _select_rows(out, stays), _select_rows(slide, stays)
                 x, y, vn, vt, time = (v[stays] for v in (x, y, vn, vt, time))
         before = (front.rows, front.modes, time, front.force_n, front.hits)
-        return self._release(stage, _Impacts(wall, number, *before, (x, y), (vn, vt), out, slide))
+        return self._release(stage, _AtWall(wall, number, *before, (x, y), (vn, vt), out, slide))
 
     # -- to the goal --
 
@@ -574,7 +574,7 @@ def _actual_approach(
     later_s = before / -into
     x, y = grid.impact_x + vx * later_s, grid.impact_y + vy * later_s
     codes = grid.codes.copy()
-    # The wall's position is drawn, so no margin for uncertainty is needed beside half a vehicle.
+    # The wall's position is drawn, so half the vehicle's width suffices, without a margin for uncertainty.
     beyond = wall.end_distance_m((x, y)) < wall.half_vehicle_m
     codes[(codes == 0) & beyond] = CODE[Refusal.BEYOND_WALL]
     actual = grid._replace(codes=codes, impact_x=x, impact_y=y, impact_s=grid.impact_s + later_s)

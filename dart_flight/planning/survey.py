@@ -19,16 +19,16 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
-_SPEED_M_S = 0.5  # slow, but well above the detection threshold in either mode
+_SPEED_M_S = 0.5  # probe speed: slow, but well above the detection threshold in either mode
 _RUN_UP_M = 0.5  # distance of the run-up point from the nearest possible position of the wall
 _BACK_M = 0.5
-# Contacts to try, in this order: offset from the wall's middle, as a share of the wall's length.
+# Contacts to try, in this order: offset from the wall's middle, as a fraction of the wall's length.
 _ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)
-_PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
+_PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # standard deviations of walls without configured ones
 
 
 class SurveyPlan(NamedTuple):
-    """A mission that touches walls, and the reason for each wall, by name, that it cannot reach."""
+    """A mission that touches walls, and for each wall that it cannot reach, by name, the reason."""
 
     mission: Mission
     unreachable: dict[str, str]

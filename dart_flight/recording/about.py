@@ -47,8 +47,9 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
     try:
         about["mission_text"] = Path(mission.source).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):  # the mission was built in Python, or its file no longer exists
-        tree = msgspec.json.encode(mission.to_dict())
-        about["mission_text"] = msgspec.json.format(tree, indent=2).decode()
+        with contextlib.suppress(InputError):  # it no longer has the keys of a file
+            tree = msgspec.json.encode(mission.to_dict())
+            about["mission_text"] = msgspec.json.format(tree, indent=2).decode()
     return about
 
 

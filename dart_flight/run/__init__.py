@@ -1,6 +1,6 @@
 """Shells around the core, one per world, and the runners of many flights.
 
-The `fly_*` functions return the verdict and share their arguments. `seed` draws the sensor noise and the
+The `fly_*` functions return the verdict and share their arguments. `seed` determines the sensor noise and the
 random quantities `spreads` (`sim.draws`: name -> standard deviation). A flight makes its own folder in
 `log_dir`. `progress` gets every record on a separate thread (except in `fast`), and `viewer` on the thread
 that processed the record. `speed` is the highest number of simulated seconds per second.

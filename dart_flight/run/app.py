@@ -1,4 +1,4 @@
-"""Flights over MAVSDK: what surrounds the shell of the core (`shell`), and its transport to the vehicle.
+"""A flight over MAVSDK: the threads around the core's shell (`shell`), and the connection to the vehicle.
 
 The threads are:
     MAVSDK's thread builds records and queues them. Near a wall it also steps the core (`core_thread`).
@@ -61,10 +61,10 @@ from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, 
 from dart_flight.vehicle.motion_capture.source import PoseSource, open_source
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 
-_SHOW_PERIOD_S = 0.2  # the update period of the live line
-_SWITCH_INTERVAL_S = 0.001  # a computing thread yields to MAVSDK's callbacks after a millisecond
+_SHOW_PERIOD_S = 0.2  # update period of the live line
+_SWITCH_INTERVAL_S = 0.001  # time after which a computing thread yields to MAVSDK's callbacks
 _KEY_PAUSE_S = 0.5
-_LOOK_PERIOD_S = 0.5  # between checks for other vehicles and for the end of the simulated world
+_LOOK_PERIOD_S = 0.5  # period of the checks for other vehicles and for the end of the simulation
 _END_GRACE_S = 0.3  # wait after the flight for the last truth and the log
 
 Progress = Callable[[Record], None]
@@ -260,7 +260,7 @@ class FlightApp:
         self._shown.append(record)
 
     def stop(self) -> None:
-        """End the flight: the first call leaves the wall and lands, the second stops sending setpoints."""
+        """End the flight: after the first call the vehicle lands; the second call stops the setpoints."""
         self._stops += 1
         self._stopped.set()
         request = Request.LAND if self._stops == 1 else Request.RELEASE
@@ -478,7 +478,7 @@ class FlightApp:
     # -- commands of the core, on the core thread (`shell.Transport`) --
 
     def send(self, setpoint: Setpoint) -> None:
-        """Send a setpoint at once. If sending fails, report the error, but each error text only once."""
+        """Send a setpoint immediately. If sending fails, report the error, but each error text only once."""
         assert self._session is not None
         try:
             self._session.send(setpoint)

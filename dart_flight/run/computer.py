@@ -1,7 +1,7 @@
 """State of the computer for the flight's log: temperature, undervoltage and throttling.
 
-A Raspberry Pi reports undervoltage and throttling as flags in one word, for the present and for the time
-since power-on. Other computers report at most a temperature.
+A Raspberry Pi reports undervoltage and throttling as flags in one word, for the current state and for the
+time since power-on. Other computers report at most a temperature.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SINCE_START = 16  # bit offset of the flags that apply since power-on
 
 
 def read_computer(root: Path = Path("/")) -> ComputerSample:
-    """Return the present state from the kernel; a field that the kernel does not report is None."""
+    """Return the current state from the kernel; a field that the kernel does not report is None."""
     flags = None
     with contextlib.suppress(OSError, ValueError):
         flags = int((root / _FLAGS).read_text(), 16)

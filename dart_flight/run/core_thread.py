@@ -70,7 +70,7 @@ class CoreThread:
     def arrive(self, item: Input) -> None:
         """Queue an input from a stream, from any thread.
 
-        If a step is due at once, the calling thread steps the core with the queued inputs.
+        If a step is due immediately, the calling thread steps the core with the queued inputs.
         """
         # Queue the item first: a thread that ends the batch meanwhile steps only what is in the queue.
         self._queue.put(item)

@@ -24,8 +24,8 @@ from pathlib import Path
 
 CORE, LOOP = b"c", b"l"
 _ARM, _LET_GO = b"a", b"q"
-_OWN_PAUSES = 2.0  # a watcher that was itself suspended for more periods restarts its timeouts
-FEED_PERIOD_S = 0.1  # longest period; shorter periods would cost more wake-ups
+_OWN_PAUSES = 2.0  # periods of its own suspension after which the watcher restarts its timeouts
+FEED_PERIOD_S = 0.1  # longest period of feeding; shorter periods would cost more wake-ups
 _FEEDS = 5  # feeds due within `starve_s`; all but one of them may be late
 _MIN_S = 0.001
 _WORD = struct.Struct("=cd")  # message and its time; a write this short is atomic
@@ -128,7 +128,7 @@ class SystemdNotice:
         self._send("STOPPING=1")
 
     def alive(self) -> None:
-        """Feed systemd's watchdog at most twice per period of the watchdog; call this more often."""
+        """Feed systemd's watchdog if half its timeout has passed since the last feed; call often."""
         now = time.monotonic()
         if self._period_s is not None and now - self._sent_s >= self._period_s:
             self._sent_s = now

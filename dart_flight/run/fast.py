@@ -1,6 +1,6 @@
 """Fast world: core, lock and simulated vehicle in one process and one thread, in simulated time.
 
-The fast world makes the same decisions as the other worlds, at the highest speed of the computer. A seed
+The fast world makes the same decisions as the other worlds, as fast as the computer allows. A seed
 always gives the same flight. `dry-run --fast`, campaigns and scripts use this world.
 """
 
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 # Offset of the host's own clock, plus 1 ms for a message: the median delay of MAVSDK's callback over UDP.
 _HOST_OFFSET_US: Final = 7_001_000
 _TRUTH_EVERY: Final = 2
-_HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
+_HOST_EVERY: Final = 5  # ticks of 4 ms between polls of the lock and reports of the host time (50 Hz)
 _TIMESYNC_EVERY: Final = 25  # ticks between measurements of the round trip, as in the app
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last setpoint at 20 Hz
 _LONGEST_S: Final = 180.0  # longest duration of a flight, without the mission's holds
@@ -77,7 +77,7 @@ class _FastClock(SimulatedTime):
         return self._flight.host_us
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Return the autopilot's present time; `host_time_us` is ignored."""
+        """Return the autopilot's current time; `host_time_us` is ignored."""
         return self._flight.autopilot.time_us
 
 
@@ -126,7 +126,7 @@ class FastFlight:
         self.core = FlightCore(mission)
         # Latency of the simulated computer, independent of this computer's speed.
         plan_us = round(true.vehicle.simulation.replan_latency_s * 1e6)
-        # Every record passes here, so without a fault call the observer directly, which saves time.
+        # Every record passes through here; without a fault, call the observer directly to save time.
         notice = self._observe_record if fault is not None else observe or (lambda record, number: None)
         self._clock = _FastClock(self)
         self.shell = Shell(self.core, self, notice, InProcessTime(self._clock, plan_us))
@@ -208,7 +208,7 @@ class FastFlight:
         if self._ticks % _TIMESYNC_EVERY == 1:
             self._request_time()
         if self.faulted is not None and self.faulted.app_silent:
-            self._repeat()  # MAVSDK's thread outlives a hang of the app
+            self._repeat()  # MAVSDK's thread keeps running when the app hangs
             return
         if self._ticks % _HOST_EVERY == 0:
             if self.lock is not None:
@@ -294,7 +294,7 @@ class FastFlight:
         self._continue_us = self.host_us + (self._operator_us or 0) if waits else None
 
     def fall_silent(self) -> None:
-        """Stop repeating the last setpoint; also when the process of app and MAVSDK no longer runs."""
+        """Stop repeating the last setpoint; also called when the process of app and MAVSDK has ended."""
         self._last_setpoint = None
 
     def finish(self) -> None:

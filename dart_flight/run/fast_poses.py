@@ -35,9 +35,7 @@ class _PlantPoses:
     def stop(self) -> None:
         self._deliver = lambda raw: None
 
-    def publish(
-        self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
-    ) -> None:
+    def publish(self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool) -> None:
         """Deliver one frame in room axes."""
         frame, self._frame = self._frame, self._frame + 1
         if tracked:
@@ -56,7 +54,7 @@ class FastPoses:
         self._autopilot = autopilot
         source = _PlantPoses()
         mocap = mission.vehicle.mocap
-        self._feed = PoseFeed(mocap, source, autopilot.plant.position)
+        self._feed = PoseFeed(mocap, source.publish, autopilot.plant.position)
         self._bridge = MotionCaptureBridge(mocap, source, self._send, clock, deliver)
         self._bridge.start()
 

@@ -138,7 +138,7 @@ class FlightWithFault:
             self._in.push(self._flight.autopilot.now_s, item)
 
     def arrived(self) -> list[Input]:
-        """Return the samples that reach the app now; `received_us` of each sample is the present time."""
+        """Return the samples that reach the app now; with `received_us` set to the current time."""
         received = self._flight.host_us
         return [
             msgspec.structs.replace(item, received_us=received)

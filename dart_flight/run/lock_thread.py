@@ -1,4 +1,4 @@
-"""Thread that runs a lock's state machine, for programs over MAVSDK; the lock's driver may block it."""
+"""Thread that runs a lock's state machine, for programs over MAVSDK; the driver may block the thread."""
 
 from __future__ import annotations
 

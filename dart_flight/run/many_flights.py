@@ -57,14 +57,14 @@ def fly_fast_many(
     spreads: Mapping[str, float] | None = None,
     announce: Callable[[int], None] = lambda under_way: None,
 ) -> list[Verdict]:
-    """Fly many fast flights on the processor's cores (`run.workers`); return verdicts in seed order.
+    """Fly many fast flights in parallel (`run.workers`); return verdicts in seed order.
 
     Args:
         announce: called after the first Ctrl-C, with the number of flights in progress.
 
     Raises:
         RunsInterruptedError: the operator has pressed Ctrl-C. Flights in progress were completed, and no
-            further flight began. A second Ctrl-C also ends the flights in progress.
+            other flight began. A second Ctrl-C also ends the flights in progress.
         InputError: a log cannot be written, or the lock driver does not work in simulated time.
         FlightError: a flight's process died, and died again when the flight was retried.
     """
@@ -134,7 +134,7 @@ def summarise(verdicts: list[Verdict]) -> RunsSummary:
 
 
 def unexplained_modes(verdict: Verdict) -> list[str]:
-    """Return texts, each about a difference between the arms' mode and the lock's mode.
+    """Return a text for each difference between the arms' mode and the lock's mode.
 
     A flight with a simulated fault of the lock has no findings. In any other simulated flight, a finding
     means that the simulation or the estimated mode is wrong, so the flight is invalid.

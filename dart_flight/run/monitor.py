@@ -21,15 +21,11 @@ import msgspec
 
 from dart_flight.base.geometry import MissionFrame, Vec3
 from dart_flight.base.records import (
-    ActuatorSample,
-    AttitudeSample,
     ForceEstimate,
     ImpactPeak,
-    ImuSample,
     Input,
     LandedState,
     LockState,
-    OdometrySample,
     PhaseChange,
     PlanTaken,
     PoseSample,
@@ -37,7 +33,7 @@ from dart_flight.base.records import (
     StatusText,
     WallEstimate,
 )
-from dart_flight.base.streams import STREAMS
+from dart_flight.base.streams import SAMPLED, SAMPLED_NAME, Stream
 from dart_flight.config.mission import Mission
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
@@ -49,15 +45,9 @@ from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, 
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
-_STREAM_OF = {
-    ImuSample: "imu",
-    AttitudeSample: "attitude",
-    OdometrySample: "odometry",
-    ActuatorSample: "actuator",
-}
 _RATE_WINDOW_S = 1.0
-_HEARTBEAT_S = 2.0  # longest wait; the autopilot sends one per second
-_WORK_S = 0.05  # a faster screen is not useful, and a log is written at this period
+_HEARTBEAT_S = 2.0  # longest wait for a heartbeat; the autopilot sends one per second
+_WORK_S = 0.05  # period of processing: a faster screen is not useful, and a log is written at this period
 _INPUTS = get_args(Input)
 
 
@@ -134,7 +124,7 @@ class TelemetryMonitor:
         self.estimation, self.motors = mission.vehicle.estimation, len(mission.vehicle.airframe.motors)
         self._estimate: ForceEstimate | None = None
         self._peaks: deque[ImpactPeak] = deque(maxlen=5)
-        self._counts: dict[str, deque[int]] = {s.name: deque() for s in STREAMS}
+        self._counts: dict[str, deque[int]] = {s.name: deque() for s in SAMPLED}
         self._phase: str | None = None
         self._lock: str | None = None if mission.vehicle.has_lock else "none"
         self._materials = {w.name: mission.vehicle.materials[w.material] for w in mission.walls}
@@ -192,7 +182,7 @@ class TelemetryMonitor:
             self._poses = PoseStatistics(self.mocap.room_frame(), self.mocap.delay_ms)
         if self._poses is not None:
             self._poses.update(item)
-        name = _STREAM_OF.get(type(item))
+        name = SAMPLED_NAME.get(type(item))
         if name is not None:
             # The host's clock is common to all processes, so this also works for the log of a flight.
             self._counts[name].append(getattr(item, "received_us", 0))
@@ -241,9 +231,7 @@ class TelemetryMonitor:
             noise_m_s2=hover.noise_m_s2,
             thrust_scale=hover.scale,
             bias_m_s2=(hover.bias_x, hover.bias_y),
-            streams=[
-                self._stream(s.name, s.expected_hz, now) for s in STREAMS if s.name in _STREAM_OF.values()
-            ],
+            streams=[self._stream(stream, now) for stream in SAMPLED],
             armed=state.status.armed,
             flight_mode=state.status.flight_mode.value,
             landed=state.status.landed.value,
@@ -257,13 +245,13 @@ class TelemetryMonitor:
             pose_problem=self.bridge.missing if self.bridge is not None else None,
         )
 
-    def _stream(self, name: str, expected_hz: float, now: int) -> StreamView:
-        seen = self._counts[name]
+    def _stream(self, stream: Stream, now: int) -> StreamView:
+        seen = self._counts[stream.name]
         newest = seen[-1] if seen else None
         while seen and seen[0] < now - _RATE_WINDOW_S * 1e6:
             seen.popleft()
         age = (now - newest) * 1e-3 if newest is not None else None
-        return StreamView(name, len(seen) / _RATE_WINDOW_S, expected_hz, age)
+        return StreamView(stream.name, len(seen) / _RATE_WINDOW_S, stream.expected_hz, age)
 
     def _cpu_percent(self) -> float:
         wall, busy = time.monotonic(), time.process_time()

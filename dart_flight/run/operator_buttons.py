@@ -88,14 +88,14 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
 
 # --- standby -----------------------------------------------------------------------------------------------
 
-AGAIN_S: Final = 10.0  # the second press of Fly must follow the first within this time
+AGAIN_S: Final = 10.0  # time within which the second press of Fly must follow the first
 # QGroundControl repeats an unanswered command after 3.0 to 3.5 s with confirmation 0, so a press after such
 # a time may be the first press again.
 _REPEATED_S: Final = (2.7, 3.8)
 
 
 class StandbyState(NamedTuple):
-    """The state of vehicle and missions on which the answer to a button in standby depends.
+    """The state of vehicle and missions that determines the answer to a button in standby.
 
     Attributes:
         missions: names of the missions, in the order of their numbers.

@@ -65,7 +65,7 @@ class PlannerProcess:
         self.process = ChildProcess(__name__, _KINDS[kind] + msgspec.json.encode(mission), self._receive)
 
     def send(self, item: PlanItem) -> None:
-        """Send without blocking. If the planner has died, an answer with a `problem` is delivered at once."""
+        """Send without blocking. If the planner has died, answer immediately with a `problem`."""
         if isinstance(item, PlanRequest | ContactRequest):
             self._open[item.number] = item
         if self.process.poll() is not None or not self.process.send(
@@ -105,7 +105,7 @@ class Planner:
         self._fitter = ContactFitter(mission.vehicle) if kind is ContactRequest else None
 
     def take(self, item: PlanItem) -> PlanAnswer | ContactAnswer | None:
-        """Return the answer to a request; take note of a wall's estimate or of a new frame."""
+        """Return the answer to a request; store a wall's estimate or a new frame."""
         if self._fitter is not None:
             return self._fitter.answer(item, 0) if isinstance(item, ContactRequest) else None
         assert self._replanner is not None
@@ -121,7 +121,7 @@ class Planner:
 def kinds_of_requests(mission: Mission) -> list[type[PlanRequest | ContactRequest]]:
     """Return the kinds of requests that the core makes on this mission."""
     kinds = list[type[PlanRequest | ContactRequest]]()
-    if mission.walls:
+    if mission.walls or mission.collisions:
         kinds.append(ContactRequest)
     if mission.after_impact is AfterImpact.REPLAN:
         kinds.append(PlanRequest)
@@ -129,7 +129,7 @@ def kinds_of_requests(mission: Mission) -> list[type[PlanRequest | ContactReques
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer requests until their stream ends; its first line has the requests' kind and the mission."""
+    """Answer requests until the stream ends; the first line has the kind of the requests and the mission."""
     first = requests.readline()
     kind = PlanRequest if first.startswith(_KINDS[PlanRequest]) else ContactRequest
     planner = Planner(msgspec.json.decode(first[1:], type=Mission), kind)

@@ -1,6 +1,6 @@
 """Preparation of missions: check space and force, change the lock driver or pose source, rehearse.
 
-InputError means that the mission, or the option for it, cannot be flown.
+Every function raises InputError if the mission, or a requested option, cannot be flown.
 """
 
 from __future__ import annotations

@@ -43,8 +43,8 @@ def fetch_px4_log(
         armed: arming time and end time of the flight, or None if not known.
         before: logs that existed before the flight, or None if not known.
         choose: selects a log if several logs may belong to the flight.
-        progress: callback for the received share, 0 to 1.
-        opened: callback for the moment when the link is open (`LinkLease.lock_device`).
+        progress: callback for the received fraction, 0 to 1.
+        opened: called when the link is open (`LinkLease.lock_device`).
     """
     path = folder / PX4_LOG
     with GroundLink(url, timeout_s) as link, contextlib.closing(link.px4_logs()) as logs:

@@ -1,8 +1,8 @@
 """Replay of a recorded flight through the flight core, with a comparison of every output.
 
-A new core, built from the mission in the log, gets the inputs in the order of their numbers. Truth and notes
-of the shell are not inputs. On the same kind of machine, outputs must be equal bit for bit. On another kind
-of machine a relative error of 1e-9 is allowed, because the mathematics library may round differently.
+A new core, built from the mission in the log, gets the inputs in the order of their numbers. The truth and
+the shell's notes are not inputs. On the same kind of machine, outputs must be equal bit for bit. On another
+kind of machine a relative error of 1e-9 is allowed, because the mathematics library may round differently.
 
 With changed settings, the replay shows how the core decides on the recorded samples. Such a replay is open
 loop. After the first command that differs, the samples still come from a vehicle that followed the recorded
@@ -65,7 +65,7 @@ DECISIONS = (
     MissionEnd,
 )
 TOLERANCE = 1e-9
-_IN_FLIGHT = 3  # number of inputs at the end of a cut log that may lack their outputs
+_IN_FLIGHT = 3  # number of last inputs in a cut log that may lack their outputs
 
 
 class Difference(msgspec.Struct, frozen=True):

@@ -1,6 +1,6 @@
 """The shell of the core in every flight: it steps the core, records, and carries out the core's commands.
 
-The worlds differ in two parts of the shell. The transport takes the commands to the vehicle: over MAVSDK
+The worlds differ in two parts of the shell. The transport delivers the commands to the vehicle: over MAVSDK
 (`app`) or in process (`fast`). The time (`timing`) is real, in lockstep, or simulated in process. A replay
 has no shell, because it carries out nothing.
 """
@@ -45,10 +45,10 @@ _NOT_CARRIED: Final = (Setpoint, ForceEstimate, TorqueEstimate)
 
 
 class Transport(Protocol):
-    """Takes the core's commands to the vehicle; its methods must not block or raise."""
+    """Delivers the core's commands to the vehicle; its methods must not block or raise."""
 
     def send(self, setpoint: Setpoint) -> None:
-        """Send a setpoint at once."""
+        """Send a setpoint immediately."""
 
     def act(self, action: VehicleAction) -> None:
         """Start an action; its `CommandResult` becomes an input."""
@@ -57,25 +57,25 @@ class Transport(Protocol):
         """Send no more setpoints."""
 
     def enter(self, phase: Phase) -> None:
-        """Take note of a new phase of the mission."""
+        """Note a new phase of the mission."""
 
     def finish(self) -> None:
-        """Take note of the mission's end."""
+        """Note the mission's end."""
 
 
 class LockOrders(Protocol):
-    """The lock, as far as the core commands it."""
+    """The part of the lock that the core commands."""
 
     def obey(self, order: LockCommand | LockPermission) -> None: ...
 
 
 class Poses(Protocol):
-    """The motion capture, as far as the core commands it."""
+    """The part of the motion capture that the core commands."""
 
     def withhold(self, *, attitude_only: bool) -> None: ...
 
 
-class Planner(Protocol):
+class PlannerLink(Protocol):
     """A planner that works beside the core; its answers go to `Shell.take_answer`."""
 
     def send(self, item: PlanRequest | ContactRequest | WallEstimate | FrameAnchor) -> None: ...
@@ -108,7 +108,7 @@ class Shell:
         self.core, self.time = core, time
         self.lock: LockOrders | None = None
         self.poses: Poses | None = None
-        self.planners: Mapping[type, Planner] = {}
+        self.planners: Mapping[type, PlannerLink] = {}
         self._transport, self._observe = transport, observe
         self._number = 0
         self._held: Setpoint | None = None
@@ -116,8 +116,8 @@ class Shell:
     def step(self, item: Input, *, more: bool = False) -> None:
         """Step the core with an input and carry out the core's outputs, setpoints first.
 
-        If another input follows at once (`more`), the setpoint of this step is not sent yet, because the next
-        step may replace it.
+        If another input follows immediately (`more`), the setpoint of this step is not sent yet, because the
+        next step may replace it.
         """
         number = self._number
         self._number += 1
@@ -181,7 +181,7 @@ class Shell:
         ]
 
     def _send(self, setpoint: Setpoint) -> SetpointSent | None:
-        """Send a recovery setpoint at once and return its latency; store any other for `_send_held`."""
+        """Send a recovery setpoint immediately and return its latency; store any other for `_send_held`."""
         if not setpoint.recovery:
             self._held = setpoint
             return None

@@ -88,7 +88,7 @@ class SimulatorProcess:
         return self.ready.version if self.ready is not None else None
 
     def wait_ready(self) -> None:
-        """Block until the autopilot sends telemetry; otherwise SimulatorError contains the cause if known."""
+        """Block until the autopilot sends telemetry, or raise SimulatorError with the cause, if known."""
         self._reported.wait(self.ready_timeout_s)
         if self.ready is None:
             where = f", see {self._log}" if self._log else ""

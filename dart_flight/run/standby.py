@@ -54,11 +54,11 @@ _SYSTEMD: Final = (
     "WATCHDOG_USEC",
     "WATCHDOG_PID",
 )  # systemd's variables, which child processes must not inherit
-_TEXT_PAUSE_S: Final = 0.3  # PX4's buffer for messages has about 580 bytes; PX4 drops the others
+_TEXT_PAUSE_S: Final = 0.3  # pause between messages: PX4 buffers only about 580 bytes and drops the rest
 _LAST_WORDS_S: Final = 0.3  # wait for the last answers and messages before the connection closes
-_RADIO_S: Final = 3.0  # a remote control that PX4 has not reported for this time counts as lost
+_RADIO_S: Final = 3.0  # time without PX4's report after which a remote control counts as lost
 _RC_RECEIVER: Final = 65536  # MAV_SYS_STATUS_SENSOR
-_NO_GOES: Final = 3  # no-gos of a check sent to the ground station; the journal has all of them
+_NO_GOES: Final = 3  # limit of a check's no-gos sent to the ground station; the journal has all of them
 
 
 class Ended(NamedTuple):
@@ -128,7 +128,7 @@ def describe_end(name: str, fly: bool, ended: Ended) -> list[str]:
             return [f"{name}: go"]
         bad = [f for f in report["findings"] if not f["go"] and not f.get("overruled")]
         more = f" and {len(bad) - _NO_GOES} more" if len(bad) > _NO_GOES else ""
-        return [f"{name}: no-go{more}", *(f"{f['item']}: {f['says']}" for f in bad[:_NO_GOES])]
+        return [f"{name}: no-go{more}", *(f"{f['item']}: {f['message']}" for f in bad[:_NO_GOES])]
     return [f"{name}: {ended.last_line or f'ended with status {ended.status}'}"]
 
 
@@ -252,7 +252,7 @@ class Standby:
     async def _open_poses(
         self, url: str, session: VehicleSession, held: contextlib.AsyncExitStack
     ) -> tuple[MotionCaptureBridge | None, str | None]:
-        """Begin to forward poses; if the cameras are not running yet, return None and the reason."""
+        """Start forwarding poses; if the cameras are not running yet, return None and the reason."""
         try:
             source = await asyncio.to_thread(open_source, url)
         except AbsentSourceError as error:

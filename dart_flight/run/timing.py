@@ -17,44 +17,36 @@ import msgspec
 
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import (
-    ActuatorSample,
-    AttitudeSample,
     CommandResult,
     ContactAnswer,
     ContactRequest,
     ImuSample,
     Input,
-    OdometrySample,
     PlanAnswer,
     PlanRequest,
     PoseSample,
     Setpoint,
 )
+from dart_flight.base.streams import SAMPLED_NAME
 from dart_flight.core.pace import BATCH_S
 from dart_flight.planning.contact_fit import FIT_US
 from dart_flight.sim.pipe import Stepped
 from dart_flight.vehicle.clock import Clock, SimulatedTime, host_us
 
 Answer = PlanAnswer | ContactAnswer
-_STREAMS: Final[dict[type, str]] = {
-    ImuSample: "imu",
-    AttitudeSample: "attitude",
-    OdometrySample: "odometry",
-    ActuatorSample: "actuator",
-}
 _ANSWERS: Final[dict[type, type]] = {PlanRequest: PlanAnswer, ContactRequest: ContactAnswer}
 _BATCH_US: Final = round(1e6 * BATCH_S)
-_MARGIN_US: Final = 40_000  # an answer must precede its trajectory by at least this time
+_MARGIN_US: Final = 40_000  # shortest time from an answer to the start of its trajectory
 _UNUSED: Final = (None, None, None)
 
 
 class RealTime:
     """Real time: no world waits, so reports of the application's progress have no effect.
 
-    An answer of a planner is due at once. Every method is thread-safe.
+    A planner's answer is due immediately. Every method is thread-safe.
 
     Args:
-        clock: relation of the autopilot's clock to the host's, or None to let the session estimate it.
+        clock: relation of the autopilot's clock to the host's, or None if the session estimates it.
     """
 
     waits: ClassVar[bool] = False  # whether the world waits for the application
@@ -63,7 +55,7 @@ class RealTime:
         self.clock = clock
         self.host_us: Callable[[], int] = host_us if clock is None else clock.host_us
         self._guard = threading.Lock()
-        # Due time of an answer, by its kind and the number of the request.
+        # Due time of an answer, by its kind and the request's number.
         self._due: dict[tuple[type, int], int] = {}
         self._answers: list[Answer] = []  # answers that are not due yet
 
@@ -103,7 +95,7 @@ class RealTime:
         """Count a request to a planner as unfinished until the core has processed the answer."""
 
     def hold_answer(self, answer: Answer) -> None:
-        """Store an answer of a planner until it is due."""
+        """Hold a planner's answer until it is due."""
         with self._guard:
             self._answers.append(answer)
 
@@ -125,7 +117,7 @@ class RealTime:
 
 
 class InProcessTime(RealTime):
-    """Simulated time in one process with the vehicle: a planner takes the time of the simulated computer."""
+    """Simulated time in one process with the vehicle: planning takes the simulated computer's time."""
 
     def __init__(self, clock: Clock, plan_us: int) -> None:
         super().__init__(clock)
@@ -142,8 +134,9 @@ class LockstepTime(RealTime):
     Args:
         send: writes one line to the world; must not block.
         plan_us: time from a replanning request to its answer.
-        batches: whether the world may advance by a batch of ticks at once. This must be False if poses are
-            forwarded, because the order of poses and samples in a batch would depend on the computer's load.
+        batches: whether the world may advance by a batch of ticks in one step. This must be False if poses
+            are forwarded, because the order of poses and samples in a batch would depend on the computer's
+            load.
     """
 
     waits = True
@@ -182,7 +175,7 @@ class LockstepTime(RealTime):
             if batched is not None:
                 self._batched = batched and self._batches
             for item in items:
-                stream = _STREAMS.get(type(item))
+                stream = SAMPLED_NAME.get(type(item))
                 if stream is not None:
                     self._streams[stream] = max(item.t_us, self._streams.get(stream, 0))  # type: ignore[union-attr]
                 elif isinstance(item, PoseSample):

@@ -156,7 +156,7 @@ class _Pool(Generic[I, R]):
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
-_fly: Callable[[Any], Any]  # the function that flies, in a process of the pool
+_fly: Callable[[Any], Any]  # the flight function; set only in pool workers
 
 
 def _begin(fly: Callable[[Any], Any]) -> None:
@@ -191,7 +191,7 @@ def work(
     Args:
         fly: flies one item; pickled once for each process.
         items: read one item at a time.
-        interrupt: counter of interrupts. After the first interrupt, no further item begins, and the items in
+        interrupt: counter of interrupts. After the first interrupt, no other item begins, and the items in
             progress are completed. After the second interrupt, the items in progress are abandoned.
 
     Raises:
@@ -217,7 +217,7 @@ def work(
                 return
             landed, _ = wait(under_way, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             for future in landed:
-                if interrupt.count > 1:  # the interrupt came while the caller had the previous result
+                if interrupt.count > 1:  # the interrupt arrived while the caller processed a result
                     return
                 if not isinstance(future.exception(), BrokenProcessPool):
                     yield FinishedItem(under_way.pop(future), future.result())

@@ -9,17 +9,17 @@ from dart_flight.sim.pseudo_inverse import scaled_mix
 
 
 class Allocation:
-    """Shares of each motor's thrust; together the motors must control every axis."""
+    """Allocation of thrust to the motors, which together must control every axis."""
 
     def __init__(self, motors: Sequence[Motor]) -> None:
         self._largest, self._rows = scaled_mix(motors)
         self._lift = [row[3] for row in self._rows]
 
     def shares(self, roll: float, pitch: float, yaw: float, up: float) -> list[float]:
-        """Return each motor's share of its full thrust, from normalised torques (FRD) and collective thrust.
+        """Return each motor's fraction of full thrust, from normalised torques (FRD) and collective thrust.
 
-        If a motor saturates, the lift is reduced or raised so that the torques are achieved. A share is below
-        0 or above 1 only if no lift avoids this.
+        If a motor saturates, the lift is reduced or raised so that the torques are achieved. A fraction is
+        below 0 or above 1 only if no lift avoids this.
         """
         largest = self._largest
         wanted = [up * u + largest * (r * roll + p * pitch) + y * yaw for r, p, y, u in self._rows]

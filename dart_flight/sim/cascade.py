@@ -199,7 +199,7 @@ class Cascade:
 
 
 def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:
-    """Return the rotation from the present attitude `q` to the wanted attitude, in body axes.
+    """Return the rotation from the current attitude `q` to the desired attitude, in body axes.
 
     The shortest rotation corrects the thrust direction first. The remaining rotation about that direction is
     commanded only in part (MC_YAW_WEIGHT). A single rotation would mix the two: at a heading error of 180

@@ -1,8 +1,8 @@
 """A small model of PX4's EKF2: it assumes that every pose arrives EKF2_EV_DELAY after its measurement.
 
 `Estimator` uses the true age of every pose, so it cannot model a wrong delay. This filter works like EKF2. A
-Kalman filter runs about 0.15 s behind the present and fuses each pose at its time of arrival minus the
-configured delay. An output predictor propagates the filter's state to the present by the IMU. If the
+Kalman filter runs about 0.15 s behind the current time and fuses each pose at its time of arrival minus the
+configured delay. An output predictor propagates the filter's state to the current time with the IMU. If the
 configured delay is wrong, the filter attributes the error to velocity, tilt and accelerometer bias, and it
 rejects poses beyond the gate. The estimate therefore oscillates. Gains, gates and time constants are from
 PX4's defaults and `configs/px4/indoor.params`.
@@ -11,19 +11,16 @@ PX4's defaults and `configs/px4/indoor.params`.
 from __future__ import annotations
 
 from collections import deque
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from dart_flight.base.geometry import (
-    GRAVITY_M_S2,
     Quaternion,
     Vec3,
     add,
-    integrate_rate,
     norm,
-    quaternion_conjugate,
     quaternion_from_rotation_vector,
     quaternion_multiply,
     quaternion_normalise,
@@ -33,6 +30,7 @@ from dart_flight.base.geometry import (
     wrap_angle,
     yaw_ned_of,
 )
+from dart_flight.sim.estimator import Estimator, integrate_imu, small_rotation
 
 _Matrix = npt.NDArray[np.float64]
 
@@ -40,7 +38,7 @@ _TICKS: Final = 2  # ticks of 4 ms per filter step: EKF2_PREDICT_US 10000 at 250
 _STEP_S: Final = 0.004 * _TICKS
 _PREDICT_S: Final = 0.01
 _DELAY_MAX_S: Final = 0.2  # EKF2_DELAY_MAX; a longer EKF2_EV_DELAY raises it
-_REACH_S: Final = 0.1  # a pose this much older than the filter's time is not fused
+_REACH_S: Final = 0.1  # age relative to the filter's time above which a pose is not fused
 _ACCELERATION_M_S2, _RATE_RAD_S, _BIAS_M_S3 = 0.35, 0.015, 0.003  # EKF2_ACC_NOISE, GYR_NOISE, ACC_B_NOISE
 _POSITION_M, _YAW_RAD = 0.01, 0.02  # EKF2_EVP_NOISE, EKF2_EVA_NOISE
 _POSITION_GATE, _YAW_GATE = 5.0, 2.6  # EKF2_EVP_GATE, EKF2_HDG_GATE, standard deviations
@@ -50,34 +48,23 @@ _BIAS_MOST_M_S2: Final = 0.4  # EKF2_ABL_LIM
 _BIAS_LEARNT_BELOW_M_S2, _BIAS_MEMORY_S = 25.0, 0.5  # EKF2_ABL_ACCLIM, EKF2_ABL_TAU
 _OUTPUT_S: Final = 0.25  # EKF2_TAU_POS, EKF2_TAU_VEL
 _START_SD: Final = np.repeat((0.01, 0.05, 0.02, 0.05), 3)  # position, velocity, tilt, bias
+_NO_BIAS: Final = (0.0, 0.0, 0.0)  # the filter's bias is FRD, and already subtracted
 _P, _V, _R, _B = (slice(3 * i, 3 * i + 3) for i in range(4))
-
-
-class EstimatedMotion(Protocol):
-    """The part of an estimator's state that the filter writes, NED."""
-
-    position: Vec3
-    velocity: Vec3
-    q: Quaternion
-    rate: Vec3
-    ok: bool
-    resets: int
 
 
 class DelayedFilter:
     """A filter that assumes the same age for every arriving pose, and writes an estimator's state.
 
     Args:
-        estimator: the filter writes this estimator's position, velocity and attitude from now on.
-        started: whether the estimator has already had a pose.
+        estimator: the filter writes this estimator's state from now on, so do not call its own `predict`,
+            `correct` and `shift` any more.
         delay_s: assumed age of a pose on arrival (EKF2_EV_DELAY).
     """
 
-    def __init__(self, estimator: EstimatedMotion, started: bool, now_s: float, delay_s: float) -> None:
+    def __init__(self, estimator: Estimator, now_s: float, delay_s: float) -> None:
         self._of = estimator
-        self._updates = int(started)
         self._now_s, self._delay_s = now_s, delay_s
-        # The filter runs this many steps behind the present.
+        # The filter runs this many steps behind the current time.
         self._behind = int(np.ceil(max(_DELAY_MAX_S, delay_s) / _PREDICT_S))
         self._at_p, self._at_v, self._at_q = estimator.position, estimator.velocity, estimator.q
         self._accelerometer_bias: Vec3 = (0.0, 0.0, 0.0)  # FRD
@@ -95,14 +82,14 @@ class DelayedFilter:
     def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
         """Advance the output predictor by an IMU tick to `t_s`; in every second tick, also run the filter."""
         self._now_s = t_s
-        if not self._updates:
+        if not self._of.updates:
             return
         if t_s - self._fused_s > _INVALID_AFTER_S:
             self._of.ok = False
         self._of.rate = rate_frd
         f = subtract(specific_force_frd, self._accelerometer_bias)
-        self._of.position, self._of.velocity, self._of.q = _integrate(
-            self._of.position, self._of.velocity, self._of.q, f, add(rate_frd, self._turn), dt_s
+        self._of.position, self._of.velocity, self._of.q = integrate_imu(
+            self._of.position, self._of.velocity, self._of.q, f, add(rate_frd, self._turn), dt_s, _NO_BIAS
         )
         self._ticks.append((specific_force_frd, rate_frd))
         if len(self._ticks) < _TICKS:
@@ -117,12 +104,14 @@ class DelayedFilter:
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion | None) -> None:
         """Queue a pose that arrives now; like EKF2, ignore its true time `t_s`."""
-        self._updates += 1
-        if self._updates == 1:
+        self._of.updates += 1
+        if self._of.updates == 1:
             self._of.position, self._of.q = position_ned, q or self._of.q
             self._at_p, self._at_q = self._of.position, self._of.q
         self._poses.append((self._now_s - self._delay_s - 0.5 * _STEP_S, position_ned, q))
-        self._of.ok = self._of.ok or (self._updates > 50 and self._now_s - self._fused_s < _INVALID_AFTER_S)
+        self._of.ok = self._of.ok or (
+            self._of.updates > 50 and self._now_s - self._fused_s < _INVALID_AFTER_S
+        )
 
     def shift(self, by_ned: Vec3) -> None:
         """Shift the position in one step, like a reset of EKF2."""
@@ -136,8 +125,8 @@ class DelayedFilter:
     def _step(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3) -> None:
         f = subtract(specific_force_frd, self._accelerometer_bias)
         self._strongest_m_s2 = max(norm(f), self._strongest_m_s2 * (1.0 - _STEP_S / _BIAS_MEMORY_S))
-        self._at_p, self._at_v, self._at_q = _integrate(
-            self._at_p, self._at_v, self._at_q, f, rate_frd, _STEP_S
+        self._at_p, self._at_v, self._at_q = integrate_imu(
+            self._at_p, self._at_v, self._at_q, f, rate_frd, _STEP_S, _NO_BIAS
         )
         self._grow(f)
         pose = None
@@ -209,9 +198,7 @@ class DelayedFilter:
     def _follow(self, then: tuple[Vec3, Vec3, Quaternion]) -> None:
         """Correct the outputs towards the filter's state; `then` is the output stored at the state's time."""
         p, v, q = then
-        error = quaternion_multiply(quaternion_conjugate(self._at_q), q)
-        sign = -2.0 if error[0] >= 0.0 else 2.0
-        self._turn = scale((error[1], error[2], error[3]), sign * 0.5 / (self._behind * _STEP_S))
+        self._turn = scale(small_rotation(self._at_q, q), -0.5 / (self._behind * _STEP_S))
         gain = _STEP_S / _OUTPUT_S
         off_v, off_p = subtract(self._at_v, v), subtract(self._at_p, p)
         self._off_v, self._off_p = add(self._off_v, off_v), add(self._off_p, off_p)
@@ -219,15 +206,6 @@ class DelayedFilter:
         by_p = add(scale(off_p, gain), scale(self._off_p, 0.1 * gain * gain))
         self._outputs = deque((add(p, by_p), add(v, by_v), q) for p, v, q in self._outputs)
         self._of.position, self._of.velocity = add(self._of.position, by_p), add(self._of.velocity, by_v)
-
-
-def _integrate(
-    p: Vec3, v: Vec3, q: Quaternion, f: Vec3, rate: Vec3, dt_s: float
-) -> tuple[Vec3, Vec3, Quaternion]:
-    """Return `p`, `v` and `q` (NED) after `dt_s`, with constant specific force `f` and `rate` (FRD)."""
-    q = integrate_rate(q, rate, dt_s)
-    a = add(rotate(q, f), (0.0, 0.0, GRAVITY_M_S2))
-    return add(p, add(scale(v, dt_s), scale(a, 0.5 * dt_s * dt_s))), add(v, scale(a, dt_s)), q
 
 
 def _mean(vectors: tuple[Vec3, ...]) -> Vec3:

@@ -91,7 +91,7 @@ def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, flo
 
 
 def draw_world(mission: Mission, seed: int, spreads: Mapping[str, float]) -> DrawnWorld:
-    """Draw the world of one flight around the mission that the core assumes (`spreads`: `parse_vary`)."""
+    """Draw the world for one flight of the mission that the core assumes (`spreads`: `parse_vary`)."""
     world = DrawnWorld(mission, None, {})
     for name in NAMES:  # in the table's order, independent of the requested order
         if spreads.get(name):
@@ -240,7 +240,7 @@ def _servo(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _lock_true_mode(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """With probability `sd`, let the servo be stuck from the start or the rods be half engaged."""
+    """With probability `sd`, simulate a servo that is stuck from the start, or half-engaged rods."""
     if rng.random() >= sd:
         return world._replace(drawn=world.drawn | {LOCK_TRUE_MODE: AS_COMMANDED})
     if rng.random() < 0.5:

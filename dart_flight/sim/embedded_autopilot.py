@@ -23,6 +23,7 @@ from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 from dart_flight.lock.drivers.px4_output import PREARM_ALWAYS, actuator_pulse_us, required_parameters
 from dart_flight.planning.positioning import simulated_source
 from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
+from dart_flight.sim.delayed_filter import DelayedFilter
 from dart_flight.sim.estimator import Estimator
 from dart_flight.sim.gps_filter import GpsWeights
 from dart_flight.sim.noise import GaussianNoise
@@ -71,6 +72,7 @@ class Autopilot:
         if position_from is not PositionSource.MOCAP:
             self.gps = GpsReceiver(GPS_QUALITIES[position_from], noise)
         self.estimator = Estimator()
+        self.pose_filter: Estimator | DelayedFilter = self.estimator  # fuses IMU and poses into `estimator`
         self.parameters = default_parameters(self.vehicle, position_from)
         v = self.vehicle
         self.cascade = Cascade(self.parameters, v.hover_thrust_fraction(), v.thrust, v.airframe.motors)
@@ -188,12 +190,16 @@ class Autopilot:
     def use_external_poses(self) -> None:
         """Ignore the simulated motion capture, and fuse the poses passed to `fuse_external_pose` instead."""
         self.fuses_own_pose = False
-        self.estimator.assume_delay(self.now_s, 1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
+        self.assume_pose_delay(1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
+
+    def assume_pose_delay(self, delay_s: float) -> None:
+        """Assume that every subsequent pose is `delay_s` old on arrival, like PX4 with EKF2_EV_DELAY."""
+        self.pose_filter = DelayedFilter(self.estimator, self.now_s, delay_s)
 
     def fuse_external_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> None:
         """Fuse an external pose; without effect before `use_external_poses`."""
         if not self.fuses_own_pose:
-            self.estimator.correct(self.now_s, position_ned, q_frd_to_ned)
+            self.pose_filter.correct(self.now_s, position_ned, q_frd_to_ned)
 
     def set_actuator(self, index: int, value: float) -> None:
         """Set a peripheral output, -1 to 1 (DO_SET_ACTUATOR); the output moves only while armed."""
@@ -221,12 +227,12 @@ class Autopilot:
             self.imu = ImuReading(self.time_us, self.imu.specific_force_frd, self.imu.rate_frd)
         else:
             self.imu = ImuReading(self.time_us, measured, rate)
-        self.estimator.predict(self.now_s, measured, rate, TICK_S)
+        self.pose_filter.predict(self.now_s, measured, rate, TICK_S)
         pose = self.pose = self.pose_sensor.measure(self.plant)
         if self.gps is not None:
             self._correct_by_gps(self.gps, pose)
         elif pose is not None and self.fuses_own_pose:
-            self.estimator.correct(*pose)
+            self.pose_filter.correct(*pose)
         self._tick += 1
         self._detect_landing()
         if self._killed_at_s is not None and self.now_s - self._killed_at_s > _KILL_DISARM_S:
@@ -248,7 +254,7 @@ class Autopilot:
         self.motors = self.cascade.update_attitude(e.q, e.rate, TICK_S)
 
     def _correct_by_gps(self, receiver: GpsReceiver, pose: tuple[float, Vec3, Quaternion] | None) -> None:
-        """Correct position and velocity by the GPS fix, and the attitude by the simulated pose."""
+        """Correct position and velocity with the GPS fix, and the attitude with the simulated pose."""
         if pose is not None:
             self.estimator.correct_attitude(pose[0], pose[2])
         fix = receiver.measure(self.plant)
@@ -278,7 +284,7 @@ class Autopilot:
         return self._hold
 
     def _hold_here(self) -> None:
-        """Hold the present heading, and the position at which the vehicle would stop."""
+        """Hold the current heading, and the position at which the vehicle would stop."""
         e = self.estimator
         # PX4 brakes before it holds, which takes about 0.5 s with the gains 0.95 1/s and 1.8 1/s.
         ahead = 0.5 if self.armed and self.landed is not LandedState.ON_GROUND else 0.0
@@ -350,7 +356,8 @@ def default_parameters(
     parameters |= rotor_parameters(vehicle.airframe.motors)
     parameters["SYS_AUTOSTART"] = 4001
     parameters["MAV_SYS_ID"] = 1
-    # The values that `check` wants; GPS parameters too, because missing parameters are requested repeatedly.
+    # The values that `check` requires; GPS parameters too, because missing parameters are requested
+    # repeatedly.
     for source in (PositionSource.RTK, PositionSource.MOCAP, position_from):
         parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
     parameters |= vehicle.mocap.measured_parameters()

@@ -1,6 +1,6 @@
 """The world of the embedded autopilot: plant, autopilot and MAVLink, with or without lockstep.
 
-If the app ends (closed pipe), the vehicle flies on until its failsafe has acted. The world's text log
+If the app ends (closed pipe), the vehicle continues until its failsafe has acted. The world's text log
 contains the vehicle's reports. The process ends when the vehicle has landed, but at the latest 30 s after the
 app has ended. If a pilot flies with the sticks, this limit is 3 s.
 """

@@ -26,7 +26,6 @@ from dart_flight.base.geometry import (
     scale,
     subtract,
 )
-from dart_flight.sim.delayed_filter import DelayedFilter
 from dart_flight.sim.gps_filter import GpsFilter, GpsWeights
 
 # Gains per pose at 100 Hz; the time constants are about 0.1 s for position and 0.2 s for velocity.
@@ -46,6 +45,7 @@ class Estimator:
         rate: body rate, FRD, rad/s.
         ok: whether the estimate has converged.
         resets: ODOMETRY's reset counter.
+        updates: number of poses or GPS fixes so far.
     """
 
     def __init__(self) -> None:
@@ -56,9 +56,8 @@ class Estimator:
         self.ok = False
         self.resets = 0
         self._history: deque[tuple[float, Vec3, Vec3, Quaternion]] = deque()
-        self._updates = 0
+        self.updates = 0
         self._gps: GpsFilter | None = None
-        self._delayed: DelayedFilter | None = None
         self._bias: Vec3 = (0.0, 0.0, 0.0)  # accelerometer bias, NED, m/s2
 
     @property
@@ -67,33 +66,21 @@ class Estimator:
         return None if self._gps is None else self._gps.position_sd_m
 
     def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
-        """Predict the state by one IMU tick that ends at `t_s`."""
-        if self._delayed is not None:
-            self._delayed.predict(t_s, specific_force_frd, rate_frd, dt_s)
-            return
-        if not self._updates:
+        """Advance the state by one IMU tick, which ends at `t_s`."""
+        if not self.updates:
             return
         self.rate = rate_frd
-        self.q = integrate_rate(self.q, rate_frd, dt_s)
-        ax, ay, az = rotate(self.q, specific_force_frd)
         if self._gps is not None:
-            bx, by, bz = self._bias
-            ax, ay, az = ax - bx, ay - by, az - bz
             self._gps.predict(dt_s)
-        az += GRAVITY_M_S2
-        (x, y, z), (vx, vy, vz) = self.position, self.velocity
-        h, g = dt_s, 0.5 * dt_s * dt_s
-        self.position = (x + (vx * h + ax * g), y + (vy * h + ay * g), z + (vz * h + az * g))
-        self.velocity = (vx + ax * h, vy + ay * h, vz + az * h)
+        self.position, self.velocity, self.q = integrate_imu(
+            self.position, self.velocity, self.q, specific_force_frd, rate_frd, dt_s, self._bias
+        )
         self._history.append((t_s, self.position, self.velocity, self.q))
         while self._history[0][0] < t_s - _HISTORY_S:
             self._history.popleft()
 
     def shift(self, by_ned: Vec3) -> None:
         """Shift the position in one step, like a reset of an EKF."""
-        if self._delayed is not None:
-            self._delayed.shift(by_ned)
-            return
         self.resets += 1
         self.position = add(self.position, by_ned)
         self._history = deque((t, add(p, by_ned), v, q) for t, p, v, q in self._history)
@@ -105,17 +92,10 @@ class Estimator:
         self.q = quaternion_multiply(turn, self.q)
         self._history = deque((t, p, v, quaternion_multiply(turn, q)) for t, p, v, q in self._history)
 
-    def assume_delay(self, now_s: float, delay_s: float) -> None:
-        """Assume that every further pose is `delay_s` old on arrival, like PX4 with EKF2_EV_DELAY."""
-        self._delayed = DelayedFilter(self, self._updates > 0, now_s, delay_s)
-
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion | None) -> None:
-        """Correct the estimate with a pose measured at `t_s`, which may be past; `q` may be None."""
-        if self._delayed is not None:
-            self._delayed.correct(t_s, position_ned, q)
-            return
-        self._updates += 1
-        if self._updates == 1 or not self._history:
+        """Correct the estimate with a pose measured at `t_s`, possibly some time ago; `q` may be None."""
+        self.updates += 1
+        if self.updates == 1 or not self._history:
             self.position, self.q = position_ned, q or self.q
             return
         then = self._at(t_s)
@@ -123,7 +103,7 @@ class Estimator:
             self._correct_attitude(then[3], q)
         innovation = subtract(position_ned, then[1])
         self._move(scale(innovation, _POSITION_GAIN), scale(innovation, _VELOCITY_GAIN))
-        self.ok = self._updates > 50
+        self.ok = self.updates > 50
 
     def correct_attitude(self, t_s: float, q: Quaternion) -> None:
         """Correct the attitude; this replaces measurements of gravity and of the magnetic field.
@@ -137,8 +117,8 @@ class Estimator:
             self.q = q
 
     def correct_gps(self, t_s: float, position_ned: Vec3, velocity_ned: Vec3, weights: GpsWeights) -> None:
-        """Correct the estimate with a fix measured at `t_s`, which may be past; `weights` has the noise."""
-        self._updates += 1
+        """Correct the estimate with a fix measured at `t_s`, possibly some time ago."""
+        self.updates += 1
         if self._gps is None or not self._history:
             self._gps, self._bias = GpsFilter(weights), weights.standing_bias_ned
             self.position = position_ned
@@ -149,7 +129,7 @@ class Estimator:
         moved, pushed, learnt = (add(scale(away, by_p), scale(faster, by_v)) for by_p, by_v in gains)
         self._move(moved, pushed)
         self._bias = subtract(self._bias, learnt)
-        self.ok = self._updates > 5
+        self.ok = self.updates > 5
 
     def _at(self, t_s: float) -> tuple[float, Vec3, Vec3, Quaternion]:
         """Return the prediction nearest to a time, and discard older ones: measurements arrive in order."""
@@ -159,9 +139,7 @@ class Estimator:
         return history[0]
 
     def _correct_attitude(self, then: Quaternion, q: Quaternion) -> None:
-        error = quaternion_multiply(quaternion_conjugate(then), q)
-        sign = 2.0 if error[0] >= 0.0 else -2.0
-        twist = scale((error[1], error[2], error[3]), sign * _ATTITUDE_GAIN)
+        twist = scale(small_rotation(then, q), _ATTITUDE_GAIN)
         self.q = quaternion_normalise(quaternion_multiply(self.q, quaternion_from_rotation_vector(twist)))
 
     def _move(self, by_ned: Vec3, faster_ned: Vec3) -> None:
@@ -178,3 +156,25 @@ class Estimator:
                 for t, p, v, q in self._history
             ]
         )
+
+
+def integrate_imu(
+    p: Vec3, v: Vec3, q: Quaternion, f: Vec3, rate: Vec3, dt_s: float, bias: Vec3
+) -> tuple[Vec3, Vec3, Quaternion]:
+    """Return `p`, `v` and `q` (NED) after `dt_s`, with constant specific force `f` and `rate` (FRD).
+
+    `bias` is the accelerometer bias, NED.
+    """
+    q = integrate_rate(q, rate, dt_s)
+    (ax, ay, az), (bx, by, bz) = rotate(q, f), bias
+    ax, ay, az = ax - bx, ay - by, az - bz + GRAVITY_M_S2
+    (x, y, z), (vx, vy, vz) = p, v
+    h, g = dt_s, 0.5 * dt_s * dt_s
+    moved = (x + (vx * h + ax * g), y + (vy * h + ay * g), z + (vz * h + az * g))
+    return moved, (vx + ax * h, vy + ay * h, vz + az * h), q
+
+
+def small_rotation(a: Quaternion, b: Quaternion) -> Vec3:
+    """Return the rotation vector from `a` to `b`, in the axes of `a`, for a small angle."""
+    w, x, y, z = quaternion_multiply(quaternion_conjugate(a), b)
+    return scale((x, y, z), 2.0 if w >= 0.0 else -2.0)

@@ -32,7 +32,7 @@ from dart_flight.sim.pipe import Stepped
 _SILENT_S: Final = 10.0  # the flight ends after this host time without an answer
 _LOST_S: Final = 1.0  # after this host time, an unanswered message counts as lost and the log names it
 _POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
-_STEP_MAX_S: Final = 0.2  # longest host time counted between two polls; in the rest this process did not run
+_STEP_MAX_S: Final = 0.2  # longest host time counted between two polls; a longer one is a suspension
 _SENDER_S: Final = 0.2  # host time in which a sender catches up
 _SENDER: Final = "the autopilot to send its telemetry"
 _TELEMETRY: Final = "the application to process its telemetry"
@@ -152,7 +152,7 @@ class Lockstep:
             look: processes the application's lines and returns whether the application is still connected.
 
         Raises:
-            SilentParticipantError: nothing came from the application for 10 s of host time.
+            SilentParticipantError: the application has sent nothing for 10 s of host time.
         """
         polled_s, waited_s = time.monotonic(), 0.0
         while look():
@@ -189,7 +189,7 @@ class Lockstep:
         self._named = missing is not None
 
     def _difference(self, missing: str) -> str:
-        """Return the values that were sent and those that arrived, as the end of a message."""
+        """Return a suffix for a log message: what was sent, and what has arrived."""
         if missing is _TELEMETRY and self._report is not None:
             processed = self._report.streams
             return "".join(

@@ -1,6 +1,6 @@
 """The embedded autopilot's MAVLink side: it sends and answers like PX4, over UDP.
 
-Message rates are PX4's onboard defaults until a client requests others by SET_MESSAGE_INTERVAL. As in PX4,
+Message rates are PX4's onboard defaults until a client requests others with SET_MESSAGE_INTERVAL. As in PX4,
 periods are rounded to ticks of 4 ms. An endpoint has one or more links. Each link is a UDP socket that sends
 to a fixed port: 14540 for a companion computer, 14550 for a ground station.
 """
@@ -19,6 +19,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.base.geometry import distance2
 from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, LandedState, SystemStatus
+from dart_flight.base.streams import SAMPLED
 from dart_flight.config.rotors import MAV_TYPES
 from dart_flight.sim import unlisted_messages
 from dart_flight.sim.cascade import TrajectorySetpoint
@@ -58,12 +59,7 @@ _DISARMED_US = 900.0  # pulse of a motor output that is off
 _SEVERITY = {"critical": 2, "error": 3, "warning": 4, "info": 6}
 
 _HEARTBEAT_S = 1.0
-_STREAM_NAMES = {
-    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: "imu",
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: "attitude",
-    mavlink.MAVLINK_MSG_ID_ODOMETRY: "odometry",
-    mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: "actuator",
-}
+_STREAM_NAMES = {stream.number: stream.name for stream in SAMPLED}
 
 _ESC_THRUST_N_PER_RPM2 = 1.1e-8  # example value, for a configuration without one
 
@@ -400,7 +396,7 @@ class MavlinkEndpoint:
             return
         value = message.param_value
         whole = message.param_type == mavlink.MAV_PARAM_TYPE_INT32
-        # A value of the wrong type is ignored and answered with the present value.
+        # A value of the wrong type is ignored, and the answer contains the current value.
         if isinstance(self.autopilot.parameters[name], int) is whole and (whole or math.isfinite(value)):
             self.autopilot.parameters[name] = (
                 struct.unpack("<i", struct.pack("<f", value))[0] if whole else value

@@ -54,12 +54,12 @@ from dart_flight.contact.cylinders import (
 )
 from dart_flight.contact.law import Onset, coefficients_in_force
 from dart_flight.contact.propeller_guards import (
-    UNTOUCHED,
+    NO_LOAD,
     BodyMotion,
     GuardLaw,
     Plane,
     PropellerGuard,
-    Touch,
+    WallLoad,
     arm_of,
     clearance_m,
     fold_angles,
@@ -70,13 +70,13 @@ from dart_flight.contact.propeller_guards import (
 STEP_S: Final = 0.001
 CONTACT_STEPS: Final = 10  # steps of 0.1 ms in one step of 1 ms
 _END_STEPS: Final = 40  # steps near a wall's end, where a force may jump as a guard leaves the surface
-_NEAR_WALL_M: Final = 0.08  # below 5 m/s no contact begins at a greater distance
-_NEAR_END_M: Final = 0.03  # no guard reaches an edge (1 cm) from a greater distance in one step
-_BEHIND_M: Final = -0.6  # a vehicle further behind a plane is on the wall's other side
-_REBOUND_S: Final = 0.01  # a guard that returns within this time belongs to the same contact
+_NEAR_WALL_M: Final = 0.08  # largest distance at which a contact below 5 m/s begins
+_NEAR_END_M: Final = 0.03  # largest distance from which a guard reaches an edge (1 cm) in one step
+_BEHIND_M: Final = -0.6  # limit behind a plane, beyond which a vehicle is on the wall's other side
+_REBOUND_S: Final = 0.01  # time within which a guard that returns continues the same contact
 _HALF_ENGAGED: Final = 0.5  # freedom of the arms with half-engaged rods, relative to unlocked arms
-_GROUND_M: Final = 0.01  # at a greater height the landing gear touches nothing
-_UNTOUCHED: Final = UNTOUCHED
+_GROUND_M: Final = 0.01  # height above which the landing gear touches nothing
+_NO_LOAD: Final = NO_LOAD
 _NO_FORCE = (0.0, 0.0, 0.0)
 _AT_REST = (0.0, 0.0, 0.0, 0.0)  # the arms' displacement north and east (m) and its rate (m/s)
 _GAIN_M_S: Final = 0.5  # upper limit of the speed gained by thrust within a tick
@@ -229,7 +229,8 @@ class Plant:
         self._faces: tuple[WallWithEnds, ...] = ()  # surfaces of the walls near the vehicle
         vibration = vehicle.simulation.arm_vibration
         self._arm = _AT_REST
-        # Copy the constants that every step uses: reading a nested attribute takes as long as a product.
+        # Copy the constants that every step uses: reading a nested attribute takes as long as a
+        # multiplication.
         self._arm_spring = self._arm_damper = self._arm_share = 0.0
         if vibration is not None:
             omega = 2.0 * math.pi * vibration.frequency_hz
@@ -241,7 +242,8 @@ class Plant:
         self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
         lever = vehicle.simulation.imu_position_m
         self._imu_lever: Vec3 | None = lever if any(lever) else None
-        # First-order low-pass: share of a difference that remains after a step, and its mean over the step.
+        # First-order low-pass: fraction of the input-output difference left after one step, and its mean over
+        # the step.
         steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
         self._antialias_decay = math.exp(-steps_per_lag)
         self._antialias_mean = (1.0 - self._antialias_decay) / steps_per_lag
@@ -362,7 +364,7 @@ class Plant:
     def _wall_in_reach(self, seconds: float) -> bool:
         """Return whether the vehicle may be near a wall or post within `seconds`.
 
-        `advance` asks once for all steps.
+        `advance` calls this once for all steps.
         """
         (px, py, _), (vx, vy, _) = self.position, self.velocity
         slack = seconds * (abs(vx) + abs(vy) + _GAIN_M_S)
@@ -419,7 +421,7 @@ class Plant:
         obstacles: list[tuple[_Obstacle, Coefficients]],
         near_ground: bool,
     ) -> Vec3:
-        """Move and rotate the body near walls and posts; return the mean acceleration by contact, NED.
+        """Move and rotate the body near walls and posts; return the mean acceleration due to contact, NED.
 
         The integration uses the midpoint rule over position, velocity, attitude and rate. The steps are
         0.1 ms long, and shorter near a wall's end. Thrust and drag are constant during a call (1 ms).
@@ -477,7 +479,7 @@ class Plant:
         return (angles[0], angles[1], angles[2], angles[3])
 
     def _fold_share(self, incidence: float) -> float:
-        """Return an arm's movement as a share of its guard's penetration; `incidence` is in radians."""
+        """Return an arm's movement as a fraction of its guard's penetration; `incidence` is in radians."""
         if abs(incidence) >= math.radians(self.vehicle.airframe.incidence_rigid_deg):
             return 0.0
         return self.body.fold_share * self._arm_freedom()
@@ -495,8 +497,8 @@ class Plant:
         torque: Vec3,
         obstacles: list[tuple[_Obstacle, Coefficients]],
         near_ground: bool,
-    ) -> tuple[Vec3, Vec3, list[Touch]]:
-        """Return acceleration (NED), angular acceleration (FRD), and each obstacle's `Touch`."""
+    ) -> tuple[Vec3, Vec3, list[WallLoad]]:
+        """Return acceleration (NED), angular acceleration (FRD), and each obstacle's `WallLoad`."""
         force = turned = _NO_FORCE
         touches = []
         for obstacle, c in obstacles:
@@ -507,7 +509,7 @@ class Plant:
             else:
                 one = touch(self._guards, c, obstacle.ends.plane, motion, self._law)
             touches.append(one)
-            if one is not _UNTOUCHED:
+            if one is not _NO_LOAD:
                 force, turned = add(force, one.force), add(turned, one.torque)
         self.contact_force_ned, self.contact_torque_frd = force, turned
         if near_ground:
@@ -545,7 +547,7 @@ class Plant:
         return (free[0] + x / m, free[1] + y / m, free[2] + z / m)
 
     def _move_freely(self, pushed: Vec3) -> Vec3:
-        """Move the centre of mass without contact; return zero as the acceleration by contacts."""
+        """Move the centre of mass without contact; return zero as the acceleration due to contact."""
         self.on_ground = False
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         if self._open:
@@ -632,7 +634,7 @@ class Plant:
         return (-grip * v[0], -grip * v[1], -normal)
 
     def _note_contact(
-        self, obstacle: _Obstacle, c: Coefficients, reaction: Touch, t_s: float, velocity_before: Vec3
+        self, obstacle: _Obstacle, c: Coefficients, reaction: WallLoad, t_s: float, velocity_before: Vec3
     ) -> None:
         """Track the contact with one obstacle from the first force to the last force."""
         current = self._open.get(obstacle.name)
@@ -711,9 +713,9 @@ class Plant:
 
         Arms and body vibrate against each other. The vibration moves the IMU but not the centre of mass, so
         the contact force does not depend on it. Let q be the arms' displacement relative to the body, s the
-        arms' share of the mass, w the natural frequency (rad/s), zeta the damping ratio, and c the
-        acceleration by the contact. The body's displacement from the centre of mass is -s q. With
-        q'' = -w^2 q - 2 zeta w q' - c, the IMU measures the additional acceleration -s q''.
+        arms' fraction of the mass, w the natural frequency (rad/s), zeta the damping ratio, and c the
+        acceleration due to the contact. The body's displacement from the centre of mass is -s q. With q'' =
+        -w^2 q - 2 zeta w q' - c, the IMU measures the additional acceleration -s q''.
         """
         freedom = self._arm_freedom() if self._arm_share else 0.0
         if freedom == 0.0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Protocol
+from collections.abc import Callable
 
 from dart_flight.base.geometry import (
     Quaternion,
@@ -22,20 +22,12 @@ from dart_flight.sim.plant import Plant
 Pose = tuple[float, Vec3, Quaternion]  # time of measurement (s), position NED (m), attitude FRD to NED
 
 
-class PosePublisher(Protocol):
-    """A publisher of the frames: an emulated server, or a pose source in the same process."""
-
-    def publish(
-        self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
-    ) -> None:
-        """Send a frame."""
-
-
 class PoseFeed:
     """A converter of the pose sensor's output to frames in the room's axes.
 
     Args:
         mocap: defines the axes of the room and of the marker body.
+        publish: as `PoseServer.publish`, of an emulated server or of a pose source in the same process.
         other_ned: position of another vehicle's marker body for the fault `mocap-other-body`, metres.
 
     Attributes:
@@ -43,8 +35,13 @@ class PoseFeed:
         tracked: whether the newest frame contains the body.
     """
 
-    def __init__(self, mocap: MotionCapture, publisher: PosePublisher, other_ned: Vec3) -> None:
-        self._room, self._publisher, self._other = mocap.room_frame(), publisher, other_ned
+    def __init__(
+        self,
+        mocap: MotionCapture,
+        publish: Callable[[int, Vec3, Quaternion, bool], object],
+        other_ned: Vec3,
+    ) -> None:
+        self._room, self._publish, self._other = mocap.room_frame(), publish, other_ned
         self.frames, self.tracked = 0, True
         self._fault: Fault | None = None
         self._began_s = 0.0
@@ -73,7 +70,7 @@ class PoseFeed:
         self.tracked = name != "mocap-lost" or now_s - self._began_s > value
         self.frames += 1
         room_pose = self._room.pose_from_ned(position, attitude)
-        self._publisher.publish(round(1e6 * t_s), *room_pose, self.tracked)
+        self._publish(round(1e6 * t_s), *room_pose, self.tracked)
         return True
 
 
@@ -91,7 +88,7 @@ class EmulatedMotionCapture:
     def __init__(self, kind: str, mission: Mission, plant: Plant) -> None:
         self._server = make_server(kind, BODY)
         self.url = self._server.url
-        self.feed = PoseFeed(mission.vehicle.mocap, self._server, plant.position)
+        self.feed = PoseFeed(mission.vehicle.mocap, self._server.publish, plant.position)
         self._published_s = -math.inf
         self._heard = False
         self._sends_lost = kind != "vrpn"  # VRPN has no message for a lost body

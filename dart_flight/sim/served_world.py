@@ -36,7 +36,7 @@ class Pacer:
         self._due_s = time.monotonic()
 
     def wait(self, period_s: float) -> None:
-        """Wait until this tick is due. The next tick is due `period_s` later, or at once if that is 0."""
+        """Wait until this tick is due. The next tick is due `period_s` later, or immediately if that is 0."""
         now_s = time.monotonic()
         if self._due_s > now_s:
             time.sleep(self._due_s - now_s)
@@ -82,7 +82,7 @@ class ServedWorld(Protocol):
 
 
 def speed_limit(speed: float, lockstep: Lockstep | None, *, connected: bool) -> float:
-    """Return the highest number of simulated seconds per second at present.
+    """Return the current limit of simulated seconds per second.
 
     A world in lockstep may be faster than real time only while it waits for the app. Before the app's first
     report, and while a request to PX4 is open, its telemetry would otherwise run ahead of the app.

@@ -41,7 +41,7 @@ class LockServo:
 class SimulatedVehicle:
     """Autopilot and lock servo of one simulated vehicle.
 
-    With the lock driver `px4` the autopilot's output moves the servo, otherwise `set_horn` does. A vehicle
+    With the `px4` lock driver, the autopilot's output moves the servo; otherwise `set_horn` does. A vehicle
     without a lock has no servo.
     """
 

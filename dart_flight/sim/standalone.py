@@ -22,7 +22,7 @@ from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name, owner_of_udp_port, udp_port_is_free
 
 _OWN_PORT = 40  # PX4's own port (14580) minus the port that PX4 sends to (14540)
-_LISTEN_S = 0.4  # a vehicle sends dozens of messages in this time
+_LISTEN_S = 0.4  # time to listen, in which a vehicle sends dozens of messages
 
 
 class VehiclePortLease:

@@ -1,4 +1,4 @@
-"""Telemetry of a simulated vehicle as records, for worlds in one process with the program."""
+"""Telemetry of a simulated vehicle as records, for worlds in the same process as the program."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dart_flight.base.records import (
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
 _HALF_RATE: Final = 2  # ticks: attitude, odometry, actuator outputs at 125 Hz
-_STATUS_EVERY: Final = 50  # status at 5 Hz, and at once after a change
+_STATUS_EVERY: Final = 50  # status at 5 Hz, and immediately after a change
 # ticks between reports of the position's standard deviation, if the estimator reports it
 _POSITION_SD_EVERY: Final = 250
 
@@ -25,7 +25,7 @@ _POSITION_SD_EVERY: Final = 250
 class TelemetrySender:
     """Telemetry of one simulated vehicle, at the rates of the stream table.
 
-    Only a vehicle that has just been switched on (`begins`) sends its status at once.
+    Only a vehicle that has just been switched on (`begins`) sends its status immediately.
     """
 
     def __init__(self, vehicle: SimulatedVehicle, begins: bool = True) -> None:

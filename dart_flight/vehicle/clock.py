@@ -10,11 +10,11 @@ from collections import deque
 from typing import Protocol
 
 from dart_flight.base.records import RoundTrip
+from dart_flight.base.stamps import LeapFilter
 
 _WINDOW = 8  # seconds; each second keeps its best value
 _LOCKSTEP_STEP_US = 2000
-_LEAP_US = 1_000_000
-_LEAPS_ACCEPTED = 50  # a leap is accepted after this many consecutive stamps
+_LEAPS_ACCEPTED = 50  # consecutive stamps; this clock serves all streams, which the core filters singly
 _STEP_US = 200  # smaller changes of the estimate are not reported
 
 
@@ -74,7 +74,7 @@ class ClockEstimate(_RealHost):
         self._best: deque[int] = deque(maxlen=_WINDOW)
         self._second = 0
         self._reported: int | None = None
-        self._leaps = 0
+        self._leap_filter = LeapFilter(_LEAPS_ACCEPTED)
 
     @property
     def offset_us(self) -> int | None:
@@ -82,12 +82,8 @@ class ClockEstimate(_RealHost):
 
     def update(self, t_us: int, received_us: int) -> int | None:
         difference = t_us - received_us
-        if self._offset_us is not None and difference - self._offset_us > _LEAP_US:
-            # While stamps of this vehicle arrive in between, a leap is another vehicle's stamp.
-            self._leaps += 1
-            if self._leaps < _LEAPS_ACCEPTED:
-                return None
-        self._leaps = 0
+        if self._offset_us is not None and self._leap_filter.rejects(difference - self._offset_us):
+            return None
         second = received_us // 1_000_000
         if second != self._second or not self._best:
             self._second = second

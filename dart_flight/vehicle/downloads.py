@@ -150,8 +150,8 @@ class Px4Logs:
             result = getattr(getattr(error, "result", None), "name", str(error))
             if result == "NO_LOGFILES":
                 return []
-            says = result.lower().replace("_", " ")
-            raise DownloadError(f"cannot read PX4's list of logs: {says}") from None
+            answer = result.lower().replace("_", " ")
+            raise DownloadError(f"cannot read PX4's list of logs: {answer}") from None
 
     def download(self, entry: Px4LogEntry, path: Path, progress: Callable[[float], None]) -> None:
         """Download a log to a file; if the download is incomplete or interrupted, no file remains.

@@ -33,6 +33,7 @@ from dart_flight.base.records import (
     StatusSample,
     StatusText,
 )
+from dart_flight.base.streams import BY_MESSAGE, SAMPLED
 from dart_flight.config.document import InputError
 from dart_flight.config.link_url import mavsdk_url
 from dart_flight.config.parameter_file import Value
@@ -46,7 +47,6 @@ from dart_flight.core.guard.second_vehicle import (
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
-from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
@@ -55,7 +55,6 @@ from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, Pose
 from dart_flight.vehicle.motion_capture.source import AbsentSourceError
 from dart_flight.vehicle.own_system import send_as
 from dart_flight.vehicle.parameters import VehicleParameters
-from dart_flight.vehicle.timesync import make_request
 from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleError, VehicleSession
 
 
@@ -73,11 +72,11 @@ def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
     """Return {stream: reason} for each stream from the vehicle that had no usable message."""
     found: dict[str, Source] = {}
     for source in sources:
-        stream = messages.STREAM_OF[source.sender.message]
+        stream = BY_MESSAGE.get(source.sender.message)
         if stream is None or not source.is_vehicle or not source.reason:
             continue
-        if stream not in found or source.arriving_hz > found[stream].arriving_hz:
-            found[stream] = source
+        if stream.name not in found or source.arriving_hz > found[stream.name].arriving_hz:
+            found[stream.name] = source
     return {
         name: f"{s.arriving_hz:.0f} Hz arrive, but no message is usable: {s.reason}"
         for name, s in found.items()
@@ -130,7 +129,6 @@ _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
 _MAX_UNANSWERED = 2  # unanswered requests before giving up; MAVSDK repeats each for seconds
 _WAIT_POLL_S = 0.1  # interval of the requests for the vehicle's time while waiting
 _FUSION_S = 10.0  # timeout until PX4 has a position from the forwarded poses
-_RATED = ("imu", "attitude", "odometry", "actuator")  # streams whose rates are reported
 
 
 class _Listener:
@@ -284,12 +282,12 @@ class GroundLink:
     async def _round_trip_s(self) -> float | None:
         unanswered = await self._session.measure_link(_ROUND_TRIP_MAX_S)
         if unanswered:
-            says = (
+            message = (
                 "sends telemetry but does not answer requests"
                 if self._system.is_connected()
                 else "has stopped sending and has not answered these requests"
             )
-            raise NoAnswerError(f"the vehicle {says}: {', '.join(unanswered)}", source=self._url)
+            raise NoAnswerError(f"the vehicle {message}: {', '.join(unanswered)}", source=self._url)
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._session.keep_measuring(), _ROUND_TRIPS_S)
         found = self._listener.round_trips_us
@@ -310,14 +308,14 @@ class GroundLink:
                 self._answered = True
                 raise
             if not self._system.is_connected():
-                says = f"the vehicle stopped responding; no answer to {what}"
-                raise NoAnswerError(says, source=self._url) from None
+                message = f"the vehicle stopped responding; no answer to {what}"
+                raise NoAnswerError(message, source=self._url) from None
             self._unanswered.append(what)
             if not self._answered and len(self._unanswered) >= _MAX_UNANSWERED:
-                says = (
+                message = (
                     f"the vehicle sends telemetry but does not answer requests: {', '.join(self._unanswered)}"
                 )
-                raise NoAnswerError(says, source=self._url) from None
+                raise NoAnswerError(message, source=self._url) from None
             raise
         self._answered = True
         return answer
@@ -390,7 +388,7 @@ class GroundLink:
         try:
             while not times_us or times_us[-1] - times_us[0] < 1e6 * seconds:
                 before = len(times_us)
-                self._session.send_message(make_request(host_us()))
+                self._session.request_time()
                 time.sleep(_WAIT_POLL_S)
                 if len(times_us) > before:
                     moved_s = time.monotonic()
@@ -420,7 +418,9 @@ class GroundLink:
         def store_fix(fix: str, _: int) -> None:
             seen.gps_fix = fix
 
-        asyncio.run(session.set_rates(_RATED))  # the measured rates reveal a refusal
+        asyncio.run(
+            session.set_rates([stream.name for stream in SAMPLED])
+        )  # the measured rates reveal a refusal
         motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
         session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
         session.listen(messages.GPS_RAW_INT, store_fix)
@@ -436,12 +436,10 @@ class GroundLink:
             none = seen.poses.rate_hz == 0.0
             seen.pose_problem = self._bridge.problem if none else self._bridge.missing
         seen.rates_hz = {
-            name: sum(
-                s.usable_hz
-                for s in seen.sources
-                if s.is_vehicle and messages.STREAM_OF[s.sender.message] == name
+            stream.name: sum(
+                s.usable_hz for s in seen.sources if s.is_vehicle and s.sender.message == stream.message
             )
-            for name in _RATED
+            for stream in SAMPLED
         }
         batteries = session.batteries
         seen.batteries, seen.other_batteries = (

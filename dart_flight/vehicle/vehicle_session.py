@@ -26,13 +26,11 @@ from mavsdk.plugins.action import Action
 from mavsdk.plugins.events import Events
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, VelocityNedYaw
-from mavsdk.plugins.telemetry import Telemetry
 
 from dart_flight.base.errors import FlightError
 from dart_flight.base.motor_outputs import MotorOutputDecoder
 from dart_flight.base.records import (
     ActuatorSample,
-    AttitudeSample,
     ClockOffset,
     EscSample,
     EstimatorSample,
@@ -48,7 +46,7 @@ from dart_flight.base.records import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, MODE, STREAMS, Stream
+from dart_flight.base.streams import STREAMS, Stream
 from dart_flight.config.document import InputError
 from dart_flight.config.link_url import mavsdk_url
 from dart_flight.config.vehicle import Estimation
@@ -61,7 +59,6 @@ from dart_flight.vehicle.command_server import CommandServer, Press, Result
 from dart_flight.vehicle.messages import AUTOPILOT, MessageEntry, Unusable
 from dart_flight.vehicle.own_system import send_as
 from dart_flight.vehicle.text_parts import TextAssembler, split_text
-from dart_flight.vehicle.timesync import make_request
 
 _ACTION_TIMEOUT_S = 5.0
 _CLOSE_S = 3.0
@@ -129,11 +126,10 @@ class VehicleSession:
     ) -> None:
         self._mavsdk, self._system, self._deliver = mavsdk, system, deliver
         self._raw = getattr(system, "_system", system)
-        self._telemetry = Telemetry(self._raw)
         self._offboard = Offboard(self._raw)
         self._action = Action(self._raw)
         self._direct = MavlinkDirect(self._raw)
-        self._extra: list[Stream] = []  # streams that the configuration adds to the table
+        self._extra: list[Stream] = []  # optional streams that are subscribed
         self._motors = 0
         self.senders: dict[tuple[str, int, int, int], SenderCount] = {}
         self.batteries = Batteries()
@@ -177,21 +173,25 @@ class VehicleSession:
         self.batteries = Batteries(lowest_battery_v)
         self._reports_unusable = guarded
         self.listen(messages.HIGHRES_IMU, self._on_imu)
-        self.listen(messages.ATTITUDE_QUATERNION, self._on_attitude)
+        self.listen(messages.ATTITUDE_QUATERNION, lambda sample, _: self._deliver(sample))
         self.listen(messages.ODOMETRY, self._on_odometry)
         self.listen(messages.ACTUATOR_OUTPUT_STATUS, self._on_actuator)
         self.listen(messages.HEARTBEAT, self._on_heartbeat)
-        self.listen(messages.EXTENDED_SYS_STATE, self._on_landed)
+        self.listen(messages.EXTENDED_SYS_STATE, lambda landed, _: self._on_status(landed=landed))
         self.listen(messages.BATTERY_STATUS, self._on_battery, self._on_battery_gone)
         self.listen(messages.STATUSTEXT, self._on_status_text)
         if estimation.uses_esc:
-            self._extra.append(ESC)
-            self.listen(messages.ESC_STATUS, self._on_esc)
+            self._listen_optional(messages.ESC_STATUS, self._on_esc)
         if guarded:
-            self._extra += (ESTIMATOR, MODE)
-            self.listen(messages.CURRENT_MODE, self._on_mode)
-            self.listen(messages.ESTIMATOR_STATUS, self._on_estimator_status)
+            self._listen_optional(messages.ESTIMATOR_STATUS, self._on_estimator_status)
+            self._listen_optional(messages.CURRENT_MODE, self._on_mode)
             self._subscribe_events()
+
+    def _listen_optional(self, entry: MessageEntry, on_value: Callable[[Any, int], Unusable | None]) -> None:
+        """Subscribe to an optional stream, which `set_rates` then requests."""
+        assert entry.stream is not None
+        self._extra.append(entry.stream)
+        self.listen(entry, on_value)
 
     def listen(
         self,
@@ -208,21 +208,27 @@ class VehicleSession:
         """
         decode, counts, name = entry.reader(), self.senders, entry.message
         own = self._raw.get_system_id()
+        is_needed = entry.stream is not None and entry.stream.expected_hz > 0.0
 
         def handle(message: Any, _: Any) -> None:
             received = self._host_us()
-            instance, value = decode(message.fields_json)
+            is_own = message.component_id == AUTOPILOT and message.system_id == own
+
+            def receive(stamp_us: int) -> int:
+                nonlocal received
+                if is_own:  # the clock must not follow another sender
+                    received = self.clock.receive(stamp_us, received)
+                return received
+
+            instance, value = decode(message.fields_json, receive)
             sender = (name, message.system_id, message.component_id, instance)
             count = counts.get(sender)
             if count is None:
                 count = counts[sender] = SenderCount()
             count.messages += 1
-            if message.component_id != AUTOPILOT or message.system_id != own:
+            if not is_own:
                 return
             if not isinstance(value, Unusable):
-                stamp_us = getattr(value, "t_us", None)
-                if stamp_us is not None:
-                    received = self.clock.receive(stamp_us, received)
                 value = on_value(value, received)
                 if value is None:
                     count.usable += 1
@@ -232,7 +238,7 @@ class VehicleSession:
                 on_unusable(instance)
             count.reason = value.reason
             count.unusable_in_a_row += 1
-            if entry.stream is not None and count.unusable_in_a_row >= _ENOUGH_MESSAGES:
+            if is_needed and count.unusable_in_a_row >= _ENOUGH_MESSAGES:
                 self._report_unusable(name, value.reason, received)
 
         return self._direct.subscribe_message(name, handle)
@@ -283,32 +289,16 @@ class VehicleSession:
         """Request the rates in the table; return the names of the streams that PX4 refused.
 
         Args:
-            names: streams to request, or None for all. Subscribed streams outside the table are always
-                requested.
+            names: streams to request, or None for all. Subscribed optional streams are always requested.
             watching: whether to request lower rates, which suffice for a display.
         """
-        t = self._telemetry
-        calls = {
-            "imu": t.set_rate_imu,
-            "attitude": t.set_rate_attitude_quaternion,
-            "odometry": t.set_rate_odometry,
-            "actuator": t.set_rate_actuator_output_status,
-            "landed": t.set_rate_landed_state,
-        }
-        refused = []
-        for stream in STREAMS:
-            if names is not None and stream.name not in names:
-                continue
-            try:
-                rate_hz = stream.watched_hz if watching else stream.rate_hz
-                await asyncio.to_thread(calls[stream.name], rate_hz)
-            except MavsdkError:
-                refused.append(stream.name)
-        for stream in self._extra:
-            interval_us = round(1e6 / stream.rate_hz)
-            if not await asyncio.to_thread(self._request_interval, MESSAGE_ID[stream.message], interval_us):
-                refused.append(stream.name)
-        return refused
+        wanted = [s for s in STREAMS if names is None or s.name in names]
+        rates = [(s, s.watched_hz if watching else s.rate_hz) for s in wanted]
+        rates += [(s, s.rate_hz) for s in self._extra]
+        return [s.name for s, hz in rates if not await self._request_rate(s, hz)]
+
+    async def _request_rate(self, stream: Stream, rate_hz: float) -> bool | None:
+        return await asyncio.to_thread(self._request_interval, stream.number, round(1e6 / rate_hz))
 
     async def stop_messages(self, numbers: Iterable[int]) -> None:
         """Request that PX4 does not send these messages on this link; ignore a refusal."""
@@ -338,22 +328,25 @@ class VehicleSession:
         finally:
             asking.cancel()
         sent, stream = host_us(), STREAMS[0]
-        try:
-            await asyncio.to_thread(self._telemetry.set_rate_imu, stream.rate_hz)
-        except MavsdkError as error:
-            if getattr(getattr(error, "result", None), "name", "") == "TIMEOUT":
-                return ["TIMESYNC", f"rate of {stream.message}"]
+        if await self._request_rate(stream, stream.rate_hz) is None:
+            return ["TIMESYNC", f"rate of {stream.message}"]
         self._deliver(self.clock.round_trip(sent, host_us(), None))
         return []
 
     async def keep_measuring(self) -> None:
         """Send TIMESYNC requests periodically; the subscription of `measure_link` handles the answers."""
         while True:
-            now = host_us()  # real time, because in lockstep simulated time may stand still
-            self._requests_us.append(now)
             with contextlib.suppress(Exception):  # a broken link is detected by missing answers
-                self._direct.send_message(make_request(now))
+                self.request_time()
             await asyncio.sleep(_REQUEST_PERIOD_S)
+
+    def request_time(self) -> None:
+        """Send a TIMESYNC request; the answer repeats the host time and adds the autopilot's time."""
+        now = host_us()  # real time, because in lockstep simulated time may stand still
+        self._requests_us.append(now)
+        fields = {"tc1": 0, "ts1": 1000 * now, "target_system": 0, "target_component": 0}
+        text = msgspec.json.encode(fields).decode()
+        self.send_message(MavlinkMessage("TIMESYNC", 0, 0, 0, 0, text))
 
     def _handle_answer(self, answer: messages.Timesync, _: int) -> Unusable | None:
         if answer.sent_us not in self._requests_us:
@@ -361,11 +354,8 @@ class VehicleSession:
         self._deliver(self.clock.round_trip(answer.sent_us, host_us(), answer.autopilot_us))
         return None
 
-    def _request_interval(self, number: int, interval_us: int) -> bool:
-        """Send SET_MESSAGE_INTERVAL, wait for the answer, and return whether PX4 accepted the interval.
-
-        Use this method for messages whose rate the telemetry plugin cannot set.
-        """
+    def _request_interval(self, number: int, interval_us: int) -> bool | None:
+        """Send SET_MESSAGE_INTERVAL; return whether PX4 accepted the interval, or None without an answer."""
         fields = {
             "target_system": self._raw.get_system_id(),
             "target_component": 1,
@@ -379,7 +369,7 @@ class VehicleSession:
         try:
             answer = self._direct.send_command(command)
         except MavsdkError:
-            return False
+            return None
         found = _RESULT.search(answer.fields_json)
         return found is not None and int(found[1]) == 0
 
@@ -388,18 +378,16 @@ class VehicleSession:
         if offset is not None:
             self._deliver(ClockOffset(received_us, offset))
 
-    def _on_imu(self, imu: messages.InertialReading, received: int) -> None:
-        self._stamp(imu.t_us, received)
-        self._deliver(ImuSample(imu.t_us, received, imu.specific_force_frd, imu.rate_frd))
+    def _on_imu(self, sample: ImuSample, received: int) -> None:
+        self._stamp(sample.t_us, received)
+        self._deliver(sample)
 
-    def _on_attitude(self, attitude: messages.Attitude, received: int) -> None:
-        self._deliver(AttitudeSample(attitude.t_us, received, attitude.q_frd_to_ned))
-
-    def _on_odometry(self, o: messages.Odometry, received: int) -> None:
-        if o.reset_counter != self._reset_counter:
-            self._reset_counter = o.reset_counter
-            self._deliver_estimator(reset_counter=self._reset_counter)
-        self._deliver(OdometrySample(o.t_us, received, o.position_ned, o.velocity_ned))
+    def _on_odometry(self, estimate: tuple[OdometrySample, int], _: int) -> None:
+        sample, reset_counter = estimate
+        if reset_counter != self._reset_counter:
+            self._reset_counter = reset_counter
+            self._deliver_estimator(reset_counter=reset_counter)
+        self._deliver(sample)
         if not self._has_position:
             self._has_position = True
             self._update_local_position()
@@ -431,7 +419,7 @@ class VehicleSession:
             self._rpm, self._rpm_us = [], group.t_us
         if group.t_us != self._rpm_us or group.first != len(self._rpm):
             return Unusable("a group of motors with the same time stamp is missing")
-        self._rpm += group.rpm
+        self._rpm += map(float, group.rpm)
         if len(self._rpm) >= self._motors:
             self._deliver(EscSample(group.t_us, received, tuple(self._rpm[: self._motors])))
             self._rpm_us = None
@@ -453,9 +441,6 @@ class VehicleSession:
     def _on_mode(self, mode: FlightMode, _: int) -> None:
         if mode is not self._status.flight_mode:
             self._on_status(flight_mode=mode)
-
-    def _on_landed(self, landed: LandedState, _: int) -> None:
-        self._on_status(landed=landed)
 
     def _on_battery(self, reading: messages.BatteryReading, _: int) -> None:
         self.batteries.update(reading)

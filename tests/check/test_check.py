@@ -187,7 +187,7 @@ def test_the_packaged_parameters_are_go_without_a_remark() -> None:
     assert not no_goes(findings)
     assert not remarks(findings)
     assert (set(PARAMETERS) - {"MAN_OVERRIDE_SPD"}) | {"EKF2_EV_DELAY"} == {f.item for f in findings}
-    assert all(len(f.says.split()) >= 3 for f in findings)
+    assert all(len(f.message.split()) >= 3 for f in findings)
 
 
 NEWER = GOOD | shipped(V1_18)
@@ -261,7 +261,7 @@ def test_a_harmless_difference_is_a_remark_with_the_files_reason(
     findings = evaluate_parameters(mocap_mission(), {**GOOD, name: value}, PositionSource.MOCAP)
     assert not no_goes(findings)
     assert remarks(findings) == [name]
-    says = next(f.says for f in findings if f.item == name)
+    says = next(f.message for f in findings if f.item == name)
     assert message in says
     assert vehicle_parameters(PositionSource.MOCAP)[name].reason in says
 
@@ -280,8 +280,8 @@ def test_a_pose_delay_far_from_the_measured_one_is_a_no_go(actual_ms: float, mea
     assert found.go is (abs(actual_ms - measured_ms) <= 30.0)
     assert not found.remark
     if not found.go:
-        assert "limit 30 ms" in found.says
-        assert f"set EKF2_EV_DELAY to {measured_ms:g}" in found.says
+        assert "limit 30 ms" in found.message
+        assert f"set EKF2_EV_DELAY to {measured_ms:g}" in found.message
 
 
 @pytest.mark.parametrize(
@@ -292,8 +292,8 @@ def test_an_unmeasured_pose_delay_is_a_remark(actual_ms: float, message: str) ->
     found = _delay_finding(actual_ms, None)
     assert found.go
     assert found.remark
-    assert message in found.says
-    assert "mocap.delay_ms is not set" in found.says
+    assert message in found.message
+    assert "mocap.delay_ms is not set" in found.message
 
 
 @pytest.mark.parametrize("source", [PositionSource.RTK, PositionSource.PLAIN, None])
@@ -312,7 +312,7 @@ def test_the_imu_position_is_compared_with_the_configuration() -> None:
     moved = evaluate_parameters(mission(), {**GOOD, **names, "EKF2_IMU_POS_Y": 0.03}, PositionSource.MOCAP)
     (found,) = [f for f in moved if f.item in IMU_POSITION]
     assert (found.item, found.remark) == ("EKF2_IMU_POS_Y", True)
-    assert "0.03 m on the vehicle, 0 m in imu.position_m" in found.says
+    assert "0.03 m on the vehicle, 0 m in imu.position_m" in found.message
     assert not no_goes(moved)
 
 
@@ -364,7 +364,7 @@ def test_the_position_must_be_accurate_enough_for_a_wall(
 ) -> None:
     (finding,) = evaluate_position(mission(), found, fix, claimed)
     assert (finding.item, finding.go) == ("position_source", go)
-    assert message in finding.says
+    assert message in finding.message
 
 
 def test_a_surveyed_frame_is_a_no_go_with_gps() -> None:
@@ -414,17 +414,17 @@ def test_the_system_ids_must_let_the_buttons_through(
     vehicle = plain.vehicle.replace({"ground_station.system_id": station})
     found = evaluate_systems(msgspec.structs.replace(plain, vehicle=vehicle), Observation(systems=systems))
     assert [(f.item, f.go) for f in found] == ([] if says is None else [("system_id", False)])
-    assert says is None or says in found[0].says
+    assert says is None or says in found[0].message
 
 
 def test_the_programs_own_findings_are_not_attributed_to_px4() -> None:
     own_finding = "ODOMETRY arrives, but no message is usable: the velocity is NaN"
     observed = msgspec.structs.replace(OBSERVED, local_position_ok=False, own_findings=[own_finding])
-    assert telemetry_findings(observed)["estimator"].says == f"no valid local position; {own_finding}"
+    assert telemetry_findings(observed)["estimator"].message == f"no valid local position; {own_finding}"
     assert "px4_checks" not in telemetry_findings(observed)
     both = msgspec.structs.replace(observed, texts=["no heading"])
     assert (
-        telemetry_findings(both)["estimator"].says
+        telemetry_findings(both)["estimator"].message
         == f"no valid local position; {own_finding}; PX4 reports: no heading"
     )
 
@@ -452,8 +452,8 @@ def test_a_stream_without_usable_values_is_a_no_go_with_its_cause() -> None:
     echo = source("ODOMETRY", 1, 2, 125.0, False, "the velocity is NaN")
     observed = msgspec.structs.replace(OBSERVED, rates_hz={**RATES, "odometry": 0.0}, sources=(echo,))
     cause = "125 Hz arrive, but no message is usable: the velocity is NaN"
-    assert telemetry_findings(observed)["rate_odometry"].says == cause
-    says = telemetry_findings(observed, MAV_ODOM_LP=1.0)["rate_odometry"].says
+    assert telemetry_findings(observed)["rate_odometry"].message == cause
+    says = telemetry_findings(observed, MAV_ODOM_LP=1.0)["rate_odometry"].message
     assert says == f"{cause}; MAV_ODOM_LP is 1, set it to 0"
 
 
@@ -461,11 +461,11 @@ def test_another_sender_of_a_stream_is_a_remark() -> None:
     own = (source("ODOMETRY", 1, 8, 125.0), source("HIGHRES_IMU", 1, 0, 250.0))
     alone = telemetry_findings(msgspec.structs.replace(OBSERVED, sources=own))["sources"]
     assert (alone.go, alone.remark) == (True, False)
-    assert alone.says == "system 1 component 1: ODOMETRY, HIGHRES_IMU"
+    assert alone.message == "system 1 component 1: ODOMETRY, HIGHRES_IMU"
     vio = source("ODOMETRY", 197, 2, 30.0, False)
     found = telemetry_findings(msgspec.structs.replace(OBSERVED, sources=(*own, vio)))["sources"]
     assert (found.go, found.remark) == (True, True)
-    assert found.says.endswith("not used: ODOMETRY of system 1 component 197, instance 2, 30 Hz")
+    assert found.message.endswith("not used: ODOMETRY of system 1 component 197, instance 2, 30 Hz")
 
 
 def test_every_battery_is_named() -> None:
@@ -478,7 +478,8 @@ def test_every_battery_is_named() -> None:
     found = telemetry_findings(observed)["battery"]
     assert not found.go
     assert (
-        found.says == "id 0: 4 %, 9.0 V; better: id 1: 16.2 V, 95 %; not a flight battery: id 2: 5.0 V, 40 %"
+        found.message
+        == "id 0: 4 %, 9.0 V; better: id 1: 16.2 V, 95 %; not a flight battery: id 2: 5.0 V, 40 %"
     )
 
 
@@ -514,7 +515,7 @@ def test_motor_outputs_of_unknown_or_wrong_type_are_a_no_go(
         "motor_outputs"
     ]
     assert found.go is go
-    assert says in found.says
+    assert says in found.message
 
 
 @pytest.mark.parametrize(
@@ -564,7 +565,7 @@ def test_check_reads_a_vehicle_and_fly_refuses_its_no_go(tmp_path: Path) -> None
 
         good = command("check", "--connection", url, "--driver", "px4", "--json")
         findings = json.loads(good.stdout)["findings"]
-        items = {f["item"]: f["says"] for f in findings}
+        items = {f["item"]: f["message"] for f in findings}
         late = [f["item"] for f in findings if not f["go"] and f["item"] in LATE_ITEMS]
         if late:
             raise TooSlow(f"no-go: {late}")

@@ -70,8 +70,8 @@ def test_the_core_speed_is_evaluated_by_its_margin() -> None:
     assert (fast.go, fast.remark) == (True, False)
     assert fast.figures["margin"] == pytest.approx(40.0)
     assert (slow.go, slow.remark) == (True, True)
-    assert "6 ms after the sample with the peak" in slow.says
-    assert (too_slow.go, "too slow" in too_slow.says) == (False, True)
+    assert "6 ms after the sample with the peak" in slow.message
+    assert (too_slow.go, "too slow" in too_slow.message) == (False, True)
 
 
 def test_the_core_step_is_measured_on_this_computer() -> None:

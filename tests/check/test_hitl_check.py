@@ -45,7 +45,7 @@ def hitl_findings(
 def refusals(
     mission: Mission, values: Mapping[str, float], mode: HeartbeatMode | None = READY
 ) -> dict[str, str]:
-    return {f.item: f.says for f in hitl_findings(mission, values, mode) if not f.go}
+    return {f.item: f.message for f in hitl_findings(mission, values, mode) if not f.go}
 
 
 def test_a_configured_board_and_a_posix_build_are_go(mission: Mission, board: dict[str, float]) -> None:

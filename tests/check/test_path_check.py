@@ -25,7 +25,7 @@ def test_a_recovery_that_is_predicted_to_be_too_fast_is_a_no_go(name: str) -> No
         limited = mission.replace({"limits.speed_m_s": limit})
         (found,) = check_path(limited, predict_mission(limited))
         assert found.go is go
-        assert ("limits.speed_m_s" in found.says) is not go
+        assert ("limits.speed_m_s" in found.message) is not go
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_a_goal_behind_the_wall_that_is_hit_last_is_a_no_go(
     made = parse_mission(Document.from_tree(tree), mission.vehicle)
     found = [f for f in check_walls(made, predict_mission(made)) if f.item == "way_to_goal"]
     assert [f.go for f in found] == ([] if blocking is None else [False])
-    assert all(f"wall {blocking} is between" in f.says for f in found)
+    assert all(f"wall {blocking} is between" in f.message for f in found)
 
 
 MISSIONS = sorted(path for path in packaged("missions").rglob("*.yaml") if path.parent.name != "scenarios")

@@ -36,9 +36,9 @@ def test_the_heading_and_the_walls_are_reported_at_the_start() -> None:
     contact_m = DUAL.vehicle.airframe.contact_distance_m
     to_surface = wall.signed_distance(DUAL.start) + contact_m
     assert found.figures["wall acrylic_distance_m"] == pytest.approx(to_surface)
-    assert f"wall acrylic {to_surface:.2f} m at 0 deg (ahead)" in found.says
-    assert "wall wood" in found.says
-    assert "heading 0 deg" in found.says
+    assert f"wall acrylic {to_surface:.2f} m at 0 deg (ahead)" in found.message
+    assert "wall wood" in found.message
+    assert "heading 0 deg" in found.message
 
 
 @given(
@@ -71,7 +71,7 @@ def test_distances_do_not_depend_on_the_frame(
 def test_a_place_that_the_mission_does_not_tolerate_is_a_no_go(x: float, y: float, says: str) -> None:
     found = place_findings(DUAL, x, y)["place"]
     assert not found.go
-    assert says in found.says
+    assert says in found.message
 
 
 @pytest.mark.parametrize(("off_m", "remark"), [(0.2, False), (0.5, True)])
@@ -101,7 +101,7 @@ def test_a_heading_in_radians_is_detected_from_the_vehicles_heading(
 ) -> None:
     found = place_findings(with_frame(given_deg), heading_deg=vehicle_deg)
     assert ("heading" not in found) == go
-    assert go or "looks like radians" in found["heading"].says
+    assert go or "looks like radians" in found["heading"].message
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_a_reversed_normal_is_reported_as_a_vehicle_behind_the_wall() -> None:
     assert not place_findings(with_door())["place"].remark
     found = place_findings(with_door(normal=[-1.0, 0.0]))["place"]
     assert found.remark
-    assert "behind the face of wall door: check the sign of its normal" in found.says
+    assert "behind the face of wall door: check the sign of its normal" in found.message
 
 
 def test_given_at_changes_the_reported_distance_to_the_surface() -> None:
@@ -147,7 +147,7 @@ def test_the_hidden_face_of_a_partition_is_not_listed() -> None:
     changes = {"walls.wood.thickness_m": 0.02, "walls.wood.given_at": "centre"}
     hits = [f"collisions[{i}].wall" for i, c in enumerate(DUAL.collisions) if c.wall.name == "wood"]
     mission = DUAL.replace(changes | dict.fromkeys(hits, "wood.front"))
-    says = place_findings(mission, *mission.start, heading_deg=359.8)["place"].says
+    says = place_findings(mission, *mission.start, heading_deg=359.8)["place"].message
     assert "wood.front" in says
     assert "wood.back" not in says
     assert "heading 0 deg" in says

@@ -25,7 +25,7 @@ def test_good_poses_give_a_single_go_finding() -> None:
     (finding,) = evaluate_poses(CONFIG, Observation(poses=GOOD))
     assert finding.go
     assert finding.item == "pose_source"
-    assert finding.says == "100 poses/s, 12 ms old; PX4's estimate is 0.01 m and 0.5 deg off"
+    assert finding.message == "100 poses/s, 12 ms old; PX4's estimate is 0.01 m and 0.5 deg off"
 
 
 def test_a_vehicle_without_motion_capture_has_no_pose_findings() -> None:
@@ -49,12 +49,12 @@ def test_a_vehicle_without_motion_capture_has_no_pose_findings() -> None:
 def test_a_defect_of_the_poses_is_a_no_go_with_its_cause(changes: dict[str, object], says: str) -> None:
     (finding,) = evaluate_poses(CONFIG, Observation(poses=msgspec.structs.replace(GOOD, **changes)))
     assert not finding.go
-    assert says in finding.says
+    assert says in finding.message
 
 
 def test_absent_cameras_are_a_no_go_among_the_other_findings() -> None:
     (finding,) = evaluate_poses(CONFIG, Observation(pose_problem="no server answers"))
-    assert (finding.go, finding.says) == (False, "no poses: no server answers")
+    assert (finding.go, finding.message) == (False, "no poses: no server answers")
 
 
 def test_every_defect_has_its_own_finding() -> None:
@@ -64,21 +64,21 @@ def test_every_defect_has_its_own_finding() -> None:
 
 def test_the_sources_own_reason_is_reported() -> None:
     observed = Observation(poses=PoseFigures(), pose_problem="no object dart, only wand")
-    assert "no object dart, only wand" in evaluate_poses(CONFIG, observed)[0].says
+    assert "no object dart, only wand" in evaluate_poses(CONFIG, observed)[0].message
 
 
 def test_poses_without_usable_stamps_are_go_with_the_remark_that_their_delay_is_not_watched() -> None:
     poses = msgspec.structs.replace(GOOD, age_ms=None, age_growth_ms=None)
     good, remark = evaluate_poses(CONFIG, Observation(poses=poses))
     assert (good.go, remark.go, remark.remark) == (True, True, True)
-    assert "cannot detect growing delays" in remark.says
+    assert "cannot detect growing delays" in remark.message
 
 
 def test_stamps_that_stand_still_are_named_instead_of_an_age() -> None:
     poses = msgspec.structs.replace(GOOD, age_ms=4_000.0, age_growth_ms=4_000.0)
     observed = Observation(poses=poses, pose_problem="the stamps of the poses stand still for 4 s")
     (finding,) = evaluate_poses(CONFIG, observed)
-    assert (finding.go, finding.says) == (False, "the stamps of the poses stand still for 4 s")
+    assert (finding.go, finding.message) == (False, "the stamps of the poses stand still for 4 s")
 
 
 def test_another_sender_of_timesync_is_a_remark() -> None:
@@ -87,4 +87,4 @@ def test_another_sender_of_timesync_is_a_remark() -> None:
     )
     _, remark = evaluate_poses(CONFIG, Observation(poses=GOOD, sources=sources))
     assert remark.remark
-    assert "system 1 component 191 sends TIMESYNC" in remark.says
+    assert "system 1 component 191 sends TIMESYNC" in remark.message

@@ -21,8 +21,8 @@ def findings(name: str, changes: Mapping[str, Any] | None = None) -> dict[str, C
 def test_an_unknown_wall_is_left_to_the_check_in_flight() -> None:
     found = findings("find_a_wall")
     assert all(finding.go for finding in found.values())
-    assert "at most 37 N on the stiffest known material" in found["probe_1"].says
-    assert "a probe locates wall" in found["approach_2"].says
+    assert "at most 37 N on the stiffest known material" in found["probe_1"].message
+    assert "a probe locates wall" in found["approach_2"].message
     assert not {"wall_end", "path", "incidence_2", "survey_2"} & set(found)
 
 
@@ -39,14 +39,14 @@ def test_an_unknown_wall_is_left_to_the_check_in_flight() -> None:
 def test_a_probe_too_slow_to_detect_or_too_fast_is_a_no_go(changes: Mapping[str, Any], says: str) -> None:
     probe = findings("find_a_wall", changes)["probe_1"]
     assert not probe.go
-    assert says in probe.says
+    assert says in probe.message
 
 
 def test_a_probe_that_may_end_before_its_wall_is_a_remark() -> None:
     uncertain = {"walls.wood.position_sd_m": 0.6}
     probe = findings("dual_collision_gps", uncertain)["probe_1"]
     assert (probe.go, probe.remark) == (True, True)
-    assert "may be 1.80 m further away" in probe.says
+    assert "may be 1.80 m further away" in probe.message
 
 
 def test_the_age_and_uncertainty_of_an_anchor_are_reported() -> None:
@@ -64,4 +64,4 @@ def test_a_wall_without_an_earlier_touch_is_a_no_go_in_a_drifting_frame() -> Non
     drifting = mission.replace({"frame.origin": "takeoff", "frame.anchored_by": "touch"})
     found = {finding.item: finding for finding in check_mission(drifting)}
     assert not found["anchor_1"].go
-    assert "touch this wall or a parallel wall first" in found["anchor_1"].says
+    assert "touch this wall or a parallel wall first" in found["anchor_1"].message

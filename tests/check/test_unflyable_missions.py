@@ -61,17 +61,17 @@ def test_check_reports_a_no_go_once_and_skips_the_core_speed(
     assert main(["check", path, "--json"]) == 1
     report = msgspec.json.decode(capsys.readouterr().out)
     assert not report["go"]
-    no_go = [finding["says"] for finding in report["findings"] if not finding["go"]]
+    no_go = [finding["message"] for finding in report["findings"] if not finding["go"]]
     assert any(problem in says for says in no_go), no_go
     assert len(no_go) == len(set(no_go))
-    (speed,) = [finding["says"] for finding in report["findings"] if finding["item"] == "core_speed"]
+    (speed,) = [finding["message"] for finding in report["findings"] if finding["item"] == "core_speed"]
     assert speed.startswith("not measured because of ")
     assert speed.rpartition(" ")[2] in {finding["item"] for finding in report["findings"]}
 
 
 def test_the_core_speed_check_reports_the_cores_reason(unflyable: tuple[str, str]) -> None:
     path, problem = unflyable
-    assert problem in check_core_speed(load_mission(path)).says
+    assert problem in check_core_speed(load_mission(path)).message
 
 
 @pytest.mark.parametrize("command", ["dry-run", "survey"])

@@ -52,4 +52,4 @@ def test_a_no_go_is_printed_as_json(as_json: bool, capsys: pytest.CaptureFixture
         assert printed == ""
         return
     report = json.loads(printed)
-    assert (report["go"], report["findings"][0]["says"]) == (False, "12.1 V")
+    assert (report["go"], report["findings"][0]["message"]) == (False, "12.1 V")

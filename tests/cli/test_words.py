@@ -247,10 +247,10 @@ def test_an_export_without_a_suffix_gets_the_suffix_of_the_viewer(
 )
 def test_an_autopilot_that_is_not_px4_is_named(autopilot: int, problem: str | None) -> None:
     fields = {"autopilot": autopilot, "base_mode": 129, "custom_mode": 6 << 16, "system_status": 4}
-    _, value = messages.HEARTBEAT.reader()(msgspec.json.encode(fields).decode())
+    _, value = messages.HEARTBEAT.reader()(msgspec.json.encode(fields).decode(), lambda stamp_us: stamp_us)
     reason = value.reason if isinstance(value, Unusable) else ""
     found = evaluate_autopilot(HeartbeatMode(armed=False, hil=False, not_px4=reason))
-    assert [problem in f.says and not f.go for f in found if problem] == [True] * (problem is not None)
+    assert [problem in f.message and not f.go for f in found if problem] == [True] * (problem is not None)
     assert bool(found) == (problem is not None)
 
 

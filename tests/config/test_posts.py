@@ -75,7 +75,7 @@ def test_a_post_that_blocks_the_run_up_is_reported() -> None:
     with pytest.raises(NoApproachError, match="post other blocks the run-up"):
         plan_approach(loaded, loaded.collisions[0])
     no_gos = [finding for finding in check_mission(loaded) if not finding.go]
-    assert any("post other" in finding.says for finding in no_gos)
+    assert any("post other" in finding.message for finding in no_gos)
     free = mission(posts=posts | {"other": POLE | {"centre_m": [0.5, 1.5]}})
     assert all(finding.go for finding in check_mission(free)), check_mission(free)
 

@@ -154,10 +154,11 @@ def test_two_changes_one_after_the_other_equal_both_at_once() -> None:
     )
 
 
-def test_parts_changed_in_python_are_kept() -> None:
+def test_keys_changed_in_python_are_kept_and_a_change_of_resolved_parts_is_refused() -> None:
     mission = load_mission(packaged("missions", "single_wall.yaml"))
     moved = msgspec.structs.replace(mission, walls=tuple(wall.displaced(0.1) for wall in mission.walls))
-    moved = msgspec.structs.replace(moved, collisions=())
-    assert moved.replace({"goal.hold_s": 3.0}).walls == moved.walls
+    for use in (moved.to_dict, lambda: moved.replace({"goal.hold_s": 3.0})):
+        with pytest.raises(InputError, match="has changed walls of a mission without `replace`"):
+            use()
     rehearsal = msgspec.structs.replace(mission, standoff_m=0.5)
     assert rehearsal.replace({"goal.hold_s": 3.0}).standoff_m == 0.5

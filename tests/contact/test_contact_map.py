@@ -16,7 +16,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.airframe import Coefficients
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import CoefficientArrays
-from dart_flight.contact.contact_map import WallHit, collide, contact_map, drop, drop_map
+from dart_flight.contact.contact_map import WallContact, collide, contact_map, drop, drop_map
 from dart_flight.contact.law import Onset
 from dart_flight.lab.predict.path import ContactMotion, trajectory
 from tests.oracles.point_law import contact_force
@@ -218,7 +218,7 @@ def test_zero_push_equals_no_push(c: Coefficients, normal: float, tangential: fl
     table = CoefficientArrays.from_table(c)
     plain = contact_map(table, MASS, normal, tangential, onset)
     pushed = contact_map(table, MASS, normal, tangential, onset, acceleration_m_s2=0.0)
-    for name, a, b in zip(WallHit._fields, plain, pushed, strict=True):
+    for name, a, b in zip(WallContact._fields, plain, pushed, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
@@ -260,7 +260,7 @@ def test_zero_and_grazing_speeds_give_no_nan(onset: Onset) -> None:
     speeds = np.array([0.0, -0.0, -1e-300, -1e-15, -1e-9])[:, None]
     for push in (None, 0.0, -2.0, 5.0):
         r = contact_map(table, MASS, speeds, 0.5, onset, acceleration_m_s2=push)
-        for name, values in zip(WallHit._fields, r, strict=True):
+        for name, values in zip(WallContact._fields, r, strict=True):
             assert values.shape == (5, 4)
             assert not np.isnan(values).any(), name
         if push is None:

@@ -44,7 +44,7 @@ from dart_flight.core.guard.rule import Rule
 from dart_flight.core.guard.rules import RULES
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.impact_response import ImpactResponse
-from dart_flight.core.mission.mission_state import MissionState
+from dart_flight.core.mission.mission_progress import MissionProgress
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.detector import Event
 from dart_flight.core.sense.senses import Sensed, Senses
@@ -315,14 +315,14 @@ class HandFedCore:
     @property
     def conditions(self) -> FlightConditions:
         """What the guard has observed."""
-        return self.core._guard._watch
+        return self.core._guard._flight
 
     @property
     def senses(self) -> Senses:
         return self.core._senses
 
     @property
-    def progress(self) -> MissionState:
+    def progress(self) -> MissionProgress:
         return self.core._executive.progress
 
     def report_findings(self, names: list[str]) -> None:
@@ -344,7 +344,7 @@ class HandFedCore:
 
         guard, executive = self.core._guard, self.core._executive
         for part in parts:
-            owner: object = {"observe": guard._watch, "record_override": executive}.get(part, guard)
+            owner: object = {"observe": guard._flight, "record_override": executive}.get(part, guard)
             setattr(owner, part, raises)
 
     def break_mission(self) -> None:

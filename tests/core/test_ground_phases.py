@@ -8,7 +8,7 @@ from dart_flight.base.records import LandedState, MissionEnd, StatusSample, Vehi
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.ground_phases import _DISARM_AFTER_US, _STREAMING_US, GroundPhases
-from dart_flight.core.mission.mission_state import MissionState
+from dart_flight.core.mission.mission_progress import MissionProgress
 from dart_flight.core.mission.phases import DOWN_US
 from dart_flight.core.sense.state import FlightState
 
@@ -16,9 +16,9 @@ MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
 BEGAN_US = 20_000_000
 
 
-def after(elapsed_us: int, armed: bool = False) -> tuple[MissionState, FlightState]:
+def after(elapsed_us: int, armed: bool = False) -> tuple[MissionProgress, FlightState]:
     """Return the states `elapsed_us` after the beginning of a phase, on the ground."""
-    progress, state = MissionState(MISSION, {}), FlightState()
+    progress, state = MissionProgress(MISSION, {}), FlightState()
     progress.entered_us, progress.entered_host_us = BEGAN_US, BEGAN_US
     t_us = BEGAN_US + elapsed_us
     state.now_us = state.host_us = t_us

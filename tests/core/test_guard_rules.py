@@ -45,7 +45,6 @@ from dart_flight.core.guard.rules import (
     BATTERY_LOW_S,
     IMU_STUCK_S,
     RULES,
-    table,
 )
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.mission import executive
@@ -439,14 +438,16 @@ def test_a_scope_selects_the_phases_in_which_a_rule_is_evaluated(phase: Phase, s
 
 
 def test_the_table_of_the_manual_names_scope_and_inputs_of_every_rule() -> None:
-    header, _, *rows = table().splitlines()
-    assert header == "| rule | fires when | threshold | action | judged by |"
+    page = (Path(__file__).parents[2] / "docs/guard.md").read_text("utf-8")
+    generated = page.partition("<!-- begin: guard rules -->")[2].partition("<!-- end -->")[0]
+    header, _, *rows = generated.strip().splitlines()
+    assert header == "| rule | fires when | threshold | action | evaluated by |"
     assert [row.split("`")[1] for row in rows] == [rule.name for rule in RULES]
     by_name = {row.split("`")[1]: row for row in rows}
     assert by_name["imu_stuck"].endswith(f" | {IMU_STUCK_S:g} s | land | guard, in the air |")
     assert by_name["peak_force"].endswith(" | `limits.peak_force_n` | break off | mission |")
     for name, kinds in (("altitude", "`OdometrySample`"), ("disarmed", "`StatusSample`, `ActuatorSample`")):
-        assert by_name[name].endswith(f", at once after {kinds} |")
+        assert by_name[name].endswith(f", immediately after {kinds} |")
 
 
 def test_thresholds_named_in_the_table_exist() -> None:

@@ -25,11 +25,11 @@ from dart_flight.base.records import (
     VehicleAction,
     VehicleCommand,
 )
+from dart_flight.base.stamps import FASTEST
 from dart_flight.base.streams import BY_NAME
 from dart_flight.core.guard.flight_conditions import _PAUSE_MEMORY_US, _PAUSE_US
 from dart_flight.core.guard.rules import _STALE_SAMPLES, RULES
 from dart_flight.core.guard.second_vehicle import (
-    _FASTEST,
     _REACH_US,
     _TURNS,
     _WINDOW_US,
@@ -266,7 +266,7 @@ def test_a_stamp_further_ahead_than_the_elapsed_time_belongs_to_another_clock(
     """The limit is the reach plus the elapsed time of the host in the fastest simulation."""
     clocks = SecondClockDetector(TOLERANCE_US)
     clocks.update(10_000_000, 0)
-    clocks.update(10_000_000 + _REACH_US + _FASTEST * 250_000 + more_us, 250_000)
+    clocks.update(10_000_000 + _REACH_US + FASTEST * 250_000 + more_us, 250_000)
     assert (clocks.odd_us is not None) is odd
 
 

@@ -33,7 +33,7 @@ from dart_flight.core.guard.guard import _HOLD_US, _RETRY_US
 from dart_flight.core.mission.course import ARRIVED_S
 from dart_flight.core.mission.executive import _REST_AFTER_US, _REST_TIMEOUT_US
 from dart_flight.core.mission.executive import _RETRY_US as _MISSION_RETRY_US
-from dart_flight.core.mission.mission_state import _SLOWEST, MissionState
+from dart_flight.core.mission.mission_progress import _SLOWEST, MissionProgress
 from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import (
     DUAL,
@@ -127,7 +127,7 @@ SLOW_US = round(_SLOWEST * LATE_US)  # by the host's clock
 def test_a_phase_is_late_after_its_timeout_and_its_travel_time(
     autopilot_us: int, host_us: int, late: bool
 ) -> None:
-    state, progress = FlightState(), MissionState(MISSION, {})
+    state, progress = FlightState(), MissionProgress(MISSION, {})
     progress.entered_us, progress.entered_host_us = 50_000_000, 70_000_000
     state.now_us, state.host_us = progress.entered_us + autopilot_us, progress.entered_host_us + host_us
     assert progress.is_late(state, TRAVEL_S) is late

@@ -12,7 +12,7 @@ from dart_flight.config.mission import Collision, Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.lock_commands import LockCommandState
-from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
+from dart_flight.core.mission.mission_progress import NO_CHANGE, Change, MissionProgress
 from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.replan_requests import (
     _AGAIN_US,
@@ -42,7 +42,7 @@ class Planning:
     """The replanning rules of a mission with its state, updated as the executive updates it."""
 
     def __init__(self, mission: Mission) -> None:
-        self.rules, self.progress = ReplanRequests(mission), MissionState(mission, {})
+        self.rules, self.progress = ReplanRequests(mission), MissionProgress(mission, {})
         self.progress.course = self.progress.course.hold((2.0, -0.8))
 
     @property

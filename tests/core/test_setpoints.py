@@ -17,7 +17,7 @@ from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.course import Course
 from dart_flight.core.mission.lock_commands import LockCommandState
-from dart_flight.core.mission.mission_state import MissionState
+from dart_flight.core.mission.mission_progress import MissionProgress
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
 from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, SetpointTrigger, make_setpoint
@@ -49,7 +49,7 @@ def setpoint_parts(
     flown: Course, t_us: int, since_us: int | None = 0, mission: Mission = MISSION
 ) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
     """Return the parts of the setpoint for a sample on a course that is flown since `since_us`."""
-    progress, state = MissionState(mission, {}), FlightState()
+    progress, state = MissionProgress(mission, {}), FlightState()
     progress.course, progress.entered_us = flown, since_us
     # A waiting vehicle is commanded the target of its course.
     progress.phase = Phase.PREPARE if since_us is None else Phase.WAYPOINT
@@ -155,7 +155,7 @@ def parts_before_wall(mission: Mission, sample: OdometrySample) -> tuple[Vec3, V
     """Return the parts of the setpoint shortly before a wall on the mission's own trajectory."""
     pieces = TrajectoryPieces((0.0, 0.0), [(1.0, 0.0, 0.0)])
     (collision,) = (msgspec.structs.replace(one, trajectory=pieces) for one in mission.collisions)
-    progress, state = MissionState(mission, {}), FlightState()
+    progress, state = MissionProgress(mission, {}), FlightState()
     progress.collisions, progress.course = [collision], STANDING.follow(INTO_A_WALL)
     progress.phase, progress.entered_us, state.now_us = Phase.APPROACH, 0, sample.t_us
     setpoint, _ = SetpointSelection(mission).setpoint(sample, progress, state, FRAME, None)
@@ -291,7 +291,7 @@ def test_after_a_contact_a_vehicle_slower_than_its_trajectory_is_accelerated_alo
     mission = load_mission(packaged("missions", "shuttle.yaml"))
     following = next(c for c in mission.collisions if c.trajectory is not None and c.approach_m_s is None)
     trajectory = Trajectory.from_mission(known(following.trajectory), mission.altitude_m)
-    progress, state, after_us = MissionState(mission, {}), FlightState(), 50_000
+    progress, state, after_us = MissionProgress(mission, {}), FlightState(), 50_000
     progress.index = mission.collisions.index(following)
     progress.phase, progress.lock = Phase.RECOVERY, LockCommandState(contact_end_us=1_000_000)
     speed = share * math.hypot(*trajectory.at(1e-6 * after_us).velocity[:2])

@@ -22,11 +22,10 @@ from dart_flight.base.records import (
     StatusText,
     Tick,
 )
+from dart_flight.base.stamps import FASTEST, LEAP_US
 from dart_flight.core.sense.state import (
-    _FASTEST,
     _FASTEST_M_S,
     _FURTHEST_M,
-    _LEAP_US,
     _LEAPS_ACCEPTED,
     _TEXT_AGE_US,
     FlightState,
@@ -144,7 +143,7 @@ def test_time_follows_the_host_clock_while_the_streams_are_silent() -> None:
         assert state.now_us == now_us
     state.update_clock(ClockOffset(0, 50_000_000))
     state.advance(Tick(1_500_000))
-    assert state.now_us == 6_000_000 + 500_000 + _LEAP_US
+    assert state.now_us == 6_000_000 + 500_000 + LEAP_US
     assert state.host_us == 1_500_000
 
 
@@ -170,7 +169,7 @@ def test_isolated_jumps_of_a_stamp_are_never_accepted() -> None:
 
 def test_a_stamp_may_advance_further_after_a_pause() -> None:
     """The limit is the elapsed time of the host in the fastest simulation, and one leap."""
-    limit_us = _FASTEST * 500_000 + _LEAP_US
+    limit_us = FASTEST * 500_000 + LEAP_US
     for ahead_us, accepted in ((limit_us, True), (limit_us + 1, False)):
         state = FlightState()
         state.update_odometry(at(1_000_000))
@@ -193,12 +192,12 @@ def test_the_first_sample_of_a_stream_may_not_be_ahead_of_the_other_streams(
 ) -> None:
     """Such a sample may come from another vehicle. Silence permits a later stamp."""
     begin_us, host_us = 300_000_000, 7_000_000
-    for ahead_us, accepted in ((0, True), (_LEAP_US, True), (_LEAP_US + 1, False)):
+    for ahead_us, accepted in ((0, True), (LEAP_US, True), (LEAP_US + 1, False)):
         state = FlightState()
         state.update_imu(imu_at(begin_us - 4000, host_us))
         state.update_attitude(attitude_at(begin_us, host_us))
         stream = {ImuSample: "imu", AttitudeSample: "attitude", OdometrySample: "odometry"}
-        sample = first(begin_us + ahead_us + _FASTEST * pause_us, host_us + pause_us)
+        sample = first(begin_us + ahead_us + FASTEST * pause_us, host_us + pause_us)
         setattr(state, stream[type(sample)], None)  # the stream has not begun
         update = getattr(state, f"update_{stream[type(sample)]}")
         assert update(sample) is accepted

@@ -33,7 +33,7 @@ from dart_flight.core.mission.contact_feedforward import (
     ContactFeedforward,
 )
 from dart_flight.core.mission.heading import Heading
-from dart_flight.core.mission.mission_state import MissionState
+from dart_flight.core.mission.mission_progress import MissionProgress
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -129,7 +129,7 @@ class _SilentInContact(SetpointSelection):
     def setpoint(
         self,
         sample: OdometrySample,
-        progress: MissionState,
+        progress: MissionProgress,
         state: FlightState,
         frame: MissionFrame,
         added: Vec3 | None,

@@ -25,7 +25,7 @@ from dart_flight.core.sense.contact_recorder import ANSWER_WITHIN_US
 from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run import fast
+from dart_flight.run import fast, timing
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.replay import replay
 from tests.shared_flights import SharedFlights
@@ -53,7 +53,7 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
         if fits == "dead":
             monkeypatch.setattr(ContactFitter, "answer", answer_once)
         else:
-            monkeypatch.setattr(fast, "FIT_US", DURATIONS_US[fits])
+            monkeypatch.setattr(timing, "FIT_US", DURATIONS_US[fits])
         records: list[FlightRecord] = []
         verdict = fast.fly_fast(mission, 1, None, keep_record=records.append)
         return verdict, records[0].log

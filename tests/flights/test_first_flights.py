@@ -38,10 +38,10 @@ def goal_finding(name: str) -> CheckFinding:
 def test_check_reports_the_planned_goal_miss_before_the_flight() -> None:
     paper = goal_finding("paper_dual_collision.yaml")
     assert (paper.go, paper.remark) == (True, True)
-    assert paper.says == "passes the goal at a distance of 0.28 m (capture radius 0.15 m)"
+    assert paper.message == "passes the goal at a distance of 0.28 m (capture radius 0.15 m)"
     assert paper.figures == pytest.approx({"goal_miss_m": 0.281, "capture_radius_m": 0.15}, abs=1e-3)
     replanned = goal_finding("single_wall.yaml")
     assert not replanned.remark
-    assert replanned.says.startswith(
+    assert replanned.message.startswith(
         "the vehicle replans after every collision to pass through the goal; without replanning"
     )

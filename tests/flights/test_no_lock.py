@@ -164,7 +164,9 @@ def test_check_has_no_finding_about_a_lock(mission: Mission) -> None:
 
 
 def test_a_vehicle_without_a_lock_skips_preparation_and_refuses_a_driver(mission: Mission) -> None:
-    assert [after for (_, cue), after in TRANSITIONS.items() if cue is PhaseTrigger.NO_LOCK] == ["approach"]
+    assert [after for (_, trigger), after in TRANSITIONS.items() if trigger is PhaseTrigger.NO_LOCK] == [
+        "approach"
+    ]
     with pytest.raises(InputError, match="no lock"):
         with_driver(mission, LockDriver.MOCK)
 

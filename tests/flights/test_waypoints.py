@@ -296,7 +296,7 @@ def test_a_wall_between_waypoints_is_reported_before_the_flight() -> None:
     with pytest.raises(NoApproachError):
         FlightCore(loaded)
     found = findings(loaded)["waypoints"]
-    assert (found.go, found.says) == (False, "wall board blocks the path to waypoint 2")
+    assert (found.go, found.message) == (False, "wall board blocks the path to waypoint 2")
     # A detour around the wall, and back the same way.
     left = "{position_m: [0.0, 1.2]}"
     around = mission(f"{walls}waypoints: [{left}, {{position_m: [1.0, 1.2]}}, {left}]")
@@ -312,7 +312,7 @@ def test_check_reports_blocked_legs_after_a_recovery_and_unreachable_speeds() ->
     )
     found = findings(loaded)
     assert not found["recovery_1"].go
-    assert "wall board blocks the path to waypoint 1" in found["recovery_1"].says
+    assert "wall board blocks the path to waypoint 1" in found["recovery_1"].message
     assert found["waypoint_speed"].remark
 
 

@@ -198,7 +198,7 @@ AT_FLEXIBLE, AT_RIGID = DriverReading(1020.0), DriverReading(1980.0)
 CLAMPED = DriverReading(1900.0, errors=("protocol error",))
 NOT_ACCEPTED = "fault; the driver did not accept the command within 1.5 s"
 SILENT = "fault; the driver reported nothing within 1.5 s"
-TOO_EARLY = "fault; after the travel time, no reading arrived within 1.5 s of the command"
+TOO_EARLY = "fault; no reading that confirms the travel arrived within 1.5 s of the command"
 BAD_PULSE = "fault; the controller outputs 1900 us instead of 1980 us; protocol error"
 
 # Inputs of the machine with their times, and the description of its state after them: a mode is a command, a

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
-from dart_flight.contact.contact_map import WallHit
+from dart_flight.contact.contact_map import WallContact
 from dart_flight.contact.law import Onset
 
 # Friction in a corner acts along the other plane's normal, so the normal forces are iterated until the
@@ -73,7 +73,7 @@ def stepped_map(
     rows: Rows | None = None,
     acceleration_m_s2: float = 0.0,
     longest_s: float = 2.0,
-) -> WallHit[Array]:
+) -> WallContact[Array]:
     """Return wall hits by time stepping; arguments and results as in `contact_map`, to first order.
 
     Every hit starts at its onset. A contact that has not ended after `longest_s` counts as never ending.
@@ -92,7 +92,7 @@ def stepped_map(
     shape = vn.shape
     c = CoefficientArrays(*(np.broadcast_to(v, shape).reshape(-1) for v in c))
     v_in, slip_in = vn.reshape(-1), vt.reshape(-1)
-    out = WallHit(*(np.zeros(v_in.size) for _ in WallHit._fields))
+    out = WallContact(*(np.zeros(v_in.size) for _ in WallContact._fields))
     out.normal_out_m_s[:], out.tangential_out_m_s[:] = v_in, slip_in
 
     index = np.flatnonzero(v_in < 0.0)  # the hits that are still in contact
@@ -121,10 +121,10 @@ def stepped_map(
     peak = out.peak_normal_force_n
     nu = np.broadcast_to(coefficients.nu if rows is None else coefficients.nu[rows], shape).reshape(-1)
     out.peak_vertical_force_n[:] = nu * peak / (1.0 + peak)
-    return WallHit(*(values.reshape(shape) for values in out))
+    return WallContact(*(values.reshape(shape) for values in out))
 
 
-def _record(out: WallHit[Array], index: Rows, force: Array, x: Array, friction: Array) -> None:
+def _record(out: WallContact[Array], index: Rows, force: Array, x: Array, friction: Array) -> None:
     for target, value in (
         (out.peak_normal_force_n, force),
         (out.penetration_m, -x),

@@ -22,9 +22,9 @@ from dart_flight.contact.law import Onset
 from dart_flight.planning.contact_fit import (
     SURE_LOG_ODDS,
     Belief,
-    Contact,
     ContactFit,
     ContactFitter,
+    ContactReadings,
     Hypothesis,
     Ticks,
 )
@@ -72,7 +72,7 @@ def pulse(
     push: float = 0.0,
     onset: Onset = Onset.LCP,
     full_scale_n: float = math.inf,
-) -> Contact:
+) -> ContactReadings:
     """Integrate the contact law in steps of 0.05 ms and return the IMU's ticks."""
     rng = random.Random(seed)
     x, v, w = -normal * 0.0137 + c.f / c.k * -normal, normal, along
@@ -96,12 +96,12 @@ def pulse(
         ticks.append((TICK_S, read, rub, up, push, 0.0, 0.0, 0.0, 0.0, bound))
         if len(ticks) > 80:
             break
-    return Contact(ticks_of(ticks), 0.0137, (normal, along), 0.0, NOISE_N, 0.1)
+    return ContactReadings(ticks_of(ticks), 0.0137, (normal, along), 0.0, NOISE_N, 0.1)
 
 
 def guard_contact(
     c: Coefficients, degrees: float, seed: int = 0, along: float = 0.3, lever: float = 0.3
-) -> Contact:
+) -> ContactReadings:
     """Simulate a contact of two guards; the leading guard turns the vehicle towards its own side."""
     rng, a, out = random.Random(seed), 0.13, 0.2
     lead = incidence = math.radians(degrees)
@@ -128,17 +128,17 @@ def guard_contact(
             sums = [s + f / STEPS for s, f in zip(sums, found, strict=True)]
         read, rub = (value + rng.gauss(0.0, NOISE_N) * (seed > 0) for value in sums[:2])
         ticks.append((TICK_S, read, rub, 0.0, 0.0, 0.0, turned, turning, sums[2], False))
-    return Contact(ticks_of(ticks), 0.0137, (-0.9, along), lead, NOISE_N, 0.1)
+    return ContactReadings(ticks_of(ticks), 0.0137, (-0.9, along), lead, NOISE_N, 0.1)
 
 
 def fit_contact(
-    contact: Contact, before: Belief, scatter: float = SCATTER, vehicle: VehicleConfig = VEHICLE
+    contact: ContactReadings, before: Belief, scatter: float = SCATTER, vehicle: VehicleConfig = VEHICLE
 ) -> Hypothesis:
     (found,) = ContactFit(contact, [before], vehicle, scatter).run()
     return found
 
 
-def log_odds(contact: Contact, material: str) -> float:
+def log_odds(contact: ContactReadings, material: str) -> float:
     before = [belief_of(material, mode) for mode in Mode]
     rigid, flexible = ContactFit(contact, before, VEHICLE, SCATTER).run()
     return rigid.evidence - flexible.evidence
@@ -518,7 +518,7 @@ def test_an_unusable_contact_is_answered_with_the_reason(
     assert answer.problem == f"contact not fitted: {problem}"
 
 
-def request_from(contact: Contact, **changes: Any) -> ContactRequest:
+def request_from(contact: ContactReadings, **changes: Any) -> ContactRequest:
     """Return the request of a synthetic contact, with the IMU's lag in its sample times."""
     readings = contact.ticks
     request = contact_request(

@@ -44,7 +44,7 @@ def test_one_hit_has_one_force(planned: str, tmp_path: Path) -> None:
     pictured = predict_mission(mission).hits[1]
     assert abs(pictured.tangential_n) > 1.0, "friction makes a difference"
     assert math.hypot(pictured.normal_n, pictured.tangential_n) == pytest.approx(limited_n, rel=0.01)
-    shown = next(f.says for f in check_mission(mission) if f.item == "force_1")
+    shown = next(f.message for f in check_mission(mission) if f.item == "force_1")
     assert f"predicted {limited_n:.0f} N (" in shown
     console = Console(width=200)
     with console.capture() as capture:

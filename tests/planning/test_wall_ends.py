@@ -40,10 +40,10 @@ def test_an_impact_sixteen_millimetres_from_the_end_of_a_door_is_no_go() -> None
     finding = wall_end_finding(mission_with_impact(0.016))
     assert not finding.go
     assert finding.figures == pytest.approx({"distance_m": 0.016, "margin_m": HALF_M})
-    assert "0.02 m from the wall's end, minimum half a vehicle (0.20 m)" in finding.says
+    assert "0.02 m from the wall's end, minimum half a vehicle (0.20 m)" in finding.message
     assert wall_end_finding(mission_with_impact(HALF_M + 0.01)).go
-    assert "at this place not all guards touch the wall" in finding.says
-    assert "guards" not in wall_end_finding(mission_with_impact(HALF_M - 0.01)).says
+    assert "at this place not all guards touch the wall" in finding.message
+    assert "guards" not in wall_end_finding(mission_with_impact(HALF_M - 0.01)).message
 
 
 def test_the_uncertainty_of_a_walls_position_widens_its_end_margin() -> None:

@@ -85,7 +85,7 @@ def test_check_refuses_impacts_that_px4_has_not_survived(tmp_path: Path) -> None
     assert not check_findings(tmp_path, 3.4, "flexible")["speed_1"].go
     lost = check_findings(tmp_path, 4.0, "rigid", "wood")["force_1"]
     assert not lost.go
-    assert "position will be wrong by more than a metre" in lost.says
+    assert "position will be wrong by more than a metre" in lost.message
 
 
 def test_check_remarks_on_an_impact_close_to_full_scale(tmp_path: Path) -> None:
@@ -93,5 +93,5 @@ def test_check_remarks_on_an_impact_close_to_full_scale(tmp_path: Path) -> None:
     assert (close.go, close.remark) == (True, True)
     beyond = check_findings(tmp_path, 3.5, "rigid")["force_1"]
     assert (beyond.go, beyond.remark) == (False, False)
-    assert "lower bound" in beyond.says
+    assert "lower bound" in beyond.message
     assert not check_findings(tmp_path, 2.5, "rigid")["force_1"].remark

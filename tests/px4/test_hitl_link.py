@@ -225,7 +225,7 @@ def test_the_simulated_outputs_may_move(cable: Cable) -> None:
 @pytest.mark.parametrize("at_rest", [["900, 900", "1000, 1000"], []], ids=["at rest", "never asked at rest"])
 def test_other_moving_outputs_disarm_the_vehicle_and_are_named(cable: Cable, at_rest: list[str]) -> None:
     _, px4 = cable
-    with pytest.raises(Px4LostError, match=r"moves real outputs.*PWM_MAIN_FUNC1"):
+    with pytest.raises(Px4LostError, match=r"is driving real outputs.*PWM_MAIN_FUNC1"):
         arm(px4, at_rest, ["1553, 1553", "1510, 1510"])
     (disarm,) = px4.receive_kind("COMMAND_LONG")
     assert (disarm.command, disarm.param1, disarm.param2) == (400, 0.0, 21196.0)

@@ -106,7 +106,7 @@ def check_findings(px4_dir: Path, folder: Path, changes: dict[str, int | float])
 
 
 def test_check_reports_why_px4_would_refuse_to_arm(px4_dir: Path, tmp_path: Path) -> None:
-    says = check_findings(px4_dir, tmp_path, FAILED_CHECK)["px4_checks"]["says"]
+    says = check_findings(px4_dir, tmp_path, FAILED_CHECK)["px4_checks"]["message"]
     assert says.startswith("PX4 would refuse to arm: "), says
     assert any(word in says for word in ("istance", *WITHOUT_TEXTS)), says
 
@@ -114,4 +114,4 @@ def test_check_reports_why_px4_would_refuse_to_arm(px4_dir: Path, tmp_path: Path
 def test_check_reports_a_missing_local_position_with_its_reason(px4_dir: Path, tmp_path: Path) -> None:
     found = check_findings(px4_dir, tmp_path, NO_POSITION)
     assert not found["estimator"]["go"]
-    assert re.match("no valid local position; PX4 reports: .*(osition|failed)", found["estimator"]["says"])
+    assert re.match("no valid local position; PX4 reports: .*(osition|failed)", found["estimator"]["message"])

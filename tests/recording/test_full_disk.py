@@ -75,7 +75,7 @@ def test_check_compares_the_free_space_with_the_longest_flight(
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1_000_000))
     found = check_log_space(MISSION, tmp_path)
     assert not found.go
-    assert "1.0 MB free for the log" in found.says
+    assert "1.0 MB free for the log" in found.message
     assert main(["check", str(SINGLE), "--log-dir", str(tmp_path)]) == 1
     assert "NO-GO     log_space: 1.0 MB free" in capsys.readouterr().err
 

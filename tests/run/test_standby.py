@@ -122,7 +122,7 @@ def test_only_the_configured_channel_moves_the_lock() -> None:
         (
             True,
             1,
-            {"go": False, "findings": [{"item": "battery", "says": "12 V", "go": False}]},
+            {"go": False, "findings": [{"item": "battery", "message": "12 V", "go": False}]},
             "",
             ["wall: no-go", "battery: 12 V"],
         ),
@@ -141,8 +141,8 @@ def test_the_end_of_a_process_is_described_in_lines(
 
 
 def test_only_three_of_many_no_goes_are_listed() -> None:
-    findings = [{"item": f"item{i}", "says": "bad", "go": i == 0} for i in range(7)]
-    findings.append({"item": "own", "says": "bad", "go": False, "overruled": True})
+    findings = [{"item": f"item{i}", "message": "bad", "go": i == 0} for i in range(7)]
+    findings.append({"item": "own", "message": "bad", "go": False, "overruled": True})
     output = json.dumps({"go": False, "findings": findings}).encode()
     lines = describe_end("wall", True, Ended(1, output, ""))
     assert lines == ["wall: no-go and 3 more", "item1: bad", "item2: bad", "item3: bad"]

@@ -231,7 +231,7 @@ def test_a_written_plan_keeps_the_walls_standard_deviations(tmp_path: Path) -> N
 
 
 def no_goes(findings: list[CheckFinding]) -> dict[str, str]:
-    return {f.item: f.says for f in findings if not f.go}
+    return {f.item: f.message for f in findings if not f.go}
 
 
 @pytest.mark.parametrize(
@@ -275,7 +275,7 @@ def test_check_reports_a_wall_that_may_block_a_planned_trajectory(sd_m: float, g
 def test_small_standard_deviations_are_a_go() -> None:
     findings = check_mission(single((POINT, f"{POINT}, position_sd_m: 0.05, yaw_sd_deg: 2.0")))
     assert not no_goes(findings)
-    assert any("error of 0.15 m (3 sd)" in f.says for f in findings)
+    assert any("error of 0.15 m (3 sd)" in f.message for f in findings)
 
 
 # --- missions without figures -----------------------------------------------------------------------------

@@ -225,13 +225,13 @@ def test_check_names_the_motor_that_differs(change: dict[str, float], go: bool, 
     mission = hexarotor_mission()
     (finding,) = evaluate_airframe(mission, rotor_parameters(mission.vehicle.airframe.motors) | change)
     assert finding.go is go
-    assert message in finding.says
+    assert message in finding.message
 
 
 def test_check_reports_that_px4_has_no_airframe_to_compare() -> None:
     (finding,) = evaluate_airframe(hexarotor_mission(), {})
     assert (finding.go, finding.remark) == (True, True)
-    assert "has no CA_ROTOR_COUNT" in finding.says
+    assert "has no CA_ROTOR_COUNT" in finding.message
 
 
 def test_the_airframe_is_read_from_every_kind_of_px4_file(

@@ -16,6 +16,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.prepare import load_flyable
+from dart_flight.sim.delayed_filter import DelayedFilter
 from dart_flight.sim.estimator import Estimator
 from dart_flight.sim.faults.fault_table import parse_fault
 
@@ -27,8 +28,8 @@ class LevelFlight:
     """A level vehicle with given accelerations to the north, and its filter."""
 
     def __init__(self, delay_s: float) -> None:
-        self.filter = Estimator()
-        self.filter.assume_delay(0.0, delay_s)
+        self.estimator = Estimator()
+        self.filter = DelayedFilter(self.estimator, 0.0, delay_s)
         self.north = self.speed = self.time_s = 0.0
         self._rng = random.Random(1)
         self._poses: deque[tuple[float, Vec3]] = deque()
@@ -54,7 +55,7 @@ class LevelFlight:
 
     @property
     def error_m(self) -> float:
-        return self.filter.position[0] - self.north
+        return self.estimator.position[0] - self.north
 
 
 @settings(max_examples=8, deadline=None)
@@ -65,7 +66,7 @@ def test_the_estimate_leads_by_the_speed_times_the_error_of_the_delay(delay_ms: 
     level.fly(1.0, speed)
     level.fly(4.0)
     assert level.error_m == pytest.approx(speed * (delay_ms * 1e-3 - TRUE_S), abs=0.015)
-    assert level.filter.velocity[0] == pytest.approx(speed, abs=0.05)
+    assert level.estimator.velocity[0] == pytest.approx(speed, abs=0.05)
 
 
 def test_the_estimate_follows_a_manoeuvre_with_the_right_delay() -> None:
@@ -91,11 +92,11 @@ def test_the_estimate_oscillates_after_a_stop_with_a_wrong_delay() -> None:
 def test_poses_beyond_the_gate_reset_the_estimate() -> None:
     level = LevelFlight(TRUE_S)
     level.fly(2.0)
-    before = level.filter.resets
+    before = level.estimator.resets
     level.north += 1.0  # displaced without an acceleration at the IMU
     assert abs(level.fly(0.8)) > 0.9
     level.fly(1.5)
-    assert level.filter.resets == before + 1
+    assert level.estimator.resets == before + 1
     assert abs(level.error_m) < 0.02
 
 

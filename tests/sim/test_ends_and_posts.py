@@ -14,7 +14,7 @@ from dart_flight.base.records import Mode
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.vehicle import Coefficients, Material
 from dart_flight.contact.cylinders import WallWithEnds
-from dart_flight.contact.propeller_guards import Touch
+from dart_flight.contact.propeller_guards import WallLoad
 from dart_flight.sim.plant import Plant
 from tests.oracles.ends_and_posts import Board, Pillar, Scene
 from tests.sim.plants import body_vehicle, drifting_plant, energy_j, oracle_of, rotation
@@ -194,7 +194,7 @@ def test_skipping_the_contact_model_far_from_an_end_changes_no_flight(
 
     touch, calls = WallWithEnds.touch, []
 
-    def counted(self: WallWithEnds, *given: Any) -> Touch:
+    def counted(self: WallWithEnds, *given: Any) -> WallLoad:
         calls.append(1)
         return touch(self, *given)
 

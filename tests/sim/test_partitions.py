@@ -196,7 +196,7 @@ def test_a_hit_on_either_face_is_a_legal_collision(side: str) -> None:
 
 
 def no_goes(mission: Mission) -> dict[str, str]:
-    return {finding.item: finding.says for finding in check_mission(mission) if not finding.go}
+    return {finding.item: finding.message for finding in check_mission(mission) if not finding.go}
 
 
 def test_both_faces_move_together_in_a_drawn_world() -> None:

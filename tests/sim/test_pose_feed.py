@@ -31,16 +31,14 @@ class Frames:
     def __init__(self) -> None:
         self.kept: list[tuple[int, bool, Vec3, Quaternion]] = []
 
-    def publish(
-        self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
-    ) -> None:
+    def publish(self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool) -> None:
         self.kept.append((t_us, tracked, *MOCAP.room_frame().pose_to_ned(position_room, q_body_to_room)))
 
 
 def feed_poses(fault: Fault | None, seconds: float = 1.0) -> tuple[Frames, list[float]]:
     """Feed a vehicle that flies north at 1 m/s, with poses at 100 Hz; return frames and their times."""
     frames, times = Frames(), []
-    feed = PoseFeed(MOCAP, frames, (0.0, -2.0, 0.0))
+    feed = PoseFeed(MOCAP, frames.publish, (0.0, -2.0, 0.0))
     if fault is not None:
         feed.begin_fault(fault, 0.0)
     for tick in range(round(seconds / 0.004)):

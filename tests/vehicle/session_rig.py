@@ -55,7 +55,7 @@ class SessionRig:
         clock: Clock | None = None,
     ) -> None:
         self.plugins: dict[str, Plugin] = {}
-        for name in ("Telemetry", "Offboard", "Action", "MavlinkDirect", "Events"):
+        for name in ("Offboard", "Action", "MavlinkDirect", "Events"):
             plugin = self.plugins[name] = Plugin(answers)
             monkeypatch.setattr(module, name, lambda _, plugin=plugin: plugin)
         self.delivered: list[Input] = []

@@ -37,7 +37,7 @@ from dart_flight.base.records import (
     SystemStatus,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, MODE, STREAMS
+from dart_flight.base.streams import OPTIONAL, STREAMS
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.vehicle import vehicle_session as module
 from dart_flight.vehicle.clock import LockstepClock, host_us
@@ -51,44 +51,44 @@ def refuse(*_: Any) -> None:
     raise MavsdkError("refused")
 
 
-def test_every_stream_is_requested_and_a_refusal_is_reported(make_session: MakeSession) -> None:
-    rig = make_session({"set_rate_odometry": refuse})
-    assert asyncio.run(rig.session.set_rates()) == ["odometry"]
-    requested = {name.removeprefix("set_rate_"): rate for name, (rate,) in rig.plugins["Telemetry"].calls}
-    assert len(requested) == len(STREAMS)
-    assert requested["imu"] == next(s.rate_hz for s in STREAMS if s.name == "imu")
-    few = make_session({})
-    assert asyncio.run(few.session.set_rates(["imu", "attitude"], watching=True)) == []
-    assert {name for name, _ in few.plugins["Telemetry"].calls} == {
-        "set_rate_imu",
-        "set_rate_attitude_quaternion",
-    }
-
-
 @pytest.mark.parametrize(("result", "refused"), [(0, False), (4, True), (None, True)])
-def test_an_optional_stream_is_requested_by_its_message_id(
+def test_every_stream_is_requested_and_a_refusal_is_reported(
     make_session: MakeSession, result: int | None, refused: bool
 ) -> None:
     sent: list[dict[str, Any]] = []
 
     def answer(command: Any) -> Any:
         sent.append(json.loads(command.fields_json))
-        return message(command=511, result=result)
+        return message(command=511, result=0 if sent[-1]["param1"] == STREAMS[0].number else result)
 
     rig = make_session({"send_command": answer}).subscribe()
-    assert ("esc" in asyncio.run(rig.session.set_rates([]))) is refused
+    others = [stream.name for stream in (*STREAMS[1:], *OPTIONAL)]
+    assert asyncio.run(rig.session.set_rates()) == (others if refused else [])
     assert sent == [
         {
             "target_system": 1,
             "target_component": 1,
             "command": 511,
             "confirmation": 0,
-            "param1": MESSAGE_ID[stream.message],
+            "param1": stream.number,
             "param2": round(1e6 / stream.rate_hz),
             **{f"param{i}": 0 for i in range(3, 8)},
         }
-        for stream in (ESC, ESTIMATOR, MODE)
+        for stream in (*STREAMS, *OPTIONAL)
     ]
+
+
+def test_a_display_requests_few_streams_at_lower_rates(make_session: MakeSession) -> None:
+    sent: list[tuple[int, int]] = []
+
+    def answer(command: Any) -> Any:
+        fields = json.loads(command.fields_json)
+        sent.append((fields["param1"], fields["param2"]))
+        return message(command=511, result=0)
+
+    few = make_session({"send_command": answer})
+    assert asyncio.run(few.session.set_rates(["imu", "attitude"], watching=True)) == []
+    assert sent == [(105, 4000), (31, 16_000)]
 
 
 def test_local_position_is_ok_only_with_odometry_and_a_healthy_estimator(rig: SessionRig) -> None:
@@ -271,7 +271,7 @@ def test_only_mavsdk_errors_count_as_refusals(make_session: MakeSession) -> None
         raise TypeError("no rate")
 
     with pytest.raises(TypeError, match="no rate"):
-        asyncio.run(make_session({"set_rate_odometry": fail}).session.set_rates())
+        asyncio.run(make_session({"send_command": fail}).session.set_rates())
     with pytest.raises(TypeError, match="no rate"):
         asyncio.run(make_session({"send_command": fail}).session.stop_messages((30,)))
     with pytest.raises(VehicleError, match="refused"):
@@ -312,7 +312,7 @@ def test_an_answered_round_trip_is_delivered(make_session: MakeSession) -> None:
 
 
 def test_timesync_of_other_systems_does_not_count_as_a_round_trip(make_session: MakeSession) -> None:
-    rig = make_session({})
+    rig = make_session({"send_command": lambda _: message(command=511, result=0)})
     answer_timesync(rig, ahead_us=500, system=7)
     assert asyncio.run(rig.session.measure_link(0.01)) == []  # the answer to the rate request suffices
     for tc1, ts1 in ((0, 1_000_000), (5_000_000, 1_000_000)):  # a request, and an answer to no request
@@ -323,16 +323,11 @@ def test_timesync_of_other_systems_does_not_count_as_a_round_trip(make_session: 
 
 
 def test_a_one_way_link_is_reported_with_its_unanswered_requests(make_session: MakeSession) -> None:
-    class TimedOutError(MavsdkError):  # type: ignore[misc]  # mavsdk has no types
-        result = SimpleNamespace(name="TIMEOUT")
-
-    def time_out(_: float) -> None:
-        raise TimedOutError
-
-    rig = make_session({"set_rate_imu": time_out, "send_message": refuse})
+    rig = make_session({"send_command": refuse, "send_message": refuse})
     assert asyncio.run(rig.session.measure_link(0.01)) == ["TIMESYNC", f"rate of {STREAMS[0].message}"]
     assert rig.records_of(RoundTrip) == []
-    refused = make_session({"set_rate_imu": refuse})  # a refusal is an answer
+    denied = message(command=511, result=4)  # a refusal is an answer
+    refused = make_session({"send_command": lambda _: denied})
     assert asyncio.run(refused.session.measure_link(0.01)) == []
     assert len(refused.records_of(RoundTrip)) == 1
 

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from dart_flight.core.guard import rules as guard_rules
 from tools.docs import (
     configuration_comments,
     fault_table,
@@ -20,6 +19,7 @@ from tools.docs import (
     log_channels,
     message_table,
     phase_diagram,
+    rule_table,
     schemas,
 )
 
@@ -27,7 +27,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 PARTS: dict[str, Callable[[], str]] = {
     "configuration keys": key_tables.configuration_table,
     "fault kinds": fault_table.table,
-    "guard rules": guard_rules.table,
+    "guard rules": rule_table.table,
     "lock states": phase_diagram.lock_diagram,
     "log channels": log_channels.tables,
     "messages": message_table.table,

@@ -12,7 +12,8 @@ def table() -> str:
         "|---|---|---|---|---|---|",
     ]
     rows += [
-        f"| {e.message} | {e.stream or '-'} | {e.which} | {e.frame} | {e.units} | {e.invalid} |"
+        f"| {e.message} | {e.stream.name if e.stream else '-'} | {e.which} | {e.frame} | {e.units} | "
+        f"{e.invalid} |"
         for e in ENTRIES
     ]
     return "\n".join(rows) + "\n"

@@ -92,21 +92,21 @@ def evaluate_link(
     measured |= errors
     slow = [stream for stream in rates if not stream.enough]
     if any(stream.unusable for stream in slow):
-        says = "; ".join(f"{stream.name}: {stream.unusable}" for stream in slow if stream.unusable)
-        return failed(says, **measured)
+        message = "; ".join(f"{stream.name}: {stream.unusable}" for stream in slow if stream.unusable)
+        return failed(message, **measured)
     if slow:
-        says = (
+        message = (
             "too slow: "
             + "; ".join(f"{stream.name} {stream.describe}" for stream in slow)
             + ". Raise SER_TEL2_BAUD and MAV_1_RATE, set MAV_1_MODE to Onboard"
         )
-        return failed(says, **measured)
+        return failed(message, **measured)
     if round_trip_s is not None and round_trip_s > limit_s:
-        says = (
+        message = (
             f"the round trip takes {1e3 * round_trip_s:.0f} ms, limit {1e3 * limit_s:.0f} ms: remove the "
             "radio or the bridge from the link"
         )
-        return failed(says, **measured)
+        return failed(message, **measured)
     if errors.get("drop_rate_comm", 0.0) > 100.0:
         share = errors["drop_rate_comm"] / 100.0
         return failed(
@@ -151,17 +151,17 @@ def evaluate_level(level: Vec3) -> StepFinding | None:
     if tilt > 180.0 - 3 * _LEVEL_DEG:
         return failed("the IMU reads upside down: set SENS_BOARD_ROT as the board is mounted", **measured)
     if tilt > _LEVEL_DEG:
-        says = (
+        message = (
             f"the IMU reads {tilt:.0f} degrees off level: level the vehicle; if it is level, calibrate "
             "SENS_BOARD_X_OFF and SENS_BOARD_Y_OFF"
         )
-        return failed(says, **measured)
+        return failed(message, **measured)
     if abs(norm(level) - GRAVITY_M_S2) > 0.5:
-        says = (
+        message = (
             f"the IMU reads {norm(level):.2f} m/s2 at rest, not {GRAVITY_M_S2:.2f}: calibrate its "
             "accelerometer"
         )
-        return failed(says, **measured)
+        return failed(message, **measured)
     return None
 
 
@@ -179,13 +179,13 @@ def evaluate_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding
         return passed("the IMU's axes match the vehicle's", **measured)
     if abs(wrap_deg(forward - right)) <= 2.0 * _AXIS_DEG:
         turned = 90.0 * round((forward + 0.5 * wrap_deg(right - forward)) / 90.0)
-        says = f"the axes are rotated by {turned:.0f} degrees: set SENS_BOARD_ROT as the board is mounted"
-        return failed(says, **measured)
-    says = (
+        message = f"the axes are rotated by {turned:.0f} degrees: set SENS_BOARD_ROT as the board is mounted"
+        return failed(message, **measured)
+    message = (
         "the axes are mirrored, or the vehicle was not tilted nose down and then right side down: repeat "
         "the step"
     )
-    return failed(says, **measured)
+    return failed(message, **measured)
 
 
 # --- force ---------------------------------------------------------------------------------------------
@@ -231,17 +231,17 @@ def evaluate_push(push: Vec2, force: Vec2) -> StepFinding:
         "force_n": round(size, 1),
     }
     if abs(push_deg) > 2.0 * _AXIS_DEG:
-        says = (
+        message = (
             f"the push pointed {_side(push_deg)}, not forward: repeat the push from behind; "
             "if you did push forward, repeat imu_axes"
         )
-        return failed(says, **measured)
+        return failed(message, **measured)
     if abs(wrap_deg(force_deg - push_deg)) > _AXIS_DEG:
-        says = (
+        message = (
             f"the estimated force points {_side(force_deg)}, the push pointed {_side(push_deg)}: "
             "attitude or yaw is wrong"
         )
-        return failed(says, **measured)
+        return failed(message, **measured)
     return passed("the estimated force of a forward push points forward", **measured)
 
 
@@ -263,23 +263,25 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
         if state.settled_us is not None and state.commanded_us is not None:
             measured[f"{mode}_travel_s"] = round((state.settled_us - state.commanded_us) * 1e-6, 3)
         if state.phase is not LockPhase.SETTLED:
-            says = f"{mode}: {state.reason or state.phase}; check supply, cable and `dart-flight lock status`"
-            return failed(says, **measured)
+            message = (
+                f"{mode}: {state.reason or state.phase}; check supply, cable and `dart-flight lock status`"
+            )
+            return failed(message, **measured)
         if confirmed is False:
             wrong.append(mode)
     measured["travel_by"] = "switch" if all(state.feedback for _, state, _ in moves) else "configured time"
     if len(wrong) == len(moves):
-        says = (
+        message = (
             "the lock moves in the wrong direction: exchange lock.servo.rigid_pulse_us and flexible_pulse_us "
             "(`dart-flight lock calibrate`)"
         )
-        return failed(says, **measured)
+        return failed(message, **measured)
     if wrong:
-        says = (
+        message = (
             f"the lock was commanded {wrong[0]}, but the arms are not {wrong[0]}: calibrate both ends "
             "(`dart-flight lock calibrate`)"
         )
-        return failed(says, **measured)
+        return failed(message, **measured)
     travel_s = config.servo.full_travel_s
     return passed(
         f"the lock reaches both ends; the configured time of a full travel is {travel_s:.2f} s", **measured
@@ -322,15 +324,15 @@ def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
         return passed("the position follows the vehicle", **measured)
     if abs(wrap_deg(f - r)) <= 2.0 * _AXIS_DEG:
         turned = 90.0 * round(f / 90.0)
-        says = f"position or heading is rotated by {f:.0f} degrees" + (
+        message = f"position or heading is rotated by {f:.0f} degrees" + (
             f": rotate the source's axes by {turned:.0f} degrees to PX4's north, east, down" if turned else ""
         )
-        return failed(says, **measured)
-    says = (
+        return failed(message, **measured)
+    message = (
         "left and right are exchanged: the source's frame is probably ENU, or its y axis points left; set "
         "the frame to north, east, down"
     )
-    return failed(says, **measured)
+    return failed(message, **measured)
 
 
 def is_moved_enough(motion: MotionEstimate) -> bool:
@@ -429,11 +431,11 @@ def evaluate_remote(received: bool, modes: Collection[str]) -> StepFinding:
             **measured,
         )
     if len(modes) < 2:
-        says = (
+        message = (
             "the flight mode did not change: assign a switch (RC_MAP_FLTMODE, COM_FLTMODE1 to 6) and flip "
             "the switch"
         )
-        return failed(says, **measured)
+        return failed(message, **measured)
     return passed("the flight mode follows the mode switch", **measured)
 
 

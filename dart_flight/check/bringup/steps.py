@@ -183,15 +183,15 @@ class Bringup:
             self._rates = stream_rates(observed.rates_hz, unusable_streams(observed.sources))
         return self._link
 
-    def _explain_silence(self, says: str) -> str:
+    def _explain_silence(self, message: str) -> str:
         """Return why no autopilot answers; on a serial port, the received bytes show the reason."""
         link = parse_link(self._url)
         if link is None or link.kind != "serial":
-            return says
+            return message
         try:
             found = listen_for_mavlink(link.place, link.number)
         except OSError as error:
-            return f"{says}; {link.place}: {error.strerror}"
+            return f"{message}; {link.place}: {error.strerror}"
         if found.console:
             return (
                 f"a console answers on {link.place} ({found.console!r}), but no MAVLink arrives: set "
@@ -207,7 +207,7 @@ class Bringup:
                 f"wrong baud rate: MAVLink arrives at {found.baud}, but the link's URL has {link.number}: "
                 "correct the URL or SER_TEL2_BAUD"
             )
-        return f"{says}, but MAVLink arrives: its sender is not an autopilot, or the TX wire is open"
+        return f"{message}, but MAVLink arrives: its sender is not an autopilot, or the TX wire is open"
 
     def needs_operator(self, step: Step) -> bool:
         """Return whether a step needs an operator; without a lock, the servo's step does not."""

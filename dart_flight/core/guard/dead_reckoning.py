@@ -27,12 +27,12 @@ from dart_flight.base.records import ImuSample, OdometrySample
 from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
 
 WRONG_RAD = math.radians(HEADING_STEP_DEG)
-_DETECTED_S: Final = 0.2  # a step of the heading is detected within this time after the reset
+_DETECTED_S: Final = 0.2  # time after a reset within which a step of the heading is detected
 # PX4 subtracts its estimated biases from the IMU's readings. A wrong heading disturbs these estimates, so
 # PX4's velocity is wrong by up to 0.5 m/s after 2 s.
 _LONGEST_S: Final = 2.5
 _RESET_M: Final = 0.1
-_SAME_M, _SAME_M_S = 0.2, 0.3  # PX4's estimate has recovered if it agrees this closely
+_SAME_M, _SAME_M_S = 0.2, 0.3  # tolerances within which PX4's estimate counts as recovered
 
 
 class DeadReckoning:
@@ -62,7 +62,7 @@ class DeadReckoning:
         """Return whether the guard can use PX4's estimate again.
 
         After a large error PX4's heading recovers first. Then PX4's motion approaches the integral, or PX4
-        resets its position to motion capture. In this sample PX4's position stepped by `step_m`.
+        resets its position to motion capture. `step_m` is the step of PX4's position in this sample.
         """
         since_s = (self._t_us - self._since_us) * 1e-6
         if abs(error_rad) > WRONG_RAD:

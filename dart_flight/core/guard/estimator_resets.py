@@ -14,8 +14,8 @@ from dart_flight.base.records import AttitudeSample, ImuSample, OdometrySample
 from dart_flight.core.guard.dead_reckoning import WRONG_RAD, DeadReckoning
 from dart_flight.core.guard.heading_step import HeadingStep
 
-REACH_US: Final = 100_000  # a step this close to the counter's change belongs to the reset
-_JUMP_REACH_US: Final = 100_000  # no jump is detected across a longer gap between odometry samples
+REACH_US: Final = 100_000  # largest time between a reset's step and the counter's change
+_JUMP_REACH_US: Final = 100_000  # longest gap between odometry samples across which jumps are detected
 _STEPS: Final = 16  # odometry samples kept, which cover more than `REACH_US`
 
 
@@ -26,7 +26,7 @@ class EstimatorReset:
         t_us: autopilot time at which the counter rose.
         position_m, velocity_m_s: largest differences between an odometry sample and its prediction from the
             previous sample.
-        heading_rad: positive clockwise seen from above.
+        heading_rad: largest step of the heading, positive clockwise seen from above.
     """
 
     def __init__(self, t_us: int) -> None:
@@ -47,7 +47,7 @@ class EstimatorResets:
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
         self._heading = HeadingStep()
         self._before: Quaternion | None = None  # `HeadingStep.before` at the newest reset
-        self._rotation: Quaternion | None = None  # `before` at the reset from which the error counts
+        self._rotation: Quaternion | None = None  # `before` at the reset since which the error is counted
         self._reckoned: DeadReckoning | None = None  # the motion since that reset
 
     def add_imu(self, item: ImuSample) -> None:
@@ -99,7 +99,7 @@ class EstimatorResets:
 
     @property
     def heading_error_rad(self) -> float:
-        """Estimated heading minus the heading that the gyro continues from before a reset.
+        """Estimated heading minus the heading from before a reset, continued by the gyro.
 
         The error is 0 if the heading did not step at the reset, or if the integral of the gyro has
         been interrupted since then.

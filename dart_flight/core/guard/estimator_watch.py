@@ -21,11 +21,11 @@ from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.mission.phases import ON_GROUND
 
-VELOCITY_JUMP_M_S: Final = 1.5  # between two samples; only a contact changes the velocity as much
+VELOCITY_JUMP_M_S: Final = 1.5  # limit of a jump between two samples; only a contact exceeds it
 # A reset with smaller steps changes only the heading, for example when PX4 aligns it in flight.
 RESET_POSITION_M: Final = 0.05
 RESET_VELOCITY_M_S: Final = 0.2
-ESTIMATOR_BAD_S: Final = 0.3  # PX4's position is invalid for a moment when it switches sources
+ESTIMATOR_BAD_S: Final = 0.3  # longest time without a valid position, as when PX4 switches sources
 # PX4 may align its heading in the climb if it had none on the ground.
 _ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
 
@@ -33,7 +33,7 @@ _ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
 class EstimatorWatch:
     """Monitor of PX4's estimator in one flight. Its methods return a description of a problem, or None.
 
-    `jump` describes the problem with this step's odometry; it is empty if there is none.
+    `jump` describes the problem with this step's odometry; it is empty without a problem.
     """
 
     def __init__(self) -> None:
@@ -117,17 +117,17 @@ ESTIMATOR_RULES: tuple[Rule, ...] = (
     Rule("estimator_jump", Override.HOLD, Scope.GUIDED, RuleCondition(
         "position or velocity jumped, and no impact explains the jump",
         f"{POSITION_JUMP_M:g} m, {VELOCITY_JUMP_M_S:g} m/s",
-        lambda v: v.estimator.jump or None), (OdometrySample,), noted=True),
+        lambda flight: flight.estimator.jump or None), (OdometrySample,), noted=True),
     Rule("estimator_reset", Override.HOLD, Scope.GUIDED, RuleCondition(
         "PX4 reset its estimator; position or velocity stepped, and no impact explains the step",
         f"{RESET_POSITION_M:g} m, {RESET_VELOCITY_M_S:g} m/s",
-        lambda v: v.estimator.reset_step()), noted=True),
+        lambda flight: flight.estimator.reset_step()), noted=True),
     Rule("heading_reset", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
         "PX4 reset its estimator, and the heading stepped by more than 5 degrees relative to the gyro", "",
-        lambda v: v.estimator.heading_step())),
+        lambda flight: flight.estimator.heading_step())),
     Rule("estimator_flags", Override.LAND, Scope.AIR, RuleCondition(
         "PX4's estimator reports an invalid position, and there was no recent impact",
         f"{ESTIMATOR_BAD_S:g} s",
-        lambda v: v.estimator.invalid_estimate())),
+        lambda flight: flight.estimator.invalid_estimate())),
 )
 # fmt: on

@@ -14,7 +14,7 @@ _MEMORY_US: Final = 3_000_000
 # Warnings without a mode change: "Failsafe warning: ...", events ending in _warn, and low battery.
 _WARNING = re.compile(r"failsafe warning|_warn$|_low_bat$")
 _EVENT: Final = "commander_failsafe_enter"
-_SWITCHING = re.compile(r"^(.+): switching to (?!offboard)")  # PX4 main, as text or event
+_SWITCHING = re.compile(r"^(.+): switching to (?!offboard)")  # wording of PX4's main branch, as text or event
 _ACTIVATED = re.compile(r"failsafe activated|autopilot disengaged")
 _TO_STICKS = re.compile(r"switching to (position|altitude|stabilized)")
 _TERMINATED = re.compile(r"flight termination|switching to terminat|kill(?:.switch)? engaged")

@@ -41,17 +41,17 @@ from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from dart_flight.core.sense.state import FlightState
 
-_DOUBT_US: Final = 100_000  # host time; another vehicle's first sample follows its heartbeat within this time
+_DOUBT_US: Final = 100_000  # host time within which another vehicle's first sample follows its heartbeat
 _CLIP_SHARE: Final = 0.99
 # No flying vehicle keeps such a tilt near the ground; PX4 does not detect that a vehicle lies on its side.
 LYING_TILT_DEG: Final = 60.0
 _FALLING_M_S2: Final = 4.9  # half of the specific force in hover
-_LYING_BELOW_M: Final = 0.5  # above the take-off point; a fall disturbs the height estimate
+_LYING_BELOW_M: Final = 0.5  # limit of the height above take-off, because a fall disturbs the height estimate
 # The body rates are not tested: PX4's rate loop shakes a vehicle that lies on its side at up to 2.5 rad/s.
 _STILL_M_S: Final = 0.5
 _ATTITUDE_OLD_US: Final = 100_000
-_SURELY_DOWN: Final = 3.0  # a landing takes at most this many times the descent from the flight space's top
-_PAUSE_US: Final = 40_000  # a longer gap between the ticks, 20 ms of host time, is a pause of this program
+_SURELY_DOWN: Final = 3.0  # longest landing, as a multiple of the descent from the flight space's top
+_PAUSE_US: Final = 40_000  # gap between ticks (period 20 ms of host time) above which this program has paused
 _PAUSE_MEMORY_US: Final = 3_000_000
 
 
@@ -76,10 +76,10 @@ class FlightConditions:
         self.stuck_since_us: int | None = None
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
-        self.falling_since_us: int | None = None  # since when the motors stand still and the vehicle falls
-        self.lying_since_us: int | None = None  # since when it lies tilted and still at ground height
+        self.falling_since_us: int | None = None  # start of a fall with stopped motors
+        self.lying_since_us: int | None = None  # start of lying tilted and still at ground height
         self._ground_m: float | None = None  # height before take-off
-        # Since when the vehicle is armed in land mode: autopilot time and host time.
+        # Time since which the vehicle is armed in land mode: autopilot time and host time.
         self._landing_since_us: tuple[int, int] | None = None
         self.streams = StreamWatch(self.config)
         self.estimator = EstimatorWatch()
@@ -204,7 +204,7 @@ class FlightConditions:
 
     @property
     def unrequested_mode(self) -> FlightMode | None:
-        """The present flight mode if PX4 has certainly left offboard without a request; otherwise None."""
+        """The current flight mode if PX4 has certainly left offboard without a request; otherwise None."""
         mode = self._mode_left_to
         # The mode may be another vehicle's. In manual mode the pilot flies, and nothing is sent in any case.
         if (
@@ -314,7 +314,7 @@ class FlightConditions:
 
     def _handle_odometry(self, item: OdometrySample) -> None:
         state = self.state
-        if not state.is_plausible(item):  # differences from this sample mean nothing
+        if not state.is_plausible(item):  # differences from this sample are meaningless
             self.estimator.reject_odometry(item)
             return
         self._handle_stamp("odometry", item, state.odometry)

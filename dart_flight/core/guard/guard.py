@@ -54,11 +54,11 @@ _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 _STOPPED_M_S: Final = 0.3
 _ELSEWHERE_M: Final = 0.3
-_MOST_M_S2: Final = 5.0  # largest acceleration, a lean of 27 degrees, while PX4's heading is wrong
-# PX4 disarms by itself after landing; if it has not disarmed by now, the guard does.
+_MOST_M_S2: Final = 5.0  # acceleration limit while PX4's heading is wrong; corresponds to 27 degrees of tilt
+# PX4 disarms by itself after landing; if PX4 has not disarmed after this time, the guard disarms.
 _DISARM_AFTER_US: Final = 15_000_000
 _UNSURE_US: Final = 15_000_000
-_LANDING_US: Final = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
+_LANDING_US: Final = 60_000_000  # limit of a landing's duration; from 2 m at 0.7 m/s it takes 5 s
 
 
 class _PhaseRules(NamedTuple):
@@ -77,9 +77,9 @@ class Guard:
         self._rules = {rule.name: rule for rule in rules}
         self._rules_by_phase = {phase: _rules_in(phase, rules) for phase in Phase}
         self._evaluated_us = 0  # host time of the last complete evaluation
-        self._watch = FlightConditions(mission)
-        # Wait for a landing for longer than until the guard stops the motors.
-        self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.landing_timeout_s or 0.0)))
+        self._flight = FlightConditions(mission)
+        # Wait longer for a landing than the guard waits before it stops the motors.
+        self._landing_us = max(_LANDING_US, round(2e6 * (self._flight.landing_timeout_s or 0.0)))
         self.action = Override.NONE
         self.overrules = False  # whether a rule has fired, so that the mission is ignored
         self._rank = self.action.rank
@@ -92,7 +92,7 @@ class Guard:
         self._sent_us: int | None = None
         self._down_us: int | None = None  # time since which the vehicle is landed and disarmed
         self._hold: Vec3 | None = None
-        self._held_impact: ImpactOnset | None = None  # the impact from which the guard keeps its distance
+        self._held_impact: ImpactOnset | None = None  # the impact whose wall the guard keeps away from
         self._yaw_ned = 0.0
         self._altitude_m = mission.altitude_m
 
@@ -108,10 +108,10 @@ class Guard:
             phase: phase of the mission after this step's proposal.
             proposal: the mission's proposal.
         """
-        self._watch.observe(item, state, sensed, phase)
+        self._flight.observe(item, state, sensed, phase)
         events: list[Output] = []
-        if type(item) is PoseSample and self._watch.poses is not None:
-            withheld = self._watch.poses.withhold(phase, state.now_us)
+        if type(item) is PoseSample and self._flight.poses is not None:
+            withheld = self._flight.poses.withhold(phase, state.now_us)
             if withheld is not None:
                 events.append(withheld)
         for finding in proposal.findings:
@@ -124,7 +124,7 @@ class Guard:
             outputs = proposal.outputs
             if not outputs:  # the usual case
                 return events
-            if self._watch.mode_change_unexplained:  # a pilot may already be flying
+            if self._flight.mode_change_unexplained:  # a pilot may already be flying
                 outputs = [o for o in outputs if not isinstance(o, _COMMANDS)]
             self._track_outputs(outputs)
             return outputs + events
@@ -145,12 +145,12 @@ class Guard:
 
     @property
     def telemetry_late(self) -> bool:
-        return self._watch.streams.delay.late
+        return self._flight.streams.delay.late
 
     @property
     def landing(self) -> bool:
         """Whether the mission or the guard has requested a landing."""
-        return self._watch.land_asked
+        return self._flight.land_asked
 
     def _evaluate(self, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
         phase_rules = self._rules_by_phase[phase]
@@ -158,19 +158,19 @@ class Guard:
             self._evaluated_us, due = state.host_us, phase_rules.all
         else:
             due = phase_rules.at_once.get(type(item), _NO_CAUSES)
-        landing = self._watch.land_asked
+        landing = self._flight.land_asked
         for rule, rank, cause in due:
             if landing and rule.scope is Scope.GUIDED:
                 continue  # a landing leaves the flight space at the bottom
-            # A rule whose action is already active adds nothing, except for rules that explain it.
+            # If a rule's action is already active, evaluate the rule only if it can explain the active rule.
             if rank > self._rank:
-                detail = cause(self._watch)
+                detail = cause(self._flight)
                 if detail is not None:
                     self._fire(rule.name, detail, state, events)
             elif rank == self._rank and rule.explains:
-                self._apply_explanation(rule, cause(self._watch), state, events)
+                self._apply_explanation(rule, cause(self._flight), state, events)
             elif rule.noted and self._should_record(rule):
-                detail = cause(self._watch)
+                detail = cause(self._flight)
                 if detail is not None:
                     self._noted.add(rule.name)
                     self._fire(rule.name, detail, state, events, noted=True)
@@ -178,7 +178,7 @@ class Guard:
     def _should_record(self, rule: Rule) -> bool:
         """Return whether to record a rule that does not change the guard's action."""
         again = rule is self._rule or rule.name in self._noted
-        return not again and not self._watch.status_unreliable
+        return not again and not self._flight.status_unreliable
 
     def _apply_explanation(
         self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
@@ -186,13 +186,13 @@ class Guard:
         """Put `rule` in force, with the reason `detail`, if it explains why the first rule fired."""
         if detail is not None and self._cause in rule.explains:
             if rule.of_streams:
-                detail += self._watch.circumstances
+                detail += self._flight.circumstances
             events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
             self._rule = rule
             self._apply_reason(rule, detail)
 
     def _apply_reason(self, rule: Rule, detail: str) -> None:
-        """Make `rule` the reason, unless the present reason is a rule that `rule` does not explain.
+        """Make `rule` the reason, unless the current reason is a rule that `rule` does not explain.
 
         A release ends the program's control, so it always has its own reason.
         """
@@ -219,7 +219,7 @@ class Guard:
         if rule.action.rank <= self._rank or self.end is not None:
             return
         if rule.of_streams:
-            detail += self._watch.circumstances
+            detail += self._flight.circumstances
         events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
         if rule.action is Override.GIVE_UP:  # still on the ground
             if state.status.armed:
@@ -238,13 +238,13 @@ class Guard:
             if type(one) is Setpoint:
                 self._yaw_ned = one.yaw_ned_rad
             elif type(one) is VehicleCommand and one.action is VehicleAction.LAND:
-                self._watch.land_asked = True
+                self._flight.land_asked = True
 
     # -- flying --
 
     def _fly_override(self, item: Input, state: FlightState, out: list[Output]) -> None:
         released = self.action is Override.RELEASE
-        if self.overrules and self.end is None and (released or not self._watch.mode_change_unexplained):
+        if self.overrules and self.end is None and (released or not self._flight.mode_change_unexplained):
             self._fly(item, state, out)
 
     def _fly(self, item: Input, state: FlightState, out: list[Output]) -> None:
@@ -259,21 +259,21 @@ class Guard:
             self.end = MissionEnd(state.now_us, Outcome.ABORTED, self.reason, None)
             return
         if killed:
-            self._watch.kill_asked = True
+            self._flight.kill_asked = True
             self._send_action(VehicleAction.KILL, state, out)
             return
         if self.action is Override.LAND:
             self._land(state, out)
             return
         if isinstance(item, OdometrySample) and state.frame is not None:
-            impact = self._watch.impact
+            impact = self._flight.impact
             again = impact is not self._held_impact  # after a new impact, keep away from its wall
             # After a jump of the estimate, hold position at the new estimate.
-            jumped = bool(self._watch.estimator.jump) and "estimator_jump" in self._rules
+            jumped = bool(self._flight.estimator.jump) and "estimator_jump" in self._rules
             if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
                 self._hold, self._held_impact = self._hold_point(state), impact
             out.append(self._hold_setpoint(item, state, state.frame, self._hold))
-        slow = norm(self._motion(state)[1]) < 0.1 and self._watch.estimator.resets.reckoned is None
+        slow = norm(self._motion(state)[1]) < 0.1 and self._flight.estimator.resets.reckoned is None
         elapsed = state.now_us - self._since_us
         if elapsed > _HOLD_US or (slow and elapsed > _HOLD_US // 2):
             self._land(state, out)
@@ -287,7 +287,7 @@ class Guard:
         heading, and its position and velocity are wrong. Until PX4's estimate has recovered, the guard leaves
         the axes free and commands an acceleration towards `hold`, rotated back by the heading error.
         """
-        resets, trigger = self._watch.estimator.resets, SetpointTrigger(item.t_us, item.received_us)
+        resets, trigger = self._flight.estimator.resets, SetpointTrigger(item.t_us, item.received_us)
         error_rad, reckoned = resets.heading_error_rad, resets.reckoned
         if reckoned is None and abs(error_rad) <= WRONG_RAD:
             return make_setpoint(frame, trigger, Reference(hold), frame.yaw_from_ned(self._yaw_ned))
@@ -304,14 +304,14 @@ class Guard:
         return make_setpoint(frame, trigger, reference, frame.yaw_from_ned(self._yaw_ned + error_rad), free)
 
     def _motion(self, state: FlightState) -> tuple[Vec3, Vec3]:
-        """Return position and velocity, mission frame, by dead reckoning if PX4's are wrong."""
-        reckoned, frame = self._watch.estimator.resets.reckoned, state.frame
+        """Return position and velocity in the mission frame, by dead reckoning if PX4's are wrong."""
+        reckoned, frame = self._flight.estimator.resets.reckoned, state.frame
         if reckoned is None or frame is None:
             return state.position, state.velocity
         return frame.point_from_ned(reckoned.position_ned), frame.vector_from_ned(reckoned.velocity_ned)
 
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
-        """Return whether a vehicle that broke off rests far from `hold`, for example because it tilted.
+        """Return whether a vehicle that broke off rests far from `hold`, for example because of its tilt.
 
         The guard then holds position where the vehicle rests. On the way back to `hold`, PX4's integrator
         would push the vehicle past `hold`, towards the wall.
@@ -323,19 +323,19 @@ class Guard:
 
     def _is_down(self, state: FlightState, killed: bool) -> bool:
         """Return whether this vehicle, not another one on the same link, has landed and disarmed."""
-        if state.status.armed or not (state.on_ground or killed or not self._watch.was_offboard):
+        if state.status.armed or not (state.on_ground or killed or not self._flight.was_offboard):
             self._down_us = None
             return False
-        if not self._watch.was_offboard:
+        if not self._flight.was_offboard:
             return True
         if self._down_us is None:
             self._down_us = state.now_us
-        if self._watch.status_unreliable and state.now_us - self._since_us < _UNSURE_US:
+        if self._flight.status_unreliable and state.now_us - self._since_us < _UNSURE_US:
             return False
         return state.now_us - self._down_us >= DOWN_US
 
     def _hold_point(self, state: FlightState) -> Vec3:
-        """Return the point to hold: the present position, at the mission's altitude.
+        """Return the point to hold: the current position, at the mission's altitude.
 
         After a break-off, the point keeps the retreat distance from the mission's walls, and from an unknown
         wall that was just touched.
@@ -356,8 +356,8 @@ class Guard:
         return (x, y, max(z, min(self._altitude_m, self._mission.bounds.z[1])))
 
     def _clear_of_unknown_wall(self, x: float, y: float) -> Vec2:
-        impact = self._watch.impact
-        if impact is None or not self._watch.just_after_impact:
+        impact = self._flight.impact
+        if impact is None or not self._flight.just_after_impact:
             return x, y
         (px, py, _), (fx, fy, _) = impact.position_mission, impact.force_mission
         size, place = math.hypot(fx, fy), (px, py)
@@ -373,7 +373,7 @@ class Guard:
         return x + push * ux, y + push * uy
 
     def _land(self, state: FlightState, out: list[Output]) -> None:
-        self._watch.land_asked = True
+        self._flight.land_asked = True
         if state.status.flight_mode is FlightMode.LAND:
             if state.on_ground and state.now_us - self._since_us > _DISARM_AFTER_US:
                 self._send_action(VehicleAction.DISARM, state, out)

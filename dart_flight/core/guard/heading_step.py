@@ -27,7 +27,7 @@ from dart_flight.base.records import AttitudeSample, ImuSample
 # [ours] With motion capture, PX4's heading stays within 2 degrees during and after impacts.
 HEADING_STEP_DEG: Final = 5.0
 _BEFORE_US: Final = 100_000
-_GAP_US: Final = 20_000  # a longer gap between rates invalidates the integral
+_GAP_US: Final = 20_000  # gap between rates above which the integral is invalid
 
 
 class HeadingStep:
@@ -68,7 +68,7 @@ class HeadingStep:
         return self._turns[0][1] if self._turns else None
 
     def step_since(self, before: Quaternion) -> float:
-        """Return the step of the heading since an earlier value of `before`, positive clockwise from above.
+        """Return the heading's step since an earlier value of `before`, positive clockwise seen from above.
 
         `self.before` must not be None.
         """

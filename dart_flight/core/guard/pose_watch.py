@@ -6,8 +6,8 @@ Without poses the vehicle must therefore not hit a wall, so an approach tolerate
 the poses fail in a contact or recovery, the guard acts after this phase, because the recovery needs only the
 IMU.
 
-Poses that jump belong to another body and are withheld from PX4 at once. PX4 would reject such poses for a
-second and then reset its position to them. Without poses, PX4 dead-reckons long enough to land. If only the
+Poses that jump belong to another body and are withheld from PX4 immediately. PX4 would reject such poses for
+a second and then reset its position to them. Without poses, PX4 dead-reckons long enough to land. If only the
 attitudes are wrong, for example because markers were swapped, only the attitudes are withheld. PX4 would
 otherwise reset its heading to the wrong attitudes, and the vehicle would tumble. The positions are still
 correct, and PX4 keeps its heading by the gyro.
@@ -28,29 +28,29 @@ from dart_flight.core.sense.state import FlightState
 
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
-LOST_LAND_S: Final = 1.5  # dead reckoning is then off by 0.2 m, too much to fly back
-_GROUND_LOST_S: Final = 2.0  # on the ground, a loss of poses is no hazard
+LOST_LAND_S: Final = 1.5  # limit of a loss; after it, dead reckoning is off by 0.2 m, too much to fly back
+_GROUND_LOST_S: Final = 2.0  # limit of a loss on the ground, where it is no hazard
 _FIRST_S: Final = 5.0  # longest wait from the first input to the first pose
-# Limit of a step between poses beyond PX4's velocity, which may be wrong by 2 m/s in a contact.
+# Limit of a step between poses, plus PX4's velocity error, which may reach 2 m/s in a contact.
 JUMP_M: Final = 0.15
 _JUMP_M_S: Final = 2.0
-_JUMP_S: Final = 0.05  # PX4's innovation gate handles a glitch of a few frames
-_JUMP_GAP_S: Final = 0.1  # after a longer gap only PX4's estimate can be compared
+_JUMP_S: Final = 0.05  # duration of a jump before the guard acts; PX4's innovation gate handles shorter ones
+_JUMP_GAP_S: Final = 0.1  # gap above which a pose is compared only with PX4's estimate
 # Limits between a pose and PX4's estimate. In a fast rotation, latency exceeds them only for shorter times.
 TURNED_DEG: Final = 30.0
 _TURNED_S: Final = 0.1
 APART_M: Final = 0.3
 _APART_S: Final = 0.5
 _APART_LATENCY_S: Final = 0.1
-_GROUND_APART_S: Final = 3.0  # PX4 aligns its estimate with the first poses
-RATE_SHARE: Final = 0.5  # share of the configured rate below which poses are too slow
-_INTERVALS: Final = 9  # the rate is the median of this many intervals, so a single gap does not count
-LATER_S: Final = 0.04  # PX4's estimate oscillates by centimetres if EKF2_EV_DELAY is off by this much
+_GROUND_APART_S: Final = 3.0  # the same on the ground, where PX4 aligns its estimate with the first poses
+RATE_SHARE: Final = 0.5  # fraction of the configured rate below which poses are too slow
+_INTERVALS: Final = 9  # intervals whose median gives the rate, so that a single gap does not count
+LATER_S: Final = 0.04  # limit of an added delay; as an error of EKF2_EV_DELAY it causes oscillations
 _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
-_RECENT_US: Final = 5_000_000  # PX4's estimate follows wrong poses within this time
+_RECENT_US: Final = 5_000_000  # time within which PX4's estimate follows wrong poses
 _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
-_RECOVERED_S: Final = 0.5  # after this part of a recovery, the vehicle flies to the next wall or to the goal
+_RECOVERED_S: Final = 0.5  # part of a recovery after which the vehicle flies to the next wall or the goal
 
 
 class PoseWatch:
@@ -77,7 +77,7 @@ class PoseWatch:
         self._intervals: deque[int] = deque(maxlen=_INTERVALS)  # between tracked poses, microseconds
         self._ages: deque[tuple[int, int]] = deque()  # receipt, and receipt minus the source's stamp
         self._least_age_us: int | None = None
-        self._other: PoseSample | None = None  # newest pose of the sender before the present one
+        self._other: PoseSample | None = None  # newest pose of the previous sender
         self._alternates_us: int | None = None  # host time at which two senders last alternated
 
     def tick(self, host_us: int) -> None:
@@ -135,7 +135,7 @@ class PoseWatch:
         return self._lost(LOST_LAND_S)
 
     def waits(self, phase: Phase) -> bool:
-        """Return whether to finish the present contact or recovery before responding to a fault of the poses.
+        """Return whether to finish the current contact or recovery before responding to a fault of the poses.
 
         If poses are withheld or have become late, the guard's response waits only for the first part of a
         recovery. Withheld poses do not return, and late poses move PX4's estimate. In both cases the vehicle
@@ -254,16 +254,16 @@ class PoseWatch:
         self._apart_us = (self._apart_us or now_us) if self._apart_m > allowed_m else None
 
 
-def _present(v: Any) -> str | None:
-    watch: PoseWatch | None = v.poses
-    return None if watch is None or watch.waits(v.phase) else watch.fault(v.phase)
+def _present(flight: Any) -> str | None:
+    watch: PoseWatch | None = flight.poses
+    return None if watch is None or watch.waits(flight.phase) else watch.fault(flight.phase)
 
 
-def _blind(v: Any) -> str | None:
-    watch: PoseWatch | None = v.poses
-    if watch is None or watch.waits(v.phase) or v.phase is Phase.LANDING:
+def _blind(flight: Any) -> str | None:
+    watch: PoseWatch | None = flight.poses
+    if watch is None or watch.waits(flight.phase) or flight.phase is Phase.LANDING:
         return None
-    return watch.blind(bool(v.estimator.jump or v.estimator.reset_step()), v.phase)
+    return watch.blind(bool(flight.estimator.jump or flight.estimator.reset_step()), flight.phase)
 
 
 # Faults in PX4's estimate that follow from missing poses.

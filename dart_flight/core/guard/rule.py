@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from dart_flight.base.records import Override, Phase
 from dart_flight.core.mission.phases import ON_GROUND
 
-# A function that describes the present problem from the flight's conditions, or returns None.
+# A function that describes the current problem from the flight's conditions, or returns None.
 Cause = Callable[[Any], str | None]
 
 
@@ -55,10 +55,10 @@ class Rule(NamedTuple):
 
     Attributes:
         name: as in the log and in the verdict.
-        at_once: inputs after which the rule is evaluated immediately. Modes, arming and requests are urgent;
-            some other conditions last for a single sample only.
-        by_person: whether the rule means that a person took over. The flight then counts as released, not as
-            aborted.
+        at_once: types of the inputs that trigger an immediate evaluation. Modes, arming and requests are
+            urgent; some other conditions last for a single sample only.
+        by_person: whether a person has taken over when the rule fires. The flight then counts as released,
+            not as aborted.
         explains: rules that may fire earlier for the same cause. If one of them is the reason, this rule
             replaces it as the reason.
         of_streams: whether the rule concerns failing telemetry. The rule's detail then also describes the

@@ -37,16 +37,16 @@ from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 from dart_flight.core.sense.bias import THRUST_SCALE_LIMIT
 
 LYING_S: Final = 0.5
-IMU_STUCK_S: Final = 0.1  # noise changes every reading of a working IMU
-IMU_CLIPPED_S: Final = 0.25  # longer than any contact lasts
-BATTERY_LOW_S: Final = 1.0  # longer than a burst of thrust lasts
-ALTITUDE_TOLERANCE_M: Final = 0.25  # the vertical contact force moves the vehicle by about 0.15 m
+IMU_STUCK_S: Final = 0.1  # limit of a repeated reading; noise changes every reading of a working IMU
+IMU_CLIPPED_S: Final = 0.25  # limit of the time at full scale, longer than any contact
+BATTERY_LOW_S: Final = 1.0  # time below the limit before the rule fires, longer than a burst of thrust
+ALTITUDE_TOLERANCE_M: Final = 0.25  # an impact's vertical force moves the vehicle by about 0.15 m
 FORCE_MARGIN: Final = 1.15  # margin for the noise of one sample; `peak_force` checks the peak itself
 _SPEED_TOLERANCE: Final = 1.1
 _STALE_SAMPLES: Final = 5  # consecutive samples; one late datagram does not mean that the clock restarted
 _FALL_S: Final = 0.1
 _ALTITUDE_SLACK_M: Final = 0.05
-_GUARD_STRAYS_M: Final = 0.2  # a break-off from a wall at the edge of the bounds may leave them this far
+_GUARD_STRAYS_M: Final = 0.2  # limit outside the bounds for a break-off from a wall at their edge
 _AFTER_CLIMB: Final = frozenset({Phase.WAYPOINT, Phase.PAUSE, Phase.TRANSIT, Phase.PREPARE})
 
 
@@ -54,73 +54,77 @@ _AFTER_CLIMB: Final = frozenset({Phase.WAYPOINT, Phase.PAUSE, Phase.TRANSIT, Pha
 
 
 @condition("the pilot took PX4 out of offboard mode")
-def _pilot(v: FlightConditions) -> str | None:
-    mode = v.unrequested_mode
-    return f"PX4 is in {mode.value}" if mode is not None and not _by_px4(v) else None
+def _pilot(flight: FlightConditions) -> str | None:
+    mode = flight.unrequested_mode
+    return f"PX4 is in {mode.value}" if mode is not None and not _by_px4(flight) else None
 
 
 @condition("PX4 left offboard mode by itself: PX4's failsafe flies the vehicle")
-def _px4_failsafe(v: FlightConditions) -> str | None:
-    mode = v.unrequested_mode
-    if mode is None or not _by_px4(v):
+def _px4_failsafe(flight: FlightConditions) -> str | None:
+    mode = flight.unrequested_mode
+    if mode is None or not _by_px4(flight):
         return None
-    return f"{v.failsafe_words}; PX4 is in {mode.value}" if v.failsafe_reported else f"PX4 is in {mode.value}"
+    return (
+        f"{flight.failsafe_words}; PX4 is in {mode.value}"
+        if flight.failsafe_reported
+        else f"PX4 is in {mode.value}"
+    )
 
 
-def _by_px4(v: FlightConditions) -> bool:
+def _by_px4(flight: FlightConditions) -> bool:
     # A stick mode is the pilot's choice unless PX4 announced it. A telemetry gap may hide the announcement.
-    if v.unrequested_mode is FlightMode.MANUAL:
-        return v.failsafe_hands_to_sticks
-    return v.failsafe_reported or v.streams.was_cut_off
+    if flight.unrequested_mode is FlightMode.MANUAL:
+        return flight.failsafe_hands_to_sticks
+    return flight.failsafe_reported or flight.streams.was_cut_off
 
 
 @condition("PX4 reports that it disarmed in the air, or the motors stand still and the vehicle falls")
-def _disarmed(v: FlightConditions) -> str | None:
-    # A kill switch stops the motors at once; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
-    if v.kill_asked:
+def _disarmed(flight: FlightConditions) -> str | None:
+    # A kill switch stops the motors immediately; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
+    if flight.kill_asked:
         return None  # the guard itself has stopped the motors
-    falling_s = v.duration_s(v.falling_since_us)
-    if falling_s > _FALL_S and v.was_armed and not v.state.on_ground:
+    falling_s = flight.duration_s(flight.falling_since_us)
+    if falling_s > _FALL_S and flight.was_armed and not flight.state.on_ground:
         return f"PX4 stopped the motors in the air; the vehicle has been falling for {falling_s * 1e3:.0f} ms"
-    if v.state.status.armed or not v.was_armed or v.state.on_ground or v.land_asked:
+    if flight.state.status.armed or not flight.was_armed or flight.state.on_ground or flight.land_asked:
         return None
     # The reported state may be another vehicle's.
-    return None if v.status_unreliable else "PX4 disarmed in the air"
+    return None if flight.status_unreliable else "PX4 disarmed in the air"
 
 
 @condition(
     "the autopilot's time went backwards: it restarted, or its clock was reset", f"{STAMP_TOLERANCE_S:g} s"
 )
-def _stamps_backwards(v: FlightConditions) -> str | None:
-    for name, count in v.streams.stale.items():
+def _stamps_backwards(flight: FlightConditions) -> str | None:
+    for name, count in flight.streams.stale.items():
         if count >= _STALE_SAMPLES:
             return f"{name}: {count} samples in a row have stamps over {STAMP_TOLERANCE_S:g} s in the past"
     return None
 
 
 @condition("the IMU repeats one reading", f"{IMU_STUCK_S:g} s")
-def _imu_stuck(v: FlightConditions) -> str | None:
-    lasting = v.duration_s(v.stuck_since_us)
+def _imu_stuck(flight: FlightConditions) -> str | None:
+    lasting = flight.duration_s(flight.stuck_since_us)
     return f"the IMU has repeated one reading for {lasting * 1e3:.0f} ms" if lasting > IMU_STUCK_S else None
 
 
 @condition("the IMU stays at full scale longer than any contact lasts", f"{IMU_CLIPPED_S:g} s")
-def _imu_clipped(v: FlightConditions) -> str | None:
-    lasting = v.duration_s(v.clipped_since_us)
+def _imu_clipped(flight: FlightConditions) -> str | None:
+    lasting = flight.duration_s(flight.clipped_since_us)
     return f"the IMU has been at full scale for {lasting * 1e3:.0f} ms" if lasting > IMU_CLIPPED_S else None
 
 
 @condition("the standard deviation of PX4's position is too large for a collision", "guard.position_sd_m")
-def _position_uncertain(v: FlightConditions) -> str | None:
-    sd, limit = v.state.position_sd_m, v.config.position_sd_m
-    if sd is None or sd <= limit or not v.mission.collisions or v.mission.is_anchored:
+def _position_uncertain(flight: FlightConditions) -> str | None:
+    sd, limit = flight.state.position_sd_m, flight.config.position_sd_m
+    if sd is None or sd <= limit or not flight.mission.collisions or flight.mission.is_anchored:
         return None
     return f"standard deviation of the position {sd:.2f} m, limit {limit:.2f} m"
 
 
 @condition("the position estimate leads or lags the IMU's motion", "guard.position_delay_s")
-def _position_delayed(v: FlightConditions) -> str | None:
-    ahead_s, limit_s = v.state.position_ahead_s, v.config.position_delay_s
+def _position_delayed(flight: FlightConditions) -> str | None:
+    ahead_s, limit_s = flight.state.position_ahead_s, flight.config.position_delay_s
     if ahead_s is None or limit_s is None or abs(ahead_s) <= limit_s:
         return None
     leads = "leads" if ahead_s > 0.0 else "lags"
@@ -134,64 +138,69 @@ def _position_delayed(v: FlightConditions) -> str | None:
     "the vehicle is in PX4's land mode and still armed long after the expected touchdown",
     "guard.kill_after_s, bounds_m.z",
 )
-def _still_armed(v: FlightConditions) -> str | None:
-    limit = v.landing_timeout_s
-    if limit is None or v.landing_s <= limit:
+def _still_armed(flight: FlightConditions) -> str | None:
+    limit = flight.landing_timeout_s
+    if limit is None or flight.landing_s <= limit:
         return None
-    return f"still armed after {v.landing_s:.0f} s in land mode"
+    return f"still armed after {flight.landing_s:.0f} s in land mode"
 
 
 @condition(
     "the vehicle lies on the ground, tilted and still, with its motors armed",
     f"{LYING_TILT_DEG:g} degrees, {LYING_S:g} s",
 )
-def _lying(v: FlightConditions) -> str | None:
-    lying_s = v.duration_s(v.lying_since_us)
-    if lying_s <= LYING_S or not v.state.status.armed:
+def _lying(flight: FlightConditions) -> str | None:
+    lying_s = flight.duration_s(flight.lying_since_us)
+    if lying_s <= LYING_S or not flight.state.status.armed:
         return None
-    tilt_deg = math.degrees(v.state.tilt_rad)
+    tilt_deg = math.degrees(flight.state.tilt_rad)
     return f"the vehicle has been lying on the ground at {tilt_deg:.0f} deg for {lying_s:.1f} s"
 
 
 @condition("the battery is low", f"guard.battery_remaining, guard.battery_v, {BATTERY_LOW_S:g} s")
-def _battery(v: FlightConditions) -> str | None:
-    if v.duration_s(v.battery_low_since_us) <= BATTERY_LOW_S:
+def _battery(flight: FlightConditions) -> str | None:
+    if flight.duration_s(flight.battery_low_since_us) <= BATTERY_LOW_S:
         return None
-    status = v.state.status
+    status = flight.state.status
     return ", ".join(battery_figures(status.battery_remaining, status.battery_v))
 
 
 @condition("before the first impact, mass and thrust curve predict a thrust that is wrong by over 25 %")
-def _hover_thrust(v: FlightConditions) -> str | None:
-    ratio = v.thrust_ratio
-    if ratio is None or v.impact is not None or v.phase not in _AFTER_CLIMB or not v.mission.collisions:
+def _hover_thrust(flight: FlightConditions) -> str | None:
+    ratio = flight.thrust_ratio
+    if (
+        ratio is None
+        or flight.impact is not None
+        or flight.phase not in _AFTER_CLIMB
+        or not flight.mission.collisions
+    ):
         return None
     if abs(ratio - 1.0) <= THRUST_SCALE_LIMIT:
         return None
-    mass_kg, allowed = v.mission.vehicle.airframe.mass_kg, THRUST_SCALE_LIMIT
+    mass_kg, allowed = flight.mission.vehicle.airframe.mass_kg, THRUST_SCALE_LIMIT
     text = f"the thrust curve gives a mass of {mass_kg / max(ratio, 0.01):.2f} kg, airframe.mass_kg is "
     return f"{text}{mass_kg:g}: ratio {ratio:.2f}, limits {1.0 - allowed:.2f} to {1.0 + allowed:.2f}"
 
 
 @condition("the tilt exceeds the largest angle from which PX4 reliably recovers", "guard.tilt_deg")
-def _tilt(v: FlightConditions) -> str | None:
-    tilt = math.degrees(v.state.tilt_rad)
-    return f"{tilt:.0f} deg, limit {v.config.tilt_deg:g} deg" if tilt > v.config.tilt_deg else None
+def _tilt(flight: FlightConditions) -> str | None:
+    tilt = math.degrees(flight.state.tilt_rad)
+    return f"{tilt:.0f} deg, limit {flight.config.tilt_deg:g} deg" if tilt > flight.config.tilt_deg else None
 
 
 @condition(
     "the vehicle is horizontally outside bounds_m, or would stop outside bounds_m", "bounds_m.x, bounds_m.y"
 )
-def _bounds(v: FlightConditions) -> str | None:
-    if v.estimator.resets.reckoned is not None:
+def _bounds(flight: FlightConditions) -> str | None:
+    if flight.estimator.resets.reckoned is not None:
         return None  # PX4's position is wrong
-    bounds = v.mission.bounds
-    excess = bounds.excess2(v.state.position)
-    if v.phase is Phase.OVERRULED:  # the guard brakes already, and may break off outwards
+    bounds = flight.mission.bounds
+    excess = bounds.excess2(flight.state.position)
+    if flight.phase is Phase.OVERRULED:  # the guard brakes already, and may break off outwards
         return f"{excess:.2f} m outside bounds_m" if excess > _GUARD_STRAYS_M else None
     if excess > 0.0:
         return f"{excess:.2f} m outside bounds_m"
-    excess = v.stop_excess_m()
+    excess = flight.stop_excess_m()
     return f"the vehicle would stop {excess:.2f} m outside bounds_m" if excess > 0.0 else None
 
 
@@ -199,18 +208,18 @@ def _bounds(v: FlightConditions) -> str | None:
     "the altitude is outside bounds_m; the tolerance is larger after an impact",
     f"bounds_m.z, {ALTITUDE_TOLERANCE_M:g} m",
 )
-def _altitude(v: FlightConditions) -> str | None:
-    if v.phase in ALTITUDE_EXEMPT or not v.was_inside:
+def _altitude(flight: FlightConditions) -> str | None:
+    if flight.phase in ALTITUDE_EXEMPT or not flight.was_inside:
         return None
-    low, high = v.mission.bounds.z
-    tolerance = ALTITUDE_TOLERANCE_M if v.just_after_impact else _ALTITUDE_SLACK_M
-    z = v.state.position[2]
+    low, high = flight.mission.bounds.z
+    tolerance = ALTITUDE_TOLERANCE_M if flight.just_after_impact else _ALTITUDE_SLACK_M
+    z = flight.state.position[2]
     return None if low - tolerance <= z <= high + tolerance else f"{z:.2f} m, limits {low:g} to {high:g} m"
 
 
 @condition("the vehicle is faster than the mission allows", "limits.speed_m_s")
-def _speed(v: FlightConditions) -> str | None:
-    speed, limit = norm(v.state.velocity), v.mission.limits.speed_m_s
+def _speed(flight: FlightConditions) -> str | None:
+    speed, limit = norm(flight.state.velocity), flight.mission.limits.speed_m_s
     return f"{speed:.2f} m/s, limit {limit:g} m/s" if speed > limit * _SPEED_TOLERANCE else None
 
 
@@ -218,51 +227,53 @@ def _speed(v: FlightConditions) -> str | None:
     "the force during a contact exceeds the limit and its margin",
     f"limits.peak_force_n, {FORCE_MARGIN:g} times",
 )
-def _force(v: FlightConditions) -> str | None:
-    limit = v.mission.limits.peak_force_n * FORCE_MARGIN
-    force = horizontal(v.force.force_mission) if v.force is not None else 0.0
+def _force(flight: FlightConditions) -> str | None:
+    limit = flight.mission.limits.peak_force_n * FORCE_MARGIN
+    force = horizontal(flight.force.force_mission) if flight.force is not None else 0.0
     return f"{force:.0f} N, limit {limit:g} N" if force > limit else None
 
 
 @condition("the operator stopped the flight before take-off")
-def _operator_stops(v: FlightConditions) -> str | None:
-    stops = v.is_asked(Request.LAND) and v.phase in ON_GROUND and not v.state.status.armed
+def _operator_stops(flight: FlightConditions) -> str | None:
+    stops = flight.is_asked(Request.LAND) and flight.phase in ON_GROUND and not flight.state.status.armed
     return "stopped by the operator before take-off" if stops else None
 
 
 @condition("the simulated vehicle ended")
-def _world_died(v: FlightConditions) -> str | None:
-    if v.request is None or not v.is_asked(Request.WORLD_DIED):
+def _world_died(flight: FlightConditions) -> str | None:
+    if flight.request is None or not flight.is_asked(Request.WORLD_DIED):
         return None
-    return v.request.detail or "the simulated vehicle ended"
+    return flight.request.detail or "the simulated vehicle ended"
 
 
 _TWO = f"{STAMP_TOLERANCE_S:g} s, {POSITION_JUMP_M:g} m"
 _TERMINATED = RuleCondition(
-    "PX4 terminated the flight, or a kill switch was used: motors off", "", lambda v: v.termination
+    "PX4 terminated the flight, or a kill switch was used: motors off", "", lambda flight: flight.termination
 )
 _ANNOUNCED = RuleCondition(
-    "PX4 announced a failsafe, but telemetry does not show its mode yet", "", lambda v: v.failsafe_announced
+    "PX4 announced a failsafe, but telemetry does not show its mode yet",
+    "",
+    lambda flight: flight.failsafe_announced,
 )
 _OTHER_VEHICLE = RuleCondition(
     "a second vehicle, with the same or another system id, sends on the link",
     _TWO,
-    lambda v: v.others.any_system,
+    lambda flight: flight.others.any_system,
 )
 _SAME_SYSTEM = RuleCondition(
     "two vehicles share one system id: the samples alternate between two clocks or two positions",
     _TWO,
-    lambda v: v.others.same_system,
+    lambda flight: flight.others.same_system,
 )
 _OPERATOR_LANDS = RuleCondition(
     "the operator requested a landing (Ctrl-C)",
     "",
-    lambda v: "landing requested" if v.is_asked(Request.LAND) else None,
+    lambda flight: "landing requested" if flight.is_asked(Request.LAND) else None,
 )
 _OPERATOR_RELEASES = RuleCondition(
     "the operator released the vehicle (second Ctrl-C)",
     "",
-    lambda v: "released by the operator" if v.is_asked(Request.RELEASE) else None,
+    lambda flight: "released by the operator" if flight.is_asked(Request.RELEASE) else None,
 )
 
 
@@ -272,7 +283,7 @@ _OPERATOR_RELEASES = RuleCondition(
 def _found(
     name: str, action: Override, description: str, threshold: str = "", of_streams: bool = False
 ) -> Rule:
-    """Return a rule that fires on a finding; only the mission, which knows the plan, can make the finding."""
+    """Return a rule that fires on a finding; only the mission, which has the plan, can report the finding."""
     return Rule(name, action, Scope.ALWAYS, RuleCondition(description, threshold), of_streams=of_streams)
 
 
@@ -357,17 +368,3 @@ RULES: tuple[Rule, ...] = (
 # fmt: on
 
 RULES_BY_NAME = {rule.name: rule for rule in RULES}
-
-
-def table() -> str:
-    rows = ["| rule | fires when | threshold | action | judged by |", "|---|---|---|---|---|"]
-    for rule in RULES:
-        description, threshold, cause = rule.condition
-        judged_by = f"guard, {rule.scope.value}" if cause is not None else "mission"
-        if rule.at_once:
-            judged_by += ", at once after " + ", ".join(f"`{kind.__name__}`" for kind in rule.at_once)
-        parts = [part if part[0].isdigit() else f"`{part}`" for part in threshold.split(", ") if part]
-        limits = ", ".join(parts) or "-"
-        action = rule.action.value.replace("_", " ")
-        rows.append(f"| `{rule.name}` | {description} | {limits} | {action} | {judged_by} |")
-    return "\n".join(rows) + "\n"

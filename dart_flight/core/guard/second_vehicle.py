@@ -13,14 +13,15 @@ from typing import Final
 
 from dart_flight.base.geometry import norm
 from dart_flight.base.records import OdometrySample
-from dart_flight.core.guard.stream_watch import SAMPLED, STAMP_TOLERANCE_S, Stamped
+from dart_flight.base.stamps import leaps
+from dart_flight.base.streams import SAMPLED_NAME
+from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S, Stamped
 
-POSITION_JUMP_M: Final = 0.3  # step between two samples beyond the motion; no estimator corrects as much
-_TURNS: Final = 3  # alternations within the window
+POSITION_JUMP_M: Final = 0.3  # limit of a step beyond the motion; no estimator corrects its position by more
+_TURNS: Final = 3  # alternations within `_WINDOW_US` that prove a second source
 _WINDOW_US: Final = 2_000_000  # host time
-_FASTEST: Final = 20  # speed of the fastest simulation, simulated seconds per second
 _REACH_US: Final = 1_000_000  # longest gap between samples of one source
-_SUSPECT_US: Final = 250_000  # a second vehicle is detected for certain within this time
+_SUSPECT_US: Final = 250_000  # time within which a suspected second vehicle is detected for certain
 
 
 class SecondClockDetector:
@@ -41,10 +42,7 @@ class SecondClockDetector:
     def update(self, t_us: int, received_us: int) -> None:
         newest = self._newest_us
         if newest is None or t_us > newest:
-            goes_on = newest is None or t_us - newest < _REACH_US
-            if newest is not None and not goes_on:
-                elapsed_us = max(0, received_us - self._received_us)
-                goes_on = t_us - newest < _REACH_US + _FASTEST * elapsed_us
+            goes_on = newest is None or not leaps(t_us - newest, received_us - self._received_us)
             if self._was_behind and goes_on:
                 self._turns.append(received_us)
             elif not goes_on:  # this stamp may come from the other clock
@@ -119,7 +117,7 @@ class OtherVehicles:
 
     def __init__(self) -> None:
         self.same_system: str | None = None
-        self._clocks = {name: SecondClockDetector(1e6 * STAMP_TOLERANCE_S) for name in SAMPLED}
+        self._clocks = {name: SecondClockDetector(1e6 * STAMP_TOLERANCE_S) for name in SAMPLED_NAME.values()}
         self._places = SecondPositionDetector(POSITION_JUMP_M)
         self._other_system: int | None = None
 

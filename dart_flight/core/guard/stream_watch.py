@@ -19,6 +19,7 @@ from dart_flight.base.records import (
     Override,
     RoundTrip,
 )
+from dart_flight.base.stamps import leaps
 from dart_flight.base.streams import BY_NAME
 from dart_flight.config.vehicle.flying import GuardThresholds
 from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
@@ -26,19 +27,18 @@ from dart_flight.core.sense.state import FlightState
 
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
-LINK_LOST_S: Final = 5.0  # by then, PX4's own failsafe for a lost link has acted
-ACTUATOR_TIMEOUT_S: Final = 0.3  # without motor outputs for longer, thrust and force cannot be separated
+LINK_LOST_S: Final = 5.0  # silence after which PX4's own failsafe for a lost link has acted
+ACTUATOR_TIMEOUT_S: Final = 0.3  # limit of a silence in which thrust and force cannot be separated
 STATUS_TIMEOUT_S: Final = 3.0  # three heartbeats
 STAMP_TOLERANCE_S: Final = 0.5  # largest delay of a datagram
-_OTHERS_SINCE: Final = 12  # samples of all other streams together; they arrive in less than 0.1 s
+_OTHERS_SINCE: Final = 12  # number of samples of all other streams together, which arrive in less than 0.1 s
 _GAP_US: Final = 500_000  # silence in which an announcement of PX4 may have been lost
-_GAP_MEMORY_US: Final = 3_000_000  # a gap explains a mode change for this long
+_GAP_MEMORY_US: Final = 3_000_000  # time for which a gap explains a mode change
 _RATE_WINDOW_US: Final = 1_000_000
-_LEAP_US: Final = 1_000_000
-_SHARE: Final = 0.15  # limit for the share of late samples; a batch after a pause counts as no time
+_SHARE: Final = 0.15  # limit of the fraction of late samples; a batch after a pause counts as no time
 _SHARE_US: Final = 1_000_000
-_FORGOTTEN: Final = 0.01  # share below which earlier late samples no longer matter
-_STEP_MAX_US: Final = 20_000  # a sample stands for the time since the previous one, up to this limit
+_FORGOTTEN: Final = 0.01  # fraction below which earlier late samples no longer matter
+_STEP_MAX_US: Final = 20_000  # limit of the time that one sample represents
 _DRIFT: Final = 2e-4  # largest drift of two clocks, seconds per second
 _LAST: Final = 3  # round trips kept; the shortest counts if the clocks cannot be compared
 _AGE_MAX_S: Final = 999.0  # age reported for a stream that never arrived
@@ -56,7 +56,7 @@ class TelemetryDelay:
     def __init__(self, limit_s: float) -> None:
         self._limit_us = limit_s * 1e6
         self._offset_us: float | None = None  # autopilot's time minus the host's
-        self._error_us = 0.0  # largest error of the offset
+        self._error_us = 0.0  # error bound of the offset
         self._measured_us = 0  # host time of the offset's measurement
         self._last: deque[int] = deque(maxlen=_LAST)
         self._received_us = 0
@@ -139,7 +139,7 @@ class StreamWatch:
         if lag_us > STAMP_TOLERANCE_S * 1e6:
             self.stale[name] = self.stale.get(name, 0) + 1
             return
-        if -lag_us > _LEAP_US:  # not accepted yet: from another vehicle, or after a clock jump
+        if leaps(-lag_us):  # not accepted yet: from another vehicle, or after a clock jump
             return
         if self.stale:
             self.stale.pop(name, None)
@@ -175,13 +175,13 @@ def _silence(
         limit: seconds, or the key of the guard's threshold.
         words: format of the message; the fields `s` and `ms` are replaced by the duration in seconds and
             milliseconds.
-        alone: key of a further limit that applies while other streams continue. Link and host are then not
+        alone: key of a second limit that applies while other streams continue. Link and host are then not
             the cause.
     """
     message = BY_NAME[streams[0]].message if streams[0] in BY_NAME else ""
 
-    def cause(v: Any) -> str | None:
-        watch: StreamWatch = v.streams
+    def cause(flight: Any) -> str | None:
+        watch: StreamWatch = flight.streams
         age_s = min([watch.age_s(name) for name in streams])
         limit_s = getattr(watch.guard, limit) if isinstance(limit, str) else limit
         if age_s <= limit_s and not (alone and watch.others_continue and age_s > getattr(watch.guard, alone)):
@@ -194,18 +194,17 @@ def _silence(
     return RuleCondition(description, ", ".join(limits), cause)
 
 
-def _slow(v: Any) -> str | None:
-    for name, rate_hz in v.streams.rates_hz.items():
+def _slow(flight: Any) -> str | None:
+    for name, rate_hz in flight.streams.rates_hz.items():
         if rate_hz < BY_NAME[name].expected_hz:
             return f"{name} arrives at {rate_hz:.0f} Hz, minimum {BY_NAME[name].expected_hz:.0f} Hz"
     return None
 
 
-def _late(v: Any) -> str | None:
-    return v.streams.delay.describe(v.has_paused) if v.streams.delay.late else None
+def _late(flight: Any) -> str | None:
+    return flight.streams.delay.describe(flight.has_paused) if flight.streams.delay.late else None
 
 
-SAMPLED: Final = ("imu", "attitude", "odometry", "actuator")
 _LINK: Final = ("status", "imu", "attitude", "odometry")
 _AIR, _LAND = Scope.AIR, Override.LAND
 _SLOWING: Final = frozenset({"stream_rate"})  # when a stream ends, its rate falls first

@@ -22,7 +22,7 @@ from dart_flight.base.records import FrameAnchor, WallEstimate
 from dart_flight.base.walls import Wall
 
 START_SD_M: Final = 0.3  # accuracy of the vehicle's placement at the mission's start
-WALL_SD_M: Final = 0.02  # for a surveyed wall without a configured deviation
+WALL_SD_M: Final = 0.02  # standard deviation of a surveyed wall without a configured one
 _SAME_NORMAL: Final = 0.98  # cosine: an anchor in nearly the same direction replaces the previous one
 
 
@@ -83,7 +83,7 @@ class FrameAnchors:
         self.add(Anchor(recorded.normal, recorded.felt_us, recorded.sd_m))
 
     def age_s(self, normal: Vec2, now_us: int) -> float | None:
-        """Return the time since the last contact with a wall of (nearly) this normal, or None."""
+        """Return the time since the last contact with a wall with (nearly) this normal, or None."""
         for one in self._anchors:
             if has_same_normal(one.normal, normal):
                 return (now_us - one.t_us) * 1e-6

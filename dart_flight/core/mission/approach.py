@@ -21,13 +21,14 @@ from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import position_margin_m, spans_with_margin
 
-# Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the length half speed times time.
+# Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, and the length is half the speed
+# times the time.
 PEAK_OVER_MEAN = 1.5
 _RAMP_JERK = 6.0  # jerk of the same ramp times ramp^2 over speed
 CLEARANCE_M = 0.15
 ON_PLANE_M = 1e-6  # rounding tolerance of an impact on its wall's plane
-_TRAJECTORY_STEP_S = 0.02  # small enough that a trajectory crosses no wall between samples
-_ON_RAY_M = 1e-6  # tolerance of a start on the ray of its approach
+_TRAJECTORY_STEP_S = 0.02  # sampling step; a trajectory crosses no wall between samples
+_ON_RAY_M = 1e-6  # distance within which a start is on the ray of its approach
 
 
 class NoApproachError(ValueError):

@@ -1,4 +1,4 @@
-"""The last moment for stopping: whether to fly on towards a wall while the lock is still moving.
+"""The last moment for stopping: whether to continue towards a wall while the lock is still moving.
 
 An approach continues while holding position would still stop the vehicle before the wall. After that moment,
 the approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the
@@ -20,6 +20,7 @@ from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.position_loop import PlaneImpact
+from dart_flight.core.mission.recovery import recovery_offset, recovery_point
 from dart_flight.core.sense.state import FlightState
 
 # Margin of the predicted stop before the wall; small, because a break-off brakes harder than a hold.
@@ -81,21 +82,20 @@ def is_acceptable_in_either_mode(
         place: position of the vehicle's centre at the impact, mission frame, metres.
         velocity_m_s: (normal, tangential) velocity at the impact, collision frame.
     """
-    (nx, ny), (tx, ty) = wall.normal, wall.tangent
     normal, tangential = velocity_m_s
     px4, bearable = vehicle.px4, True
     most_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(px4.mpc_tiltmax_air))
     for mode in vehicle.modes:
         c = CoefficientArrays.from_table(vehicle.materials[wall.material].coefficients(mode))
         hit = contact_map(c, vehicle.airframe.mass_kg, normal, tangential, Onset(vehicle.onset))
-        friction = where(tangential < 0.0, -1.0, 1.0) * hit.peak_friction_force_n
-        away = alphas_m_per_n[0] * hit.peak_normal_force_n
-        onward = alphas_m_per_n[1] * friction
+        friction = where(tangential < 0.0, 1.0, -1.0) * hit.peak_friction_force_n
+        peaks = (hit.peak_normal_force_n, friction)
+        away, onward = recovery_offset(peaks, alphas_m_per_n)
         force = hypot(hit.peak_normal_force_n, hit.peak_friction_force_n)
         push_n = px4.mpc_xy_p * away - hit.normal_out_m_s
         push_t = px4.mpc_xy_p * onward - hit.tangential_out_m_s
         command = px4.mpc_xy_vel_p_acc * hypot(push_n, push_t)
-        x, y = place[0] + nx * away + tx * onward, place[1] + ny * away + ty * onward
+        x, y = recovery_point(place, wall.normal, peaks, alphas_m_per_n)
         bearable = (
             bearable
             & (force <= limits.peak_force_n)

@@ -1,10 +1,10 @@
 """Feed-forward that keeps PX4's velocity loop from reacting to a contact.
 
-While a wall stops the vehicle, PX4 still follows its last setpoint. PX4 reacts to the lost speed by leaning
-into the wall. PX4's D term opposes acceleration: if the wall pushes back harder, the D term leans the vehicle
-further into the wall. At 1 m/s and `MPC_XY_VEL_D_ACC` 0.2 the D term causes more than half of the tilt after
-an impact (docs/results/body.md). From onset to peak the setpoint therefore repeats the measured motion, and
-PX4 does not push. The feed-forward also cancels the D term's response to the contact. This part of the
+While a wall stops the vehicle, PX4 still follows its last setpoint. PX4 reacts to the lost speed by tilting
+the vehicle into the wall. PX4's D term opposes acceleration: if the wall pushes back harder, the D term
+increases this tilt. At 1 m/s and `MPC_XY_VEL_D_ACC` 0.2 the D term causes more than half of the tilt after an
+impact (docs/results/body.md). From onset to peak the setpoint therefore repeats the measured motion, and PX4
+does not push. The feed-forward also cancels the D term's response to the contact. This part of the
 feed-forward is also added to the recovery setpoint, until the D term's filter has decayed.
 """
 
@@ -20,29 +20,29 @@ from dart_flight.core.sense.senses import Sensed
 
 _FADED_M_S2: Final = 0.02
 _LARGEST_M_S2: Final = 5.0  # limit of the feed-forward, which also bounds the effect of a stale setpoint
-# Longest time from the onset in which the motion is commanded, because PX4 keeps following an old setpoint.
+# Longest time from the onset for which the motion is commanded, because PX4 keeps following an old setpoint.
 LONGEST_S: Final = 0.25
 
 
-# Share of the lean that would balance a vehicle that does not rotate (docs/results/faster_hits.md).
+# Fraction of the tilt that would balance a vehicle that does not rotate (docs/results/faster_hits.md).
 _BALANCED: Final = 0.9
-_MOST_LEAN: Final = 0.3  # largest lean, as the tangent of its angle
-_AGAINST_PLAN: Final = 1.3  # factor on a lean into the wall if the plan leans the vehicle off the wall
+_MOST_LEAN: Final = 0.3  # limit of the tilt, as a tangent
+_AGAINST_PLAN: Final = 1.3  # factor on a tilt into the wall if the plan tilts the vehicle away from the wall
 
 
 def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:
     """Return the acceleration to add, away from the wall, so that the impact rotates the vehicle less.
 
-    A lean into the wall by `height_m / out_m` radians brings the propeller guards level with the centre of
-    mass. The acceleration of such a lean points into the wall, so the result is negative for a positive
+    A tilt into the wall by `height_m / out_m` radians brings the propeller guards level with the centre of
+    mass. The acceleration of such a tilt points into the wall, so the result is negative for a positive
     height.
 
     Args:
         height_m: height above the centre of mass at which the wall's force acts; None if unknown.
         out_m: horizontal distance of the propeller guards from the centre of mass.
         planned: mode of the arms if the impact ends a trajectory of the mission; None if the impact is
-            replanned. A mission's trajectory with rigid arms leans the vehicle off the wall, further than a
-            replanned trajectory does.
+            replanned. A mission's trajectory with rigid arms tilts the vehicle away from the wall, by more
+            than a replanned trajectory does.
     """
     if height_m is None:
         return 0.0

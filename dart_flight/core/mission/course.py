@@ -11,13 +11,13 @@ from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
-ARRIVED_M: Final = 0.12  # larger than the error of PX4's position loop in hover
+ARRIVED_M: Final = 0.12  # limit of the distance, larger than the error of PX4's position loop in hover
 ARRIVED_M_S: Final = 0.1
 ARRIVED_S: Final = 0.3  # time for which position and speed must be within their limits
 MEAN_SPEED_S: Final = 0.3  # averaging time: PX4's velocity contains vibration (docs/results/real_data.md)
 _ARRIVED_YAW_RAD: Final = 0.05
 # Factors on an arrival's limits of distance, speed and heading if PX4's position drifts. The vehicle then
-# does not come to rest, and waiting for the last degrees would age the contacts by seconds.
+# does not come to rest, and waiting for the last degrees would make the contacts seconds older.
 _DRIFTING_NEAR: Final = 2.5
 _DRIFTING_SLOW: Final = 4.0
 _DRIFTING_TURNED: Final = 2.0
@@ -28,7 +28,7 @@ class Course(NamedTuple):
 
     Attributes:
         target: position to reach, mission frame, metres.
-        altitude_m: present altitude of the mission.
+        altitude_m: current altitude of the mission.
         trajectory: leads to the target, or into a wall; None if only the target is commanded.
     """
 
@@ -49,12 +49,12 @@ class Course(NamedTuple):
         return self._transit((x, y, self.altitude_m), flying.climb_speed_m_s, flying)
 
     def fly_to(self, point: Vec2, flying: Flying, speed_m_s: float | None = None) -> Course:
-        """Fly from the present target to a point, from rest to rest, by default at transit speed."""
+        """Fly from the current target to a point, from rest to rest, by default at transit speed."""
         target = (point[0], point[1], self.altitude_m)
         return self._transit(target, speed_m_s or flying.transit_speed_m_s, flying)
 
     def fly_to_waypoint(self, place: Vec3, flying: Flying, speed_m_s: float) -> Course:
-        """Fly from the present target to a waypoint, from rest to rest, and keep the waypoint's altitude."""
+        """Fly from the current target to a waypoint, from rest to rest, and keep the waypoint's altitude."""
         return self._replace(altitude_m=place[2])._transit(place, speed_m_s, flying)
 
     def follow(self, trajectory: Trajectory) -> Course:

@@ -1,7 +1,7 @@
 """The mission executive: it runs through the phases and proposes the vehicle's actions; the guard decides.
 
-Only the executive writes the `MissionState`. Its helpers read the state and return a `Change`: the phases on
-the ground (`ground_phases`), contacts (`impact_response`), planning after them (`replan_requests`), and the
+Only the executive writes the `MissionProgress`. Its helpers read it and return a `Change`: the phases on the
+ground (`ground_phases`), contacts (`impact_response`), planning after them (`replan_requests`), and the
 setpoints of all phases (`setpoint_selection`). `rehearsal` runs the same phases without contacts.
 """
 
@@ -46,7 +46,7 @@ from dart_flight.core.mission.ground_phases import GroundPhases
 from dart_flight.core.mission.impact_response import ImpactResponse
 from dart_flight.core.mission.legs import skip_reason, update_collision, update_mission, update_waypoint
 from dart_flight.core.mission.lock_commands import LockCommands
-from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
+from dart_flight.core.mission.mission_progress import NO_CHANGE, Change, MissionProgress
 from dart_flight.core.mission.phases import BETWEEN, TRANSITIONS, WATCHING, PhaseTrigger
 from dart_flight.core.mission.position_loop import least_distance_m, predict_impact
 from dart_flight.core.mission.proposal import Proposal
@@ -58,14 +58,14 @@ from dart_flight.core.mission.wall_uncertainty import late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_TRAJECTORY_WAIT_S: Final = 1.5  # after a contact; a running planner answers twice within this time
-_NEAR_S: Final = 0.3  # an impact planned within this time is near
+_TRAJECTORY_WAIT_S: Final = 1.5  # longest wait after a contact; a running planner answers twice within it
+_NEAR_S: Final = 0.3  # time to the planned impact below which the impact is near
 _NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows its setpoints late
 _RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
-_LEFT_SHARE: Final = 0.5  # largest remaining share of a probe's retreat when the next leg begins
-_RETRY_US: Final = 1_000_000  # between retries: telemetry of mode and arming lags by up to a second
+_LEFT_SHARE: Final = 0.5  # largest remaining fraction of a probe's retreat when the next leg begins
+_RETRY_US: Final = 1_000_000  # period of retries; telemetry of mode and arming lags by up to a second
 _EVENTS: Final = frozenset({PlanAnswer, OperatorRequest})
 
 
@@ -81,7 +81,7 @@ class Executive:
             c.index: plan_approach(mission, c) for c in mission.collisions if c.approach_m_s is not None
         }
         check_segments_clear(mission)
-        self.progress = MissionState(mission, approaches)
+        self.progress = MissionProgress(mission, approaches)
         self._lock, self._arrival = LockCommands(mission.vehicle.lock), Arrival(mission)
         self._ground, self._impacts = GroundPhases(mission), ImpactResponse(mission)
         self._replanning, self._setpoints = ReplanRequests(mission), SetpointSelection(mission)
@@ -178,17 +178,17 @@ class Executive:
             p.findings.append(change.finding)
         if change.action is not None:
             self._send_action(change.action, state, p)
-        if change.cue is not None:
-            self._transition(change.cue, state, p, change.reason)
+        if change.phase_trigger is not None:
+            self._transition(change.phase_trigger, state, p, change.reason)
         if change.end is not None:
             p.end = change.end
 
-    def _transition(self, cue: PhaseTrigger, state: FlightState, p: Proposal, reason: str = "") -> None:
-        p.outputs.append(self._change_phase(cue, state.now_us, reason or cue.value))
+    def _transition(self, trigger: PhaseTrigger, state: FlightState, p: Proposal, reason: str = "") -> None:
+        p.outputs.append(self._change_phase(trigger, state.now_us, reason or trigger.value))
 
-    def _change_phase(self, cue: PhaseTrigger, now_us: int, reason: str) -> PhaseChange:
+    def _change_phase(self, trigger: PhaseTrigger, now_us: int, reason: str) -> PhaseChange:
         progress, before = self.progress, self.progress.phase
-        progress.phase = TRANSITIONS[before, cue]
+        progress.phase = TRANSITIONS[before, trigger]
         progress.entered_us, progress.entered_host_us, progress.asked_us = now_us, None, None
         progress.lock, progress.arrived_us = progress.lock.phase_begins(), None
         collision = progress.collision
@@ -237,7 +237,7 @@ class Executive:
                 added = self._feedforward.feed_forward
                 change = self._impacts.on_peak(event, progress, state, added)
                 self._apply(change, state, p)
-                if change.cue is not None:
+                if change.phase_trigger is not None:
                     progress.index += 1
             elif isinstance(event, DetectionFloor):
                 self._apply(self._impacts.on_detection_floor(event, progress), state, p)
@@ -294,8 +294,8 @@ class Executive:
         elif self.progress.is_late(state):
             p.add_finding("climb_timeout", "the altitude was not reached in time")
 
-    def _start_next(self, cue: PhaseTrigger, state: FlightState, p: Proposal) -> None:
-        """Begin the next leg at the target, from rest; for a collision, `cue` triggers its phase."""
+    def _start_next(self, trigger: PhaseTrigger, state: FlightState, p: Proposal) -> None:
+        """Begin the next leg at the target, from rest; for a collision, `trigger` begins its phase."""
         self._skip_legs(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:
@@ -312,7 +312,7 @@ class Executive:
             course = self.progress.course
             self.progress.course = course.fly_to_waypoint(waypoint.position, self._flying, waypoint.speed_m_s)
         elif self.progress.collision is not None:
-            self._transition(cue, state, p)
+            self._transition(trigger, state, p)
             self._begin_transit(state, p)
         else:
             self._transition(PhaseTrigger.NEXT_GOAL, state, p)
@@ -500,7 +500,7 @@ class Executive:
         if rests or (following is not None and following.approach_m_s is not None):
             elapsed_us = self.progress.elapsed_us(state)
             rested = elapsed_us > _REST_AFTER_US and self._arrival.is_slow(state)
-            if probe is not None:  # PX4's integrators may still lean the vehicle after a slow contact
+            if probe is not None:  # PX4's integrators may still tilt the vehicle after a slow contact
                 left_m = distance2(state.position, self.progress.course.target)
                 rested = rested and left_m < _LEFT_SHARE * probe.back_m
             if rested or elapsed_us > _REST_TIMEOUT_US:
@@ -520,7 +520,7 @@ class Executive:
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
         """Return the mode of the lock after a contact: the mode of the following collision.
 
-        If the vehicle flies to waypoints or the goal next, it is the transit mode.
+        If the vehicle flies to waypoints or the goal next, the result is the transit mode.
         """
         return self.mission.transit_mode if following is None or stops else following.mode
 

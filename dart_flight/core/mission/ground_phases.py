@@ -8,12 +8,12 @@ from typing import Final
 from dart_flight.base.geometry import yaw_ned_of
 from dart_flight.base.records import MissionEnd, Outcome, VehicleAction
 from dart_flight.config.mission import ESTIMATE_MOVED_M, Mission
-from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
+from dart_flight.core.mission.mission_progress import NO_CHANGE, Change, MissionProgress
 from dart_flight.core.mission.phases import DOWN_US, PhaseTrigger
 from dart_flight.core.mission.proposal import MissionFinding
 from dart_flight.core.sense.state import FlightState
 
-_STREAMING_US: Final = 200_000  # PX4 accepts offboard only while setpoints are streaming
+_STREAMING_US: Final = 200_000  # time of setpoints before the request for offboard; PX4 requires them
 _DISARM_AFTER_US: Final = 8_000_000
 
 
@@ -24,7 +24,7 @@ class GroundPhases:
         self._mission = mission
         self._lock_name = f"the lock is not {mission.transit_mode.value}"
 
-    def ready(self, progress: MissionState, state: FlightState) -> Change:
+    def ready(self, progress: MissionProgress, state: FlightState) -> Change:
         """Wait for telemetry, the lock and a sufficiently accurate position."""
         # If PX4 does not report the accuracy, it is not checked.
         mode, sd = self._mission.transit_mode, state.position_sd_m or 0.0
@@ -40,7 +40,7 @@ class GroundPhases:
             self._lock_name: state.lock_is_in(mode),
         }
         if all(there.values()):
-            return self._lay_frame(progress, state)._replace(cue=PhaseTrigger.READY)
+            return self._lay_frame(progress, state)._replace(phase_trigger=PhaseTrigger.READY)
         finding = None
         if progress.is_late(state):
             missing = [name for name, yes in there.items() if not yes]
@@ -49,7 +49,7 @@ class GroundPhases:
             finding = MissionFinding("not_ready", ", ".join(missing) + why)
         return Change(mode=mode, finding=finding)
 
-    def _lay_frame(self, progress: MissionState, state: FlightState) -> Change:
+    def _lay_frame(self, progress: MissionProgress, state: FlightState) -> Change:
         """Set the mission frame from the vehicle's position on its take-off point."""
         assert state.odometry is not None
         assert state.attitude is not None
@@ -61,7 +61,7 @@ class GroundPhases:
         heading = progress.heading._replace(yaw=yaw, yaw_us=state.now_us)
         return Change(course=course, heading=heading, frame=frame, stood_at_ned=stood_at_ned)
 
-    def enter_offboard(self, progress: MissionState, state: FlightState) -> Change:
+    def enter_offboard(self, progress: MissionProgress, state: FlightState) -> Change:
         """Request offboard mode once setpoints are streaming."""
         if state.in_offboard:
             return Change(PhaseTrigger.CONFIRMED)
@@ -72,8 +72,8 @@ class GroundPhases:
             finding = MissionFinding("offboard_refused", detail)
         return Change(action=action, finding=finding)
 
-    def arm(self, progress: MissionState, state: FlightState) -> Change:
-        """Request arming; the climb begins at the vehicle's present position."""
+    def arm(self, progress: MissionProgress, state: FlightState) -> Change:
+        """Request arming; the climb begins at the vehicle's current position."""
         if not state.status.armed:
             finding = None
             if progress.is_late(state):
@@ -87,9 +87,9 @@ class GroundPhases:
             course = change.course or course
             reason = f"confirmed by telemetry; the position estimate moved by {moved_m:.2f} m on the ground"
         climb = course.climb(self._mission.vehicle.flying)
-        return change._replace(cue=PhaseTrigger.CONFIRMED, reason=reason, course=climb)
+        return change._replace(phase_trigger=PhaseTrigger.CONFIRMED, reason=reason, course=climb)
 
-    def land(self, progress: MissionState, state: FlightState) -> Change:
+    def land(self, progress: MissionProgress, state: FlightState) -> Change:
         """Command PX4 to land, and end the mission when the vehicle is down and disarmed."""
         if progress.down_us is not None and state.now_us - progress.down_us >= DOWN_US:
             end = MissionEnd(state.now_us, Outcome.COMPLETED, None, progress.final_error_m)

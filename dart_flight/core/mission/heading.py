@@ -1,4 +1,4 @@
-"""The return to the wanted heading after a contact, as fast as PX4's yaw control permits.
+"""The return to the desired heading after a contact, as fast as PX4's yaw control permits.
 
 An oblique wall rotates the vehicle. The motors correct the yaw slowly, because only their drag torque acts
 about the vertical axis. If the heading command is a large step, PX4 overshoots, because its integrator winds
@@ -17,7 +17,8 @@ from dart_flight.base.geometry import wrap_angle
 from dart_flight.config.vehicle import VehicleConfig
 
 _MOST_TORQUE: Final = 0.15  # normalised torque that PX4 reserves for yaw when motors saturate
-# Shares of the torque: `_SURE` is available in any flight, `_BRAKING` is used to brake; the rest is margin.
+# Fractions of the torque: `_SURE` is available in any flight, `_BRAKING` is used to brake; the rest is
+# margin.
 _SURE: Final = 0.85
 _BRAKING: Final = 0.5
 _STEP_S: Final = 0.02
@@ -28,8 +29,8 @@ class Heading(NamedTuple):
     """The heading of a flight; mission frame, rad.
 
     Attributes:
-        yaw: wanted heading, after rate limiting.
-        before: wanted heading before the first contact.
+        yaw: desired heading, after rate limiting.
+        before: desired heading before the first contact.
         asked: heading to command instead of `yaw` while the vehicle returns after a contact.
         integral: estimate of what PX4's yaw integrator has accumulated since the contact, normalised torque.
     """
@@ -64,7 +65,7 @@ class HeadingControl:
     def lead(self, heading: Heading, yaw: float, rate: float, now_us: int) -> Heading:
         """Return the heading with an updated command, which compensates for PX4's integrator.
 
-        `yaw` and `rate` are the present values, mission frame, rad and rad/s.
+        `yaw` and `rate` are the current values in the mission frame, rad and rad/s.
         """
         torque = self._torque(wrap_angle(heading.yaw - yaw), rate)
         off_rad_s = (torque - heading.integral) / self._p
@@ -75,7 +76,7 @@ class HeadingControl:
     def time_to_s(self, off: float, rate: float, within: float) -> float:
         """Return the time after which the heading error stays below `within`, rad.
 
-        `off` is the heading minus the wanted heading, rad; `rate` is in rad/s.
+        `off` is the heading minus the desired heading, rad; `rate` is in rad/s.
         """
         off, last = wrap_angle(off), 0
         for step in range(_MOST_STEPS):

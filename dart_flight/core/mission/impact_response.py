@@ -16,7 +16,7 @@ from dart_flight.base.records import (
     WallEstimate,
 )
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
+from dart_flight.core.mission.mission_progress import NO_CHANGE, Change, MissionProgress
 from dart_flight.core.mission.phases import AT_WALL, WATCHING, PhaseTrigger
 from dart_flight.core.mission.planned_impact import expected_hit
 from dart_flight.core.mission.proposal import MissionFinding
@@ -26,7 +26,7 @@ from dart_flight.core.mission.wall_uncertainty import early_m
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-_BOUNCES_US: Final = 1_000_000  # for this long after an impact, PX4 may lean the vehicle into the wall again
+_BOUNCES_US: Final = 1_000_000  # time after an impact in which PX4 may tilt the vehicle into the wall again
 _ANY_WALL: Final = ExpectedContact(watching=True)
 _NO_WALL: Final = ExpectedContact()
 
@@ -42,7 +42,7 @@ class ImpactResponse:
 
     # -- which contact is expected --
 
-    def expected(self, progress: MissionState, state: FlightState) -> ExpectedContact:
+    def expected(self, progress: MissionProgress, state: FlightState) -> ExpectedContact:
         collision, watching = progress.collision, progress.phase in WATCHING
         if (
             collision is None
@@ -55,14 +55,14 @@ class ImpactResponse:
             return before
         return ExpectedContact(watching, wall.normal, wall.material, wall)
 
-    def _is_due(self, progress: MissionState, collision: Collision) -> bool:
+    def _is_due(self, progress: MissionProgress, collision: Collision) -> bool:
         """Return whether the plan expects an onset now; a second onset before the peak is unplanned."""
         rehearsed = self._mission.standoff_m is not None
         return not rehearsed and progress.phase is not Phase.CONTACT and _is_expected(progress, collision)
 
     # -- onset and peak --
 
-    def on_onset(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
+    def on_onset(self, event: ImpactOnset, progress: MissionProgress, state: FlightState) -> Change:
         """Continue if the onset was planned, leave the wall after a bounce, else report the onset."""
         if self._is_bounce(progress, event.position_mission, state):
             return self._on_bounce(event, progress, state)
@@ -78,9 +78,9 @@ class ImpactResponse:
         if not state.lock_is_in(collision.mode):
             text = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
             return change._replace(finding=MissionFinding("lock_not_settled", text))
-        return change._replace(cue=PhaseTrigger.ONSET)
+        return change._replace(phase_trigger=PhaseTrigger.ONSET)
 
-    def _is_bounce(self, progress: MissionState, place: Vec3, state: FlightState) -> bool:
+    def _is_bounce(self, progress: MissionProgress, place: Vec3, state: FlightState) -> bool:
         """Return whether a contact here would be a bounce: at the last wall, soon after its impact."""
         if progress.phase is not Phase.RECOVERY or progress.elapsed_us(state) > _BOUNCES_US:
             return False
@@ -94,7 +94,7 @@ class ImpactResponse:
         ahead = progress.walls.known_wall(following.wall, state.now_us)
         return ahead.name != wall.name and distance_m < abs(ahead.signed_distance(place))
 
-    def _on_bounce(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
+    def _on_bounce(self, event: ImpactOnset, progress: MissionProgress, state: FlightState) -> Change:
         """Record a bounce, and get clear of the wall until a new trajectory is planned."""
         course = None
         if progress.replan.trajectory is not None:
@@ -105,7 +105,7 @@ class ImpactResponse:
         finding = MissionFinding("unplanned_hit", f"bounce: {_describe(event, progress)}", note_only=True)
         return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
-    def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
+    def on_detection_floor(self, event: DetectionFloor, progress: MissionProgress) -> Change:
         """Report a finding if vibration would hide the planned impact: PX4 would then push into the wall."""
         collision, vehicle = progress.collision, self._mission.vehicle
         if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
@@ -119,7 +119,7 @@ class ImpactResponse:
         return Change(finding=MissionFinding("hit_in_noise", text))
 
     def on_peak(
-        self, event: ImpactPeak, progress: MissionState, state: FlightState, added: Vec3 | None
+        self, event: ImpactPeak, progress: MissionProgress, state: FlightState, added: Vec3 | None
     ) -> Change:
         """Begin the recovery with the paper's setpoint when the planned contact reaches its peak force.
 
@@ -129,15 +129,14 @@ class ImpactResponse:
         if progress.phase is not Phase.CONTACT or collision is None:
             return NO_CHANGE
         point = recovery_point(
-            event.position_mission,
+            event.position_mission[:2],
             event.normal,
-            (event.normal_force_n, event.tangential_force_n),
+            (max(0.0, event.normal_force_n), event.tangential_force_n),
             (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n),
-            course.altitude_m,
         )
         if collision.probe is not None:
             away, (px, py, _), (nx, ny) = collision.probe.back_m, event.position_mission, event.normal
-            point = (px + away * nx, py + away * ny, course.altitude_m)
+            point = (px + away * nx, py + away * ny)
         course = course.hold(point)
         assert state.frame is not None
         trigger = SetpointTrigger(event.detected_us, event.received_us, recovery=True)
@@ -164,13 +163,13 @@ class ImpactResponse:
         return Change(finding=MissionFinding("mode_felt", detail, noted))
 
 
-def _is_expected(progress: MissionState, collision: Collision) -> bool:
+def _is_expected(progress: MissionProgress, collision: Collision) -> bool:
     """Return whether the plan has an impact on this wall in this phase."""
     if progress.phase is Phase.RECOVERY:
         return collision.approach_m_s is None
     return progress.phase in AT_WALL
 
 
-def _describe(event: ImpactOnset, progress: MissionState) -> str:
+def _describe(event: ImpactOnset, progress: MissionProgress) -> str:
     force = math.hypot(event.force_mission[0], event.force_mission[1])
     return f"impact of {force:.0f} N in phase {progress.phase.value}"

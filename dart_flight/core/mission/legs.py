@@ -27,7 +27,7 @@ def skip_reason(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None:
 
 
 def update_collision(collision: Collision, walls: EstimatedWalls, now_us: int, here: Vec2) -> Collision:
-    """Return a collision at its wall's estimated position; the impact point keeps its position along it.
+    """Return a collision at its wall's estimated position; the impact point keeps its place along it.
 
     `here` is the resting position, mission frame, at which a probe with `from_here` starts.
     """

@@ -21,7 +21,7 @@ def impact_velocity(collision: Collision) -> tuple[float, float] | None:
     return None
 
 
-def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallHit[float] | None:
+def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallContact[float] | None:
     """Return the contact law's result for a collision, or None if its velocity is unknown."""
     velocity = impact_velocity(collision)
     if velocity is None or velocity[0] >= 0.0:

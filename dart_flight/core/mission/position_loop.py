@@ -1,6 +1,6 @@
 """PX4's horizontal position loop as a point mass: the predicted motion towards a setpoint.
 
-Per axis, with p the position, v the velocity, and a the acceleration at the present attitude:
+Per axis, with p the position, v the velocity, and a the acceleration at the current attitude:
 
     a_cmd = kv (kp (p_ref - p) - v) - kd a,     da/dt = (a_cmd - a) / tau
 
@@ -25,7 +25,7 @@ ATTITUDE_LAG_S = 0.15
 
 STOP_TIME_S = 0.5  # the loop's stopping distance is about half a second times the speed
 _STEP_S = 0.01
-_BEHIND_M = 0.3  # beyond this distance behind the plane the vehicle is on the other side of the wall
+_BEHIND_M = 0.3  # distance behind the plane above which the vehicle is on the wall's other side
 
 
 def stop_share(
@@ -107,9 +107,9 @@ def least_distance_m(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> float:
-    """Predict the smallest signed distance from a plane of a vehicle that flies to a setpoint.
+    """Predict the smallest signed distance between a plane and a vehicle that flies to a setpoint.
 
-    If the distance only increases, this is the present distance. `target_distance_m` is the distance of the
+    If the distance only increases, this is the current distance. `target_distance_m` is the distance of the
     setpoint from the plane; speed and acceleration are positive towards the plane.
     """
     nearest = distance_m

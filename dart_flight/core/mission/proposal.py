@@ -12,7 +12,7 @@ _NO_WALL: Final = ExpectedContact()
 
 
 class MissionFinding(NamedTuple):
-    """A finding that fires a guard rule; only the mission can make it, because the mission knows the plan.
+    """A finding that fires a guard rule; only the mission can report it, because it has the plan.
 
     Attributes:
         rule: name of the rule in `core.guard.rules`.

@@ -4,14 +4,16 @@
 
 Here t_c is the time of the peak normal force, n the wall's outward normal, t its tangent, A_n and A_t gains.
 The normal force moves the setpoint away from the wall, and the friction force moves it onward along the wall.
-The height is unchanged.
+The height is unchanged. The core uses the equation with the measured peaks, the planner with the predicted
+peaks.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-from dart_flight.base.geometry import Vec2, Vec3
+from dart_flight.base.arithmetic import Number
+from dart_flight.base.geometry import Vec2
 
 # Flight and planner count the goal as passed once the distance to it has risen by more than its noise. The
 # first moments after a contact do not count, because the direction of the motion is not yet clear.
@@ -19,23 +21,21 @@ PASSED_RISE_M: Final = 0.03
 PASSED_AFTER_S: Final = 0.25
 
 
-def recovery_point(
-    position: Vec3,
-    normal: Vec2,
-    force_n: Vec2,
-    alphas_m_per_n: Vec2,
-    altitude_m: float,
-) -> Vec3:
-    """Return the recovery setpoint in the mission frame, metres.
+def recovery_offset(force_n: tuple[Number, Number], alphas_m_per_n: Vec2) -> tuple[Number, Number]:
+    """Return p_ref - p(t_c) along the wall's normal and its tangent (n_y, -n_x), metres.
 
-    Args:
-        position: p(t_c), position at the peak of the normal force.
-        normal: outward unit normal of the wall.
-        force_n: peak normal force, at least zero, and peak friction force along the tangent (n_y, -n_x).
-        alphas_m_per_n: gains (A_n, A_t).
-        altitude_m: z of the setpoint.
+    `force_n` is the peak normal force and the signed peak friction force, `alphas_m_per_n` is (A_n, A_t).
     """
-    away = alphas_m_per_n[0] * max(0.0, force_n[0])
-    onward = -alphas_m_per_n[1] * force_n[1]
+    return alphas_m_per_n[0] * force_n[0], -alphas_m_per_n[1] * force_n[1]
+
+
+def recovery_point(
+    position: tuple[Number, Number], normal: Vec2, force_n: tuple[Number, Number], alphas_m_per_n: Vec2
+) -> tuple[Number, Number]:
+    """Return the horizontal recovery setpoint, mission frame, metres; the arguments of `recovery_offset`.
+
+    `position` is p(t_c), `normal` the wall's outward unit normal.
+    """
+    away, onward = recovery_offset(force_n, alphas_m_per_n)
     nx, ny = normal
-    return (position[0] + away * nx + onward * ny, position[1] + away * ny - onward * nx, altitude_m)
+    return position[0] + away * nx + onward * ny, position[1] + away * ny - onward * nx

@@ -21,10 +21,10 @@ class Replan(NamedTuple):
         answer: accepted answer that is not flown yet.
         from_rest: whether the request was for an approach from rest.
         trajectory, begin_us: the active trajectory and its start time.
-        ends_leaning: whether the trajectory ends with the lean that the impact needs, like the mission's own
+        ends_leaning: whether the trajectory ends with the tilt that the impact needs, like the mission's own
             trajectories.
         must_not_be_later: whether to reject a new trajectory that ends much later than the active trajectory.
-        impact_us: time at which the trajectory meets the next wall.
+        impact_us: time at which the trajectory reaches the next wall.
     """
 
     number: int = 0

@@ -17,7 +17,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
 from dart_flight.core.mission.lock_commands import LockCommands
-from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
+from dart_flight.core.mission.mission_progress import NO_CHANGE, Change, MissionProgress
 from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import late_s
@@ -25,11 +25,11 @@ from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
 _FELT_WITHIN_US = 150_000  # longest wait for a fit: three times its latency (docs/felt.md)
-# A request along a trajectory keeps these times from the previous request and from the trajectory's end.
+# Shortest times from the previous request to a request along a trajectory, and to the trajectory's end.
 _AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000
 _HELD_TO_M = 0.2
-_TRIES = 6  # requests for a trajectory after one contact
-_LATER_S = 0.15  # largest delay of a new trajectory's end relative to the active one
+_TRIES = 6  # limit of the requests for a trajectory after one contact
+_LATER_S = 0.15  # a new trajectory may end at most this much later than the active one
 # Allowed offset of the vehicle from a trajectory's beginning; the loop corrects it within tenths of a second.
 _BESIDE_M, _BESIDE_M_S = 0.08, 0.25
 
@@ -46,7 +46,7 @@ class ReplanRequests:
     # -- request and answer --
 
     def request(
-        self, progress: MissionState, state: FlightState, sensed: Sensed, square_us: int, coasts: bool
+        self, progress: MissionProgress, state: FlightState, sensed: Sensed, square_us: int, coasts: bool
     ) -> Change:
         """Request a plan for the next leg, once after each contact.
 
@@ -85,7 +85,7 @@ class ReplanRequests:
             setpoint_mission=progress.course.target,
             lock_ready_us=None if ready_us is None else max(ready_us, square_us),
             under_way=again and replan.trajectory is not None and not turned,
-            # The planner needs the height for the lean at the end of a mission's trajectory.
+            # The planner needs the height for the tilt at the end of a mission's trajectory.
             contact_height_m=sensed.height_m if along else None,
             coasts=coasts or turned,
         )
@@ -99,7 +99,7 @@ class ReplanRequests:
         )
         return Change(outputs=(asked,), replan=replan)
 
-    def _should_wait_for_wall(self, progress: MissionState, replan: Replan, state: FlightState) -> bool:
+    def _should_wait_for_wall(self, progress: MissionProgress, replan: Replan, state: FlightState) -> bool:
         """Return whether the estimate of the last wall is worth waiting for.
 
         The wait is worthwhile if the vehicle hits that wall again next. It is also worthwhile if contacts
@@ -137,7 +137,7 @@ class ReplanRequests:
 
     # -- accepted answers --
 
-    def approach(self, progress: MissionState, now_us: int) -> Change:
+    def approach(self, progress: MissionProgress, now_us: int) -> Change:
         """Return an approach from rest with the impact velocity that the planner chose, if there is room."""
         answer, following = progress.replan.answer, progress.collision
         if answer is None or not progress.replan.from_rest or following is None:
@@ -154,7 +154,7 @@ class ReplanRequests:
         taken = PlanTaken(now_us, answer.number, True)
         return Change(outputs=(taken,), replan=replan, approach=approach)
 
-    def trajectory(self, progress: MissionState, state: FlightState) -> Change:
+    def trajectory(self, progress: MissionProgress, state: FlightState) -> Change:
         """Return the trajectory of an answer if it begins now and the vehicle is close to it."""
         replan, answer = progress.replan, progress.replan.answer
         if answer is None or replan.from_rest or state.now_us < answer.begin_us:
@@ -215,7 +215,7 @@ def _is_consistent(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> b
 
 
 def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> str:
-    """Return the reason not to fly an answer's trajectory from the present state, or ""."""
+    """Return the reason not to fly an answer's trajectory from the current state, or ""."""
     if _active_is_faster(replan, trajectory, answer, state):
         return "the trajectory flown is quicker"
     at = trajectory.at((state.now_us - answer.begin_us) * 1e-6)

@@ -11,25 +11,25 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.contact_feedforward import LONGEST_S, balancing_acceleration_m_s2
 from dart_flight.core.mission.heading import Heading, HeadingControl
-from dart_flight.core.mission.mission_state import MissionState
+from dart_flight.core.mission.mission_progress import MissionProgress
 from dart_flight.core.mission.phases import TO_IMPACT
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, SetpointTrigger, make_setpoint
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
-_COASTING_S: Final = 0.25  # longest coasting before an impact: the response time of the attitude
-_COASTS_US: Final = 500_000  # coasting after a contact: time for an answer, even to a second request
+_COASTING_S: Final = 0.25  # longest coasting before an impact: the attitude's response time
+_COASTS_US: Final = 500_000  # limit of coasting after a contact: time for an answer, even to a second request
 _SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s rotates the vehicle little
 _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 # Phases that begin with a trajectory to the target; a rehearsal adds the recovery.
 _UNDERWAY: Final = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
-_OFF_TIME_S: Final = 0.1  # largest correction for an impact that comes sooner or later than planned
+_OFF_TIME_S: Final = 0.1  # largest correction for an impact that is earlier or later than planned
 _CLOSES_M_S: Final = 0.3
-# [ours] Share of the attitude's delay that the jerk term leaves out; chosen on six seeds with PX4.
+# [ours] Fraction of the attitude's delay that the jerk term leaves out; chosen on six seeds with PX4.
 _STRAIGHT_SHARE: Final = 0.5
-_NONE: Final[Vec3] = (0.0, 0.0, 0.0)
+_NONE: Vec3 = (0.0, 0.0, 0.0)
 
 
 class SetpointSelection:
@@ -57,8 +57,8 @@ class SetpointSelection:
 
     # -- heading --
 
-    def wanted_yaw(self, progress: MissionState, state: FlightState) -> float:
-        """Return the heading that the phase wants: parallel or square to the next wall."""
+    def wanted_yaw(self, progress: MissionProgress, state: FlightState) -> float:
+        """Return the phase's desired heading: parallel or square to the next wall."""
         collision, phase, heading = progress.collision, progress.phase, progress.heading
         led_back = self._control is not None and phase is Phase.RECOVERY
         if collision is None or not (led_back or phase in TO_IMPACT):
@@ -67,15 +67,15 @@ class SetpointSelection:
         turned = 0.0 if self._control is None else progress.walls.rotation(collision.wall)
         return wrap_angle(collision.wall.parallel_yaw(near - turned) + turned)
 
-    def square_us(self, progress: MissionState, state: FlightState) -> int:
+    def square_us(self, progress: MissionProgress, state: FlightState) -> int:
         """Return the autopilot time at which a vehicle rotated by a contact is square to the wall again."""
         if self._control is None:
             return state.now_us
         off = state.yaw - progress.heading.yaw
         return state.now_us + round(1e6 * self._control.time_to_s(off, _yaw_rate(state), _SQUARE_RAD))
 
-    def heading(self, progress: MissionState, state: FlightState) -> Heading:
-        """Return the heading and the command that leads back to the wanted heading after a contact."""
+    def heading(self, progress: MissionProgress, state: FlightState) -> Heading:
+        """Return the heading and the command that leads back to the desired heading after a contact."""
         heading, control = progress.heading, self._control
         if control is None or progress.phase not in _TURNED:
             if heading.before != heading.yaw or heading.asked is not None:
@@ -88,7 +88,7 @@ class SetpointSelection:
     def setpoint(
         self,
         sample: OdometrySample,
-        progress: MissionState,
+        progress: MissionProgress,
         state: FlightState,
         frame: MissionFrame,
         added: Vec3 | None,
@@ -125,7 +125,7 @@ class SetpointSelection:
         trigger = SetpointTrigger(sample.t_us, sample.received_us)
         return make_setpoint(frame, trigger, reference, heading.commanded, free, added), heading
 
-    def coasts(self, progress: MissionState, state: FlightState) -> bool:
+    def coasts(self, progress: MissionProgress, state: FlightState) -> bool:
         """Return whether a trajectory of the mission is about to continue after a contact.
 
         The vehicle then coasts, because a distant recovery setpoint would wind up PX4's integrator and push
@@ -136,21 +136,21 @@ class SetpointSelection:
         end_us = progress.lock.contact_end_us
         return end_us is None or state.now_us - end_us < _COASTS_US
 
-    def _trajectory_since_us(self, progress: MissionState) -> int | None:
+    def _trajectory_since_us(self, progress: MissionProgress) -> int | None:
         """Return the begin time of the flown trajectory; None if the target is commanded as a step."""
         if progress.phase in self._underway:
             return progress.entered_us
         return progress.replan.since_us if progress.phase is Phase.RECOVERY else None
 
-    def _next_trajectory(self, progress: MissionState) -> Trajectory | None:
+    def _next_trajectory(self, progress: MissionProgress) -> Trajectory | None:
         collision = progress.collision
         return self._written.get(None if collision is None else collision.index)
 
-    def _thrust_after_contact(self, progress: MissionState, state: FlightState) -> Vec3:
+    def _thrust_after_contact(self, progress: MissionProgress, state: FlightState) -> Vec3:
         """Return the acceleration of the mission's trajectory, as if it began at the end of the contact.
 
         The acceleration is zero during a contact. It is also zero if the vehicle is already as fast as the
-        trajectory, for example because it leans off the wall.
+        trajectory, for example because it tilts away from the wall.
         """
         trajectory, end_us = self._next_trajectory(progress), progress.lock.contact_end_us
         if trajectory is None or end_us is None:
@@ -161,11 +161,10 @@ class SetpointSelection:
         x, y, _ = self._lead(trajectory, since_s).acceleration
         return (x, y, 0.0)
 
-    def _wall_ahead(self, progress: MissionState, state: FlightState, since_us: int | None) -> Wall | None:
+    def _wall_ahead(self, progress: MissionProgress, state: FlightState, since_us: int | None) -> Wall | None:
         """Return the wall that a trajectory of the mission is about to meet.
 
-        A vehicle that is late must not lean into the wall to catch up: a contact rolls a leaning vehicle
-        over.
+        A vehicle that is late must not tilt into the wall to catch up: a contact rolls a tilted vehicle over.
         """
         collision, trajectory = progress.collision, progress.course.trajectory
         if collision is None or collision.trajectory is None or since_us is None or trajectory is None:
@@ -176,7 +175,7 @@ class SetpointSelection:
             until_s = progress.replan.impact_in_s(state) if progress.phase is Phase.RECOVERY else math.inf
         return collision.wall if until_s < _COASTING_S and trajectory.after is AfterEnd.CONTINUE else None
 
-    def _push_off_m_s2(self, progress: MissionState, wall: Wall) -> float:
+    def _push_off_m_s2(self, progress: MissionProgress, wall: Wall) -> float:
         """Return the acceleration off a wall that balances the contact's torque."""
         collision = progress.collision
         assert collision is not None
@@ -186,12 +185,12 @@ class SetpointSelection:
             return 0.0
         return balancing_acceleration_m_s2(progress.contact_height_m, out_m, collision.mode)
 
-    def _timing_correction_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
+    def _timing_correction_m_s2(self, progress: MissionProgress, since_s: float, free: FreeAxes) -> float:
         """Return the thrust to add along a wall's normal if the vehicle is ahead of or behind its trajectory.
 
         The vehicle's actual time to impact corresponds to a point of the trajectory. The result is the
         planned thrust at this point minus the planned thrust at `since_s`. Without this correction, a vehicle
-        ahead of its trajectory would meet the wall before it leans off the wall. `free` has the wall's
+        ahead of its trajectory would reach the wall before it tilts away from the wall. `free` has the wall's
         normal, and the motion at the time at which PX4 executes the setpoint.
         """
         trajectory, (nx, ny) = progress.course.trajectory, free.along[0]
@@ -207,7 +206,7 @@ class SetpointSelection:
 
     # -- references --
 
-    def _reference(self, progress: MissionState, t_us: int, since_us: int | None) -> Reference:
+    def _reference(self, progress: MissionProgress, t_us: int, since_us: int | None) -> Reference:
         """Return the command at a time: a point of the trajectory or, without a trajectory, the target."""
         course = progress.course
         if course.trajectory is None or since_us is None:
@@ -218,7 +217,7 @@ class SetpointSelection:
         """Return the reference of a trajectory for the time at which PX4 executes the setpoint.
 
         The acceleration is taken at an even later time, because the attitude lags. If the trajectory ends at
-        rest or leaning, this time is limited to its end. Drag and the response of PX4's D term are added, so
+        rest or tilted, this time is limited to its end. Drag and the response of PX4's D term are added, so
         that no error builds up in the position loop.
         """
         flown_s = since_s + self._delay_s

@@ -19,7 +19,7 @@ from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import Flying
 
 _MIN_TRANSIT_S = 0.1
-_AT_REST_M_S, _LEVEL_M_S2 = 0.01, 0.01  # a trajectory ends at rest or level below these
+_AT_REST_M_S, _LEVEL_M_S2 = 0.01, 0.01  # limits below which a trajectory ends at rest or level
 # Coefficients from rest to rest over a distance of 1 in a time of 1, constant term first.
 _REST_TO_REST = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
 
@@ -55,7 +55,7 @@ def transit_time_s(
 
 
 class Trajectory(msgspec.Struct, frozen=True):
-    """Polynomials of fifth order per axis, in consecutive pieces.
+    """Fifth-order polynomials for each axis, in consecutive pieces.
 
     Attributes:
         x, y, z: six polynomial coefficients for each piece, constant term first; mission frame, metres. The

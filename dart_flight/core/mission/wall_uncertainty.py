@@ -21,7 +21,7 @@ from dart_flight.core.mission.anchors import FrameAnchors
 
 SURE_SD = 3.0  # number of standard deviations that approaches allow for
 _MIN_CLOSING_M_S = 0.1
-_SURE_DIRECTION_RAD = 0.05  # a direction estimated less accurately does not change the heading
+_SURE_DIRECTION_RAD = 0.05  # standard deviation above which a direction does not change the heading
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
@@ -43,7 +43,7 @@ def end_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
 
 
 def spans_with_margin(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return whether a wall reaches to a place beside its ends, when lengthened by `end_margin_m`."""
+    """Return whether a wall, lengthened by `end_margin_m` at each end, spans a place."""
     return wall.end_distance_m(place) >= -end_margin_m(wall, place)
 
 

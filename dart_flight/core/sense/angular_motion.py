@@ -14,7 +14,7 @@ from typing import Final
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import ImuSample
 
-_LONGEST_GAP_S: Final = 0.1  # two rates further apart do not yield an acceleration
+_LONGEST_GAP_S: Final = 0.1  # longest time between two rates that yield an acceleration
 
 
 class AngularMotion:

@@ -1,7 +1,7 @@
 """Filter that removes the vibration of the unlocked arms from the measured acceleration.
 
-The arms have a share s of the mass and swing against the body: q'' = -w^2 q - 2 z w q' - a. Here q is the
-displacement of the arms relative to the body, w is their natural frequency (rad/s) and z is their damping
+The arms have the fraction s of the mass and swing against the body: q'' = -w^2 q - 2 z w q' - a. Here q is
+the displacement of the arms relative to the body, w is their natural frequency (rad/s) and z is their damping
 ratio. The contact accelerates the common centre of mass by a. The IMU on the body reads a - s q''. Over one
 tick T the mean of q'' is the change of q' divided by T. If a is constant over the tick, the reading is linear
 in a:
@@ -20,7 +20,7 @@ from typing import Final
 
 from dart_flight.config.vehicle import ArmVibration
 
-_MAX_TICKS: Final = 25  # after a longer gap in the stream the arms have come to rest
+_MAX_TICKS: Final = 25  # gap in the stream after which the arms have come to rest
 
 
 class ArmFilter:

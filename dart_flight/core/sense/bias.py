@@ -18,7 +18,7 @@ from dart_flight.config.vehicle import Estimation
 
 # The vehicle hovers below both limits: speed adds drag to the bias, and rotation adds lever-arm terms.
 HOVER_SPEED_M_S: Final = 0.4
-HOVER_RATE_RAD_S: Final = 0.3  # sum of the body rates' magnitudes
+HOVER_RATE_RAD_S: Final = 0.3  # limit of the sum of the body rates' magnitudes
 LEARNING_S: Final = 2.0  # time constant of bias and thrust scale, longer than any contact
 BIAS_LIMIT_M_S2: Final = 0.4  # per axis; PX4 has already removed most of the bias
 THRUST_SCALE_LIMIT: Final = 0.25  # 4.3 standard deviations if the mass spreads by 3 % and the battery by 5 %
@@ -26,9 +26,9 @@ BASELINE_S: Final = 0.25  # time constant: wind and thrust errors are slower, an
 _NOISE_TIME_S: Final = 0.5
 _MIN_NOISE2: Final = 1e-4  # m2/s4
 _SCALE_STEP: Final = 0.25
-_LEARNT: Final = 0.4  # output of a low-pass, as a share of its final value, after half a time constant
-_BASELINE_DELAY: Final = 10  # samples: within 40 ms even a slow contact reaches the threshold
-_BASELINE_STEP_N: Final = 2.0  # the baseline does not follow larger differences faster
+_LEARNT: Final = 0.4  # fraction of a low-pass's final value that is reached after half a time constant
+_BASELINE_DELAY: Final = 10  # delay in samples: within 40 ms even a slow contact reaches the threshold
+_BASELINE_STEP_N: Final = 2.0  # limit of the difference that sets the baseline's rate
 
 
 class HoverBias:

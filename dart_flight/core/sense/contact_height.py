@@ -3,7 +3,7 @@
 A wall pushes on the guards of one side, `contact_distance_m` ahead of the centre of mass and at some height
 above it. The force times this height pitches the vehicle back, and the lever grows with the pitch. If battery
 and payload move the centre of mass by 2 cm, the vehicle can turn over at 3 m/s (docs/results/faster_hits.md).
-The core estimates the height from a gentle contact. At later contacts the planner leans the vehicle
+The core estimates the height from a gentle contact. At later contacts the planner tilts the vehicle
 accordingly (`planning.replanner`). The planner needs the height when the contact ends, before the contact is
 fitted. The core therefore computes the height in closed form.
 """
@@ -15,8 +15,8 @@ from typing import Final
 from dart_flight.base.geometry import MissionFrame, rotate_back
 from dart_flight.base.records import ContactRequest
 
-_LEAST_N: Final = 3.0  # samples with less normal force are skipped
-_LEAST_N2: Final = 1000.0  # least sum of the squared forces: a few samples of a contact at 0.5 m/s
+_LEAST_N: Final = 3.0  # minimum normal force of a sample that counts
+_LEAST_N2: Final = 1000.0  # minimum sum of the squared forces: a few samples of a contact at 0.5 m/s
 
 
 class ContactHeight:

@@ -30,10 +30,10 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Events, ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-ANSWER_WITHIN_US: Final = 300_000  # longest wait for a fit; the next approach from rest is planned later
-_BEFORE: Final = 4  # samples kept from before the first one above the noise
-_MAX: Final = 160  # most samples kept of a contact
-# Standard deviation of a plane located by the onset alone: detection is late, and the body is no circle.
+ANSWER_WITHIN_US: Final = 300_000  # timeout of a fit; an approach from rest is planned later than this
+_BEFORE: Final = 4  # samples kept before the first sample above the noise
+_MAX: Final = 160  # limit of the samples kept for a contact
+# Standard deviation of a plane located by the onset alone: detection is late, and the body is not a circle.
 _MET_SD_M: Final = 0.03
 
 
@@ -63,8 +63,8 @@ class ContactRecorder:
     ) -> ContactRequest | None:
         """Handle the detector's events at the newest sample, and return a request when a contact ends.
 
-        `slow` is the slow horizontal force (`ForceBaseline`), mission frame, newton. `expected` matters at
-        the onset.
+        `slow` is the slow horizontal force (`ForceBaseline`), mission frame, newton. `expected` is used only
+        at the onset.
         """
         for event in events:
             if isinstance(event, ImpactOnset):
@@ -136,7 +136,7 @@ class ContactRecorder:
 def undecided(request: ContactRequest, wall: Wall, vehicle: VehicleConfig, problem: str = "") -> WallEstimate:
     """Return a wall estimate without a fit.
 
-    The estimate has the coefficients of the configuration and the known plane. If the plane is uncertain, or
+    The estimate uses the configured coefficients and the known plane. If the plane is uncertain, or
     a probe searches for the wall, the plane of the estimate passes through the point of contact.
     """
     onset, mode = request.onset, request.mode_reported or vehicle.modes[-1]

@@ -28,28 +28,28 @@ from dart_flight.core.sense.pulse import NormalPulse, PulsePrior, TickReading, f
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 
-RELEASE_FRACTION: Final = 0.4  # a contact ends below this share of the threshold
-PEAK_DROP_FRACTION: Final = 0.12  # a drop by this share of the top ends the search for the peak
+RELEASE_FRACTION: Final = 0.4  # fraction of the threshold below which a contact ends
+PEAK_DROP_FRACTION: Final = 0.12  # drop, as a fraction of the top, that ends the search for the peak
 CONTACT_END_S: Final = 0.012  # time below the release level; three samples, because one may be noise
-SURE_SIGMA: Final = 2.5  # one sample this many deviations over the threshold is sufficient
-SHORT_WINDOW_S: Final = 0.032  # rigid contacts of 46 to 54 ms keep 85 % of their peak in this mean
-LONG_WINDOW_S: Final = 0.1  # flexible contacts of 145 to 183 ms keep 83 % of their peak in this mean
+SURE_SIGMA: Final = 2.5  # deviations over the threshold from which one sample is sufficient
+SHORT_WINDOW_S: Final = 0.032  # window whose mean keeps 85 % of the peak of rigid contacts (46 to 54 ms)
+LONG_WINDOW_S: Final = 0.1  # window whose mean keeps 83 % of the peak of flexible contacts (145 to 183 ms)
 PULSE_MISFIT: Final = 3.0  # mean square of the normalised residuals above which the model does not fit
-_RISE_SHARE: Final = 0.3  # earlier samples above this share of the threshold belong to the contact
-_PEAK_DROP_SHARE: Final = 0.25  # a drop by less than this share of the threshold is noise
-_DROP_SIGMA: Final = 2.5  # so is a drop by less than this many standard deviations of the smoothed force
-_SMOOTH_SHARE: Final = 0.02  # samples are averaged until their noise is this share of the top
+_RISE_SHARE: Final = 0.3  # fraction of the threshold above which earlier samples belong to the contact
+_PEAK_DROP_SHARE: Final = 0.25  # fraction of the threshold below which a drop is noise
+_DROP_SIGMA: Final = 2.5  # standard deviations of the smoothed force below which a drop is noise
+_SMOOTH_SHARE: Final = 0.02  # noise of the averaged samples, as a fraction of the top
 _MAX_SMOOTH: Final = 5
-_TOP_SHARE: Final = 0.7  # samples above this share of the maximum are the top of the pulse
-_TOP_REACH: Final = 4  # the top has at most this many samples on either side of the maximum
-_BEFORE: Final = 8  # samples kept from before the crossing
-_FAR_SIGMA: Final = 4.6  # if the threshold is this many times the noise, two samples in a row suffice
+_TOP_SHARE: Final = 0.7  # fraction of the maximum above which samples form the top of the pulse
+_TOP_REACH: Final = 4  # largest number of the top's samples on either side of the maximum
+_BEFORE: Final = 8  # samples kept before the crossing
+_FAR_SIGMA: Final = 4.6  # ratio of threshold to noise from which two samples in a row suffice
 # Added to the thresholds of one and two samples, which noise crosses more often than those of long means.
 _SHORT_SIGMA: Final = 1.0
 _MARGIN_SIGMA: Final = 1.0  # margin over the threshold from which detection is guaranteed
-_NOISY_BASELINE: Final = 0.4  # share of the usual rate; a faster baseline would follow the vibration
-_LONGEST_CONTACT_S: Final = 0.5  # a contact then counts as ended, because noise may hide its end
-_INTO_WALL: Final = 0.1  # share of the force that may point into the expected wall at the onset
+_NOISY_BASELINE: Final = 0.4  # fraction of the usual rate; a faster baseline would follow the vibration
+_LONGEST_CONTACT_S: Final = 0.5  # time after which a contact counts as ended, because noise may hide its end
+_INTO_WALL: Final = 0.1  # fraction of the force that may point into the expected wall at the onset
 
 
 class ExpectedContact(NamedTuple):
@@ -236,7 +236,7 @@ class ImpactDetector:
         )
 
     def detection_floor_n(self, duration_s: float) -> float:
-        """Return the least peak at which a half-sine of this duration is certainly detected, newton.
+        """Return the smallest peak at which a half-sine of this duration is certainly detected, newton.
 
         The detection floor of a window is the threshold plus one standard deviation, divided by the ratio of
         the window's mean to the peak. The result is the lowest floor among the windows in use.
@@ -491,8 +491,8 @@ def confirmed_force(
 def _onset_of_mean(samples: list[_Sample], along: Vec2) -> int:
     """Return the stamp of the onset of a pulse that a window mean has detected.
 
-    Half of the present force is subtracted from each force. The reduced forces are summed from each stamp to
-    the newest. The stamp with the largest sum is the onset.
+    Half of the mean of the newest forces is subtracted from each force. The reduced forces are summed from
+    each stamp to the newest. The stamp with the largest sum is the onset.
     """
     forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
     rest = 0.5 * sum(forces[-_BEFORE:]) / min(len(forces), _BEFORE)

@@ -21,12 +21,12 @@ from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
 
 Momenta = deque[tuple[int, float, float, float]]
 
-_STEP_US: Final = 50_000  # longer than an IMU tick, shorter than the estimate's oscillations
+_STEP_US: Final = 50_000  # step: longer than an IMU tick, shorter than the estimate's oscillations
 _NEAR, _FAR = 6, 12  # steps: the acceleration is the mean from 0.6 s to 0.3 s ago
 _HIGH_PASS_S: Final = 0.5
 _MEMORY_S: Final = 4.0  # time constant of the sums: one manoeuvre
-_JUMP_M_S: Final = 0.15  # a larger change in one step is an estimator reset, which other rules detect
-# A pose acts on the output through two filters, so the regression yields this share of the delay.
+_JUMP_M_S: Final = 0.15  # change in one step above which it is an estimator reset, which other rules detect
+# A pose acts on the output through two filters, so the regression yields this fraction of the delay.
 _SHARE: Final = 0.75
 # Required acceleration in memory, (m/s2)^2 s, and required correlation. Poses correct the effect of
 # accelerometer noise late, which looks like an estimate that lags, with correlations of up to 0.7

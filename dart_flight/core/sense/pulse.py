@@ -1,6 +1,6 @@
 """Peaks of a contact, from a fit of the contact model's pulse to the IMU readings (docs/force.md).
 
-The contact model is a damped oscillator that the vehicle's own thrust drives. The coefficients of the contact
+The contact model is a damped oscillator driven by the vehicle's own thrust. The coefficients of the contact
 are k, f and mu, and m is the vehicle's mass. B is the force that pushes towards the wall, and C is the slope
 of the normal force at the onset. With sigma = f/(2m) and w^2 = k/m, the normal force F obeys
 
@@ -13,15 +13,14 @@ no correction. The anti-alias filter delays the pulse by its lag and lowers the 
 only if the model is below the bound. Friction is -mu F v_t, and the tangential velocity v_t decays with the
 impulse. The mean friction over a tick follows from the change of v_t.
 
-The impact detector uses this module once per impact, for some tens of samples. It needs scalar floats only.
+The impact detector uses this module once per impact, for some tens of samples. The module has its own closed
+form and Gauss-Newton steps in scalar floats, because the core's step may not wait for array functions.
 """
 
 from __future__ import annotations
 
 import math
 from typing import Final, NamedTuple
-
-from dart_flight.base.linear_algebra import Rows, solve
 
 _MAX_BINS: Final = 13
 _STEPS: Final = 8
@@ -144,7 +143,7 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 
 
 class _Ends:
-    """The pulse at the end of a reading: force, impulse for a slope of 1, impulse, impulse's derivative.
+    """The pulse at the end of a reading: force, impulse for a slope of 1, impulse, and its derivative.
 
     The derivative is with respect to the log frequency. It is a finite difference between two frequencies
     whose logarithms differ by 1e-4, with the same damping and decay. Each frequency's constants are computed
@@ -182,7 +181,7 @@ class _PulseFit:
         self.slope = 0.0
         self.omega = min(_MAX_OMEGA, max(_MIN_OMEGA, prior.omega))
         self.sigma = min(prior.sigma, 0.7 * self.omega)
-        self._curvature: Rows = []  # lower triangle of the normal equations
+        self._curvature: list[list[float]] = []  # lower triangle of the normal equations
         self._gradient: list[float] = []
         self._used, self._squares = 0, 0.0  # readings that constrain the fit, and their squared residuals
 
@@ -195,7 +194,7 @@ class _PulseFit:
         cost = self._linearise()
         for _ in range(_STEPS):
             try:
-                step = solve(self._curvature, self._gradient)
+                step = _solve(self._curvature, self._gradient)
             except ValueError:
                 return False
             before = (self.start, self.slope, self.omega)
@@ -232,7 +231,7 @@ class _PulseFit:
         return p, c
 
     def _linearise(self) -> float:
-        """Return the cost at the present parameters and store the normal equations."""
+        """Return the cost at the current parameters and store the normal equations."""
         start, slope, omega, sigma, push = self.start, self.slope, self.omega, self.sigma, self._push
         ends = _Ends(omega, sigma, push, slope)
         cost = squares = 0.0
@@ -282,7 +281,7 @@ class _PulseFit:
         dw = (push * gp + slope * gs - peak) / 1e-4
         freedom = self._used
         try:
-            _, x, y = solve(self._curvature, [0.0, fs, dw])
+            _, x, y = _solve(self._curvature, [0.0, fs, dw])
         except ValueError:
             return None  # no reading limits the peak
         variance = (fs * x + dw * y) * max(1.0, self._cost / max(1, freedom - 3))
@@ -301,6 +300,29 @@ class _PulseFit:
             sigma_n=math.sqrt(max(0.0, variance)),
             misfit=self._cost / max(1, freedom - 3),
         )
+
+
+def _solve(h: list[list[float]], g: list[float]) -> list[float]:
+    """Return H^-1 g by Cholesky, for the lower triangle of H; ValueError if H is not positive definite."""
+    n = len(g)
+    low = [[0.0] * n for _ in range(n)]
+    for i, row in enumerate(low):
+        for j in range(i + 1):
+            s = h[i][j]
+            for p in range(j):
+                s -= row[p] * low[j][p]
+            if i == j:
+                if not s > 0.0:
+                    raise ValueError("the matrix is not positive definite")
+                row[i] = math.sqrt(s)
+            else:
+                row[j] = s / low[j][j]
+    y = [0.0] * n
+    for i in range(n):
+        y[i] = (g[i] - sum(low[i][p] * y[p] for p in range(i))) / low[i][i]
+    for i in range(n - 1, -1, -1):
+        y[i] = (y[i] - sum(low[p][i] * y[p] for p in range(i + 1, n))) / low[i][i]
+    return y
 
 
 # --- friction --------------------------------------------------------------------------------------

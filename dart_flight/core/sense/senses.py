@@ -72,8 +72,8 @@ _TOUCHING: Final = Sensed(in_contact=True)
 class Senses:
     """State, estimators and impact detector, updated together.
 
-    The detector is active only while `ExpectedContact.watching` is set. All users of a force estimate have it
-    from here, so another estimator is constructed here (docs/extending.md).
+    The detector is active only while `ExpectedContact.watching` is set. Every user of a force estimate gets
+    it from this class, so another estimator is constructed here (docs/extending.md).
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:

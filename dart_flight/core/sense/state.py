@@ -26,14 +26,13 @@ from dart_flight.base.records import (
     StatusText,
     Tick,
 )
+from dart_flight.base.stamps import LEAP_US, LeapFilter
 
 _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
-_TEXT_AGE_US: Final = 15_000_000  # PX4's older texts are not given as reasons
+_TEXT_AGE_US: Final = 15_000_000  # age above which PX4's texts are not given as reasons
 _MAX_REASONS: Final = 6
-_LEAP_US: Final = 1_000_000
-_FURTHEST_M: Final = 1e5  # larger positions in PX4's local frame are implausible
+_FURTHEST_M: Final = 1e5  # limit of a plausible position in PX4's local frame
 _FASTEST_M_S: Final = 1e3
-_FASTEST: Final = 20  # speed of the fastest simulation, simulated seconds per second
 _LEAPS_ACCEPTED: Final = 25
 _VELOCITIES_KEPT_US: Final = 1_000_000
 
@@ -43,8 +42,8 @@ class FlightState:
 
     `now_us` is the estimate of the autopilot's time: the newest stamp, or the host's time plus the clock
     offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick. Without a
-    lock, `lock` is settled and rigid. An `update_` that returns False has discarded the sample, whose stamp
-    does not increase or which is implausible.
+    lock, `lock` is settled and rigid. An `update_` method returns False if it has discarded the sample,
+    because the stamp does not increase or the sample is implausible.
     """
 
     def __init__(self, has_lock: bool = True) -> None:
@@ -71,7 +70,9 @@ class FlightState:
         self.tilt_rad = 0.0
         self._velocities: deque[tuple[int, Vec3]] = deque()
         self._stamp_us = self._stamped_us = 0  # stamp and receipt of the newest accepted sample
-        self._ahead: dict[str, int] = {}  # samples in a row that are too far ahead, by stream
+        self._leap_filters = {
+            name: LeapFilter(_LEAPS_ACCEPTED) for name in ("imu", "attitude", "odometry", "actuator")
+        }
         self.health: HealthReport | None = None
         self._px4_texts: dict[str, int] = {}  # PX4's last warnings or worse, oldest first, with their times
         self._found_on_link: dict[str, int] = {}  # the same for this program's warnings about the link
@@ -176,7 +177,7 @@ class FlightState:
         if self.clock_offset_us is not None:
             now_us = self.host_us + self.clock_offset_us
             if self._stamp_us:  # limit the advance, because the offset may be another vehicle's
-                now_us = min(now_us, self._stamp_us + self.host_us - self._stamped_us + _LEAP_US)
+                now_us = min(now_us, self._stamp_us + self.host_us - self._stamped_us + LEAP_US)
             self.now_us = max(self.now_us, now_us)
 
     def update_clock(self, sample: ClockOffset) -> None:
@@ -213,11 +214,9 @@ class FlightState:
         received_us: int,
         previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None,
     ) -> bool:
-        """Return whether a stamp is too far ahead for the elapsed time.
+        """Return whether to discard a sample whose stamp leaps.
 
-        The sample may then come from another vehicle. If the clock has really jumped, the new stamps are
-        accepted after some consecutive samples. The first sample of a stream is compared with the newest
-        sample of the other streams.
+        The first sample of a stream is compared with the newest sample of the other streams.
         """
         if previous is not None:
             ahead_us, elapsed_us = t_us - previous.t_us, received_us - previous.received_us
@@ -225,15 +224,7 @@ class FlightState:
             ahead_us, elapsed_us = t_us - self._stamp_us, received_us - self._stamped_us
         else:
             return False
-        if ahead_us <= _LEAP_US or ahead_us <= _LEAP_US + _FASTEST * elapsed_us:
-            if self._ahead:
-                self._ahead.pop(stream, None)
-            return False
-        self._ahead[stream] = self._ahead.get(stream, 0) + 1
-        if self._ahead[stream] < _LEAPS_ACCEPTED:
-            return True
-        del self._ahead[stream]
-        return False
+        return self._leap_filters[stream].rejects(ahead_us, elapsed_us)
 
     def _advance_time(self, t_us: int, received_us: int) -> None:
         self._stamp_us, self._stamped_us = t_us, received_us
@@ -244,7 +235,7 @@ class FlightState:
     # -- derived --
 
     def anchor(self, frame: MissionFrame) -> None:
-        """Set the mission frame, and convert the present positions, velocities and yaw."""
+        """Set the mission frame, and convert the current positions, velocities and yaw."""
         self.frame = frame
         if self.odometry is not None:
             self.position = frame.point_from_ned(self.odometry.position_ned)
@@ -253,7 +244,7 @@ class FlightState:
             self.yaw = frame.yaw_from_ned(yaw_ned_of(self.attitude.q_frd_to_ned))
 
     def position_at(self, t_us: int) -> Vec3:
-        """Extrapolate the position to a stamp, mission frame, from odometry at constant velocity."""
+        """Extrapolate the last odometry position (mission frame) to `t_us` at constant velocity."""
         if self.odometry is None:
             return self.position
         return add(self.position, scale(self.velocity, (t_us - self.odometry.t_us) * 1e-6))
@@ -266,7 +257,7 @@ class FlightState:
         return self.velocity
 
     def mean_velocity(self, over_s: float) -> Vec3:
-        """Return the mean odometry velocity of the last `over_s`, at most 1 s, mission frame.
+        """Return the mean odometry velocity (mission frame) over the last `over_s`, at most 1 s.
 
         PX4's velocity estimate follows accelerometer vibration. Use this mean to test whether the vehicle is
         slow.
@@ -286,7 +277,7 @@ class FlightState:
         """Return the reasons why PX4 does not act, from faults found on the link and PX4's own texts.
 
         The result is empty, or text to append such as "; PX4 reports: No offboard signal". If there is no
-        other reason, it is PX4's answer to the refused `command`.
+        other reason, the result is PX4's answer to the refused `command`.
         """
         own = self._recent(self._found_on_link)
         here = "; " + ", ".join(own) if own else ""

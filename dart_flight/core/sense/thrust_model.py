@@ -19,7 +19,7 @@ from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 
 Each = tuple[float, ...]  # one value per motor
 
-# `auto` uses no slower telemetry, because switching between sources would resemble forces.
+# `auto` uses no slower telemetry, because switching between sources would look like forces.
 _ESC_PERIOD_US: Final = 20_000
 _PENDING: Final = 16  # commands ahead of the IMU: a few ticks at most
 

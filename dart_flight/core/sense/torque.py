@@ -22,14 +22,14 @@ from dart_flight.core.sense.angular_motion import AngularMotion
 from dart_flight.core.sense.thrust_model import Each
 
 _NOISE_TIME_S: Final = 0.5
-_THIRD: Final = 1.0 / 3.0  # one difference doubles the variance of white noise; a second makes it 6 times
-_ADDED: Final = 1e-10  # increment of the variance with every sample, N2 m2
+_THIRD: Final = 1.0 / 3.0  # one difference doubles the variance of white noise; a second one makes it sixfold
+_ADDED: Final = 1e-10  # increment of the variance per sample, N2 m2
 _SLOW_S: Final = 1.0  # time constant of the constant torque
 _MAX_SLOW_NM: Final = 0.3  # limit of the constant torque
 
 
 class TorqueEstimator:
-    """Estimator of the external torque; it needs two IMU samples that shortly follow each other."""
+    """Estimator of the external torque; it needs two IMU samples in close succession."""
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._inertia = vehicle.airframe.inertia_kg_m2
@@ -44,7 +44,7 @@ class TorqueEstimator:
     def estimate(
         self, t_us: int, turning: AngularMotion, each_n: Each | None, scale: float, learns: bool
     ) -> TorqueEstimate | None:
-        """Return the torque at an IMU sample, N m, FRD, or None if no sample shortly precedes it.
+        """Return the torque at an IMU sample, N m, FRD, or None without a recent previous sample.
 
         Args:
             turning: angular motion, already updated with the sample.

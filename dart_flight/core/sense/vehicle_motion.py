@@ -20,7 +20,7 @@ from dart_flight.core.sense.bias import HoverBias
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust_model import ThrustModel
 
-_ATTITUDE_REACH_US: Final = 60_000  # older attitudes are not extrapolated
+_ATTITUDE_REACH_US: Final = 60_000  # largest age of an attitude that is extrapolated
 _HISTORY: Final = 32
 _MOMENTA: Final = 40  # momenta kept: 0.16 s
 _MOMENTUM_GAP_S: Final = 0.05
@@ -35,8 +35,8 @@ class VehicleMotion:
         dt_s: time since the previous IMU sample.
         thrust_n: thrust averaged over the tick, corrected by the scale that `hover` has learnt.
         up: direction of the thrust, mission frame.
-        residual_n: mass times specific force, minus thrust, mission frame. Drag and external force are its
-            causes. The bias from hover is removed.
+        residual_n: mass times specific force, minus thrust, mission frame: drag and external force. The bias
+            from hover is removed.
         momenta: integral of mass times specific force since the start, mission frame, N s. Each entry has a
             stamp and belongs to one of the last samples; a gap in the stream discards the older entries.
             Hover bias is removed from the specific force; gravity is not.
@@ -115,7 +115,7 @@ class VehicleMotion:
         self.momenta.append((t_us, px, py, pz + (rz + thrust_n * up[2]) * step_s))
 
     def _attitude_at(self, t_us: int, rate_frd: Vec3) -> Quaternion | None:
-        """Extrapolate the nearest stored attitude by the gyro's rate; return None if there is none near."""
+        """Extrapolate the nearest stored attitude by the gyro's rate; return None if none is recent."""
         best: AttitudeSample | None = None
         away = _ATTITUDE_REACH_US
         for sample in reversed(self._attitudes):

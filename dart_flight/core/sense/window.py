@@ -15,7 +15,8 @@ from typing import Final
 from dart_flight.base.filters import VarianceEstimate
 from dart_flight.base.geometry import Vec2
 
-# Time constants of two variances. The larger variance counts, so that noise counts at once and decays slowly.
+# Time constants of two variances. The larger variance counts, so that noise counts immediately and decays
+# slowly.
 _QUICK_S: Final = 0.5
 _SLOW_S: Final = 5.0
 _MIN_N2: Final = 1e-4
@@ -72,7 +73,7 @@ class WindowMean:
         self.mean = (x / n, y / n)
 
     def learn(self, dt_s: float) -> None:
-        """Update the noise from the present mean and the mean one window earlier (not during contacts)."""
+        """Update the noise from the current mean and the mean one window earlier (not during contacts)."""
         past, pending, mean = self._past, self._pending, self.mean
         if len(past) == past.maxlen:
             (x, y), (before_x, before_y) = mean, past[0]
@@ -95,7 +96,7 @@ class WindowMean:
 
 
 def half_sine_share(samples: int, duration_s: float, period_s: float) -> float:
-    """Return the share of a half-sine's height that the largest mean of `samples` reaches in the worst case.
+    """Return the worst-case ratio of the largest mean of `samples` to the height of a half-sine.
 
     In the worst case, the centre of the window lies half a sampling period off the middle of the half-sine.
     The result is the closed form of a sum of equally spaced sines.

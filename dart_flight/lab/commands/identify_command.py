@@ -115,7 +115,7 @@ def run(arguments: argparse.Namespace) -> int:
         source = done.flown.source
     print_vehicle(source, arguments, flown=done.flown is not None)
     print_status(*found.notes)
-    for line in found.fit.says:
+    for line in found.fit.messages:
         messages().print(line, style="red", soft_wrap=True)
     # Print the result first, in case a file cannot be written.
     if arguments.json:

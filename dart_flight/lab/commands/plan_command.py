@@ -273,6 +273,6 @@ def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
         if arguments.plot is not None:
             write_picture(planned_mission(offered.scenario, offered.plan), arguments.plot)
     if arguments.json:
-        found = {"flown": choice.flown, "says": choice.says, "refused": choice.refused}
+        found = {"flown": choice.flown, "messages": choice.messages, "refused": choice.refused}
         emit_json({**plan_summary(result), **found})
     return status or (0 if offered.plan is not None else 1)

@@ -135,13 +135,12 @@ class FitQuality(NamedTuple):
     Attributes:
         good: False if a residual exceeds its limit in `expected`; None if nothing can be assessed.
         expected: quantity -> largest residual of a good fit, in the unit of the quantity.
-        says: a sentence for each quantity whose residual exceeds its limit; the sentence also states what to
-            check.
+        messages: a sentence for each quantity whose residual exceeds its limit, and what to check.
     """
 
     good: bool | None
     expected: dict[str, float]
-    says: list[str]
+    messages: list[str]
 
 
 class Identification(NamedTuple):

@@ -4,8 +4,8 @@ Every trial is first measured as a whole, without a contact law: incoming and ou
 duration. Then `solver` fits the law and computes the intervals:
 
 - to the samples of all trials jointly (`sample_fit`), if enough position samples show the contact;
-- to the measurements of whole hits (`hit_fit`), if the law misses the samples by several times the noise, or
-  if the trials recorded only speeds or only an accelerometer.
+- to the measurements of whole hits (`impact_fit`), if the law misses the samples by several times the noise,
+  or if the trials recorded only speeds or only an accelerometer.
 
 A coefficient that the data do not determine is None.
 """
@@ -19,7 +19,7 @@ from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate, Identification, TrialFit
 from dart_flight.lab.identify.fit_quality import assess_fit, expected_residuals, hold_out
-from dart_flight.lab.identify.hit_fit import fit_hits
+from dart_flight.lab.identify.impact_fit import fit_impacts
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.problem import LawProblem
 from dart_flight.lab.identify.sample_result import SampleResult, fit_samples
@@ -93,7 +93,7 @@ def _coefficients(
         bad = not known or max(known) >= _PREDICTS
     found = dict.fromkeys(_COEFFICIENTS) if sampled is None else dict(sampled)
     if sampled is None or bad:
-        whole, more = fit_hits(problem)
+        whole, more = fit_impacts(problem)
         notes += [f"{mode}: {note}" for note in more]
         if any(e is not None for e in whole.values()):
             found |= whole

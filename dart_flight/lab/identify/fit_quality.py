@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.estimates import Errors, Estimate, FitQuality, HeldOut
-from dart_flight.lab.identify.hit_fit import HitFit
+from dart_flight.lab.identify.impact_fit import ImpactFit
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.problem import LawProblem, median
 from dart_flight.lab.identify.recorded_impact import noise_of
@@ -163,7 +163,7 @@ def _errors(
 
 
 def _by_law(known: LawProblem, held: LawProblem) -> tuple[Array, Array]:
-    fit = HitFit(known)
+    fit = ImpactFit(known)
     k, f = np.exp(fit.solve(fit.start))
     predicted = held.predict(k, f)
     return predicted.peak_normal_force_n, predicted.normal_out_m_s

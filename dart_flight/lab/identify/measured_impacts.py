@@ -83,7 +83,10 @@ def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
 
 
 class _FreeFlightFit:
-    """A parabola fitted to free flight on one side of a contact, robust to outliers."""
+    """A parabola fitted to free flight on one side of a contact, robust to outliers.
+
+    The fit is linear, so each reweighting has a closed solution and needs no solver.
+    """
 
     def __init__(self, time: Array, value: Array, about_s: float, bend: float, bend_sd: float) -> None:
         self.about_s = about_s

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.contact.coefficients import Array, CoefficientArrays
-from dart_flight.contact.contact_map import WallHit, contact_map
+from dart_flight.contact.contact_map import WallContact, contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Errors, Estimate
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
@@ -58,7 +58,7 @@ class LawProblem:
         informative = known[:3].any(axis=0)
         return bool(2 * informative.sum() >= informative.size and known.sum() >= 2)
 
-    def predict(self, k: float, f: float) -> WallHit[Array]:
+    def predict(self, k: float, f: float) -> WallContact[Array]:
         """Return the outcome of the hits by the law, without friction and vertical force."""
         zero = np.zeros_like(self.speed_in)
         push = self.acceleration if self.acceleration.any() else None

@@ -92,7 +92,7 @@ def _own_unknowns(trial: Trial, pushed: bool) -> list[str]:
     return names
 
 
-class FittedHit:
+class FittedImpact:
     """A hit in a fit of samples.
 
     Attributes:
@@ -249,12 +249,12 @@ class SampleFit(LawFit):
             for m, mode in enumerate(problem.by_mode())
         }
         self.size = 1 + 4 * len(self.modes)
-        self.hits: list[FittedHit] = []
+        self.hits: list[FittedImpact] = []
         for hit in problem.hits:
             own = {name: self.size + i for i, name in enumerate(_own_unknowns(hit.trial, pushed))}
             self.size += len(own)
             at = {"plane": 0, **self.modes[hit.trial.mode], **own}
-            self.hits.append(FittedHit(hit, at, problem))
+            self.hits.append(FittedImpact(hit, at, problem))
         position = float(np.median([hit.turn.noise_m for hit in problem.hits if hit.turn is not None]))
         self.sd = dict.fromkeys(_POSITIONS, max(position, 1e-5)) | _FIRST_SD
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
@@ -267,10 +267,10 @@ class SampleFit(LawFit):
             fitted.bound(low, high)
         self.bounds = low, high
 
-    def of_mode(self, mode: str) -> list[FittedHit]:
+    def of_mode(self, mode: str) -> list[FittedImpact]:
         return [fitted for fitted in self.hits if fitted.trial.mode == mode]
 
-    def _block(self, theta: Array, fitted: FittedHit) -> Array:
+    def _block(self, theta: Array, fitted: FittedImpact) -> Array:
         """Return the weighted residuals of a hit."""
         errors = fitted.errors(theta)
         return np.concatenate(

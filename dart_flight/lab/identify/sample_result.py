@@ -12,7 +12,7 @@ from dart_flight.lab.identify.estimates import Estimate, SetAside, TrialFit
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.problem import LawProblem
 from dart_flight.lab.identify.recorded_impact import noise_of
-from dart_flight.lab.identify.sample_fit import PUSHES, FittedHit, SampleFit
+from dart_flight.lab.identify.sample_fit import PUSHES, FittedImpact, SampleFit
 from dart_flight.lab.identify.solver import stiffness_and_damping
 
 _MIN_IN_CONTACT = 4
@@ -152,7 +152,7 @@ def _vertical(fit: SampleFit, halves: Array, mode: str) -> tuple[Estimate | None
     return Estimate.about(value, half, 0.0), side
 
 
-def _misfit(fitted: FittedHit, errors: dict[str, Array]) -> tuple[float | None, str]:
+def _misfit(fitted: FittedImpact, errors: dict[str, Array]) -> tuple[float | None, str]:
     """Return the ratio of residual in contact to noise for the worst channel, and its name."""
     worst: float | None = None
     channel = ""
@@ -168,7 +168,7 @@ def _misfit(fitted: FittedHit, errors: dict[str, Array]) -> tuple[float | None, 
     return worst, channel
 
 
-def _trial_fit(fitted: FittedHit, theta: Array, misfit: float | None) -> TrialFit:
+def _trial_fit(fitted: FittedImpact, theta: Array, misfit: float | None) -> TrialFit:
     at, channels = fitted.at, fitted.window.values()
     before, after = (float(theta[at[f"n_{when}"]]) if "n_after" in at else 0.0 for when in PUSHES)
     return TrialFit.from_hit(fitted.hit)._replace(

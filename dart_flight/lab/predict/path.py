@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.law import Onset
-from dart_flight.contact.oscillator import begin_contact, find_contact_times, motion
+from dart_flight.contact.oscillator import begin_contact, find_contact_times
 
 # Integrals over a contact are Chebyshev series in y, with t = end (1 + tanh(c y)/tanh(c))/2. The nodes are
 # dense at both ends, where the vertical force changes within a thousandth of the contact. With 80 terms the
@@ -147,12 +147,8 @@ class ContactMotion:
         if not self.has_contact:
             still = np.zeros_like(t)
             return self.onset_m + (self.normal_m_s + 0.5 * a * t) * t, self.normal_m_s + a * t, still
-        c = self._course
-        phi, _, xi1 = motion(c, self._omega * np.clip(t, 0.0, self.end_s))
+        position, speed, force = self._course.at(self._omega * np.clip(t, 0.0, self.end_s))
         inside = (t >= 0.0) & (t <= self.end_s)
-        position = c.speed / c.omega * (c.alpha - phi - 2.0 * c.zeta * xi1)
-        speed = c.speed * xi1
-        force = c.mass * c.speed * c.omega * np.maximum(phi - c.alpha, 0.0)
         free = np.where(inside, 0.0, np.where(t < 0.0, t, t - self.end_s))
         return position + (speed + 0.5 * a * free) * free, speed + a * free, np.where(inside, force, 0.0)
 
@@ -161,10 +157,7 @@ class ContactMotion:
         t = np.asarray(time_s, dtype=float)
         if not self.has_contact:
             return np.zeros_like(t)
-        c = self._course
-        tau = self._omega * np.clip(t, 0.0, self.end_s)
-        impulse: Array = np.maximum(c.mass * c.speed * (motion(c, tau)[2] + c.u - c.alpha * tau), 0.0)
-        return impulse
+        return self._course.impulse(self._omega * np.clip(t, 0.0, self.end_s))
 
     def slip(self, time_s: ArrayLike) -> Array:
         """Return the velocity along the wall, as a fraction of its value at the onset."""
@@ -212,8 +205,8 @@ class ContactMotion:
         return force / (1.0 + force) / self.mass_kg
 
 
-class HitHistory(NamedTuple):
-    """A hit with the free flight before and after it, in the collision frame; arrays (n,).
+class ContactHistory(NamedTuple):
+    """A contact with the free flight before and after it, in the collision frame; arrays (n,).
 
     Attributes:
         time_s: time since the onset of the contact.
@@ -235,7 +228,7 @@ class HitHistory(NamedTuple):
 
 def trajectory(
     contact: ContactMotion, time_s: ArrayLike, tangential_m_s: float = 0.0, vertical_sign: int = -1
-) -> HitHistory:
+) -> ContactHistory:
     """Evaluate a hit at times since the onset, (n,), which may be negative.
 
     Args:
@@ -247,7 +240,7 @@ def trajectory(
     slide, slip = contact.slide(t), contact.slip(t)
     lift, rise = contact.lift(t), contact.rise(t)
     c = contact.coefficients
-    return HitHistory(
+    return ContactHistory(
         time_s=t,
         normal_m=x,
         tangential_m=tangential_m_s * slide,

@@ -143,18 +143,22 @@ def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
 
 
 def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
-    """Return a text that names the first key in which two missions of the same name differ.
+    """Return a text that names the first value in which two missions of the same name differ.
 
-    The text is empty if the missions have different names or if no key differs.
+    The text is empty if the missions have different names.
     """
     if first.verdict.mission != other.verdict.mission:
         return ""
     there, here = (
-        {dotted(key): value for key, value in iterate_leaves(flight.mission.to_dict(), in_lists=True)}
+        {
+            dotted(key): value
+            for key, value in iterate_leaves(msgspec.to_builtins(flight.mission), in_lists=True)
+            if key[0] not in ("source", "vehicle", "vehicle_source", "written")
+        }
         for flight in (first, other)
     )
     for key in there | here:
-        if not key.startswith("vehicle") and there.get(key) != here.get(key):
+        if there.get(key) != here.get(key):
             return (
                 f" (the names agree, but {key} is {here.get(key)} in this flight's mission and "
                 f"{there.get(key)} in the other mission)"

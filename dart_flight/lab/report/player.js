@@ -97,12 +97,6 @@
     svg("rect", pattern, {width: 6, height: 6, class: "wallface"});
     svg("path", pattern, {d: "M0 0V6", class: "hatch"});
   };
-  const THICK = 120;
-  const wallCorners = (w) => {
-    const [nx, ny] = w.normal, tx = ny, ty = -nx, half = w.length / 2, [sx, sy] = w.surface;
-    return [[1, 0], [-1, 0], [-1, THICK], [1, THICK]].map(([a, b]) =>
-      [sx + a * half * tx - b * nx, sy + a * half * ty - b * ny]);
-  };
   const fixed = (v, digits) => v.toFixed(digits).replace(/^-(0\.0*)$/, "$1");
   const clamp = (v, a, b) => Math.max(a, Math.min(b, v));
   hatched(plan, "hatch-plan");
@@ -110,18 +104,21 @@
   svg("rect", plan, {x: X(bx[0]), y: Y(by[1]), width: k * (bx[1] - bx[0]), height: k * (by[1] - by[0]),
                      class: "bounds"});
   for (const w of D.room.walls) {
-    const corners = wallCorners(w), [nx, ny] = w.normal, tx = ny, ty = -nx, half = w.length / 2;
-    svg("path", plan, {d: line(corners.map(([x, y]) => [X(x), Y(y)])) + "Z", fill: "url(#hatch-plan)"});
-    svg("path", plan, {d: line(corners.slice(0, 2).map(([x, y]) => [X(x), Y(y)])), class: "surface"});
-    svg("path", plan, {d: line([-1, 1].map((a) => [X(w.plane[0] + a * half * tx), Y(w.plane[1] + a * half * ty)])),
-                       class: "plane"});
-    const upright = Math.abs(nx) > Math.abs(ny);
+    const corners = w.outline.map(([x, y]) => [X(x), Y(y)]), left = least(corners.map((p) => p[0]));
+    svg("path", plan, {d: line(corners) + "Z", fill: "url(#hatch-plan)"});
+    svg("path", plan, {d: line(corners.slice(0, 2)), class: "surface"});
+    svg("path", plan, {d: line(w.plane.map(([x, y]) => [X(x), Y(y)])), class: "plane"});
+    const upright = Math.abs(w.normal[0]) > Math.abs(w.normal[1]);
     // The name is on the visible part of the wall.
-    const px = upright ? X(w.surface[0] - nx * THICK / 2) : clamp(X(w.surface[0]), X(w.surface[0] - half) + 40, W - 60);
-    const py = upright ? clamp(Y(w.surface[1]), 60, H - 60) : Y(w.surface[1] - ny * THICK / 2);
+    const [mx, my] = [X(w.label[0]), Y(w.label[1])];
+    const px = upright ? mx : clamp(mx, left + 40, W - 60), py = upright ? clamp(my, 60, H - 60) : my;
     svg("text", plan, {x: px, y: py, class: "name", "text-anchor": "middle", "dominant-baseline": "central",
-                       transform: upright ? `rotate(90 ${px} ${py})` : ""},
-        w.name === w.material ? w.name : `${w.name} (${w.material})`);
+                       transform: upright ? `rotate(90 ${px} ${py})` : ""}, w.name);
+  }
+  for (const p of D.room.posts) {
+    const [cx, cy] = [X(p.at[0]), Y(p.at[1])], r = k * p.radius;
+    svg("circle", plan, {cx, cy, r, fill: "url(#hatch-plan)", class: "surface"});
+    svg("text", plan, {x: cx, y: cy - r - 8, class: "name", "text-anchor": "middle"}, p.name);
   }
   for (const way of D.planned) {
     svg("path", plan, {d: line(way.map(([x, y]) => [X(x), Y(y)])), class: "planned"});
@@ -150,8 +147,7 @@
   const taken = [];
   const badges = D.hits.map((h) => {
     const g = svg("g", plan, {class: "badge"});
-    const wall = D.room.walls.find((w) => w.name === h.wall);
-    const [nx, ny] = wall ? wall.normal : [0, 1];
+    const [nx, ny] = h.normal;
     // Behind the wall, without covering earlier badges.
     let x = X(h.at[0] - 430 * nx), y = Y(h.at[1] - 430 * ny);
     while (taken.some(([a, b]) => Math.hypot(a - x, b - y) < 19)) { x += 19 * Math.abs(ny); y += 19 * Math.abs(nx); }
@@ -247,10 +243,12 @@
   const side = makeSide(beside);
   hatched(side, "hatch-side");
   for (const w of D.room.walls) {
-    const x = wallCorners(w).map((p) => X(p[0]));
-    const [a, b] = [least(x), most(x)];
-    svg("rect", side, {x: a, y: 0, width: b - a, height: Z(0),
+    const x = w.outline.map((p) => X(p[0]));
+    svg("rect", side, {x: least(x), y: 0, width: most(x) - least(x), height: Z(0),
                        ...(Math.abs(w.normal[0]) > 0.5 ? {fill: "url(#hatch-side)"} : {class: "behind"})});
+  }
+  for (const p of D.room.posts) {
+    svg("rect", side, {x: X(p.at[0] - p.radius), y: 0, width: 2 * k * p.radius, height: Z(0), class: "behind"});
   }
   svg("path", side, {d: line([[M, Z(0)], [W, Z(0)]]), class: "surface"});
   for (const z of D.room.bounds[2]) svg("path", side, {d: line([[M, Z(z)], [W, Z(z)]]), class: "bounds"});

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from dart_flight.base.geometry import Vec2
+from dart_flight.base.geometry import Vec2, Vec3
 from dart_flight.base.records import Mode, PhaseChange
-from dart_flight.config.mission import Mission
 from dart_flight.lab.flight_arrays import Array, ForceArrays, MotionArrays
-from dart_flight.lab.map_model import arms_m
+from dart_flight.lab.map_model import DrawnWall, RoomMap, arms_m, named_material, room_map
 from dart_flight.lab.report.recorded_flight import Impact, RecordedFlight
 from dart_flight.lab.report.tracks import (
     Angles,
@@ -28,6 +27,7 @@ _FINE_BEFORE_S, _FINE_AFTER_S = 0.2, 0.5
 _FORCE_BEFORE_S, _FORCE_AFTER_S = 0.1, 0.35  # interval around a hit in which every sample is kept
 _FORCE_STEP_S = 0.05
 _PLANNED_STEP_M = 0.03
+_NAME_IN_FRONT_M = 0.1
 
 
 def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
@@ -49,7 +49,7 @@ def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
             "guards": [_mm(guard) for guard in mission.vehicle.airframe.guards_m],
             "arms": [_mm(arm) for arm in arms_m(mission.vehicle.airframe)],
         },
-        "room": _room(mission),
+        "room": _room(room_map(mission)),
         "planned": [_mm(_thinned(line)) for line in flight.planned_lines()],
         "hits": [_hit(impact) for impact in flight.impacts],
         "guard": [
@@ -147,6 +147,7 @@ def _hit(impact: Impact) -> dict[str, Any]:
         "t": _ms(impact.at_s),
         "n": impact.verdict.index,
         "wall": impact.verdict.wall,
+        "normal": [round(v, 5) for v in impact.collision.wall.normal],
         "mode": impact.verdict.mode,
         "at": _mm([(x, y)])[0],
         "z": round(1e3 * z),
@@ -154,25 +155,32 @@ def _hit(impact: Impact) -> dict[str, Any]:
     }
 
 
-def _room(mission: Mission) -> dict[str, Any]:
-    b = mission.bounds
+def _room(shown: RoomMap) -> dict[str, Any]:
+    b = shown.bounds
     return {
         "bounds": [[round(1e3 * v) for v in axis] for axis in (b.x, b.y, b.z)],
-        "start": _mm([mission.start])[0],
-        "goal": _mm([mission.goal.position_m])[0],
-        "capture": round(1e3 * mission.goal.capture_radius_m),
+        "start": _mm([shown.start])[0],
+        "goal": _mm([shown.goal])[0],
+        "capture": round(1e3 * shown.capture_radius_m),
         "walls": [
             {
                 "name": wall.name,
-                "material": wall.material,
-                "surface": _mm([mission.vehicle.airframe.wall_surface(wall).point])[0],
-                "plane": _mm([wall.point])[0],
-                "normal": [round(v, 5) for v in wall.normal],
-                "length": round(1e3 * wall.length_m),
+                "outline": _mm(wall.outline),
+                "plane": _mm(wall.plane.ends),
+                "label": _mm([wall.surface.displaced(_name_at_m(wall)).point])[0],
+                "normal": [round(v, 5) for v in wall.plane.normal],
             }
-            for wall in mission.walls
+            for wall in shown.walls
+        ],
+        "posts": [
+            {"name": named_material(post), "at": _mm([post.centre])[0], "radius": round(1e3 * post.radius_m)}
+            for post in shown.posts
         ],
     }
+
+
+def _name_at_m(wall: DrawnWall) -> float:
+    return _NAME_IN_FRONT_M if wall.name_in_front else -0.5 * wall.thickness_m
 
 
 def _thinned(line: Array) -> list[Vec2]:
@@ -184,8 +192,8 @@ def _thinned(line: Array) -> list[Vec2]:
     return [(float(p[0]), float(p[1])) for p in [*kept, line[-1]]]
 
 
-def _mm(points: Iterable[Vec2]) -> list[list[int]]:
-    return [[round(1e3 * x), round(1e3 * y)] for x, y in points]
+def _mm(points: Iterable[Vec2 | Vec3 | Array]) -> list[list[int]]:
+    return [[round(1e3 * p[0]), round(1e3 * p[1])] for p in points]
 
 
 def _ms(time_s: float) -> int:

@@ -23,12 +23,11 @@ from dart_flight.base.records import (
     SetpointSent,
 )
 from dart_flight.contact.law import Onset
-from dart_flight.core.mission.approach import transit_segments
 from dart_flight.core.mission.planned_impact import expected_hit
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.flight_arrays import Array, FlightArrays
-from dart_flight.lab.map_model import FlatLine, at_altitude
-from dart_flight.lab.predict.path import ContactMotion, HitHistory, trajectory
+from dart_flight.lab.map_model import planned_lines
+from dart_flight.lab.predict.path import ContactHistory, ContactMotion, trajectory
 from dart_flight.lab.report.tracks import Angles, angles
 from dart_flight.planning.predicted_flight import PredictedFlight, predict_mission
 from dart_flight.recording.about import armed_span, flown_mission
@@ -92,7 +91,7 @@ class Impact:
         self.verdict, self.collision = impact, impact.collision
         self.material = self.collision.wall.material
         self.at_s = self.onset_s = flight.course.time_of(impact.t_us)
-        self.prediction: HitHistory | None = None
+        self.prediction: ContactHistory | None = None
         self.predicted = Velocities()
         self._contact_ms: float | None = None  # predicted duration of the contact
         hit = expected_hit(flight.mission, self.collision)
@@ -297,12 +296,7 @@ class RecordedFlight:
 
     def planned_lines(self) -> list[Array]:
         """Return the planned path as lines: (n, 3), mission frame, m."""
-        planned, altitude_at = self.planned, self.mission.altitude_at
-        from_rest = [
-            np.array([leg.begin, leg.end]) for leg in transit_segments(self.mission) if leg.begin is not None
-        ]
-        lines: list[tuple[int, FlatLine]] = [*planned.approaches.items(), *planned.legs.items()]
-        return [*(at_altitude(line, altitude_at(index - 1)) for index, line in lines), *from_rest]
+        return planned_lines(self.mission, self.planned)
 
 
 def _timing(course: FlightArrays) -> Timing:

@@ -29,10 +29,10 @@ from foxglove.messages import (
 
 from dart_flight.base.geometry import IDENTITY, Vec2, Vec3
 from dart_flight.base.geometry import Quaternion as Rotation
-from dart_flight.base.walls import Post, Wall
+from dart_flight.base.walls import Post
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
-from dart_flight.core.mission.approach import transit_segments
+from dart_flight.lab.map_model import DrawnWall, RoomMap, named_material, planned_lines
 from dart_flight.planning.predicted_flight import PredictedFlight
 
 MISSION, VEHICLE = "mission", "vehicle"  # names of the frames
@@ -48,7 +48,6 @@ _PROPELLER = Color(r=0.6, g=0.6, b=0.6, a=0.35)
 ARMS = {"rigid": BLUE, "flexible": ORANGE, "travelling": YELLOW, "fault": RED, "unknown": GREY}
 
 FORCE_SCALE_M_PER_N = 0.012  # 50 N are 1.5 times the vehicle's width
-_WALL_THICKNESS_M = 0.05
 _OVER_BOUNDS_M = 0.2
 _TEXT_PX = 14.0
 _LABEL_M = 0.12  # height of a label above its object
@@ -128,49 +127,47 @@ def entity(t_us: int, name: str, frame: str = MISSION, **primitives: Sequence[ob
 # --- the room ----------------------------------------------------------------------------------------------
 
 
-def room(mission: Mission, t_us: int) -> list[SceneEntity]:
-    """Return bounds, wall surfaces, posts, start and goal."""
+def room(shown: RoomMap, t_us: int) -> list[SceneEntity]:
+    """Return bounds, walls, posts, start and goal."""
     return [
-        _bounds(mission, t_us),
-        *(_wall(mission, wall, t_us) for wall in mission.flat_walls),
-        *(_post(mission, post, t_us) for post in mission.posts),
-        _goal(mission, t_us),
+        _bounds(shown, t_us),
+        *(_wall(wall, height_over(shown), t_us) for wall in shown.walls),
+        *(_post(post, height_over(shown), t_us) for post in shown.posts),
+        _goal(shown, t_us),
     ]
 
 
-def _bounds(mission: Mission, t_us: int) -> SceneEntity:
-    (x0, x1), (y0, y1), (z0, z1) = mission.bounds.x, mission.bounds.y, mission.bounds.z
+def _bounds(shown: RoomMap, t_us: int) -> SceneEntity:
+    (x0, x1), (y0, y1), (z0, z1) = shown.bounds.x, shown.bounds.y, shown.bounds.z
     corners: list[Vec2] = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     loops = [line([(x, y, z) for x, y in corners], GREY, 1.0, closed=True) for z in (z0, z1)]
     posts = [line([(x, y, z0), (x, y, z1)], GREY, 1.0) for x, y in corners]
     return entity(t_us, "bounds", lines=[*loops, *posts])
 
 
-def height_over(mission: Mission) -> float:
+def height_over(shown: RoomMap) -> float:
     """Return the height up to which walls are drawn: slightly above the bounds."""
-    return mission.bounds.z[1] + _OVER_BOUNDS_M
+    return shown.bounds.z[1] + _OVER_BOUNDS_M
 
 
-def _wall(mission: Mission, wall: Wall, t_us: int) -> SceneEntity:
-    (px, py), (nx, ny) = mission.vehicle.airframe.wall_surface(wall).point, wall.normal
-    back = 0.5 * _WALL_THICKNESS_M
-    height = height_over(mission)
+def _wall(wall: DrawnWall, height: float, t_us: int) -> SceneEntity:
+    (px, py), (nx, ny) = wall.surface.point, wall.surface.normal
+    back = 0.5 * wall.thickness_m
     yaw = math.atan2(ny, nx)
     upright = pose(
         (px - back * nx, py - back * ny, 0.5 * height), (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
     )
-    size = Vector3(x=_WALL_THICKNESS_M, y=wall.length_m, z=height)
-    label = wall.name if wall.name == wall.material else f"{wall.name} ({wall.material})"
+    size = Vector3(x=wall.thickness_m, y=wall.surface.length_m, z=height)
     return entity(
         t_us,
-        f"wall {wall.name}",
+        f"wall {wall.plane.name}",
         cubes=[CubePrimitive(pose=upright, size=size, color=_WALL)],
-        texts=[text((px - back * nx, py - back * ny, height + _LABEL_M), label)],
+        texts=[text((px - back * nx, py - back * ny, height + _LABEL_M), wall.name)],
     )
 
 
-def _post(mission: Mission, post: Post, t_us: int) -> SceneEntity:
-    (x, y), height = post.centre, height_over(mission)
+def _post(post: Post, height: float, t_us: int) -> SceneEntity:
+    x, y = post.centre
     upright = CylinderPrimitive(
         pose=pose((x, y, 0.5 * height)),
         size=Vector3(x=2.0 * post.radius_m, y=2.0 * post.radius_m, z=height),
@@ -178,55 +175,39 @@ def _post(mission: Mission, post: Post, t_us: int) -> SceneEntity:
         top_scale=1.0,
         color=_WALL,
     )
-    label = post.name if post.name == post.material else f"{post.name} ({post.material})"
-    texts = [text((x, y, height + _LABEL_M), label)]
+    texts = [text((x, y, height + _LABEL_M), named_material(post))]
     return entity(t_us, f"post {post.name}", cylinders=[upright], texts=texts)
 
 
-def _goal(mission: Mission, t_us: int) -> SceneEntity:
-    (gx, gy), radius, z = mission.goal.position_m, mission.goal.capture_radius_m, goal_altitude_m(mission)
-    size = Vector3(x=2.0 * radius, y=2.0 * radius, z=0.01)
+def _goal(shown: RoomMap, t_us: int) -> SceneEntity:
+    start, goal, width = shown.start, shown.goal, 2.0 * shown.capture_radius_m
+    size = Vector3(x=width, y=width, z=0.01)
     capture = CylinderPrimitive(
-        pose=pose((gx, gy, z)),
+        pose=pose(goal),
         size=size,
         bottom_scale=1.0,
         top_scale=1.0,
         color=Color(r=0.0, g=0.62, b=0.45, a=0.4),
     )
-    (sx, sy), above = mission.start, mission.altitude_m
-    if (sx, sy, above) == (gx, gy, z):
-        texts = [text((gx, gy, z + _LABEL_M), "start and goal")]  # two labels at one point are unreadable
-    else:
-        texts = [text((gx, gy, z + _LABEL_M), "goal"), text((sx, sy, above + _LABEL_M), "start")]
+    # Two labels at one point are unreadable.
+    names = [(goal, "start and goal")] if start == goal else [(goal, "goal"), (start, "start")]
     return entity(
         t_us,
         "start and goal",
         cylinders=[capture],
-        spheres=[ball((gx, gy, z), 0.04, GREEN), ball((sx, sy, above), 0.04, GREY)],
-        texts=texts,
+        spheres=[ball(goal, 0.04, GREEN), ball(start, 0.04, GREY)],
+        texts=[text((x, y, z + _LABEL_M), name) for (x, y, z), name in names],
     )
-
-
-def goal_altitude_m(mission: Mission) -> float:
-    """Return the altitude at the end of the flight, after every change of altitude by waypoints."""
-    return mission.altitude_at(len(mission.collisions))
 
 
 def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity:
     """Return the predicted path of the mission, with large balls at hits and small balls at waypoints."""
-    lines = [[leg.begin, leg.end] for leg in transit_segments(mission) if leg.begin is not None]
-    for index, approach in flight.approaches.items():
-        z = mission.altitude_at(index - 1)
-        lines.append([(x, y, z) for x, y in approach])
-    for index, leg in flight.legs.items():
-        z = mission.altitude_at(index - 1)
-        lines.append([(float(x), float(y), z) for x, y, *_ in leg])
     hits = [(*hit.position, mission.altitude_at(index - 1)) for index, hit in flight.hits.items()]
     stops = [w.position for w in mission.waypoints if w.position is not None]
     return entity(
         t_us,
         "planned path",
-        lines=[line(points, ORANGE, 2.0) for points in lines],
+        lines=[line(points.tolist(), ORANGE, 2.0) for points in planned_lines(mission, flight)],
         spheres=[*(ball(at, 0.05, ORANGE) for at in hits), *(ball(at, 0.03, ORANGE) for at in stops)],
     )
 

@@ -7,12 +7,13 @@ import struct
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 
+import numpy as np
 from foxglove.messages import PackedElementField, PackedElementFieldNumericType, PointCloud
 
-from dart_flight.base.geometry import Vec3
-from dart_flight.config.mission import Mission
+from dart_flight.base.geometry import Vec2, Vec3
 from dart_flight.config.vehicle import Airframe
-from dart_flight.lab.scene.drawing import goal_altitude_m, height_over, pose, timestamp
+from dart_flight.lab.map_model import RoomMap, circle
+from dart_flight.lab.scene.drawing import height_over, pose, timestamp
 
 Segment = tuple[Vec3, Vec3]
 _ROOM_STEP_M, _VEHICLE_STEP_M = 0.03, 0.01
@@ -51,29 +52,29 @@ def cloud(t_us: int, frame: str, coloured: Iterable[tuple[Iterable[Vec3], Rgb]])
     )
 
 
-def room(mission: Mission) -> list[tuple[Iterable[Vec3], Rgb]]:
-    """Return edges of the bounds, a grid on every wall's surface, and the goal's capture circle."""
-    (x0, x1), (y0, y1), (z0, z1) = mission.bounds.x, mission.bounds.y, mission.bounds.z
+def room(shown: RoomMap) -> list[tuple[Iterable[Vec3], Rgb]]:
+    """Return edges of the bounds, a grid on the surface of every wall and post, and the capture circle."""
+    (x0, x1), (y0, y1), (z0, z1) = shown.bounds.x, shown.bounds.y, shown.bounds.z
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     edges: list[Segment] = []
     for (ax, ay), (bx, by) in pairwise([*corners, corners[0]]):
         edges += [((ax, ay, z0), (bx, by, z0)), ((ax, ay, z1), (bx, by, z1)), ((ax, ay, z0), (ax, ay, z1))]
     parts: list[tuple[Iterable[Vec3], Rgb]] = [(_points(edges, _ROOM_STEP_M), GREY)]
-    height = height_over(mission)
-    for wall in mission.walls:
-        (ax, ay), (bx, by) = mission.vehicle.airframe.wall_surface(wall).ends
-        columns, rows = max(1, round(wall.length_m / _GRID_M)), max(1, round(height / _GRID_M))
-        lines: list[Segment] = []
-        for i in range(columns + 1):
-            x, y = ax + (bx - ax) * i / columns, ay + (by - ay) * i / columns
-            lines.append(((x, y, 0.0), (x, y, height)))
-        lines += [((ax, ay, height * i / rows), (bx, by, height * i / rows)) for i in range(rows + 1)]
-        parts.append((_points(lines, _ROOM_STEP_M), WALL))
-    (gx, gy), radius = mission.goal.position_m, mission.goal.capture_radius_m
-    turns = [2.0 * math.pi * i / 60 for i in range(60)]
-    z = goal_altitude_m(mission)
-    circle = [(gx + radius * math.cos(a), gy + radius * math.sin(a), z) for a in turns]
-    return [*parts, (circle, GREEN)]
+    bases = [circle(post.centre, post.radius_m)[::6] for post in shown.posts]
+    for wall in shown.walls:
+        columns = max(1, round(wall.surface.length_m / _GRID_M))
+        bases.append(np.linspace(*wall.surface.ends, columns + 1))
+    parts += [(_points(_sheet(base.tolist(), height_over(shown)), _ROOM_STEP_M), WALL) for base in bases]
+    return [*parts, (circle(shown.goal, shown.capture_radius_m).tolist(), GREEN)]
+
+
+def _sheet(base: Sequence[Vec2], height: float) -> list[Segment]:
+    """Return a grid of lines on an upright surface above a line on the ground."""
+    rows = max(1, round(height / _GRID_M))
+    segments: list[Segment] = [((x, y, 0.0), (x, y, height)) for x, y in base]
+    for z in (height * i / rows for i in range(rows + 1)):
+        segments += [((ax, ay, z), (bx, by, z)) for (ax, ay), (bx, by) in pairwise(base)]
+    return segments
 
 
 def vehicle(airframe: Airframe, arms: str) -> list[tuple[Iterable[Vec3], Rgb]]:

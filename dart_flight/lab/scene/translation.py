@@ -49,6 +49,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Servo
+from dart_flight.lab.map_model import room_map
 from dart_flight.lab.scene import drawing, outlines
 from dart_flight.lab.scene.downsampling import SCENE_US
 from dart_flight.lab.scene.scalars import ForceState, TrueForce, VehicleState
@@ -180,10 +181,11 @@ class SceneTranslator:
         (x, y) = self._mission.start if self._show_room else (0.0, 0.0)
         messages = [_transform(t_us, (x, y, 0.0), IDENTITY), *self._vehicle(t_us)]
         if self._show_room:
-            messages.append(_scene(ROOM, t_us, *drawing.room(self._mission, t_us)))
+            shown = room_map(self._mission)
+            messages.append(_scene(ROOM, t_us, *drawing.room(shown, t_us)))
             plan = drawing.planned(predict_mission(self._mission), self._mission, t_us)
             messages.append(_scene(PLAN, t_us, plan))
-            points = outlines.cloud(t_us, drawing.MISSION, outlines.room(self._mission))
+            points = outlines.cloud(t_us, drawing.MISSION, outlines.room(shown))
             messages.append(Message(OUTLINES[0], t_us, points))
         return messages
 

@@ -185,7 +185,7 @@ class OfferedPlan(NamedTuple):
         plan: the plan to write, or None if no plan is offered.
         scenario: scenario of the plan, with the touches that the plan needs.
         record: record of the plan's flights.
-        says: lines that report the flights and the reason for the choice.
+        messages: lines that report the flights and the reason for the choice.
         flown: records of all plans flown, under the keys `free`, `colliding` and `touched`.
         refused: reasons why plans were not flown, under the same keys.
     """
@@ -193,7 +193,7 @@ class OfferedPlan(NamedTuple):
     plan: Plan | None
     scenario: Scenario
     record: FlownRecord | None
-    says: list[str]
+    messages: list[str]
     flown: dict[str, FlownRecord]
     refused: dict[str, str]
 
@@ -215,12 +215,12 @@ class _Candidate(NamedTuple):
 class PlanChoice:
     """The choice between the plans of a search; it grows while the plans fly.
 
-    With `free_only`, only the plan without a collision is offered. `says`, `flown` and `refused` are those of
-    `OfferedPlan`, for the plans so far.
+    With `free_only`, only the plan without a collision is offered. `messages`, `flown` and `refused` are
+    those of `OfferedPlan`, for the plans so far.
     """
 
     def __init__(self, result: SearchResult, free_only: bool, watch: FlightWatch = _NO_WATCH) -> None:
-        self.says, self.flown, self.refused = list[str](), dict[str, FlownRecord](), dict[str, str]()
+        self.messages, self.flown, self.refused = list[str](), dict[str, FlownRecord](), dict[str, str]()
         self._result, self._watch = result, watch
         scenario = result.scenario
         hits = None if free_only or result.best is not result.colliding else result.colliding
@@ -278,10 +278,10 @@ class PlanChoice:
 
     def _offer(self, one: _Candidate | None, record: FlownRecord | None) -> OfferedPlan:
         plan, scenario = (None, self._result.scenario) if one is None else (one.plan, one.scenario)
-        return OfferedPlan(plan, scenario, record, self.says, self.flown, self.refused)
+        return OfferedPlan(plan, scenario, record, self.messages, self.flown, self.refused)
 
     def _say(self, line: str) -> None:
-        self.says.append(line)
+        self.messages.append(line)
         self._watch.report(line)
 
     def _mission(self, one: _Candidate) -> Mission | None:

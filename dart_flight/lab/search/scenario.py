@@ -21,15 +21,7 @@ from dart_flight.base.records import Mode
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document, refuse_other_keys
-from dart_flight.config.flight_space import (
-    apply_limits,
-    check_clear_of_posts,
-    check_place,
-    refuse_mode,
-    resolve_alphas,
-    resolve_posts,
-    resolve_space,
-)
+from dart_flight.config.flight_space import FlightSpace
 from dart_flight.config.mission_file import (
     Alpha,
     BoundsSpec,
@@ -285,13 +277,10 @@ def resolve_scenario(
     spec: ScenarioFile, vehicle: VehicleConfig, vehicle_path: Path | None, document: Document
 ) -> Scenario:
     """Resolve a scenario for a vehicle; refuse contradictions, and a search that is empty or too large."""
-    vehicle = apply_limits(vehicle, spec.limits)
-    walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
-    posts = resolve_posts(spec.posts, walls, vehicle, document)
-    check_clear_of_posts(posts, spec.start.position_m, vehicle, ("start",), document)
-    check_clear_of_posts(posts, spec.goal.position_m, vehicle, ("goal",), document)
+    space = FlightSpace(spec, vehicle, document)
+    walls = space.walls
     sequences = _sequences(spec, list(walls), document)
-    modes = vehicle.modes
+    modes = space.vehicle.modes
     normal: tuple[float, ...] = ()
     tangential: tuple[float, ...] = ()
     if spec.search is not None:
@@ -303,14 +292,14 @@ def resolve_scenario(
     if not modes:
         raise document.error(("search", "modes"), "no mode is listed: name at least one mode")
     for mode, key in [(spec.transit_mode, ("transit_mode",)), *((m, ("search", "modes")) for m in modes)]:
-        refuse_mode(mode, vehicle, key, document)
+        space.check_mode(mode, key)
     count = sum(len(normal) * len(tangential) * len(modes) ** len(s) for s in sequences)
     if count > _MAX_CANDIDATES:
         raise document.error(("search",), f"{count} candidates, limit {_MAX_CANDIDATES}; increase the steps")
     for i, visit in enumerate(spec.visits):
         if spec.objective is not Objective.QUICKEST:
             raise document.error(("visits",), "visits are possible only with the objective quickest")
-        check_place(spec.bounds_m, {}, visit.position_m, None, ("visits", i), document)
+        space.check_bounds(visit.position_m, ("visits", i))
     for name in ("posts", "touch_m_s"):
         if getattr(spec, name) and spec.objective is not Objective.QUICKEST:
             raise document.error((name,), "this key is possible only with the objective quickest")
@@ -321,7 +310,7 @@ def resolve_scenario(
         name=spec.name or _name_from(document.source),
         source=document.source,
         spec=spec,
-        vehicle=vehicle,
+        vehicle=space.vehicle,
         vehicle_path=vehicle_path,
         start=spec.start.position_m,
         altitude_m=spec.start.altitude_m,
@@ -332,12 +321,12 @@ def resolve_scenario(
         normal_m_s=normal,
         tangential_m_s=tangential,
         modes=modes,
-        alphas={} if spec.search is None else _alphas(spec, walls, sequences, document),
+        alphas={} if spec.search is None else _alphas(spec, space, sequences),
         objective=spec.objective,
         uncertainty=spec.uncertainty,
         visits=tuple(spec.visits),
         sight=spec.sight,
-        posts=tuple(posts.values()),
+        posts=tuple(space.posts.values()),
     )
 
 
@@ -422,19 +411,19 @@ def _grid(spec: GridSpec, key: Key, document: Document) -> tuple[float, ...]:
 
 
 def _alphas(
-    spec: ScenarioFile, walls: dict[str, Wall], sequences: tuple[tuple[str, ...], ...], document: Document
+    spec: ScenarioFile, space: FlightSpace, sequences: tuple[tuple[str, ...], ...]
 ) -> dict[str, tuple[float, float]]:
     for field in ("alpha_m_per_n", "alpha_wall_m_per_n"):
         for name in getattr(spec, field):
-            if name not in walls:
-                raise document.error((field, name), unknown_name(name, list(walls)))
+            if name not in space.walls:
+                raise space.error((field, name), unknown_name(name, list(space.walls)))
     alphas = {}
     for name in sorted({name for sequence in sequences for name in sequence}):
         per_axis, per_wall = spec.alpha_m_per_n.get(name), spec.alpha_wall_m_per_n.get(name)
         if per_axis is None and per_wall is None:
-            raise document.error(
+            raise space.error(
                 ("alpha_m_per_n",), f"wall {name} needs gains in alpha_m_per_n or alpha_wall_m_per_n"
             )
         key: Key = ("alpha_wall_m_per_n" if per_axis is None else "alpha_m_per_n", name)
-        alphas[name] = resolve_alphas(per_axis, per_wall, walls[name], key, document)
+        alphas[name] = space.alphas(per_axis, per_wall, space.walls[name], key)
     return alphas

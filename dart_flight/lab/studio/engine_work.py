@@ -102,8 +102,8 @@ def _check_mission(found: Checked, loaded: LoadedFile, mission: Mission) -> None
 
 def _as_finding(finding: CheckFinding, walls: list[str], posts: list[str]) -> Finding:
     word = "remark" if finding.remark else "go" if finding.go else "NO-GO"
-    objects = objects_in_finding(finding.item, finding.says, walls, posts)
-    return Finding(finding.item, finding.go, word, finding.says, objects[0] if objects else "", objects)
+    objects = objects_in_finding(finding.item, finding.message, walls, posts)
+    return Finding(finding.item, finding.go, word, finding.message, objects[0] if objects else "", objects)
 
 
 def _finding_of(error: InputError) -> Finding:
@@ -174,7 +174,7 @@ def _plan_row(result: SearchResult, one: Plan) -> PlanRow:
         text = mission_text(scenario, one, Path(scenario.source))
         context = FlightContext(planned_mission(scenario, one, text))
         paths = _predicted_lines(context.mission, context.planned)
-        bad = [finding.says for finding in run_checks(context, Stage.FILE) if not finding.go]
+        bad = [finding.message for finding in run_checks(context, Stage.FILE) if not finding.go]
         go, problem = not bad, "".join(bad[:1])
     except RefusedPlanError as error:
         text, refused = "", error.reason

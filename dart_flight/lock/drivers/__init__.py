@@ -26,7 +26,7 @@ SetActuator = Callable[[int, float], None]
 
 
 class ActuatorLink(NamedTuple):
-    """The connection to PX4, for the px4 driver.
+    """The connection to PX4, for the `px4` driver.
 
     Attributes:
         set_actuator: function `set_actuator(index, value)` with value from -1 to 1. It blocks until the value
@@ -64,7 +64,7 @@ class Driver(Protocol):
         """Switch the pulses off."""
 
     def read(self) -> DriverReading:
-        """Return the present output and the state of the limit switches."""
+        """Return the current output and the state of the limit switches."""
 
     def close(self) -> None:
         """Release the hardware; the pulses stay as they are."""
@@ -141,7 +141,7 @@ def make_driver(
     Args:
         kind: kind of driver; by default the configured kind.
         clock_us: time base of the mock, microseconds; only the mock needs it.
-        link: connection to PX4; only the px4 driver needs it.
+        link: connection to PX4; only the `px4` driver needs it.
         faults: initial faults of the mock's servo.
         gpio: whether configured limit switches are read from GPIO lines; False without hardware.
 

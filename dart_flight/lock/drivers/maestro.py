@@ -6,7 +6,7 @@
     Get Errors   0xA1                        -> two bytes, little-endian; reading clears them
 
 The protocol without checksum has no protection against noise. Every query is therefore sent twice. The driver
-accepts an answer only if the two answers match and no further bytes arrive. A command counts as executed if
+accepts an answer only if the two answers match and no more bytes arrive. A command counts as executed if
 the controller reports no serial error after the command. This is the only file that imports pyserial.
 """
 

@@ -1,6 +1,6 @@
 """A real driver, together with a model of the servo's horn.
 
-This driver is for a simulated vehicle with a real servo on the table. The modelled horn moves the simulated
+This driver is for a simulated vehicle with a real servo on the bench. The modelled horn moves the simulated
 arms, because an analogue servo does not report its position.
 """
 

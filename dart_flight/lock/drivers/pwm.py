@@ -113,16 +113,16 @@ class PwmDriver:
         channel = self._config.channel
         if channel is None:
             if board is None:
-                says = f"{self._chip.name} is not a PWM chip of a Raspberry Pi: set the servo's channel"
-                raise DriverError(says, ("pwm", "channel"))
+                message = f"{self._chip.name} is not a PWM chip of a Raspberry Pi: set the servo's channel"
+                raise DriverError(message, ("pwm", "channel"))
             channel = board.gpio18
         if board is not None and channel < board.gpio18:
             right = board.gpio18
-            says = (
+            message = (
                 f"GPIO 18 is channel {right} on a {board.board}, not {channel}: set the channel to {right} "
                 "or null"
             )
-            raise DriverError(says, ("pwm", "channel"))
+            raise DriverError(message, ("pwm", "channel"))
         has = self._number(self._chip / "npwm")
         if channel >= has:
             raise DriverError(f"{self._chip.name} has {has} channels, numbered from 0", ("pwm", "channel"))
@@ -136,8 +136,8 @@ class PwmDriver:
                 if _device(chip) in _BOARDS:
                     return chip
             seen = ", ".join(chip.name for chip in chips) or "no chip"
-            says = f"there is no PWM chip of a Raspberry Pi in {self._sysfs} (found {seen}); {hint}."
-            raise DriverError(f"{says} On other computers, set chip and channel", ("pwm", "chip"))
+            message = f"there is no PWM chip of a Raspberry Pi in {self._sysfs} (found {seen}); {hint}."
+            raise DriverError(f"{message} On other computers, set chip and channel", ("pwm", "chip"))
         chip = self._sysfs / f"pwmchip{self._config.chip}"
         if not chip.is_dir():
             raise DriverError(f"{chip} does not exist; {hint}", ("pwm", "chip"))

@@ -318,7 +318,7 @@ class VehicleFault:
 
     def _begin_ekf_jump(self) -> None:
         shift = (self._fault.value, 0.0, 0.0)
-        self._autopilot.estimator.shift(shift)
+        self._autopilot.pose_filter.shift(shift)
         self._autopilot.pose_sensor.offset_ned = shift
 
     def _begin_heading_reset(self) -> None:
@@ -327,8 +327,7 @@ class VehicleFault:
     # -- autopilot --
 
     def _begin_ev_delay(self) -> None:
-        a = self._autopilot
-        a.estimator.assume_delay(a.now_s, self._fault.value * 1e-3)
+        self._autopilot.assume_pose_delay(self._fault.value * 1e-3)
 
     def _begin_clock_back(self) -> None:
         self._autopilot.plant.time_offset_us -= round(self._fault.value * 1e6)

@@ -15,7 +15,7 @@ class Impairment(msgspec.Struct, frozen=True):
     """The impairment of a link.
 
     Attributes:
-        loss, reorder, duplicate: shares of messages that are lost, reordered or arrive twice, 0 to 1.
+        loss, reorder, duplicate: fractions of the messages that are lost, reordered or duplicated.
         reorder_s: additional delay of a reordered message.
         jitter_s: largest random delay, drawn for each message.
         down: whether the link loses every message.
@@ -54,7 +54,7 @@ class LossyLink(Generic[T]):
             heapq.heappush(self._waiting, (now_s + late_s, self._number, message))
 
     def pop(self, now_s: float) -> list[T]:
-        """Return the messages that have arrived until `now_s`, in order of arrival."""
+        """Return the messages that have arrived by `now_s`, in order of arrival."""
         arrived = []
         while self._waiting and self._waiting[0][0] <= now_s:
             arrived.append(heapq.heappop(self._waiting)[2])

@@ -24,7 +24,7 @@ class DatagramSender:
 
     @property
     def clients(self) -> int:
-        """1 if a program on this computer listens at the port, otherwise 0."""
+        """1 if a program on this computer listens on the port, otherwise 0."""
         wanted = f":{self._port:04X} "
         lines = Path("/proc/net/udp").read_text().splitlines()[1:]
         return int(any(wanted in line.split(": ", 1)[1][:14] for line in lines))

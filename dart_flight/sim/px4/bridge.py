@@ -57,7 +57,7 @@ _STEPS_PER_TICK = TICK_US // 1000
 _SLOW_EVERY = 5  # ticks: magnetometer and barometer at 50 Hz
 _ACCELEROMETER, _GYRO, _MAGNETOMETER, _BAROMETER = 0x007, 0x038, 0x1C0, 0x1A00
 ARMED = 128
-_BOOT_WAIT_S = 0.004  # PX4 does not answer while it boots
+_BOOT_WAIT_S = 0.004  # wait for an answer before PX4's first one, because PX4 does not answer while it boots
 _ANSWER_WAIT_S = 5.0
 
 
@@ -85,7 +85,7 @@ class SensorLink(Protocol):
 
 
 class HilLink:
-    """The simulator's end of PX4's TCP connection. If the connection is gone, it raises Px4LostError."""
+    """The simulator's end of PX4's TCP connection; methods raise Px4LostError if the connection is gone."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._socket = connection
@@ -125,7 +125,7 @@ class HilLink:
 
     @property
     def _patience_s(self) -> float:
-        """Longest wait for an answer; PX4's first answer ever extends the wait in progress."""
+        """Longest wait for an answer; PX4's first answer also extends the wait in progress."""
         return _ANSWER_WAIT_S if self.locked else _BOOT_WAIT_S
 
     def _receive_answer(self, time_us: int, deadline: float) -> bool:
@@ -164,7 +164,7 @@ class Px4Vehicle:
     """Plant, sensors and lock servo behind a HIL link.
 
     Args:
-        mission: its vehicle has the motors of PX4's parameters.
+        mission: the mission, whose vehicle has the motors from PX4's parameters.
         seed: seed of every sensor's noise.
         sends_poses: whether the poses of the simulated motion capture go to PX4 over this link.
 

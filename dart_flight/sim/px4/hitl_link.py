@@ -36,12 +36,12 @@ from dart_flight.config.document import InputError
 from dart_flight.config.link_url import LinkAddress, parse_link
 from dart_flight.sim.px4.bridge import ARMED, Controls, Px4LostError
 
-SILENCE_S = 1.0  # a flight controller without outputs (at 200 Hz) for this time counts as lost
+SILENCE_S = 1.0  # time without outputs (200 Hz) after which a flight controller counts as lost
 GAP_S = 0.07  # limit of the gap between two samples in flight: PX4 tolerates 50 ms, but not 75 ms
 _READ = 65536
 # A companion computer's ids, because the loss of a ground station would trigger a failsafe.
 _SYSTEM, _COMPONENT = 1, 191
-_HEARTBEAT_S = 1.0  # heartbeats also make a board start MAVLink on its USB port
+_HEARTBEAT_S = 1.0  # period of heartbeats, which also make a board start MAVLink on its USB port
 _CONTROLS_US = 4000  # interval of the outputs: one per HIL_SENSOR, instead of PX4's 200 Hz
 _QUERY_OUTPUTS_S = 1.0
 _FORCE = 21196.0  # magic value: disarm even in the air
@@ -122,7 +122,7 @@ class UdpPort:
 
 
 def open_port(url: str) -> HitlPort:
-    """Open a serial or UDP port; raise InputError if it cannot be opened or has another kind."""
+    """Open a serial or UDP port; raise InputError if it cannot be opened or is of another kind."""
     address = parse_link(url)
     if address is None or address.kind not in ("serial", "udpin", "udpout"):
         raise InputError(
@@ -230,8 +230,8 @@ class HitlLink:
         if sum(k >= len(still) or values != still[k] for k, values in enumerate(found)) > 1:
             self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _FORCE)
             raise Px4LostError(
-                "the flight controller moves real outputs, so it was commanded to disarm: set PWM_MAIN_FUNC1 "
-                "to 8 and UAVCAN_ENABLE to 0 (docs/hitl.md)"
+                "the flight controller is driving real outputs and was commanded to disarm: "
+                "set PWM_MAIN_FUNC1 to 8 and UAVCAN_ENABLE to 0 (docs/hitl.md)"
             )
 
     def _check_gap(self, gap_s: float, in_flight: bool) -> None:

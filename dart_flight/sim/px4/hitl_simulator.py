@@ -123,7 +123,7 @@ class HitlSimulator:
         """Do nothing: faults are not available with a flight controller."""
 
     def advance(self) -> Plant:
-        """Advance when the next tick is due; if a further tick is also due, report both together."""
+        """Advance when the next tick is due; if another tick is also due, report both together."""
         late_s = time.monotonic() - (self._start_s + (self._ticks + 1) * TICK_S)
         time.sleep(max(0.0, -late_s))
         behind = int(late_s / TICK_S)

@@ -51,7 +51,7 @@ OLDEST = (1, 14)
 SIMULATOR_PORT, ONBOARD_PORT = 4560, 14540
 _LOCK_FILES = "/tmp/px4_lock"  # followed by "-" and the number; locked while that instance runs
 _LOCAL_PORTS = (14580, 18570, 14280, 13030)  # UDP, plus the instance number
-_INSTANCES = range(10)  # from the tenth instance PX4 sends to one shared port
+_INSTANCES = range(10)  # the tenth and later instances of PX4 send to one shared port
 _TERM_WAIT_S = 2.0
 _WAITING = "Waiting for simulator to accept connection"
 _BOOTED = "Startup script returned successfully"
@@ -300,7 +300,7 @@ def _instance_is_locked(instance: int) -> bool:
 
 
 def _die_with_parent() -> None:
-    """Let the kernel kill this child when its parent ends: PX4 without a simulator runs forever."""
+    """Make the kernel kill this child when its parent ends: PX4 without a simulator runs forever."""
     ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL)
 
 
@@ -468,7 +468,7 @@ def parse_version(answer: str) -> tuple[int, int, int] | None:
 
 def check_version(version: tuple[int, int, int] | None) -> str | None:
     """Return a remark if docs/px4.md has no flights with this version; raise Px4Error if too old."""
-    flown = "docs/px4.md has flights with " + ", ".join(f"v{a}.{b}" for a, b in TESTED)
+    flown = "tested versions: " + ", ".join(f"v{a}.{b}" for a, b in TESTED)
     if version is None:
         return f"PX4 does not report its version; {flown}"
     text = ".".join(map(str, version))

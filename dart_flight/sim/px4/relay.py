@@ -16,16 +16,14 @@ from collections.abc import Iterator
 from typing import Final
 
 from dart_flight.base.errors import FlightError
+from dart_flight.base.streams import BY_NAME, SAMPLED
 from dart_flight.sim.datagrams import receive_datagram, send_datagram
 
 _HEARTBEAT = 0
-# message id -> stream, format of the stamp at the payload's start, and the stamp's unit in microseconds
-_STREAMS: Final = {
-    105: ("imu", struct.Struct("<Q"), 1),
-    31: ("attitude", struct.Struct("<I"), 1000),
-    331: ("odometry", struct.Struct("<Q"), 1),
-    375: ("actuator", struct.Struct("<Q"), 1),
-}
+_STREAMS: Final = {stream.number: stream.name for stream in SAMPLED}
+# message id -> format of the stamp at the payload's start, and the stamp's unit in microseconds
+_STAMPS: Final = {BY_NAME["attitude"].number: (struct.Struct("<I"), 1000)}
+_USUAL_STAMP: Final = (struct.Struct("<Q"), 1)
 # message id -> name in lockstep, format of the payload's start (stamp and values; only values are compared)
 _SENT: Final = {84: ("setpoint", struct.Struct("<I9f")), 331: ("pose", struct.Struct("<Q3f"))}
 _HEARTBEAT_S: Final = 1.0
@@ -117,9 +115,9 @@ class Relay:
                 continue
             if number == _HEARTBEAT:
                 self._heartbeat, self._heartbeat_s = frame, time.monotonic()
-            stream = _STREAMS.get(number)
-            if stream is not None:
-                name, stamp, unit_us = stream
+            name = _STREAMS.get(number)
+            if name is not None:
+                stamp, unit_us = _STAMPS.get(number, _USUAL_STAMP)
                 # MAVLink 2 removes trailing zeros from a payload.
                 (value,) = stamp.unpack(payload[: stamp.size].ljust(stamp.size, b"\0"))
                 self.sent_us[name] = max(value * unit_us, self.sent_us.get(name, 0))

@@ -123,7 +123,7 @@ def test_wall_impacts_read_as_drops_are_reported_as_a_poor_fit(
     streams = capsys.readouterr()
     fit = json.loads(streams.out)["fit"]
     assert fit["good"] is False
-    assert "--drop" in fit["says"][0]
+    assert "--drop" in fit["messages"][0]
     assert "poor fit: the residual of normal_m" in streams.err
     assert "POOR FIT" in out.read_text()
 

@@ -24,7 +24,7 @@ from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.fit_quality import hold_out
-from dart_flight.lab.identify.hit_fit import fit_hits
+from dart_flight.lab.identify.impact_fit import fit_impacts
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.problem import LawProblem
 from dart_flight.lab.identify.trials import Series, Trial
@@ -296,7 +296,7 @@ def impacts_by_law(k: float, f: float, speeds: list[float], onset: Onset, push: 
 @pytest.mark.parametrize("push", [0.0, -G])
 def test_whole_impacts_give_the_true_coefficients(onset: Onset, push: float) -> None:
     problem = impacts_by_law(4200.0, 15.0, [0.4, 0.6, 0.9, 1.2, 1.6, 2.0], onset, push)
-    found, notes = fit_hits(problem)
+    found, notes = fit_impacts(problem)
     for name, true in (("k", 4200.0), ("f", 15.0)):
         estimate = found[name]
         assert estimate is not None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dart_flight.base.summary import Z95, student_t
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.hit_fit import HitFit, fit_hits
+from dart_flight.lab.identify.impact_fit import ImpactFit, fit_impacts
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.problem import LawProblem
 from dart_flight.lab.identify.solver import (
@@ -125,7 +125,7 @@ def scattered_drops(n: int, sds: tuple[float, float, float], seed: int) -> LawPr
 def test_intervals_of_whole_impacts_cover_the_truth(n: int, sds: tuple[float, float, float]) -> None:
     covered = []
     for seed in range(25):
-        found, _ = fit_hits(scattered_drops(n, sds, seed))
+        found, _ = fit_impacts(scattered_drops(n, sds, seed))
         for name, true in (("k", K), ("f", F)):
             estimate = found[name]
             covered.append(estimate is None or estimate.low <= true <= estimate.high)
@@ -134,12 +134,12 @@ def test_intervals_of_whole_impacts_cover_the_truth(n: int, sds: tuple[float, fl
 
 def test_the_reweighted_problem_has_the_robust_solution() -> None:
     for seed in range(5):
-        fit = HitFit(scattered_drops(6, (0.06, 0.25, 0.2), seed))
+        fit = ImpactFit(scattered_drops(6, (0.06, 0.25, 0.2), seed))
         fit.losses = ("huber",)
         robust = fit.solve(np.log([30_000.0, 60.0]))
         fit.reweight(robust)
         score = fit.jacobian(robust).T @ fit.residuals(robust)
         assert score == pytest.approx(0.0, abs=1e-3)
         half = fit.half_widths()
-        fit.losses = HitFit.losses
+        fit.losses = ImpactFit.losses
         assert (np.abs(fit.solve(fit.start) - robust) < 0.02 * half).all()

@@ -119,6 +119,6 @@ def test_coefficients_that_do_not_reproduce_the_drops_are_a_poor_fit(tmp_path: P
     wrong = {"flexible": found.coefficients["flexible"] | {"k": k._replace(value=3.0 * k.value)}}
     assessed = assess_fit(wrong, whole, found.residuals, expected)
     assert assessed.good is False
-    assert any("flexible peak" in line for line in assessed.says)
+    assert any("flexible peak" in line for line in assessed.messages)
     unknown = {"flexible": dict.fromkeys(found.coefficients["flexible"])}
     assert assess_fit(unknown, whole, found.residuals, expected).good is None

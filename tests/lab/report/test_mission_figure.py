@@ -225,5 +225,5 @@ def test_an_oblique_second_impact_is_shown_with_its_incidence() -> None:
     hit = planned.hits[2]
     assert found.figures["incidence_deg"] == pytest.approx(20.0)
     assert found.figures["normal_m_s"] == hit.normal_m_s
-    assert f"at {-hit.normal_m_s:.2f} m/s, {abs(hit.tangential_m_s):.2f} m/s along the wall" in found.says
-    assert "incidence 20 degrees: one guard touches first" in found.says
+    assert f"at {-hit.normal_m_s:.2f} m/s, {abs(hit.tangential_m_s):.2f} m/s along the wall" in found.message
+    assert "incidence 20 degrees: one guard touches first" in found.message

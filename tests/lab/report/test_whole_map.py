@@ -50,7 +50,7 @@ def test_the_leg_after_a_contact_is_counted_and_drawn() -> None:
     leg_m = math.dist(after_contact.begin[:2], (0.0, 0.0))
     assert leg_m > 0.3
     finding = next(f for f in check_mission(mission) if f.item == "waypoints")
-    assert f"the legs between stops are {leg_m:.1f} m long" in finding.says
+    assert f"the legs between stops are {leg_m:.1f} m long" in finding.message
     assert to_goal.begin == (0.0, 0.0, 1.2)
     lines = [line.get_xydata() for line in drawn_map(mission).lines]
     assert any(len(xy) == 2 and np.allclose(xy, [after_contact.begin[:2], (0.0, 0.0)]) for xy in lines)
@@ -59,7 +59,7 @@ def test_the_leg_after_a_contact_is_counted_and_drawn() -> None:
 def test_legs_after_an_unpredicted_contact_are_reported_as_such() -> None:
     rehearsal = mission_in_room(standoff_m=0.5)
     finding = next(f for f in check_mission(rehearsal) if f.item == "waypoints")
-    assert "1 legs of unknown length after a contact" in finding.says
+    assert "1 legs of unknown length after a contact" in finding.message
 
 
 @pytest.mark.parametrize("place", [(0.0, 2.4, [0.0, -1.0]), (0.0, -2.4, [0.0, 1.0]), (-2.4, 0.5, [1.0, 0.0])])
@@ -141,3 +141,14 @@ def test_rings_of_a_ring_guard_end_where_the_vehicle_touches_a_wall() -> None:
     assert len(airframe.guards_m) == 4
     reach = max(x for ring in airframe.guards_m for x, _ in ring)
     assert reach == pytest.approx(airframe.contact_distance_m)
+
+
+def test_faces_back_to_back_are_drawn_up_to_the_middle_between_them() -> None:
+    reach = mission_in_room().vehicle.airframe.contact_distance_m
+    behind = wall(1.6 + 2.0 * reach, 0.0, [1.0, 0.0])
+    shown = room_map(mission_in_room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "behind": behind}))
+    middle = 1.55 + reach
+    for one, face in zip(shown.walls, (middle - 0.05, middle + 0.05), strict=True):
+        assert one.outline[:2, 0] == pytest.approx(face)
+        assert one.outline[2:, 0] == pytest.approx(middle)
+        assert one.name_in_front

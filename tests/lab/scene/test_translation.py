@@ -21,6 +21,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.flight_arrays import FlightArrays
+from dart_flight.lab.map_model import room_map
 from dart_flight.lab.scene import drawing
 from dart_flight.lab.scene.downsampling import SCALARS_US, SCENE_US, Downsampler
 from dart_flight.lab.scene.drawing import FORCE_SCALE_M_PER_N
@@ -146,7 +147,7 @@ def test_the_plan_and_the_goal_have_the_altitude_of_the_waypoints() -> None:
         hits = path["spheres"][: len(flight.hits)]
         assert [ball["pose"]["position"]["z"] for ball in hits] == [z] * 2
         assert {line["points"][-1]["z"] for line in path["lines"]} == {z}
-        marks = decode_entity(drawing.room(mission, 0)[-1])
+        marks = decode_entity(drawing.room(room_map(mission), 0)[-1])
         heights = {one["text"]: one["pose"]["position"]["z"] for one in marks["texts"]}
         assert heights["goal"] - heights["start"] == pytest.approx(z - 1.0)
 

@@ -97,8 +97,8 @@ def test_a_faster_plan_that_completes_is_offered_with_its_flight_record(planned:
     assert offered.record is not None
     assert offered.record.saving_s == pytest.approx(1.5)
     assert offered.record.free_time_s == 20.0
-    assert "20 of 20 flights in random worlds complete" in offered.says[-1]
-    assert "saves 1.50 s" in offered.says[-1]
+    assert "20 of 20 flights in random worlds complete" in offered.messages[-1]
+    assert "saves 1.50 s" in offered.messages[-1]
     seeds = [
         (kind, FIRST_SEED + k, drawn) for kind in ("free", "colliding") for drawn, k in _nominal_and_drawn()
     ]
@@ -139,8 +139,8 @@ def test_a_plan_that_fails_in_simulation_is_offered_only_with_touches(
         return 20.0, not bad or "uncontrolled" in fails, not bad or "uncontrolled" not in fails
 
     offered, flights = choose(planned, ends)
-    assert "the plan with collisions is not offered" in offered.says[0]
-    assert "with a touch of each wall at 0.6 m/s succeeds" in offered.says[1]
+    assert "the plan with collisions is not offered" in offered.messages[0]
+    assert "with a touch of each wall at 0.6 m/s succeeds" in offered.messages[1]
     assert offered.plan is planned.colliding
     assert offered.scenario.spec.touch_m_s == 0.6
     assert offered.record is not None
@@ -169,8 +169,8 @@ def test_the_free_plan_is_offered_if_touches_cost_more_than_collisions_save(plan
 
     offered, _ = choose(planned, ends)
     assert offered.plan is planned.free
-    assert "loses 13.00 s" in offered.says[1]
-    assert "the flight without a collision is offered" in offered.says[2]
+    assert "loses 13.00 s" in offered.messages[1]
+    assert "the flight without a collision is offered" in offered.messages[2]
 
 
 def test_required_collisions_are_offered_only_if_they_complete() -> None:
@@ -179,14 +179,14 @@ def test_required_collisions_are_offered_only_if_they_complete() -> None:
     assert offered.plan is required.colliding
     nothing, _ = choose(required, lambda mission, seed: (20.0, not mission.collisions, True))
     assert nothing.plan is None
-    assert nothing.says[-1] == "no plan is offered"
+    assert nothing.messages[-1] == "no plan is offered"
 
 
 def test_touches_of_the_scenario_are_flown_and_counted_in_the_time() -> None:
     with_touches = plan_quickest(scenario_between_walls(touch_m_s=0.5))
     offered, flights = choose(with_touches, times_by_kind(free=20.0, touched=33.0))
     assert offered.plan is with_touches.colliding
-    assert "loses 13.00 s" in offered.says[-1]
+    assert "loses 13.00 s" in offered.messages[-1]
     assert {kind for kind, _, _ in flights.flown} == {"free", "touched"}
 
 
@@ -203,7 +203,7 @@ def test_optional_collisions_that_hardly_save_time_are_not_flown(planned: Search
     result = msgspec.structs.replace(planned, plans=(slow, planned.free))
     offered, flights = choose(result, times_by_kind(free=20.0))
     assert offered.plan is planned.free
-    assert "less than 1%" in offered.says[-2]
+    assert "less than 1%" in offered.messages[-2]
     assert {kind for kind, _, _ in flights.flown} == {"free"}
     # Without a flight that succeeds, the collisions are not optional.
     offered, _ = choose(result, lambda mission, seed: (20.0, bool(mission.collisions), True))
@@ -236,7 +236,7 @@ def test_a_plan_whose_mission_is_refused_is_not_flown(
     ((key, why),) = offered.refused.items()
     assert key == ("touched" if touch_m_s is None else "colliding")
     assert reason in why
-    assert any(line.endswith(f"is refused: {why}") for line in offered.says)
+    assert any(line.endswith(f"is refused: {why}") for line in offered.messages)
     skipped = PlanChoice(result, False).skip("not flown")
     assert skipped.plan is (result.free if touch_m_s else result.colliding)
 
@@ -275,7 +275,7 @@ def test_check_shows_the_flight_record_and_detects_a_changed_mission(
         "20 of 20 flights in random worlds complete, 0 uncontrolled, 18.5 s from take-off to landing "
         "against 20.0 s without collisions: saves 1.50 s"
     )
-    assert finding.says.endswith(f": {mission.flown.summary}")
+    assert finding.message.endswith(f": {mission.flown.summary}")
     assert f"Flown in simulation: {mission.flown.summary}." in prediction_lines(
         mission, predict_mission(mission), []
     )
@@ -288,7 +288,7 @@ def test_check_shows_the_flight_record_and_detects_a_changed_mission(
         dart_flight.load_mission(path, settings=["airframe.mass_kg=1.5"]),
         mission.replace({"goal.hold_s": 3.0}),
     ):
-        assert "has changed since" in flown_finding(changed).says
+        assert "has changed since" in flown_finding(changed).message
         assert flown_finding(changed).remark
 
 
@@ -302,7 +302,7 @@ def test_check_rejects_a_mission_that_lost_control_in_simulation(
     record = msgspec.structs.replace(mission.flown, drawn=bad)
     finding = flown_finding(msgspec.structs.replace(mission, flown=record))
     assert not finding.go
-    assert "1 of the 20 flights flown in random worlds is uncontrolled" in finding.says
+    assert "1 of the 20 flights flown in random worlds is uncontrolled" in finding.message
     assert msgspec.structs.replace(mission, flown=record).digest == mission.digest
 
 
@@ -310,7 +310,7 @@ def test_check_remarks_on_a_mission_without_a_flight_record() -> None:
     finding = flown_finding(dart_flight.load_mission(dart_flight.packaged("missions", "single_wall.yaml")))
     assert finding.go
     assert finding.remark
-    assert "contains no record of simulated flights" in finding.says
+    assert "contains no record of simulated flights" in finding.message
 
 
 def test_an_invalid_flight_record_is_refused(planned: SearchResult, tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def _draw_places(axis: Any, shown: RoomMap, kinds: Sequence[MapKind], up: int = 
 def draw_wall(axis: Any, wall: DrawnWall) -> None:
     """Draw a wall, and a thin line through the positions of the vehicle's centre at the first touch."""
     axis.fill(*wall.outline.T, linewidth=0.0, zorder=1.5, **_SOLID)
-    _plot(axis, Line(MapKind.WALL, np.array(wall.surface.ends)))
+    _plot(axis, Line(MapKind.WALL, wall.outline[:2]))
     _plot(axis, Line(MapKind.PLANE, np.array(wall.plane.ends)))
 
 
@@ -148,12 +148,11 @@ def draw_side(axis: Any, shown: RoomMap, top_m: float) -> None:
     """
     axis.set(ylim=(-BELOW_M, top_m), aspect="equal")
     for wall in shown.walls:
-        nx, ny = wall.surface.normal
-        ends = [x - back * nx for x, _ in wall.surface.ends for back in (0.0, wall.thickness_m)]
-        seen_from_side = abs(ny) < _EDGE_ON
+        ends = wall.outline[:, 0]
+        seen_from_side = abs(wall.surface.normal[1]) < _EDGE_ON
         style = _SOLID if seen_from_side else {"facecolor": "#f1f1f1"}
         zorder = 1.2 if seen_from_side else 1.0
-        axis.fill_between([min(ends), max(ends)], 0.0, top_m, linewidth=0.0, zorder=zorder, **style)
+        axis.fill_between([ends.min(), ends.max()], 0.0, top_m, linewidth=0.0, zorder=zorder, **style)
     axis.axhline(0.0, label=MapKind.GROUND, **_LINES[MapKind.GROUND])
     for z in shown.bounds.z:
         axis.axhline(z, label=MapKind.BOUNDS, **_LINES[MapKind.BOUNDS])

@@ -13,7 +13,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import transit_segments
 from dart_flight.lab.figure_style import Look, in_style, new_figure, save_figure
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.mission_map import flown_legs, mission_map, paths_from_rest
+from dart_flight.lab.map_model import planned_lines
+from dart_flight.lab.mission_map import mission_map
 from dart_flight.lab.report.figures.map_drawing import (
     BELOW_M,
     draw_map,
@@ -118,9 +119,7 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
     points = [np.array([mission.start, mission.goal.position_m])]
     if planned is None:
         return corners
-    points += [np.array(line) for line in planned.approaches.values()]
-    points += [path[:, :2] for path in paths_from_rest(mission, planned)]
-    points += [leg[:, :2] for leg in flown_legs(mission, planned).values()]
+    points += [line[:, :2] for line in planned_lines(mission, planned)]
     points += [np.array([hit.position]) for hit in planned.hits.values()]
     points += [
         np.array([hit.setpoint])

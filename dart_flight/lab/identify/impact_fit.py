@@ -34,7 +34,7 @@ _WIDEST_LOG = math.log(3.0)  # a coefficient with a wider interval than a factor
 _ENOUGH_HITS = 3  # fewer hits have no meaningful spread
 
 
-class HitFit(LawFit):
+class ImpactFit(LawFit):
     """The fit of the logarithms of k and f to hits of one mode."""
 
     robust_from = 1.5
@@ -106,9 +106,9 @@ class HitFit(LawFit):
         return list(rows.T) if rows.shape[1] >= _ENOUGH_HITS else [rows.ravel()]
 
 
-def fit_hits(problem: LawProblem) -> tuple[dict[str, Estimate | None], list[str]]:
+def fit_impacts(problem: LawProblem) -> tuple[dict[str, Estimate | None], list[str]]:
     """Fit k and f (None if unknown) to hits of one mode; return notes, too."""
     if not problem.is_enough:
         return {"k": None, "f": None}, []
-    fit = HitFit(problem)
+    fit = ImpactFit(problem)
     return stiffness_and_damping(fit.solve(fit.start), fit.half_widths(), _WIDEST_LOG)

@@ -1,4 +1,4 @@
-"""State of one flight's mission. Only the executive writes it; its helpers return a `Change`."""
+"""Progress of one flight's mission. Only the executive writes it; its helpers return a `Change`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dart_flight.core.sense.state import FlightState
 _SLOWEST: Final = 3.0  # host seconds per vehicle second in the slowest simulation
 
 
-class MissionState:
+class MissionProgress:
     """Phase, leg, course, contacts and walls of one flight.
 
     Attributes:
@@ -30,7 +30,7 @@ class MissionState:
         asked_us: time of the last vehicle command in this phase, or None.
         collisions: collisions of the mission; if a probe has found a wall, the found wall replaces the wall
             of the mission file.
-        index: index of the next or present collision.
+        index: index of the next or current collision.
         stops: number of completed waypoints and pauses.
         approaches: trajectories of the approaches, by the index of their collision.
         walls: walls as estimated from contacts.
@@ -73,7 +73,7 @@ class MissionState:
 
     @property
     def collision(self) -> Collision | None:
-        """The next or present collision, or None."""
+        """The next or current collision, or None."""
         collisions = self.collisions
         return collisions[self.index] if self.index < len(collisions) else None
 
@@ -84,7 +84,7 @@ class MissionState:
 
     @property
     def waypoint(self) -> Waypoint | None:
-        """The present or next waypoint or pause, if it comes before the next collision; otherwise None."""
+        """The current or next waypoint or pause, if it comes before the next collision; otherwise None."""
         waypoints = self.mission.waypoints
         if self.stops < len(waypoints) and waypoints[self.stops].after == self.index:
             return waypoints[self.stops]
@@ -116,15 +116,15 @@ class Change(NamedTuple):
     """Changes requested by a helper of the executive; None leaves a value unchanged.
 
     Attributes:
-        cue, reason: trigger of a phase transition, and the reason to record for this transition. The
-            transition is applied after all other changes.
+        phase_trigger, reason: trigger of a phase transition, and the reason to record for it. The transition
+            is applied after all other changes.
         action: vehicle command, repeated until telemetry confirms it.
-        mode: wanted mode of the lock.
+        mode: requested mode of the lock.
         approach: trajectory of the approach to the next collision.
         frame, stood_at_ned: the mission frame, and the vehicle's position when the frame was set.
     """
 
-    cue: PhaseTrigger | None = None
+    phase_trigger: PhaseTrigger | None = None
     reason: str = ""
     outputs: tuple[Output, ...] = ()
     finding: MissionFinding | None = None
