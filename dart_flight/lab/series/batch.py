@@ -1,0 +1,55 @@
+"""The mission of a batch: the series' mission with several hits on one wall, each from rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+from dart_flight.base.walls import Wall
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission
+from dart_flight.lab.identify.next_hits import NextHit
+
+_HOLD_S: Final = 1.0  # rest before each approach, in which PX4's velocity settles
+_ALPHA: Final = (0.025, 0.025)  # gains of a recovery that leads away from the wall, m/N
+_REPLACED: Final = ("predicted", "flown", "goal_trajectory", "collisions", "waypoints", "after_impact")
+
+
+def batch_tree(mission: Mission, wall: str, hits: Sequence[NextHit], name: str) -> dict[str, Any]:
+    """Return the keys of a mission that hits one wall, with a retreat and a hold between two hits.
+
+    Frame, bounds, walls and limits are those of `mission`. The vehicle waits at the mission's start between
+    two hits. Each hit has a limit of the measured peak, so that an unexpectedly hard hit ends the batch.
+    """
+    assert mission.written is not None
+    known = {one.name: one for one in mission.flat_walls}
+    if wall not in known:
+        raise InputError(f"no wall {wall!r} in the mission; it has {', '.join(known)}", key=("wall",))
+    limit_n = mission.limits.peak_force_n
+    collisions = [
+        {
+            "wall": wall,
+            "mode": hit.mode.value,
+            "approach": {"normal_m_s": round(hit.normal_m_s, 3), "tangential_m_s": round(hit.tangential_m_s, 3)},
+            "impact_along_m": _along_m(mission, known[wall], hit),
+            "alpha_wall_m_per_n": list(_ALPHA),
+            "peak_limit_n": round(min(hit.highest_n, limit_n), 1),
+        }
+        for hit in hits
+    ]
+    waypoints = [
+        {"after": i, "position_m": list(mission.start), "hold_s": _HOLD_S} for i in range(1, len(hits) + 1)
+    ]
+    kept = {key: value for key, value in mission.written.tree.items() if key not in _REPLACED}
+    goal = {**kept["goal"], "position_m": list(mission.start)}
+    return {**kept, "name": name, "goal": goal, "collisions": collisions, "waypoints": waypoints}
+
+
+def _along_m(mission: Mission, wall: Wall, hit: NextHit) -> float:
+    """Return the impact point along the wall, m from its middle: opposite the start, as far as it fits."""
+    reach = max(0.0, 0.5 * wall.length_m - mission.vehicle.airframe.contact_distance_m - 0.1)
+    run_up_m = wall.signed_distance(mission.start)
+    drift_m = run_up_m * hit.tangential_m_s / -hit.normal_m_s if hit.normal_m_s else 0.0
+    along = wall.along(mission.start) + 0.5 * drift_m
+    return round(math.copysign(min(abs(along), reach), along), 3)
