@@ -136,7 +136,9 @@ def predict_hit(
     """Return a hit with its predicted peak force, and the peak by the upper end of the interval."""
     at = CoefficientArrays.from_table(fit.coefficients)
     peak = float(_peak(contact_map(at, limits.mass_kg, normal_m_s, tangential_m_s, limits.onset)))
-    return NextHit(mode, normal_m_s, tangential_m_s, peak, _highest_n(fit, limits, normal_m_s, tangential_m_s))
+    return NextHit(
+        mode, normal_m_s, tangential_m_s, peak, _highest_n(fit, limits, normal_m_s, tangential_m_s)
+    )
 
 
 def fastest_m_s(fit: ModeFit, limits: HitLimits, sliding: float = _SLIDING) -> float | None:
@@ -172,7 +174,7 @@ def _highest_n(fit: ModeFit, limits: HitLimits, normal_m_s: float, tangential_m_
     return float(_peak(contact).max())
 
 
-# --- designs: (mode, normal speed, velocity along the wall) of each hit --------------------------------------
+# --- designs: (mode, normal speed, velocity along the wall) of each hit -------------------------------------
 
 _Chosen = list[tuple[Mode, float, float]]
 
@@ -236,7 +238,7 @@ def information_of(fit: ModeFit, limits: HitLimits, normal_m_s: float, tangentia
     """Return the information (3, 3) that a hit is expected to add on the logarithms of k, f and mu."""
     logs = np.log([fit.k.value, max(fit.f.value, 1e-3), max(fit.mu.value, 1e-3)])
     shifted = np.exp(logs[:, None] + _STEP * np.concatenate([np.eye(3), -np.eye(3)], axis=1))
-    c = CoefficientArrays(*shifted, np.full(6, fit.nu))
+    c = CoefficientArrays(shifted[0], shifted[1], shifted[2], np.full(6, fit.nu))
     contact = contact_map(c, limits.mass_kg, normal_m_s, tangential_m_s, limits.onset)
     measured = [
         contact.normal_out_m_s / -normal_m_s / SD_OUT,

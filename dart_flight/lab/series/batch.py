@@ -31,7 +31,10 @@ def batch_tree(mission: Mission, wall: str, hits: Sequence[NextHit], name: str) 
         {
             "wall": wall,
             "mode": hit.mode.value,
-            "approach": {"normal_m_s": round(hit.normal_m_s, 3), "tangential_m_s": round(hit.tangential_m_s, 3)},
+            "approach": {
+                "normal_m_s": round(hit.normal_m_s, 3),
+                "tangential_m_s": round(hit.tangential_m_s, 3),
+            },
             "impact_along_m": _along_m(mission, known[wall], hit),
             "alpha_wall_m_per_n": list(_ALPHA),
             "peak_limit_n": round(min(hit.highest_n, limit_n), 1),
