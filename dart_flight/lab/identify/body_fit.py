@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from dart_flight.base.records import Mode
@@ -45,7 +46,7 @@ def fit_bodies(problem: LawProblem) -> tuple[dict[MeasuredImpact, BodyImpact], l
     notes = []
     for hit in problem.hits:
         try:
-            fitted = _fit_body(hit)
+            fitted = _fit_body(hit, problem.mass_kg)
         except (ValueError, np.linalg.LinAlgError) as error:
             notes.append(f"{hit.trial.name}: the force readings of the contact are not usable: {error}")
             continue
@@ -54,12 +55,14 @@ def fit_bodies(problem: LawProblem) -> tuple[dict[MeasuredImpact, BodyImpact], l
     return found, notes
 
 
-def _fit_body(hit: MeasuredImpact) -> BodyImpact | None:
+def _fit_body(hit: MeasuredImpact, mass_kg: float) -> BodyImpact | None:
     request, flown = hit.trial.contact, hit.trial.flown
     if request is None or request.wall is None or flown is None:
         return None
-    fitter = ContactFitter(flown.config)
-    index = flown.config.modes.index(Mode(hit.trial.mode))
+    airframe = msgspec.structs.replace(flown.config.airframe, mass_kg=mass_kg)
+    vehicle = msgspec.structs.replace(flown.config, airframe=airframe)
+    fitter = ContactFitter(vehicle)
+    index = vehicle.modes.index(Mode(hit.trial.mode))
     with np.errstate(all="ignore"):
         fit, _ = fitter.make_fit(request, spread=_WIDE, scatter=0.0)
         result = fit.run()[index]
