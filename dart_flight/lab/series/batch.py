@@ -16,7 +16,9 @@ _ALPHA: Final = (0.025, 0.025)  # gains of a recovery that leads away from the w
 _REPLACED: Final = ("predicted", "flown", "goal_trajectory", "collisions", "waypoints", "after_impact")
 
 
-def batch_tree(mission: Mission, wall: str, hits: Sequence[NextHit], name: str) -> dict[str, Any]:
+def batch_tree(
+    mission: Mission, wall: str, hits: Sequence[NextHit], name: str, peak_force_n: float
+) -> dict[str, Any]:
     """Return the keys of a mission that hits one wall, with a retreat and a hold between two hits.
 
     Frame, bounds, walls and limits are those of `mission`. The vehicle waits at the mission's start between
@@ -26,7 +28,7 @@ def batch_tree(mission: Mission, wall: str, hits: Sequence[NextHit], name: str) 
     known = {one.name: one for one in mission.flat_walls}
     if wall not in known:
         raise InputError(f"no wall {wall!r} in the mission; it has {', '.join(known)}", key=("wall",))
-    limit_n = mission.limits.peak_force_n
+    limit_n = min(peak_force_n, mission.limits.peak_force_n)
     collisions = [
         {
             "wall": wall,

@@ -141,7 +141,7 @@ class SeriesFolder:
         config = self.config
         if config is not None:
             tree = {**tree, "vehicle": os.path.relpath(config, path.parent)}
-        _write(path, update_text("", tree))
+        _write(path, update_text("{}\n", tree))
         return path
 
     def change(self, **changes: Any) -> None:
@@ -182,7 +182,7 @@ def create_series(path: Path, mission: Path, settings: SeriesSettings) -> Series
     refuse_impossible(settings, Document.from_tree(msgspec.to_builtins(settings), str(path / SETTINGS)))
     _write(path / _MISSION, update_text(read_text(mission), tree, str(mission)))
     # The settings come last: a folder without them is no series, so an interrupted command can be repeated.
-    _write(path / SETTINGS, _HEAD + update_text("", msgspec.to_builtins(settings)))
+    _write(path / SETTINGS, _HEAD + update_text("{}\n", msgspec.to_builtins(settings)))
     return SeriesFolder(path)
 
 
