@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from statistics import median
 
 import msgspec
 
@@ -27,6 +26,7 @@ from dart_flight.recording.verdict import verdict_of
 
 _DIFFERS = 0.25  # difference of the logarithm of k above which a hit is on another wall or in another mode
 _SDS = 5.0
+_FEWEST = 3  # hits from which a group can be told from an outlier
 
 
 @dataclass
@@ -173,13 +173,17 @@ def _hold_out(hits: Sequence[SeriesHit], share: float) -> None:
 
 
 def _set_outliers_aside(hits: Sequence[SeriesHit]) -> None:
-    """Set hits aside whose stiffness differs from that of most others: another wall, or another mode."""
+    """Set hits aside whose stiffness differs from that of the largest group: another wall, or another mode.
+
+    Of two groups of the same size, the one that began earlier counts.
+    """
     fitted = [(hit, hit.body.belief) for hit in hits if hit.body is not None and not hit.aside]
-    if len(fitted) < 3:
+    if len(fitted) < _FEWEST:
         return
-    middle = median(math.log(belief.k) for _, belief in fitted)
+    logs = [math.log(belief.k) for _, belief in fitted]
+    centre = max(logs, key=lambda one: sum(abs(other - one) < _DIFFERS for other in logs))
     for hit, belief in fitted:
-        off = math.log(belief.k) - middle
+        off = math.log(belief.k) - centre
         if abs(off) > max(_DIFFERS, _SDS * belief.k_sd):
             times = math.exp(off)
             hit.aside = f"k is {times:.2f} times that of most hits: another wall, or the lock did not move"

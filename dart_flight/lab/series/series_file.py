@@ -166,7 +166,7 @@ class SeriesFolder:
     def flight_named(self, part: str) -> str:
         """Return the name of the only flight that contains `part`."""
         names = list(self.logs())
-        found = [name for name in names if part in (name, name.partition("/")[2])]
+        found = [name for name in names if part in (name, *name.split("/"))]
         found = found or [name for name in names if part in name]
         if len(found) != 1:
             text = "several flights have" if found else "no flight of the series has"

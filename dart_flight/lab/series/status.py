@@ -167,7 +167,9 @@ def _mode_status(
     used = evidence.used(mode)
     bodies = [hit.body for hit in used if hit.body is not None]
     found = combine(bodies)[0] if bodies else {}
-    configured = mission.vehicle.materials[material].coefficients(mode)
+    # The first flight's vehicle has the prior: `series apply` may have changed the configuration since.
+    first = next((one.vehicle for one in evidence.flights if one.vehicle is not None), mission.vehicle)
+    configured = first.materials.get(material, mission.vehicle.materials[material]).coefficients(mode)
     coefficients = {
         name: _coefficient(
             found.get(name),
