@@ -72,7 +72,7 @@ class ModeFit(NamedTuple):
         return CoefficientArrays(k, f, mu, np.full(8, self.nu))
 
 
-class HitLimits(NamedTuple):
+class NextHitLimits(NamedTuple):
     """Limits of the next hits.
 
     Attributes:
@@ -116,7 +116,7 @@ class FlownHit(NamedTuple):
 
 def next_hits(
     fits: Mapping[Mode, ModeFit],
-    limits: HitLimits,
+    limits: NextHitLimits,
     count: int,
     design: Design = Design.EQUAL_STEPS,
     flown: Sequence[FlownHit] = (),
@@ -131,7 +131,7 @@ def next_hits(
 
 
 def predict_hit(
-    fit: ModeFit, limits: HitLimits, mode: Mode, normal_m_s: float, tangential_m_s: float
+    fit: ModeFit, limits: NextHitLimits, mode: Mode, normal_m_s: float, tangential_m_s: float
 ) -> NextHit:
     """Return a hit with its predicted peak force, and the peak by the upper end of the interval."""
     at = CoefficientArrays.from_table(fit.coefficients)
@@ -141,7 +141,7 @@ def predict_hit(
     )
 
 
-def fastest_m_s(fit: ModeFit, limits: HitLimits, sliding: float = _SLIDING) -> float | None:
+def fastest_m_s(fit: ModeFit, limits: NextHitLimits, sliding: float = _SLIDING) -> float | None:
     """Return the largest normal speed whose peak stays below the force limit, or None if none does.
 
     `sliding` is the velocity along the wall relative to the normal velocity. The peak grows with the speed,
@@ -167,7 +167,7 @@ def _peak(contact: WallContact[Array]) -> Array:
     return np.hypot(contact.peak_normal_force_n, contact.peak_friction_force_n)
 
 
-def _highest_n(fit: ModeFit, limits: HitLimits, normal_m_s: float, tangential_m_s: float) -> float:
+def _highest_n(fit: ModeFit, limits: NextHitLimits, normal_m_s: float, tangential_m_s: float) -> float:
     more = _MARGIN_SDS * _SPEED_SD_M_S
     along = tangential_m_s + math.copysign(more, tangential_m_s)
     contact = contact_map(fit.corners, limits.mass_kg, normal_m_s - more, along, limits.onset)
@@ -180,7 +180,7 @@ _Chosen = list[tuple[Mode, float, float]]
 
 
 def _at_levels(
-    fits: Mapping[Mode, ModeFit], limits: HitLimits, count: int, levels: Callable[[int, float, float], Array]
+    fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int, levels: Callable[[int, float, float], Array]
 ) -> _Chosen:
     """Return hits at the levels of each mode; `levels` gets their number, and the smallest and largest."""
     chosen = []
@@ -197,19 +197,19 @@ def _shares(count: int, parts: int) -> list[int]:
 
 
 def _two_levels(
-    fits: Mapping[Mode, ModeFit], limits: HitLimits, count: int, flown: Sequence[FlownHit]
+    fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int, flown: Sequence[FlownHit]
 ) -> _Chosen:
     return _at_levels(fits, limits, count, lambda n, low, high: np.resize([low, high], n))
 
 
 def _equal_steps(
-    fits: Mapping[Mode, ModeFit], limits: HitLimits, count: int, flown: Sequence[FlownHit]
+    fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int, flown: Sequence[FlownHit]
 ) -> _Chosen:
     return _at_levels(fits, limits, count, lambda n, low, high: np.linspace(low, high, n))
 
 
 def _d_optimal(
-    fits: Mapping[Mode, ModeFit], limits: HitLimits, count: int, flown: Sequence[FlownHit]
+    fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int, flown: Sequence[FlownHit]
 ) -> _Chosen:
     """Choose one hit after the other, each with the largest gain of information over all modes."""
     information, options = {}, []
@@ -234,7 +234,7 @@ def _d_optimal(
     return chosen
 
 
-def information_of(fit: ModeFit, limits: HitLimits, normal_m_s: float, tangential_m_s: float) -> Array:
+def information_of(fit: ModeFit, limits: NextHitLimits, normal_m_s: float, tangential_m_s: float) -> Array:
     """Return the information (3, 3) that a hit is expected to add on the logarithms of k, f and mu."""
     logs = np.log([fit.k.value, max(fit.f.value, 1e-3), max(fit.mu.value, 1e-3)])
     shifted = np.exp(logs[:, None] + _STEP * np.concatenate([np.eye(3), -np.eye(3)], axis=1))
@@ -250,7 +250,7 @@ def information_of(fit: ModeFit, limits: HitLimits, normal_m_s: float, tangentia
     return information
 
 
-def expected_halves(fit: ModeFit, limits: HitLimits, hits: Sequence[NextHit]) -> dict[str, float]:
+def expected_halves(fit: ModeFit, limits: NextHitLimits, hits: Sequence[NextHit]) -> dict[str, float]:
     """Return the half widths of the logarithms' 95 % intervals that are expected after more hits."""
     total = np.diag((np.array([fit.k.half, fit.f.half, fit.mu.half]) / 1.96) ** -2.0)
     for hit in hits:

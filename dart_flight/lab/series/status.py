@@ -19,7 +19,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.body_fit import combine
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.flight_trials import ALLOWANCE
-from dart_flight.lab.identify.next_hits import FITTED, FlownHit, HitLimits, Known, ModeFit
+from dart_flight.lab.identify.next_hits import FITTED, FlownHit, NextHitLimits, Known, ModeFit
 from dart_flight.lab.series.evidence import Evidence, SeriesFlight, SeriesHit
 from dart_flight.lab.series.series_file import SeriesSettings
 
@@ -54,7 +54,7 @@ class Coefficient(msgspec.Struct, frozen=True):
         return 0.5 * math.log(self.whole.high / max(self.whole.low, 1e-6))
 
 
-class Prediction(msgspec.Struct, frozen=True):
+class HeldOutPrediction(msgspec.Struct, frozen=True):
     """A hit that was held out: predicted by the fit of the others, and measured."""
 
     hit: str
@@ -74,7 +74,7 @@ class HeldOutErrors(msgspec.Struct, frozen=True):
         out_m_s, out_constant_m_s: errors of the outgoing speed by the law, and by a constant restitution.
     """
 
-    hits: list[Prediction]
+    hits: list[HeldOutPrediction]
     peak: float | None
     out_m_s: float | None
     out_constant_m_s: float | None
@@ -138,11 +138,11 @@ def wall_material(mission: Mission, name: str) -> str:
     return next(wall.material for wall in mission.flat_walls if wall.name == name)
 
 
-def hit_limits(settings: SeriesSettings, mission: Mission) -> HitLimits:
+def hit_limits(settings: SeriesSettings, mission: Mission) -> NextHitLimits:
     low, high = settings.speeds_m_s
     peak_n = min(settings.peak_force_n, mission.limits.peak_force_n)
     vehicle = mission.vehicle
-    return HitLimits(
+    return NextHitLimits(
         low,
         high,
         mission.limits.speed_m_s,
@@ -239,7 +239,7 @@ def _predict(
             Onset(vehicle.onset),
         )
         rows.append(
-            Prediction(
+            HeldOutPrediction(
                 hit.name,
                 -m.normal_in_m_s,
                 float(contact.peak_normal_force_n),

@@ -14,7 +14,7 @@ from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.next_hits import (
     Design,
-    HitLimits,
+    NextHitLimits,
     Known,
     ModeFit,
     expected_halves,
@@ -27,8 +27,8 @@ VEHICLE = load_vehicle()
 DESIGNS = list(Design)
 
 
-def limits(peak_n: float = 96.0, fastest: float = 1.5) -> HitLimits:
-    return HitLimits(0.3, fastest, 2.0, peak_n, VEHICLE.airframe.mass_kg, Onset(VEHICLE.onset))
+def limits(peak_n: float = 96.0, fastest: float = 1.5) -> NextHitLimits:
+    return NextHitLimits(0.3, fastest, 2.0, peak_n, VEHICLE.airframe.mass_kg, Onset(VEHICLE.onset))
 
 
 def fit(mode: Mode, half: float = 0.6) -> ModeFit:
