@@ -180,7 +180,10 @@ _Chosen = list[tuple[Mode, float, float]]
 
 
 def _at_levels(
-    fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int, levels: Callable[[int, float, float], Array]
+    fits: Mapping[Mode, ModeFit],
+    limits: NextHitLimits,
+    count: int,
+    levels: Callable[[int, float, float], Array],
 ) -> _Chosen:
     """Return hits at the levels of each mode; `levels` gets their number, and the smallest and largest."""
     chosen = []

@@ -19,7 +19,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.body_fit import combine
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.flight_trials import ALLOWANCE
-from dart_flight.lab.identify.next_hits import FITTED, FlownHit, NextHitLimits, Known, ModeFit
+from dart_flight.lab.identify.next_hits import FITTED, FlownHit, Known, ModeFit, NextHitLimits
 from dart_flight.lab.series.evidence import Evidence, SeriesFlight, SeriesHit
 from dart_flight.lab.series.series_file import SeriesSettings
 

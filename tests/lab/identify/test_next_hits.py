@@ -14,9 +14,9 @@ from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.next_hits import (
     Design,
-    NextHitLimits,
     Known,
     ModeFit,
+    NextHitLimits,
     expected_halves,
     fastest_m_s,
     next_hits,
