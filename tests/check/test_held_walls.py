@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
 from pathlib import Path
@@ -102,15 +103,8 @@ def test_the_command_writes_the_wall_and_keeps_comments(
         ]
     )
 
-    class FakeSource:
-        place, remedy, problem = "here", "", None
-
-        def start(self, deliver: object) -> None: ...
-        def stop(self) -> None: ...
-
-    monkeypatch.setattr(room_command, "open_source", lambda url: FakeSource())
     monkeypatch.setattr(room_command, "mean_pose", lambda poses, frame: mean_pose(next(given), frame))
-    monkeypatch.setattr(room_command, "_camera_poses", _no_cameras)
+    monkeypatch.setattr(room_command, "_camera_poses", lambda url, mocap: contextlib.nullcontext(list))
     monkeypatch.setattr("sys.stdin", io.StringIO("\n\n\n"))
     assert main(["room", str(path), "--mocap", "udp://127.0.0.1:9/body"]) == 0
     said = capsys.readouterr().err
@@ -121,9 +115,3 @@ def test_the_command_writes_the_wall_and_keeps_comments(
     wall = Document(written, "").tree["walls"]["acrylic"]
     assert (wall["material"], wall["given_at"]) == ("acrylic", "centre")
     assert load_mission(path).flat_walls[0].point == pytest.approx((1.68, 0.5), abs=1e-3)
-
-
-def _no_cameras(url: str, mocap: object):  # type: ignore[no-untyped-def]
-    import contextlib
-
-    return contextlib.nullcontext(list)

@@ -16,6 +16,8 @@ import numpy as np
 
 from dart_flight.base.records import Mode
 from dart_flight.base.summary import Z95, student_t
+from dart_flight.contact.coefficients import Array
+from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.problem import LawProblem
@@ -33,11 +35,20 @@ class BodyImpact(NamedTuple):
         prior: the coefficients about which the fit began.
         belief: the fitted coefficients with their relative standard deviations.
         misfit: mean square of the normalised residuals.
+        onset_s, normal_m_s: time of the onset in the recording, and the normal velocity there.
+        plane_m: recorded normal position of the vehicle's centre at first touch.
+        force_errors_n: model minus reading of the normal force.
+        vertical_side: direction of the vertical force: 1 up, -1 down.
     """
 
     prior: Belief
     belief: Belief
     misfit: float
+    onset_s: float
+    normal_m_s: float
+    plane_m: Estimate
+    force_errors_n: Array
+    vertical_side: int
 
 
 def fit_bodies(problem: LawProblem) -> tuple[dict[MeasuredImpact, BodyImpact], list[str]]:
@@ -64,11 +75,27 @@ def _fit_body(hit: MeasuredImpact, mass_kg: float) -> BodyImpact | None:
     fitter = ContactFitter(vehicle)
     index = vehicle.modes.index(Mode(hit.trial.mode))
     with np.errstate(all="ignore"):
-        fit, _ = fitter.make_fit(request, spread=_WIDE, scatter=0.0)
+        fit, begin_us = fitter.make_fit(request, spread=_WIDE, scatter=0.0)
         result = fit.run()[index]
-    if not math.isfinite(result.evidence):
+        ticks, mode = fit.contact.ticks, np.array([index])
+        force = fit.forces(ticks, result.theta[:, None], mode, 2)[0].mean(axis=1)[:, 0]
+    normal_m_s = float(result.theta[3])
+    if not math.isfinite(result.evidence) or normal_m_s >= 0.0:
         raise ValueError("no solution")
-    return BodyImpact(fit.before[index], result.belief, result.misfit)
+    begin_s = (begin_us - request.onset.t_us) * 1e-6
+    lead_s = result.belief.f / result.belief.k if Onset(vehicle.onset) is Onset.LCP else 0.0
+    recorded = hit.trial.normal
+    plane_m = float(np.interp(begin_s, recorded.time_s, recorded.value)) - result.place_m
+    return BodyImpact(
+        fit.before[index],
+        result.belief,
+        result.misfit,
+        onset_s=begin_s - result.place_m / normal_m_s - lead_s,
+        normal_m_s=normal_m_s,
+        plane_m=Estimate.about(plane_m, Z95 * result.place_sd),
+        force_errors_n=(force - ticks.normal[:, index])[~ticks.bound],
+        vertical_side=-vehicle.vertical_force_sign,
+    )
 
 
 def combine(impacts: Sequence[BodyImpact]) -> tuple[dict[str, Estimate | None], list[str]]:
@@ -83,11 +110,21 @@ def combine(impacts: Sequence[BodyImpact]) -> tuple[dict[str, Estimate | None], 
     return found, [f"these contacts do not determine {name}" for name, e in found.items() if e is None]
 
 
-def _combined(
-    values: np.ndarray[tuple[int], np.dtype[np.float64]],
-    sds: np.ndarray[tuple[int], np.dtype[np.float64]],
-    priors: np.ndarray[tuple[int], np.dtype[np.float64]],
-) -> Estimate | None:
+def mean_plane(impacts: Sequence[BodyImpact]) -> Estimate:
+    """Return the mean position of the plane, with the wider of the fits' interval and that of the scatter."""
+    values = np.array([one.plane_m.value for one in impacts])
+    half = float(np.mean([one.plane_m.high - one.plane_m.low for one in impacts])) / 2.0
+    n = len(values)
+    drawn = student_t(n - 1) * float(values.std(ddof=1)) if n > 1 else 0.0
+    return Estimate.about(float(values.mean()), max(half, drawn) / math.sqrt(n))
+
+
+def force_residual_n(impacts: Sequence[BodyImpact]) -> float:
+    """Return the root mean square of the differences between model and readings of the normal force."""
+    return math.sqrt(float(np.mean(np.concatenate([one.force_errors_n for one in impacts]) ** 2)))
+
+
+def _combined(values: Array, sds: Array, priors: Array) -> Estimate | None:
     """Return the mean of the contacts without their priors; None if the interval is too wide.
 
     A contact's posterior is the product of its prior and of what it measured. The prior is divided out, so

@@ -18,7 +18,13 @@ from collections.abc import Mapping, Sequence
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.body_fit import BodyImpact, combine, fit_bodies
+from dart_flight.lab.identify.body_fit import (
+    BodyImpact,
+    combine,
+    fit_bodies,
+    force_residual_n,
+    mean_plane,
+)
 from dart_flight.lab.identify.estimates import Estimate, Identification, TrialFit
 from dart_flight.lab.identify.fit_quality import assess_fit, expected_residuals, hold_out
 from dart_flight.lab.identify.impact_fit import fit_impacts
@@ -76,26 +82,36 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
         statistical[mode] = found
         coefficients[mode], more = _widen_intervals(found, own.hits, turning=mode not in of_guards)
         notes += [f"{mode}: {note}" for note in more]
+    plane_m, residuals, side = result.plane_m, dict(result.residuals), result.vertical_side
+    if bodies and plane_m is None:
+        plane_m = mean_plane(list(bodies.values()))
+    if bodies and "normal_force_n" not in residuals:
+        residuals["normal_force_n"] = force_residual_n(list(bodies.values()))
+    if side is None and any(statistical[mode]["nu"] is not None for mode in of_guards):
+        side = next(iter(bodies.values())).vertical_side
     whole = problem.of([hit for hit in problem.hits if hit not in result.trials])
     expected = expected_residuals(trials, problem.hits)
     return Identification(
         coefficients=coefficients,
         statistical=statistical,
-        plane_m=result.plane_m,
-        residuals=result.residuals,
+        plane_m=plane_m,
+        residuals=residuals,
         trials=[result.trials.get(hit) or _trial_fit(hit, bodies) for hit in problem.hits],
-        vertical_side=result.vertical_side,
+        vertical_side=side,
         notes=notes,
         restitution={mode: restitution(own) for mode, own in modes.items()},
         tangential_ratio={mode: tangential_ratio(own) for mode, own in modes.items()},
         held_out=held_out,
-        fit=assess_fit(coefficients, whole, result.residuals, expected),
+        fit=assess_fit(coefficients, whole, residuals, expected),
     )
 
 
 def _trial_fit(hit: MeasuredImpact, bodies: Mapping[MeasuredImpact, BodyImpact]) -> TrialFit:
     found = TrialFit.from_hit(hit)
-    return found._replace(used="guards", misfit=bodies[hit].misfit) if hit in bodies else found
+    if hit not in bodies:
+        return found
+    one = bodies[hit]
+    return found._replace(used="guards", misfit=one.misfit, onset_s=one.onset_s, normal_m_s=one.normal_m_s)
 
 
 def _coefficients(

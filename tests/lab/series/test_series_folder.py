@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import UTC, date, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dart_flight.base.errors import FlightError
@@ -17,6 +18,7 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import load_vehicle
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.lab.identify.body_fit import BodyImpact
+from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.series.evidence import Evidence, SeriesFlight, SeriesHit, _set_outliers_aside
 from dart_flight.lab.series.history import apply_status
 from dart_flight.lab.series.series_file import SeriesFolder, locked
@@ -45,7 +47,16 @@ def with_bodies(ks: list[float], mode: Mode = Mode.FLEXIBLE) -> list[SeriesHit]:
             i,
             mode,
             CollisionVerdict(i, "acrylic", mode.value, i),
-            body=BodyImpact(prior, Belief(k, 9.0, 5.0, 10.0, 0.01, 0.1, 0.05, 0.2), 0.2),
+            body=BodyImpact(
+                prior,
+                Belief(k, 9.0, 5.0, 10.0, 0.01, 0.1, 0.05, 0.2),
+                misfit=0.2,
+                onset_s=0.0,
+                normal_m_s=-1.0,
+                plane_m=Estimate(0.0, -0.01, 0.01),
+                force_errors_n=np.zeros(1),
+                vertical_side=1,
+            ),
         )
         for i, k in enumerate(ks, start=1)
     ]
