@@ -181,23 +181,17 @@ def _plan(arguments: argparse.Namespace) -> tuple[Path, bool]:
     from dart_flight.check.findings import decide
     from dart_flight.cli.check_command import show
     from dart_flight.config.mission import load_mission
-    from dart_flight.lab.identify.next_hits import FITTED, expected_halves, next_hits
-    from dart_flight.lab.series.batch import batch_tree
-    from dart_flight.lab.series.status import describe, flown_hits, hit_limits
+    from dart_flight.lab.identify.next_hits import FITTED, expected_halves
+    from dart_flight.lab.series.batch import plan_batch
+    from dart_flight.lab.series.status import describe, hit_limits
 
     folder, mission, evidence, status = _read(arguments)
     settings = folder.settings
     limits = hit_limits(settings, mission)
     fits = {mode: status.modes[mode.value].fit for mode in settings.modes}
-    missing = {mode: fit for mode, fit in fits.items() if status.modes[mode.value].more_hits != 0}
-    hits = next_hits(missing or fits, limits, settings.hits_per_flight, settings.design, flown_hits(evidence))
-    if not hits:
-        raise FlightError(
-            f"no hit at {limits.slowest_m_s:g} m/s or more stays below {limits.peak_n:.0f} N (0.8 of the "
-            "force limit) by the upper end of the interval: reduce speeds_m_s in series.yaml"
-        )
     name = f"{settings.wall} {folder.next_batch().name}"
-    path = folder.write_batch(batch_tree(mission, settings.wall, hits, name, settings.peak_force_n))
+    hits, tree, _ = plan_batch(settings, mission, status, evidence, name)
+    path = folder.write_batch(tree)
     batch = load_mission(path, arguments.config)
     lines = [f"{display_path(path)}: {len(hits)} hits on {settings.wall}"]
     lines += [

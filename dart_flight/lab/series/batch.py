@@ -4,16 +4,64 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+from dart_flight.base.errors import FlightError
 from dart_flight.base.walls import Wall
-from dart_flight.config.document import InputError
-from dart_flight.config.mission import Mission
-from dart_flight.lab.identify.next_hits import NextHit
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import Mission, parse_mission
+from dart_flight.lab.identify.next_hits import NextHit, next_hits
+from dart_flight.lab.series.evidence import Evidence
+from dart_flight.lab.series.series_file import SeriesSettings
+from dart_flight.lab.series.status import SeriesStatus, flown_hits, hit_limits
+from dart_flight.run.prepare import refuse_unflyable
 
 _HOLD_S: Final = 1.0  # rest before each approach, in which PX4's velocity settles
 _ALPHA: Final = (0.025, 0.025)  # gains of a recovery that leads away from the wall, m/N
+_SLOWER: Final = 0.85  # factor on the largest speed if a batch does not fit into the room
 _REPLACED: Final = ("predicted", "flown", "goal_trajectory", "collisions", "waypoints", "after_impact")
+
+
+class Batch(NamedTuple):
+    """A planned batch: its hits in the order of flight, the keys of its mission, and the mission."""
+
+    hits: list[NextHit]
+    tree: dict[str, Any]
+    mission: Mission
+
+
+def plan_batch(
+    settings: SeriesSettings, mission: Mission, status: SeriesStatus, evidence: Evidence, name: str
+) -> Batch:
+    """Return the next batch; if the room is too small for a run-up, all hits become slower.
+
+    Modes whose aims are reached are left out, unless all are reached.
+
+    Raises:
+        FlightError: no hit is below the force limit, or the room has no space for any.
+    """
+    limits = hit_limits(settings, mission)
+    fits = {mode: status.modes[mode.value].fit for mode in settings.modes}
+    missing = {mode: fit for mode, fit in fits.items() if status.modes[mode.value].more_hits != 0}
+    refusal = (
+        f"no hit at {limits.slowest_m_s:g} m/s or more stays below {limits.peak_n:.0f} N (0.8 of the force "
+        "limit) by the upper end of the interval: reduce speeds_m_s in series.yaml"
+    )
+    while limits.fastest_m_s >= limits.slowest_m_s:
+        hits = next_hits(
+            missing or fits, limits, settings.hits_per_flight, settings.design, flown_hits(evidence)
+        )
+        if not hits:
+            break
+        tree = batch_tree(mission, settings.wall, hits, name, settings.peak_force_n)
+        try:
+            planned = parse_mission(Document.from_tree(tree), mission.vehicle_as_written())
+            refuse_unflyable(planned)
+            return Batch(hits, tree, planned)
+        except InputError as error:
+            refusal = f"no batch fits into the room: {error.message}"
+        limits = limits._replace(fastest_m_s=_SLOWER * limits.fastest_m_s)
+    raise FlightError(refusal)
 
 
 def batch_tree(

@@ -98,18 +98,23 @@ def read_evidence(folder: SeriesFolder) -> Evidence:
         flight = SeriesFlight(name, path)
         found.flights.append(flight)
         try:
-            log = read_log(path)
-            found.hits += _read_flight(log, flight, settings)
+            found.hits += read_flight(read_log(path), flight, settings)
         except InputError as error:
             flight.problem = error.message
-    for mode in settings.modes:
-        hits = [hit for hit in found.hits if hit.mode is mode]
-        _hold_out(hits, settings.held_out)
-        _set_outliers_aside(hits)
+    sort_hits(found, settings)
     return found
 
 
-def _read_flight(log: Log, flight: SeriesFlight, settings: SeriesSettings) -> list[SeriesHit]:
+def sort_hits(evidence: Evidence, settings: SeriesSettings) -> None:
+    """Decide which hits are held out, and set outliers aside."""
+    for mode in settings.modes:
+        hits = [hit for hit in evidence.hits if hit.mode is mode]
+        _hold_out(hits, settings.held_out)
+        _set_outliers_aside(hits)
+
+
+def read_flight(log: Log, flight: SeriesFlight, settings: SeriesSettings) -> list[SeriesHit]:
+    """Return the planned hits of a flight, and complete the description of the flight."""
     mission = flown_mission(log.about, log.source)
     verdict = verdict_of(log)
     flight.vehicle, flight.outcome = mission.vehicle, verdict.reason or verdict.outcome.value

@@ -185,7 +185,7 @@ def _mode_status(
         coefficients,
         flown=len(hits),
         used=len(used),
-        held_out=_predict(fitted, used, evidence.held_out(mode), mission),
+        held_out=predict_held_out(fitted, used, evidence.held_out(mode), mission),
         aside={hit.name: hit.aside for hit in hits if hit.aside},
     )
 
@@ -215,7 +215,7 @@ def _coefficient(
     return Coefficient(statistical, whole, share, aim, more)
 
 
-def _predict(
+def predict_held_out(
     fitted: Coefficients, used: Sequence[SeriesHit], held: Sequence[SeriesHit], mission: Mission
 ) -> HeldOutErrors:
     """Predict the held-out hits by the law, and by the median restitution of the used hits."""
