@@ -44,8 +44,8 @@ class SeriesOutcome(msgspec.Struct, frozen=True):
     """The result of one series.
 
     Attributes:
-        coefficients: by `mode name`: estimate, low and high of the statistical interval, low and high with the
-            allowance, and the truth.
+        coefficients: by `mode name`: estimate, low and high of the statistical interval, low and high
+            with the allowance, and the truth.
         hits, flights: numbers flown in the series.
         highest_share: largest true peak of a hit, relative to the force limit.
         uncontrolled: number of uncontrolled flights.
