@@ -33,8 +33,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
 
     new = _action(actions, "new", "create a series: a folder with its settings")
-    new.add_argument("--mission", type=Path, required=True, metavar="M", help="mission with the wall")
-    new.add_argument("--wall", required=True, metavar="W", help="name of the wall in the mission")
+    new.add_argument("--mission", type=Path, metavar="M", help="mission with the wall")
+    new.add_argument("--wall", metavar="W", help="name of the wall in the mission")
+    new.add_argument("--drop", metavar="LOW..HIGH", help="a series of drops from these heights, m")
+    new.add_argument("--ground", metavar="MATERIAL", help="with --drop: material of the ground")
     new.add_argument("--modes", metavar="MODE,...", help="modes to identify (default: all of the vehicle)")
     new.add_argument("--speeds", default="0.3..1.5", metavar="LOW..HIGH", help="normal speeds, m/s")
     new.add_argument("--peak-force", type=number(1.0, 2000.0), metavar="N", help="default: the mission's")
@@ -65,7 +67,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     exclude.add_argument("hit", metavar="FLIGHT:HIT", help="as shown by status")
     exclude.add_argument("--why", required=True, metavar="TEXT", help="the reason")
     add = _action(actions, "add", "add a flight of the same wall that another command flew")
-    add.add_argument("flight", type=Path, metavar="FLIGHT", help="folder or flight.mcap")
+    add.add_argument("flight", type=Path, metavar="FLIGHT", help="folder or flight.mcap; a drop: CSV or ULog")
+    add.add_argument("--mode", choices=("rigid", "flexible"), help="of a drop: mode of the arms")
+    add.add_argument("--height", type=number(0.01, 10.0), metavar="M", help="of a drop: its height, if known")
+    add.add_argument("--contact-distance", type=number(0.0, 1.0), default=0.0, metavar="M",
+                     help="of a drop: recorded height at first touch")  # fmt: skip
 
 
 def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
@@ -106,12 +112,26 @@ def _open(arguments: argparse.Namespace) -> Any:
 
 def _new(arguments: argparse.Namespace) -> int:
     from dart_flight.base.records import Mode
-    from dart_flight.config.mission import load_mission
+    from dart_flight.config.document import unknown_name
+    from dart_flight.config.mission import load_empty_room, load_mission
     from dart_flight.lab.series.series_file import SeriesSettings, create_series
 
-    mission = load_mission(arguments.mission, arguments.config)
+    drop = arguments.drop is not None
+    if drop:
+        if arguments.mission or arguments.wall or not arguments.ground:
+            raise InputError(
+                "a series of drops has --ground, and neither --mission nor --wall", key=("--drop",)
+            )
+        mission = load_empty_room(arguments.config)
+        if arguments.ground not in mission.vehicle.materials:
+            known = list(mission.vehicle.materials)
+            raise InputError(unknown_name(arguments.ground, known), key=("--ground",))
+    elif not (arguments.mission and arguments.wall):
+        raise InputError("give --mission and --wall, or --drop and --ground")
+    else:
+        mission = load_mission(arguments.mission, arguments.config)
     walls = {wall.name: wall for wall in mission.flat_walls}
-    if arguments.wall not in walls:
+    if not drop and arguments.wall not in walls:
         raise InputError(
             f"no wall {arguments.wall!r} in the mission; it has {', '.join(walls)}", key=("--wall",)
         )
@@ -128,13 +148,14 @@ def _new(arguments: argparse.Namespace) -> int:
     config = arguments.config or (None if source is None or source.packaged else source.source)
     settings = SeriesSettings(
         vehicle=None if config is None else os.path.relpath(config, arguments.folder),
-        wall=arguments.wall,
+        wall=arguments.ground if drop else arguments.wall,
         modes=tuple(sorted(modes, key=lambda mode: mode is Mode.RIGID)),
-        speeds_m_s=_speeds(arguments.speeds),
+        speeds_m_s=_range(arguments.speeds, "--speeds"),
         peak_force_n=arguments.peak_force or mission.limits.peak_force_n,
         aims=_aims(arguments.aim),
         held_out=arguments.held_out,
         hits_per_flight=arguments.hits_per_flight,
+        heights_m=_range(arguments.drop, "--drop") if drop else None,
     )
     create_series(arguments.folder, arguments.mission, settings)
     folder = display_path(arguments.folder)
@@ -142,14 +163,14 @@ def _new(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _speeds(text: str) -> tuple[float, float]:
+def _range(text: str, option: str) -> tuple[float, float]:
     low, dots, high = text.partition("..")
     try:
         if not dots:
             raise ValueError
         return float(low), float(high)
     except ValueError:
-        raise InputError(f"{text!r} is not LOW..HIGH, such as 0.3..1.5", key=("--speeds",)) from None
+        raise InputError(f"{text!r} is not LOW..HIGH, such as 0.3..1.5", key=(option,)) from None
 
 
 def _aims(given: list[str]) -> Any:
@@ -172,6 +193,16 @@ def _aims(given: list[str]) -> Any:
 
 
 def _next(arguments: argparse.Namespace) -> int:
+    from dart_flight.lab.series.status import describe, next_heights
+
+    if _open(arguments).settings.heights_m is not None:
+        folder, mission, _, status = _read(arguments)
+        for mode, one in status.modes.items():
+            heights = next_heights(folder.settings, mission, one.fit)
+            shown = ", ".join(f"{height:.2f}" for height in heights) or "none is below the force limit"
+            print_status(f"{mode}: drop from these heights, m: {shown}")
+        print_status(f"missing: {describe(status)}")
+        return 0
     return 0 if _plan(arguments)[1] else 1
 
 
@@ -187,6 +218,10 @@ def _plan(arguments: argparse.Namespace) -> tuple[Path, bool]:
 
     folder, mission, evidence, status = _read(arguments)
     settings = folder.settings
+    if settings.heights_m is not None:
+        raise InputError(
+            "drops are not flown: `series next` names their heights, `series add` adds recordings"
+        )
     limits = hit_limits(settings, mission)
     fits = {mode: status.modes[mode.value].fit for mode in settings.modes}
     name = f"{settings.wall} {folder.next_batch().name}"
@@ -366,9 +401,18 @@ def _exclude(arguments: argparse.Namespace) -> int:
 
 
 def _add(arguments: argparse.Namespace) -> int:
+    from dart_flight.base.records import Mode
+    from dart_flight.lab.series.series_file import DropTrial
     from dart_flight.recording.found import LOG_NAME
 
     folder = _open(arguments)
+    if folder.settings.heights_m is not None:
+        mode = arguments.mode or (folder.settings.modes[0] if len(folder.settings.modes) == 1 else None)
+        if mode is None or Mode(mode) not in folder.settings.modes:
+            raise InputError(f"give one of {', '.join(folder.settings.modes)}", key=("--mode",))
+        drop = DropTrial(arguments.flight.name, Mode(mode), arguments.height, arguments.contact_distance)
+        print_status(f"added {folder.add_drop(arguments.flight, drop)}")
+        return 0
     log = arguments.flight / LOG_NAME if arguments.flight.is_dir() else arguments.flight
     print_status(f"added {folder.add(log)}")
     return 0

@@ -22,7 +22,7 @@ _SLOWER: Final = 0.85  # factor on the largest speed if a batch does not fit int
 _REPLACED: Final = ("predicted", "flown", "goal_trajectory", "collisions", "waypoints", "after_impact")
 
 
-class Batch(NamedTuple):
+class SeriesBatch(NamedTuple):
     """A planned batch: its hits in the order of flight, the keys of its mission, and the mission."""
 
     hits: list[NextHit]
@@ -32,7 +32,7 @@ class Batch(NamedTuple):
 
 def plan_batch(
     settings: SeriesSettings, mission: Mission, status: SeriesStatus, evidence: Evidence, name: str
-) -> Batch:
+) -> SeriesBatch:
     """Return the next batch; if the room is too small for a run-up, all hits become slower.
 
     Modes whose aims are reached are left out, unless all are reached.
@@ -57,7 +57,7 @@ def plan_batch(
         try:
             planned = parse_mission(Document.from_tree(tree), mission.vehicle_as_written())
             refuse_unflyable(planned)
-            return Batch(hits, tree, planned)
+            return SeriesBatch(hits, tree, planned)
         except InputError as error:
             refusal = f"no batch fits into the room: {error.message}"
         limits = limits._replace(fastest_m_s=_SLOWER * limits.fastest_m_s)

@@ -18,9 +18,11 @@ from dart_flight.lab.identify.body_fit import BodyImpact, fit_bodies
 from dart_flight.lab.identify.flight_trials import trials_of
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.problem import LawProblem
-from dart_flight.lab.series.series_file import SeriesFolder, SeriesSettings
+from dart_flight.lab.identify.trial_readers import read_trials
+from dart_flight.lab.identify.trials import TrialReading
+from dart_flight.lab.series.series_file import DropTrial, SeriesFolder, SeriesSettings
 from dart_flight.recording.about import flown_mission
-from dart_flight.recording.flown_impact import CollisionVerdict
+from dart_flight.recording.flown_impact import CollisionVerdict, Velocities
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.verdict import verdict_of
 
@@ -101,8 +103,36 @@ def read_evidence(folder: SeriesFolder) -> Evidence:
             found.hits += read_flight(read_log(path), flight, settings)
         except InputError as error:
             flight.problem = error.message
+    for name, (path, trial) in folder.drop_files().items():
+        flight = SeriesFlight(name, path, outcome="completed")
+        found.flights.append(flight)
+        try:
+            found.hits.append(_read_drop(path, name, trial, folder))
+        except InputError as error:
+            flight.problem = error.message
     sort_hits(found, settings)
     return found
+
+
+def _read_drop(path: Path, name: str, drop: DropTrial, folder: SeriesFolder) -> SeriesHit:
+    mass_kg, settings = folder.mission().vehicle.airframe.mass_kg, folder.settings
+    reading = TrialReading(
+        mode=drop.mode.value,
+        drop=True,
+        contact_distance_m=drop.contact_distance_m,
+        mass_kg=mass_kg,
+        height_m=drop.height_m,
+    )
+    trials = read_trials(path, reading)
+    if len(trials) != 1:
+        raise InputError(f"the file has {len(trials)} drops, expected one", source=str(path))
+    measured = measure_impact(trials[0], mass_kg)
+    speeds = Velocities(-measured.normal_in_m_s, peak_force_n=measured.peak_force_n)
+    verdict = CollisionVerdict(1, settings.wall, drop.mode.value, 0, measured=speeds)
+    hit = SeriesHit(name, 1, drop.mode, verdict, measured)
+    excluded = [one.why for one in settings.excluded if (one.flight, one.hit) == (name, 1)]
+    hit.aside = f"excluded: {excluded[0]}" if excluded else ""
+    return hit
 
 
 def sort_hits(evidence: Evidence, settings: SeriesSettings) -> None:

@@ -20,8 +20,8 @@ from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, InputError, read_text, replace_file, report_write_errors
 from dart_flight.config.edit import update_text
 from dart_flight.config.held_files import HeldError, HeldFile, program_name
-from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.section import Section, Speed
+from dart_flight.config.mission import Mission, load_empty_room, load_mission
+from dart_flight.config.section import Metres, Section, Speed
 from dart_flight.lab.identify.flight_trials import ALLOWANCE
 from dart_flight.lab.identify.next_hits import FITTED, Design
 from dart_flight.recording.found import LOG_NAME
@@ -56,12 +56,27 @@ class ExcludedHit(Section, frozen=True):
     why: str
 
 
+class DropTrial(Section, frozen=True):
+    """A recorded drop in the folder `added`.
+
+    Attributes:
+        file: name of the CSV or ULog file.
+        height_m: height of the drop; null: from the duration of the fall.
+        contact_distance_m: distance of the recorded point from the ground at first touch.
+    """
+
+    file: str
+    mode: Mode
+    height_m: Metres | None = None
+    contact_distance_m: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+
+
 class SeriesSettings(Section, frozen=True, kw_only=True):
     """The file `series.yaml`.
 
     Attributes:
         vehicle: vehicle configuration, relative to the folder; null: the default configuration.
-        wall: name of the wall in mission.yaml.
+        wall: name of the wall in mission.yaml; in a series of drops, the material of the ground.
         speeds_m_s: smallest and largest speed along the wall's normal.
         peak_force_n: largest contact force; a planned peak is at most 0.8 of it.
         held_out: share of the hits that only check the prediction.
@@ -69,6 +84,8 @@ class SeriesSettings(Section, frozen=True, kw_only=True):
         design: rule that chooses the next hits.
         excluded: hits that the operator has excluded.
         added: flights in the folder `added`, which other commands flew.
+        heights_m: smallest and largest height of a series of drops; null: hits on a wall.
+        drops: the recorded drops.
     """
 
     version: Literal[1] = 1
@@ -83,6 +100,8 @@ class SeriesSettings(Section, frozen=True, kw_only=True):
     design: Design = Design.EQUAL_STEPS
     excluded: tuple[ExcludedHit, ...] = ()
     added: tuple[str, ...] = ()
+    heights_m: tuple[Metres, Metres] | None = None
+    drops: tuple[DropTrial, ...] = ()
 
 
 class SeriesFolder:
@@ -103,7 +122,9 @@ class SeriesFolder:
         refuse_impossible(self.settings, document)
 
     def mission(self) -> Mission:
-        """Return the mission of the room, with the vehicle of the series."""
+        """Return the mission of the room (for drops, an empty room), with the vehicle of the series."""
+        if self.settings.heights_m is not None:
+            return load_empty_room(self.config)
         return load_mission(self.path / _MISSION, self.config)
 
     @property
@@ -163,9 +184,24 @@ class SeriesFolder:
         self.change(added=(*self.settings.added, name))
         return f"{_ADDED}/{name}"
 
+    def add_drop(self, path: Path, trial: DropTrial) -> str:
+        """Copy the recording of a drop into the folder, and return its name."""
+        target = self.path / _ADDED / trial.file
+        if any(one.file == trial.file for one in self.settings.drops):
+            raise InputError(f"the series has this drop already: {_ADDED}/{trial.file}", source=str(path))
+        with report_write_errors(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            replace_file(target, path.read_bytes())
+        self.change(drops=(*self.settings.drops, trial))
+        return f"{_ADDED}/{trial.file}"
+
+    def drop_files(self) -> dict[str, tuple[Path, DropTrial]]:
+        """Return the recordings of drops by name."""
+        return {f"{_ADDED}/{one.file}": (self.path / _ADDED / one.file, one) for one in self.settings.drops}
+
     def flight_named(self, part: str) -> str:
         """Return the name of the only flight that contains `part`."""
-        names = list(self.logs())
+        names = [*self.logs(), *self.drop_files()]
         found = [name for name in names if part in (name, *name.split("/"))]
         found = found or [name for name in names if part in name]
         if len(found) != 1:
@@ -174,13 +210,18 @@ class SeriesFolder:
         return found[0]
 
 
-def create_series(path: Path, mission: Path, settings: SeriesSettings) -> SeriesFolder:
-    """Create the folder of a series with a copy of a mission, whose walls, bounds and limits it uses."""
+def create_series(path: Path, mission: Path | None, settings: SeriesSettings) -> SeriesFolder:
+    """Create the folder of a series.
+
+    The folder gets a copy of the mission, whose walls, bounds and limits the series uses. A series of drops
+    has no mission.
+    """
     if (path / SETTINGS).exists():
         raise InputError("a series exists here already", source=str(path / SETTINGS))
-    tree = {key: value for key, value in Document.load(mission).tree.items() if key != "vehicle"}
     refuse_impossible(settings, Document.from_tree(msgspec.to_builtins(settings), str(path / SETTINGS)))
-    _write(path / _MISSION, update_text(read_text(mission), tree, str(mission)))
+    if mission is not None:
+        tree = {key: value for key, value in Document.load(mission).tree.items() if key != "vehicle"}
+        _write(path / _MISSION, update_text(read_text(mission), tree, str(mission)))
     # The settings come last: a folder without them is no series, so an interrupted command can be repeated.
     _write(path / SETTINGS, _HEAD + update_text("{}\n", msgspec.to_builtins(settings)))
     return SeriesFolder(path)
@@ -196,6 +237,10 @@ def refuse_impossible(settings: SeriesSettings, document: Document) -> None:
         raise document.error(("speeds_m_s",), f"expected low < high, not {low:g} and {high:g}")
     if not settings.modes:
         raise document.error(("modes",), "name at least one mode")
+    if settings.heights_m is not None:
+        if not settings.heights_m[0] < settings.heights_m[1]:
+            raise document.error(("heights_m",), "expected low < high")
+        return  # recordings of drops have no allowance
     for name in FITTED:
         aim, allowance = getattr(settings.aims, name), ALLOWANCE[name]
         if aim < allowance:

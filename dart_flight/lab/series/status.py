@@ -9,6 +9,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
 from dart_flight.base.summary import Z95
 from dart_flight.config.mission import Mission
@@ -18,8 +19,16 @@ from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.body_fit import combine
 from dart_flight.lab.identify.estimates import Estimate
+from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.flight_trials import ALLOWANCE
-from dart_flight.lab.identify.next_hits import FITTED, FlownHit, Known, ModeFit, NextHitLimits
+from dart_flight.lab.identify.next_hits import (
+    FITTED,
+    FlownHit,
+    Known,
+    ModeFit,
+    NextHitLimits,
+    fastest_m_s,
+)
 from dart_flight.lab.series.evidence import Evidence, SeriesFlight, SeriesHit
 from dart_flight.lab.series.series_file import SeriesSettings
 
@@ -92,7 +101,7 @@ class ModeStatus(msgspec.Struct, frozen=True):
     @property
     def more_hits(self) -> int | None:
         """Further used hits until all aims are reached; None if this cannot be estimated yet."""
-        needed = [self.coefficients[name].more_hits for name in FITTED]
+        needed = [one.more_hits for one in self.coefficients.values() if one.aim is not None]
         return None if None in needed else max(n for n in needed if n is not None)
 
     @property
@@ -135,6 +144,9 @@ def status_of(settings: SeriesSettings, mission: Mission, evidence: Evidence) ->
 
 
 def wall_material(mission: Mission, name: str) -> str:
+    """Return the material of a wall; in a series of drops, the name is the ground's material."""
+    if name in mission.vehicle.materials and not mission.flat_walls:
+        return name
     return next(wall.material for wall in mission.flat_walls if wall.name == name)
 
 
@@ -152,6 +164,29 @@ def hit_limits(settings: SeriesSettings, mission: Mission) -> NextHitLimits:
     )
 
 
+def next_heights(settings: SeriesSettings, mission: Mission, fit: ModeFit) -> list[float]:
+    """Return the heights of the next drops in one mode, m, in equal steps of the impact speed.
+
+    No peak, with gravity's share, exceeds 0.8 of the force limit by the upper end of the interval. The list is
+    empty if no height is safe.
+    """
+    assert settings.heights_m is not None
+    weight_n = GRAVITY_M_S2 * mission.vehicle.airframe.mass_kg
+    low, high = (math.sqrt(2.0 * GRAVITY_M_S2 * height) for height in settings.heights_m)
+    limits = hit_limits(settings, mission)._replace(
+        slowest_m_s=low,
+        fastest_m_s=high,
+        speed_m_s=high,
+        peak_n=PEAK_SHARE * settings.peak_force_n - 2.0 * weight_n,
+    )
+    top = fastest_m_s(fit, limits, 0.0)
+    if top is None:
+        return []
+    speeds = np.linspace(low, top, settings.hits_per_flight)
+    heights: list[float] = (speeds**2 / (2.0 * GRAVITY_M_S2)).tolist()
+    return heights
+
+
 def flown_hits(evidence: Evidence) -> list[FlownHit]:
     return [
         FlownHit(hit.mode, -hit.measured.normal_in_m_s, hit.measured.tangential_in_m_s or 0.0)
@@ -166,7 +201,7 @@ def _mode_status(
     hits = [hit for hit in evidence.hits if hit.mode is mode]
     used = evidence.used(mode)
     bodies = [hit.body for hit in used if hit.body is not None]
-    found = combine(bodies)[0] if bodies else {}
+    found = combine(bodies)[0] if bodies else _fit_drops(used, mission)
     # The first flight's vehicle has the prior: `series apply` may have changed the configuration since.
     first = next((one.vehicle for one in evidence.flights if one.vehicle is not None), mission.vehicle)
     configured = first.materials.get(material, mission.vehicle.materials[material]).coefficients(mode)
@@ -174,8 +209,8 @@ def _mode_status(
         name: _coefficient(
             found.get(name),
             getattr(configured, name),
-            ALLOWANCE[name],
-            getattr(settings.aims, name, None),
+            ALLOWANCE[name] if settings.heights_m is None else 0.0,
+            None if name == "mu" and settings.heights_m is not None else getattr(settings.aims, name, None),
             len(used),
         )
         for name in ("k", "f", "mu", "nu")
@@ -188,6 +223,16 @@ def _mode_status(
         held_out=predict_held_out(fitted, used, evidence.held_out(mode), mission),
         aside={hit.name: hit.aside for hit in hits if hit.aside},
     )
+
+
+def _fit_drops(used: Sequence[SeriesHit], mission: Mission) -> dict[str, Estimate | None]:
+    """Fit the drops of one mode."""
+    trials = [hit.measured.trial for hit in used if hit.measured is not None]
+    if not trials:
+        return {}
+    vehicle = mission.vehicle
+    found = identify(trials, vehicle.airframe.mass_kg, Onset(vehicle.onset))
+    return found.statistical[used[0].mode.value]
 
 
 def _coefficient(
@@ -237,6 +282,7 @@ def predict_held_out(
             -m.normal_in_m_s,
             m.tangential_in_m_s or 0.0,
             Onset(vehicle.onset),
+            acceleration_m_s2=m.trial.acceleration_m_s2 or None,
         )
         rows.append(
             HeldOutPrediction(
