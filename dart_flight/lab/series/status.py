@@ -167,8 +167,8 @@ def hit_limits(settings: SeriesSettings, mission: Mission) -> NextHitLimits:
 def next_heights(settings: SeriesSettings, mission: Mission, fit: ModeFit) -> list[float]:
     """Return the heights of the next drops in one mode, m, in equal steps of the impact speed.
 
-    No peak, with gravity's share, exceeds 0.8 of the force limit by the upper end of the interval. The list is
-    empty if no height is safe.
+    No peak, with gravity's share, exceeds 0.8 of the force limit by the upper end of the interval. The list
+    is empty if no height is safe.
     """
     assert settings.heights_m is not None
     weight_n = GRAVITY_M_S2 * mission.vehicle.airframe.mass_kg
