@@ -19,6 +19,7 @@ COMMANDS: Final = {
     "studio": "dart_flight.lab.commands.studio_command",
     "calibrate": "dart_flight.lab.commands.calibrate_command",
     "inspect": "dart_flight.lab.commands.inspect_command",
+    "series": "dart_flight.lab.commands.series_command",
     "identify": "dart_flight.lab.commands.identify_command",
     "tables": "dart_flight.lab.commands.tables_command",
 }

@@ -40,6 +40,7 @@ LAB = (
     "predict",
     "search",
     "identify",
+    "series",
     "calibrate",
     "inspect",
     "campaign",

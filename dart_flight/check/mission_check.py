@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterator
+from datetime import date
+from pathlib import Path
 
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import AfterImpact
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.probe_check import check_located_wall, check_probe
+from dart_flight.config.material_history import newest_entry, read_history
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import (
     NoApproachError,
@@ -508,12 +511,19 @@ def check_flown(mission: Mission) -> CheckFinding:
 
 
 def check_materials(mission: Mission) -> list[CheckFinding]:
-    """Return the source of each material's coefficients."""
+    """Return the source of each material's coefficients, and their age if `series apply` wrote them."""
     findings = []
+    source_file = None if mission.vehicle_source is None else mission.vehicle_source.source
+    history = () if source_file is None else read_history(Path(source_file))
     for name in sorted({c.wall.material for c in mission.collisions if c.wall.material_known}):
         source = mission.vehicle.materials[name].source
         assumed = not source or any(word in source for word in _NOT_MEASURED)
         note = "; these coefficients were not measured: measure them with `identify`" if assumed else ""
         message = f"{name}: {source or 'no source given'}{note}"
+        modes = sorted({c.mode.value for c in mission.collisions if c.wall.material == name})
+        applied = [one for mode in modes if (one := newest_entry(history, name, mode)) is not None]
+        if applied:
+            ages = [f"{one.mode} {(date.today() - one.day).days} days old" for one in applied]
+            message += f"; coefficients: {', '.join(ages)}"
         findings.append(CheckFinding(f"material_{name}", True, message, remark=assumed))
     return findings

@@ -50,6 +50,8 @@ COMMANDS = {
     "calibrate": "calibrate thrust curve or inertia from flight logs",
     "inspect": "find impacts and forces in PX4 logs of any multirotor",
     "identify": "identify contact coefficients from recorded trials",
+    "room": "measure the walls of a room with the vehicle held by hand",
+    "series": "fly a trial series on one wall, from the first hit to dated coefficients",
     "tables": "compare the paper's tables with the model",
     "init": "copy the packaged configuration, missions and scenarios to start from",
     "completion": "print a completion script for bash, zsh or tcsh",

@@ -55,6 +55,50 @@ def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
     return msgspec.structs.replace(vehicle, flying=flying)
 
 
+def resolve_walls(
+    specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document, section: str
+) -> dict[str, Wall]:
+    """Return the walls of a section of the file by name."""
+    contact_m = vehicle.airframe.contact_distance_m
+    walls: dict[str, Wall] = {}
+    for name, spec in specs.items():
+        key: Key = (section, name)
+        length = math.hypot(*spec.normal)
+        if not length > 1e-9:
+            raise document.error((*key, "normal"), "the normal has length 0")
+        normal = spec.normal
+        if abs(length - 1.0) > _UNIT_TOLERANCE:  # a unit vector stays bit-equal
+            normal = (spec.normal[0] / length, spec.normal[1] / length)
+        if spec.material not in vehicle.materials:
+            raise document.error((*key, "material"), unknown_name(spec.material, list(vehicle.materials)))
+        if spec.thickness_m is not None and spec.given_at is None:
+            text = (
+                "a partition needs given_at: surface if point_m is on its front face, or centre if "
+                f"point_m is the vehicle's centre at first touch, {contact_m:g} m before it"
+            )
+            raise document.error(key, text)
+        offset = contact_m if spec.given_at == "surface" else 0.0
+        wall = Wall(
+            name,
+            (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1]),
+            normal,
+            spec.length_m,
+            spec.material,
+            spec.position_sd_m,
+            None if spec.yaw_sd_deg is None else math.radians(spec.yaw_sd_deg),
+            contact_m,
+        )
+        faces = [wall]
+        if spec.thickness_m is not None:
+            front = msgspec.structs.replace(wall, name=name + FRONT, thickness_m=spec.thickness_m)
+            faces = [front, front.back()]
+        for face in faces:
+            if face.name in walls:
+                raise document.error(key, f"another wall already has the name {face.name}")
+            walls[face.name] = face
+    return walls
+
+
 class FlightSpace:
     """A flight space in which start, goal, bounds, walls and posts agree.
 
@@ -94,42 +138,7 @@ class FlightSpace:
 
     def resolve_walls(self, specs: dict[str, WallSpec], section: str) -> dict[str, Wall]:
         """Return the walls of a section of the file by name."""
-        walls: dict[str, Wall] = {}
-        for name, spec in specs.items():
-            key: Key = (section, name)
-            length = math.hypot(*spec.normal)
-            if not length > 1e-9:
-                raise self.error((*key, "normal"), "the normal has length 0")
-            normal = spec.normal
-            if abs(length - 1.0) > _UNIT_TOLERANCE:  # a unit vector stays bit-equal
-                normal = (spec.normal[0] / length, spec.normal[1] / length)
-            self.check_material(spec.material, (*key, "material"))
-            if spec.thickness_m is not None and spec.given_at is None:
-                text = (
-                    "a partition needs given_at: surface if point_m is on its front face, or centre if "
-                    f"point_m is the vehicle's centre at first touch, {self._contact_m:g} m before it"
-                )
-                raise self.error(key, text)
-            offset = self._contact_m if spec.given_at == "surface" else 0.0
-            wall = Wall(
-                name,
-                (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1]),
-                normal,
-                spec.length_m,
-                spec.material,
-                spec.position_sd_m,
-                None if spec.yaw_sd_deg is None else math.radians(spec.yaw_sd_deg),
-                self._contact_m,
-            )
-            faces = [wall]
-            if spec.thickness_m is not None:
-                front = msgspec.structs.replace(wall, name=name + FRONT, thickness_m=spec.thickness_m)
-                faces = [front, front.back()]
-            for face in faces:
-                if face.name in walls:
-                    raise self.error(key, f"another wall already has the name {face.name}")
-                walls[face.name] = face
-        return walls
+        return resolve_walls(specs, self.vehicle, self._document, section)
 
     def tangent_wall(self, post: Post, impact: Vec2, key: Key) -> Wall:
         """Return a post's tangent plane as a wall with the post's name.

@@ -350,6 +350,8 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
             touched.
         if_not_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
             not touched.
+        peak_limit_n: largest measured peak force of this impact, normal and friction together. A larger peak
+            breaks the mission off. null: only limits.peak_force_n applies.
     """
 
     mode: Mode | None = None
@@ -357,6 +359,7 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
     if_not_met: str | None = None
     trajectory: TrajectoryPieces | None = None
     predicted: CollisionPrediction | None = None
+    peak_limit_n: Annotated[float, Meta(gt=0.0, le=2000.0)] | None = None
 
 
 class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):

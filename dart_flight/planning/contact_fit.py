@@ -456,7 +456,7 @@ class ContactFitter:
 
     def _estimate(self, request: ContactRequest) -> tuple[ImpactBody, WallEstimate | None]:
         modes, reported = self._vehicle.modes, request.mode_reported
-        fit, begin_us = self._fit(request)
+        fit, begin_us = self.make_fit(request)
         fits = fit.run()
         if not all(math.isfinite(h.evidence) for h in fits):
             raise ValueError("no solution")
@@ -508,9 +508,12 @@ class ContactFitter:
         )
         return body, estimate
 
-    def _fit(self, request: ContactRequest) -> tuple[ContactFit, int]:
+    def make_fit(
+        self, request: ContactRequest, spread: float | None = None, scatter: float = CONTACT_SCATTER
+    ) -> tuple[ContactFit, int]:
         """Return the fit of a request's samples, and the stamp at which the first tick begins.
 
+        `spread` replaces the relative standard deviations of the prior.
         If the readings are too few, or the vehicle did not fly towards the wall, this raises ValueError.
         """
         onset, wall, imu = request.onset, request.wall, self._vehicle.imu
@@ -536,7 +539,9 @@ class ContactFitter:
             angle_sd,
         )
         before = [self._belief(wall, mode) for mode in self._vehicle.modes]
-        return ContactFit(contact, before, self._vehicle), begin_us
+        if spread is not None:
+            before = [Belief(*belief[:4], *4 * (spread,)) for belief in before]
+        return ContactFit(contact, before, self._vehicle, scatter), begin_us
 
     def _ticks(self, request: ContactRequest) -> Ticks:
         """Return the readings; the arms' vibration is removed only from the flexible mode's readings."""

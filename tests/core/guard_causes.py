@@ -304,6 +304,12 @@ def peak_force(c: HandFedCore) -> None:
     c.pulse((0.0, -160.0))
 
 
+@cause("30 N at wall wood, limit 20 N", settings={"collisions[0].peak_limit_n": 20.0})
+def harder_hit(c: HandFedCore) -> None:
+    c.meet_wood()
+    c.pulse((0.0, -30.0))
+
+
 @cause("no contact, but the vehicle is 0.20 m behind the plane of wall wood")
 def wall_not_met(c: HandFedCore) -> None:
     c.meet_wood()
@@ -544,7 +550,7 @@ ACTIONS = {
     Override.RELEASE: "px4_failsafe terminated pilot disarmed link_lost operator_release world_died",
     Override.BREAK_OFF: "failsafe_announced pose_source heading_reset position_delayed hover_thrust tilt "
     "force_over_limit operator peak_force wall_not_met wall_met_early hit_in_noise unplanned_hit no_peak "
-    "lock_not_settled mode_felt lock_late",
+    "lock_not_settled mode_felt lock_late harder_hit",
     Override.LAND: "imu_silent attitude_silent odometry_silent status_silent telemetry_late second_vehicle "
     "stamps_backwards imu_stuck imu_clipped pose_source_blind estimator_flags position_uncertain battery "
     "altitude operator_ground lock_not_ready climb_timeout pause_timeout goal_not_reached mission_fault",

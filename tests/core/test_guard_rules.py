@@ -465,6 +465,7 @@ def test_thresholds_named_in_the_table_exist() -> None:
         "goal": mission.goal,
         "mode_mismatch": mission,
         "mocap": vehicle.mocap,
+        "collisions[]": mission.collisions[0],
     }
     for rule in RULES:
         for key in filter(None, rule.condition.threshold.split(", ")):

@@ -55,6 +55,8 @@ NOT_RUN: list[tuple[str, str]] = [
     (r"^dart-flight survey", "takes seconds; tests/cli/test_survey.py runs it"),
     (r"^dart-flight studio", "serves a page until Ctrl-C"),
     (r"--scene", "needs viser; tests/lab/studio/test_server.py runs it"),
+    (r"^dart-flight series", "takes minutes; tests/lab/series runs it"),
+    (r"^dart-flight room", "needs cameras and a hand"),
     (r"--pdf", "takes seconds; tests/lab/report/test_page.py runs it"),
 ]
 # Commands that fly through MAVSDK, which test_a_documented_flight_through_mavsdk_succeeds runs.

@@ -146,6 +146,7 @@ def random_fault(number: int) -> tuple[Mission, Fault]:
     ranges = {
         "packet-loss": (1.0, 20.0), "reorder": (1.0, 50.0), "duplicate": (1.0, 50.0), "delay": (5.0, 300.0),
         "jitter": (5.0, 300.0), "ekf-jump": (-1.0, 1.0), "gust": (-8.0, 8.0), "wall-nearer": (-0.3, 0.3),
+        "wall-harder": (0.5, 4.0),
     }  # fmt: skip
     if kind.name in ranges:
         value = chance.uniform(*ranges[kind.name])

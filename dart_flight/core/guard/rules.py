@@ -329,6 +329,8 @@ RULES: tuple[Rule, ...] = (
     Rule("operator_release", _RELEASE, _ALWAYS, _OPERATOR_RELEASES, _REQUEST, by_person=True),
     Rule("world_died", _RELEASE, _ALWAYS, _world_died, _REQUEST),
     _found("peak_force", _BREAK_OFF, "the peak force of an impact exceeded the limit", "limits.peak_force_n"),
+    _found("harder_hit", _BREAK_OFF,
+           "the peak force of an impact exceeded the limit of this collision", "collisions[].peak_limit_n"),
     _found("wall_not_met", _BREAK_OFF,
            "no contact with the wall at the planned position or time",
            "guard.wall_overrun_m, guard.wall_late_s, limits.collision_timeout_s"),

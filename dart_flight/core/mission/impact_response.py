@@ -147,6 +147,9 @@ class ImpactResponse:
             limit_n = self._mission.limits.peak_force_n
             detail = f"{force:.0f} N at wall {collision.wall.name}, limit {limit_n:g} N"
             finding = MissionFinding("peak_force", detail)
+        elif collision.peak_limit_n is not None and force > collision.peak_limit_n:
+            detail = f"{force:.0f} N at wall {collision.wall.name}, limit {collision.peak_limit_n:g} N"
+            finding = MissionFinding("harder_hit", detail)
         return Change(PhaseTrigger.PEAK, outputs=(setpoint,), finding=finding, course=course)
 
     # -- lock state indicated by a contact --

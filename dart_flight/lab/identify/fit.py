@@ -3,6 +3,7 @@
 Every trial is first measured as a whole, without a contact law: incoming and outgoing speed, peak and
 duration. Then `solver` fits the law and computes the intervals:
 
+- to the force readings of flown contacts at the guards (`body_fit`), if all trials of a mode have them;
 - to the samples of all trials jointly (`sample_fit`), if enough position samples show the contact;
 - to the measurements of whole hits (`impact_fit`), if the law misses the samples by several times the noise,
   or if the trials recorded only speeds or only an accelerometer.
@@ -13,10 +14,17 @@ A coefficient that the data do not determine is None.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
+from dart_flight.lab.identify.body_fit import (
+    BodyImpact,
+    combine,
+    fit_bodies,
+    force_residual_n,
+    mean_plane,
+)
 from dart_flight.lab.identify.estimates import Estimate, Identification, TrialFit
 from dart_flight.lab.identify.fit_quality import assess_fit, expected_residuals, hold_out
 from dart_flight.lab.identify.impact_fit import fit_impacts
@@ -55,30 +63,55 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
     usable, notes = without_derived(trials)
     problem = LawProblem([measure_impact(trial, mass_kg) for trial in usable], mass_kg, onset)
     notes += [note for hit in problem.hits for note in hit.notes]
-    result = fit_samples(problem)
-    notes += result.notes
     modes = problem.by_mode()
+    of_guards = {mode for mode, own in modes.items() if all(hit.trial.contact for hit in own.hits)}
+    bodies, unusable = fit_bodies(problem.of([hit for hit in problem.hits if hit.trial.mode in of_guards]))
+    notes += unusable
+    of_guards &= {hit.trial.mode for hit in bodies}
+    result = fit_samples(problem.of([hit for hit in problem.hits if hit.trial.mode not in of_guards]))
+    notes += result.notes
     held_out = {mode: hold_out(own) for mode, own in modes.items()}
     notes += [found.sentence for found in held_out.values() if found.hits]
-    coefficients = {}
+    coefficients, statistical = {}, {}
     for mode, own in modes.items():
-        found = _coefficients(mode, result, own, notes)
-        coefficients[mode], more = _widen_intervals(found, own.hits)
+        if mode in of_guards:
+            found, unknown = combine([bodies[hit] for hit in own.hits if hit in bodies])
+            notes += [f"{mode}: {note}" for note in unknown]
+        else:
+            found = _coefficients(mode, result, own, notes)
+        statistical[mode] = found
+        coefficients[mode], more = _widen_intervals(found, own.hits, turning=mode not in of_guards)
         notes += [f"{mode}: {note}" for note in more]
+    plane_m, residuals, side = result.plane_m, dict(result.residuals), result.vertical_side
+    if bodies and plane_m is None:
+        plane_m = mean_plane(list(bodies.values()))
+    if bodies and "normal_force_n" not in residuals:
+        residuals["normal_force_n"] = force_residual_n(list(bodies.values()))
+    if side is None and any(statistical[mode]["nu"] is not None for mode in of_guards):
+        side = next(iter(bodies.values())).vertical_side
     whole = problem.of([hit for hit in problem.hits if hit not in result.trials])
     expected = expected_residuals(trials, problem.hits)
     return Identification(
         coefficients=coefficients,
-        plane_m=result.plane_m,
-        residuals=result.residuals,
-        trials=[result.trials.get(hit) or TrialFit.from_hit(hit) for hit in problem.hits],
-        vertical_side=result.vertical_side,
+        statistical=statistical,
+        plane_m=plane_m,
+        residuals=residuals,
+        trials=[result.trials.get(hit) or _trial_fit(hit, bodies) for hit in problem.hits],
+        vertical_side=side,
         notes=notes,
         restitution={mode: restitution(own) for mode, own in modes.items()},
         tangential_ratio={mode: tangential_ratio(own) for mode, own in modes.items()},
         held_out=held_out,
-        fit=assess_fit(coefficients, whole, result.residuals, expected),
+        fit=assess_fit(coefficients, whole, residuals, expected),
     )
+
+
+def _trial_fit(hit: MeasuredImpact, bodies: Mapping[MeasuredImpact, BodyImpact]) -> TrialFit:
+    found = TrialFit.from_hit(hit)
+    if hit not in bodies:
+        return found
+    one = bodies[hit]
+    return found._replace(used="guards", misfit=one.misfit, onset_s=one.onset_s, normal_m_s=one.normal_m_s)
 
 
 def _coefficients(
@@ -106,14 +139,15 @@ def _coefficients(
 
 
 def _widen_intervals(
-    found: dict[str, Estimate | None], hits: Sequence[MeasuredImpact]
+    found: dict[str, Estimate | None], hits: Sequence[MeasuredImpact], *, turning: bool
 ) -> tuple[dict[str, Estimate | None], list[str]]:
     """Widen the intervals of one mode by the systematic errors of its recordings, and return notes.
 
     More data do not reduce these errors. If a vehicle turns during the contact, its guards slide faster or
     slower than its centre. In the law the vehicle is a point, so the friction depends on the velocity of the
     centre. Flights at one speed do not determine the lever arm from the centre to the sliding guard
-    (docs/results/real_data.md). The intervals therefore include the possible effect of the rotation.
+    (docs/results/real_data.md). If `turning`, the intervals therefore include the possible effect of the
+    rotation.
     """
     shares = {name: max(hit.trial.allowance.get(name, 0.0) for hit in hits) for name in found}
     notes = []
@@ -125,7 +159,7 @@ def _widen_intervals(
             rate_rad_s = max(rate_rad_s, trial.turn_rad_s)
             share = max(share, sliding / abs(hit.tangential_in_m_s))
     mu = found["mu"]
-    if share > _TURNS:
+    if turning and share > _TURNS:
         slides = min(_OF_TURNING * share, _MOST_OF_TURNING)
         shares["k"] += _K_OF_TURNING
         if mu is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dart_flight.base.records import ContactEnd, ImpactOnset, ImuSample, Phase, PhaseChange
+from dart_flight.base.records import ContactEnd, ContactRequest, ImpactOnset, ImuSample, Phase, PhaseChange
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError
 from dart_flight.config.provenance import LoadedVehicle
@@ -37,8 +37,11 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
     found: dict[str, list[Trial]] = {}
     onset: ImpactOnset | None = None
     measured = WallMeasurements(mission)
+    contacts: dict[int, ContactRequest] = {}
     for record in flight.records:
         measured.add(record)
+        if isinstance(record, ContactRequest):
+            contacts[record.onset.t_us] = record
     for record in flight.records:
         if isinstance(record, ImpactOnset):
             onset = record
@@ -56,6 +59,7 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
                     allowance=ALLOWANCE,
                     flown=flown,
                     turn_rad_s=_largest_turn_rate(flight, onset.t_us),
+                    contact=contacts.get(onset.t_us),
                 )
                 found.setdefault(wall.material, []).append(trial)
     return found

@@ -20,7 +20,7 @@ def plot_fit(path: str | Path, result: IdentifyResult) -> None:
     """Plot recorded positions and the fit into `path`, one panel for each of up to six trials."""
     found = result.found
     fitted = zip(result.trials, found.trials, strict=True)
-    shown = [(trial, fit) for trial, fit in fitted if fit.used == "samples" and found.is_known(fit.mode)][:6]
+    shown = [(trial, fit) for trial, fit in fitted if fit.used != "whole" and found.is_known(fit.mode)][:6]
     if not shown or found.plane_m is None:
         raise InputError(
             "no trial has enough samples during the contact: there is nothing to plot", key=("plot",)

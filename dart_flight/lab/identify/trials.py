@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dart_flight.base.records import ContactRequest
 from dart_flight.config.provenance import LoadedVehicle
 from dart_flight.contact.coefficients import Array
 
@@ -58,6 +59,7 @@ class Trial:
         flown: the vehicle that flew. A flight log contains this vehicle; for other recordings `flown` is
             None.
         turn_rad_s: largest yaw rate during the contact; None if not recorded.
+        contact: force readings of the contact in a flight log, for a fit that models the guards.
         notes: one line for each missing part of the recording.
     """
 
@@ -70,6 +72,7 @@ class Trial:
     allowance: Mapping[str, float] = field(default_factory=dict)
     flown: LoadedVehicle | None = None
     turn_rad_s: float | None = None
+    contact: ContactRequest | None = None
     notes: tuple[str, ...] = ()
 
     @property

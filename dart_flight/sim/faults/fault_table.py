@@ -141,6 +141,9 @@ KINDS: tuple[FaultKind, ...] = (
         "wall-nearer", _P.PLANT, "the walls are nearer than planned by this distance", "m", 0.3, -1.0, 1.0
     ),
     FaultKind("other-material", _P.PLANT, "each wall has the stiffest material other than its own"),
+    FaultKind(
+        "wall-harder", _P.PLANT, "the walls are stiffer than planned by this factor", "x", 4.0, 0.1, 20.0
+    ),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
     FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
     FaultKind(
@@ -367,6 +370,17 @@ class VehicleFault:
                 others, key=lambda name: materials[name].coefficients(softest).k, default=plane.wall.material
             )
             plane.wall = msgspec.structs.replace(plane.wall, material=stiffest)
+
+    def _begin_wall_harder(self) -> None:
+        plant, factor = self._autopilot.plant, self._fault.value
+        scaled = {
+            name: msgspec.structs.replace(
+                material,
+                **{m.value: material.coefficients(m).scaled(factor, 1.0, 1.0) for m in plant.vehicle.modes},
+            )
+            for name, material in plant.vehicle.materials.items()
+        }
+        plant.vehicle = msgspec.structs.replace(plant.vehicle, materials=scaled)
 
     def _begin_gust(self) -> None:
         plant = self._autopilot.plant

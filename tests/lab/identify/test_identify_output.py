@@ -206,17 +206,25 @@ def test_a_given_mass_overrides_the_logs_mass_with_a_warning(
 
 @pytest.mark.rest
 def test_rotation_of_the_vehicle_widens_the_interval_of_friction(flown: SharedFlights) -> None:
-    """Friction turns a body with guards, but the law describes a point, so mu is underestimated."""
+    """Friction turns a body with guards. A fit of a point underestimates mu, a fit of the guards does not."""
     log = read_log(flown("paper_single_wall", 1).log)
     (trial,) = trials_at_one(log, "acrylic")
     (contact,) = (e.record for e in log.entries if isinstance(e.record, TruthContact))
     assert trial.turn_rad_s == pytest.approx(abs(contact.rate_out_frd[2]), abs=0.3)
     truth = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE).mu
     for turns in (True, False):
-        given = trial if turns else replace(trial, turn_rad_s=0.0)
+        given = replace(trial, contact=None)
+        given = given if turns else replace(given, turn_rad_s=0.0)
         found = identify([given], VEHICLE.airframe.mass_kg, Onset(VEHICLE.onset))
         mu = found.coefficients["flexible"]["mu"]
         assert mu is not None
         assert any("the vehicle turned at up to" in note for note in found.notes) == turns
         assert (mu.low <= truth <= mu.high) == turns
         assert mu.value < 0.9 * truth
+    found = identify([trial], VEHICLE.airframe.mass_kg, Onset(VEHICLE.onset))
+    mu, statistical = found.coefficients["flexible"]["mu"], found.statistical["flexible"]["mu"]
+    assert mu is not None
+    assert statistical is not None
+    assert [fitted.used for fitted in found.trials] == ["guards"]
+    assert mu.value == pytest.approx(truth, rel=0.1)
+    assert mu.low < statistical.low < truth < statistical.high < mu.high

@@ -1,0 +1,71 @@
+"""A series in the fast world, from `new` to `apply`; and a hit that is harder than predicted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from dart_flight.base.records import GuardEvent, Override
+from dart_flight.cli import main
+from dart_flight.config.vehicle import load_vehicle
+from dart_flight.lab.series.series_file import SeriesFolder
+from dart_flight.recording.found import LOG_NAME
+from dart_flight.recording.reader import read_log
+from dart_flight.run.replay import replay
+from tests.command_fixtures import folder  # noqa: F401
+
+ROOT = Path(__file__).parents[3]
+MISSION = str(ROOT / "missions/single_wall.yaml")
+pytestmark = [pytest.mark.rest, pytest.mark.usefixtures("folder")]
+
+
+def new_series(*options: str) -> SeriesFolder:
+    config = Path("mine.yaml")
+    config.write_text((ROOT / "configs/dart.yaml").read_text("utf-8"), "utf-8")
+    given = ("--mission", MISSION, "--wall", "acrylic", "--config", str(config), "--modes", "flexible")
+    assert main(["series", "new", "afternoon", *given, *options]) == 0
+    return SeriesFolder(Path("afternoon"))
+
+
+def test_a_series_in_simulation_finds_a_stiffer_wall(capfd: pytest.CaptureFixture[str]) -> None:
+    """The wall's k is 1.2 times the configured k; one hit is excluded, and its flight's log is cut off."""
+    series = new_series("--hits-per-flight", "6")
+    assert main(["series", "fly", "afternoon", "--fast", "--fault", "wall-harder=1.2"]) == 0
+    (log,) = series.logs().values()
+    data = log.read_bytes()
+    log.write_bytes(data[: len(data) * 3 // 4])
+    assert main(["series", "exclude", "afternoon", "01:2", "--why", "touched a cable"]) == 0
+    capfd.readouterr()
+    assert main(["series", "status", "afternoon", "--json"]) == 0
+    status = json.loads(capfd.readouterr().out)
+    mode = status["modes"]["flexible"]
+    assert any("touched a cable" in why for why in mode["aside"].values())
+    assert [text for text in status["flights"].values() if "cut off" in text]
+    assert 2 <= mode["used"] < 6
+    true_k = 1.2 * load_vehicle().materials["acrylic"].coefficients(series.settings.modes[0]).k
+    _, low, high = mode["coefficients"]["k"]["whole"]
+    assert low < true_k < high
+    assert main(["series", "report", "afternoon"]) == 0
+    assert "set aside: excluded: touched a cable" in Path("afternoon/series.html").read_text("utf-8")
+    assert main(["series", "apply", "afternoon", "--config", "mine.yaml"]) == 0
+    applied = load_vehicle("mine.yaml").materials["acrylic"].flexible
+    assert applied is not None
+    assert applied.k == pytest.approx(true_k, rel=0.05)
+
+
+def test_a_much_harder_hit_ends_the_batch_and_replays(capfd: pytest.CaptureFixture[str]) -> None:
+    series = new_series("--hits-per-flight", "3")
+    assert main(["series", "fly", "afternoon", "--fast", "--fault", "wall-harder=8"]) == 1
+    (path,) = (series.path / "batches/01/flights").glob(f"*/{LOG_NAME}")
+    log = read_log(path)
+    (event,) = (e.record for e in log.entries if isinstance(e.record, GuardEvent))
+    assert (event.rule, event.action) == ("harder_hit", Override.BREAK_OFF)
+    result = replay(log)
+    assert result.exact
+    assert result.equal
+    # The next batch is planned with what this hit has shown.
+    capfd.readouterr()
+    assert main(["series", "next", "afternoon"]) == 0
+    assert "batches/02/mission.yaml" in capfd.readouterr().err
