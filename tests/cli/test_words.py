@@ -94,7 +94,7 @@ def test_the_wrong_kind_of_file_or_command_is_named(words: list[str], kind: str,
         ),
         (["-v", "tables"], "options come after the command: dart-flight tables -v"),
         (["check", MISSION, "--mocap", "udp://0.0.0.0:9763/dart"], "--mocap: .* give --connection too"),
-        (["mocap", "--mocap", "optitrack"], "only dry-run and simulate emulate .* optitrack://SERVER/BODY"),
+        (["mocap", "--mocap", "optitrack"], "only dry-run and simulate accept .* optitrack://SERVER/BODY"),
     ],
 )
 def test_an_option_in_the_wrong_place_is_answered_with_the_right_one(
