@@ -12,6 +12,7 @@ from typing import Any
 from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
+from websockets.sync.connection import Connection
 from websockets.typing import Subprotocol
 
 SUBPROTOCOL = "foxglove.sdk.v1"
@@ -113,7 +114,7 @@ class Viewer:
                     raise
                 time.sleep(0.05)
 
-    def _handle_frame(self, socket: ClientConnection, frame: str | bytes) -> None:
+    def _handle_frame(self, socket: Connection, frame: str | bytes) -> None:
         if isinstance(frame, bytes):
             self._handle_binary(frame)
             return

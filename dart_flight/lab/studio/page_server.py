@@ -93,11 +93,11 @@ def _guarded(host: str, pages: Pages) -> Iterator[list[bool]]:
 
         return serve(*args, process_request=process, **options)
 
-    websocket_server.serve = guarded  # type: ignore[assignment]
+    websocket_server.serve = guarded  # type: ignore[assignment, misc]
     try:
         yield used
     finally:
-        websocket_server.serve = serve
+        websocket_server.serve = serve  # type: ignore[misc]
 
 
 def refusal(request: Request, names: set[str], port: int) -> str | None:
