@@ -162,6 +162,7 @@ def test_a_wall_is_moved_with_the_mouse_typed_undone_and_saved(browser: Any, roo
     assert changed[0][1] == changed[0][0].replace(b"1.65", b"1.66")
 
 
+@pytest.mark.rest
 def test_a_changed_file_on_the_disk_is_shown_and_two_changes_are_asked_about(
     browser: Any, room: Path
 ) -> None:
@@ -186,6 +187,7 @@ def test_a_changed_file_on_the_disk_is_shown_and_two_changes_are_asked_about(
         at.button("Reload from the disk").wait_for(state="hidden")
 
 
+@pytest.mark.rest
 def test_two_tabs_show_the_same_room_and_a_closed_or_reloaded_one_keeps_the_edits(
     browser: Any, room: Path
 ) -> None:
@@ -204,6 +206,7 @@ def test_two_tabs_show_the_same_room_and_a_closed_or_reloaded_one_keeps_the_edit
         until(lambda: other.number("x, m").input_value() == "0")
 
 
+@pytest.mark.rest
 def test_a_flight_is_flown_and_played_to_its_end(browser: Any, room: Path) -> None:
     with shown(browser, OpenFile.load(room / "missions/single_wall.yaml"), room / "flights") as at:
         at.tab("Fly")
@@ -231,6 +234,7 @@ def test_a_flight_is_flown_and_played_to_its_end(browser: Any, room: Path) -> No
                 at.wait_for("100 % completed")
 
 
+@pytest.mark.rest
 def test_many_flights_are_lines_and_one_of_them_is_opened(browser: Any, room: Path) -> None:
     with shown(browser, OpenFile.load(room / "missions/single_wall.yaml"), room / "flights") as at:
         at.tab("Fly")
@@ -250,6 +254,7 @@ def test_many_flights_are_lines_and_one_of_them_is_opened(browser: Any, room: Pa
         assert time.monotonic() - begin < 3.0  # on a busy computer
 
 
+@pytest.mark.rest
 def test_a_scenario_is_planned_and_its_mission_saved(browser: Any, room: Path) -> None:
     with shown(browser, OpenFile.load(room / "missions/scenarios/one_wall.yaml"), room / "flights") as at:
         at.tab("Plan")
@@ -269,6 +274,7 @@ def test_equal_entries_of_a_menu_are_numbered() -> None:
     assert distinct(["a", "b", "a", "a", "a (2)"]) == ("a", "b", "a (2)", "a (3)", "a (2) (2)")
 
 
+@pytest.mark.rest
 def test_a_page_for_other_computers_cannot_edit_plan_or_fly(browser: Any, room: Path) -> None:
     path = room / "missions/dual_collision.yaml"
     with shown(browser, OpenFile.load(path), room / "flights", read_only=True) as at:
