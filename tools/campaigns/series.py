@@ -130,7 +130,7 @@ def _fly_batch(
     """Fly the next batch, add it to evidence and verdicts, and return the state afterwards."""
     number = len(verdicts) + 1
     status = status_of(settings, mission, evidence)
-    batch = plan_batch(settings, mission, status, evidence, f"{settings.wall} {number}")
+    batch = plan_batch(settings, mission, status, f"{settings.wall} {number}")
     log = _log_of(batch.mission, settings.wall, drawn, 100 * seed + number)
     verdicts.append(verdict_of(log))
     flight = SeriesFlight(f"{number:02d}/flight", Path(LOG_NAME))
@@ -152,7 +152,7 @@ def _predict(
     later = Evidence()
     more = msgspec.structs.replace(settings, hits_per_flight=_PREDICTED_HITS, design=Design.EQUAL_STEPS)
     try:
-        batch = plan_batch(more, mission, status, later, f"{settings.wall} predicted")
+        batch = plan_batch(more, mission, status, f"{settings.wall} predicted")
     except FlightError:
         return None, None, None
     log = _log_of(batch.mission, settings.wall, drawn, 100 * seed)

@@ -216,7 +216,7 @@ def _plan(arguments: argparse.Namespace) -> tuple[Path, bool]:
     from dart_flight.lab.series.batch import plan_batch
     from dart_flight.lab.series.status import describe, hit_limits
 
-    folder, mission, evidence, status = _read(arguments)
+    folder, mission, _, status = _read(arguments)
     settings = folder.settings
     if settings.heights_m is not None:
         raise InputError(
@@ -225,7 +225,7 @@ def _plan(arguments: argparse.Namespace) -> tuple[Path, bool]:
     limits = hit_limits(settings, mission)
     fits = {mode: status.modes[mode.value].fit for mode in settings.modes}
     name = f"{settings.wall} {folder.next_batch().name}"
-    hits, tree, _ = plan_batch(settings, mission, status, evidence, name)
+    hits, tree, _ = plan_batch(settings, mission, status, name)
     path = folder.write_batch(tree)
     batch = load_mission(path, arguments.config)
     lines = [f"{display_path(path)}: {len(hits)} hits on {settings.wall}"]

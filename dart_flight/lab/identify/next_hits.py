@@ -46,7 +46,7 @@ class Known(NamedTuple):
 
 
 class ModeFit(NamedTuple):
-    """What is known of the contact law in one mode.
+    """The coefficients of the contact law in one mode, as known so far.
 
     Attributes:
         nu: bound of the vertical force, N; no design chooses hits for it.
@@ -106,26 +106,17 @@ class NextHit(NamedTuple):
     highest_n: float
 
 
-class FlownHit(NamedTuple):
-    """A hit that contributes to the fit so far."""
-
-    mode: Mode
-    normal_m_s: float
-    tangential_m_s: float
-
-
 def next_hits(
     fits: Mapping[Mode, ModeFit],
     limits: NextHitLimits,
     count: int,
     design: Design = Design.EQUAL_STEPS,
-    flown: Sequence[FlownHit] = (),
 ) -> list[NextHit]:
     """Return up to `count` hits in all modes together, the smallest peak first.
 
     The list is empty if no speed of the range stays below the force limit.
     """
-    chosen = _DESIGNS[design](fits, limits, count, flown)
+    chosen = _DESIGNS[design](fits, limits, count)
     hits = [predict_hit(fits[mode], limits, mode, -speed, slide) for mode, speed, slide in chosen]
     return sorted(hits, key=lambda hit: hit.highest_n)
 
@@ -199,21 +190,15 @@ def _shares(count: int, parts: int) -> list[int]:
     return [count // parts + (i < count % parts) for i in range(parts)]
 
 
-def _two_levels(
-    fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int, flown: Sequence[FlownHit]
-) -> _Chosen:
+def _two_levels(fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int) -> _Chosen:
     return _at_levels(fits, limits, count, lambda n, low, high: np.resize([low, high], n))
 
 
-def _equal_steps(
-    fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int, flown: Sequence[FlownHit]
-) -> _Chosen:
+def _equal_steps(fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int) -> _Chosen:
     return _at_levels(fits, limits, count, lambda n, low, high: np.linspace(low, high, n))
 
 
-def _d_optimal(
-    fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int, flown: Sequence[FlownHit]
-) -> _Chosen:
+def _d_optimal(fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int) -> _Chosen:
     """Choose one hit after the other, each with the largest gain of information over all modes."""
     information, options = {}, []
     for mode, fit in fits.items():

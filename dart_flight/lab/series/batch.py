@@ -11,9 +11,8 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.lab.identify.next_hits import NextHit, next_hits
-from dart_flight.lab.series.evidence import Evidence
 from dart_flight.lab.series.series_file import SeriesSettings
-from dart_flight.lab.series.status import SeriesStatus, flown_hits, hit_limits
+from dart_flight.lab.series.status import SeriesStatus, hit_limits
 from dart_flight.run.prepare import refuse_unflyable
 
 _HOLD_S: Final = 1.0  # rest before each approach, in which PX4's velocity settles
@@ -30,9 +29,7 @@ class SeriesBatch(NamedTuple):
     mission: Mission
 
 
-def plan_batch(
-    settings: SeriesSettings, mission: Mission, status: SeriesStatus, evidence: Evidence, name: str
-) -> SeriesBatch:
+def plan_batch(settings: SeriesSettings, mission: Mission, status: SeriesStatus, name: str) -> SeriesBatch:
     """Return the next batch; if the room is too small for a run-up, all hits become slower.
 
     Modes whose aims are reached are left out, unless all are reached.
@@ -48,9 +45,7 @@ def plan_batch(
         "limit) by the upper end of the interval: reduce speeds_m_s in series.yaml"
     )
     while limits.fastest_m_s >= limits.slowest_m_s:
-        hits = next_hits(
-            missing or fits, limits, settings.hits_per_flight, settings.design, flown_hits(evidence)
-        )
+        hits = next_hits(missing or fits, limits, settings.hits_per_flight, settings.design)
         if not hits:
             break
         tree = batch_tree(mission, settings.wall, hits, name, settings.peak_force_n)

@@ -23,7 +23,6 @@ from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.flight_trials import ALLOWANCE
 from dart_flight.lab.identify.next_hits import (
     FITTED,
-    FlownHit,
     Known,
     ModeFit,
     NextHitLimits,
@@ -185,14 +184,6 @@ def next_heights(settings: SeriesSettings, mission: Mission, fit: ModeFit) -> li
     speeds = np.linspace(low, top, settings.hits_per_flight)
     heights: list[float] = (speeds**2 / (2.0 * GRAVITY_M_S2)).tolist()
     return heights
-
-
-def flown_hits(evidence: Evidence) -> list[FlownHit]:
-    return [
-        FlownHit(hit.mode, -hit.measured.normal_in_m_s, hit.measured.tangential_in_m_s or 0.0)
-        for hit in evidence.hits
-        if hit.used and hit.measured is not None
-    ]
 
 
 def _mode_status(
