@@ -33,7 +33,7 @@ def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str
         at: Any = wanted
         for part in key[:-1]:
             at = _child(at, part, key, source)
-        if isinstance(_child(at, key[-1], key, source), dict | list | None):
+        if isinstance(_child(at, key[-1], key, source), dict | list):
             raise _no_value(key, source)
         at[key[-1]] = value
     return update_text(text, wanted, source)

@@ -66,8 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     studio = Studio(
         opened,
         arguments.log_dir,
-        arguments.host,
-        int(arguments.port),
+        (arguments.host, int(arguments.port)),
         read_only=read_only,
         dark=arguments.dark,
     )

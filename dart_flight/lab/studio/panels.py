@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import viser
 
+from dart_flight.lab.search.scenario import Objective
 from dart_flight.lab.studio.engine import (
     Finding,
     FlightsFlown,
@@ -226,11 +227,10 @@ class PlanPanel:
         cancel: Callable[[], None],
         choose: Callable[[int], None],
         make: Callable[[int], None],
-        objectives: Sequence[str],
     ) -> None:
         gui = wiring.server.gui
         self._html = gui.add_html("")
-        self._objective = gui.add_dropdown("objective", (_PLAIN, *objectives))
+        self._objective = gui.add_dropdown("objective", (_PLAIN, *(one.value for one in Objective)))
         self._within = gui.add_number("at most, s", 60.0, min=1.0, max=3600.0, step=5.0)
         self._plan = wiring.button("Plan", lambda: plan(self._wanted(), float(self._within.value)))
         self._cancel = wiring.button("Cancel", cancel, color="gray", visible=False)

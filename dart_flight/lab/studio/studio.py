@@ -26,7 +26,6 @@ from dart_flight.config.document import InputError
 from dart_flight.lab.map_model import MapKind
 from dart_flight.lab.report.page import flight_page
 from dart_flight.lab.report.recorded_flight import RecordedFlight
-from dart_flight.lab.search.scenario import Objective
 from dart_flight.lab.studio import edits
 from dart_flight.lab.studio.canvas import Canvas, path_style, polyline
 from dart_flight.lab.studio.engine import (
@@ -67,15 +66,14 @@ class Studio:
     Args:
         opened: the mission or scenario to edit, or the logs of flights to play.
         log_dir: folder for the logs of flown missions.
-        host: another address than 127.0.0.1 makes the page read-only.
+        address: host and port; port 0 takes a free one.
     """
 
     def __init__(
         self,
         opened: OpenFile | list[Path],
         log_dir: Path,
-        host: str,
-        port: int,
+        address: tuple[str, int],
         *,
         read_only: bool = False,
         dark: bool = False,
@@ -103,7 +101,7 @@ class Studio:
         self._disk: DiskState | None = None
         self._watched: WatchedFlight | None = None
         self._problem = ""
-        self.server = open_server(host, port, "DART studio", self._pages.get)
+        self.server = open_server(*address, "DART studio", self._pages.get)
         self._wiring = Wiring(self.server, self.post, self._later, read_only)
         self._build(dark=dark)
 
@@ -147,7 +145,6 @@ class Studio:
                         self._cancel,
                         self._show_plan,
                         self._make_mission,
-                        [o.value for o in Objective],
                     )
                     self._back = wiring.button("Back to the scenario", self._go_back, visible=False)
         with tabs.add_tab("Flights" if flights else "Fly"):

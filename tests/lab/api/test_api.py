@@ -131,6 +131,7 @@ def every_key() -> dict[str, Any]:
         "approach": {"normal_m_s": -0.6, "tangential_m_s": 0.4},
         "impact_point_m": [0.25, -1.1],
         "alpha_m_per_n": [0.03, 0.04],
+        "peak_limit_n": 60.0,
         "predicted": prediction,
         "trajectory": trajectory_to((0.2, 0.4), (0.3, -1.1), (0.4, -0.6)),
     }

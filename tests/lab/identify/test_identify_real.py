@@ -249,7 +249,7 @@ def test_an_accelerometer_gives_speeds_and_peak_of_drops(known: bool) -> None:
 def test_a_clipped_peak_force_is_unknown() -> None:
     impact = measure_impact(drop_trial(1.0, np.random.default_rng(9), limit_m_s2=700.0), LIGHT_KG)
     assert impact.peak_force_n is None
-    assert any("cut off" in note for note in impact.notes)
+    assert any("clipped" in note for note in impact.notes)
 
 
 def test_an_accelerometer_trial_needs_a_drop_that_shows_the_release(

@@ -87,7 +87,7 @@ class Shown(NamedTuple):
 
 @contextlib.contextmanager
 def shown(browser: Any, opened: OpenFile | list[Path], logs: Path, **options: Any) -> Iterator[Shown]:
-    studio = Studio(opened, logs, "127.0.0.1", 0, **options)
+    studio = Studio(opened, logs, ("127.0.0.1", 0), **options)
     thread = threading.Thread(target=studio.run, daemon=True)
     thread.start()
     context = browser.new_context(viewport={"width": 1000, "height": 700})

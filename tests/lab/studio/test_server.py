@@ -101,7 +101,7 @@ from dart_flight.cli import build_parser
 from dart_flight.lab.commands import studio_command
 from dart_flight.lab.studio.studio import Studio
 opened = studio_command._open([])
-studio = Studio(opened, studio_command.Path("flights"), "127.0.0.1", 0)
+studio = Studio(opened, studio_command.Path("flights"), ("127.0.0.1", 0))
 thread = threading.Thread(target=studio.run)
 thread.start()
 for _ in range(600):
