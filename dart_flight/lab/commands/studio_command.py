@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import signal
+import threading
 import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dart_flight.base.signals import StopSignals
 from dart_flight.cli.terminal import emit_json, print_status
 from dart_flight.config.document import InputError, read_text
 from dart_flight.config.edit import update_text
@@ -63,22 +65,27 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.lab.studio.studio import Studio
 
     read_only = arguments.host != _LOCAL
-    studio = Studio(
-        opened,
-        arguments.log_dir,
-        (arguments.host, int(arguments.port)),
-        read_only=read_only,
-        dark=arguments.dark,
-    )
-    url = f"http://{arguments.host}:{studio.server.get_port()}"
-    if arguments.json:
-        emit_json({"url": url, "read_only": read_only})
-    print_status(f"studio: {url}" + (" (read-only)" if read_only else "") + "; Ctrl-C ends it")
-    if not arguments.no_browser:
-        webbrowser.open(url)
-    for name in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(name, lambda number, frame: studio.stop())
-    studio.run()
+    started: list[Studio] = []
+    asked = threading.Event()
+
+    def end(number: signal.Signals) -> None:
+        asked.set()
+        for studio in started:
+            studio.stop()
+
+    with StopSignals(end):  # also while the page starts: an interrupt there would leave its threads behind
+        address = (arguments.host, int(arguments.port))
+        studio = Studio(opened, arguments.log_dir, address, read_only=read_only, dark=arguments.dark)
+        started.append(studio)
+        if asked.is_set():
+            studio.stop()
+        url = f"http://{arguments.host}:{studio.server.get_port()}"
+        if arguments.json:
+            emit_json({"url": url, "read_only": read_only})
+        print_status(f"studio: {url}" + (" (read-only)" if read_only else "") + "; Ctrl-C ends it")
+        if not arguments.no_browser and not asked.is_set():
+            webbrowser.open(url)
+        studio.run()
     return 0
 
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import http.client
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -132,3 +133,13 @@ def test_a_flight_and_a_mission_become_pages_that_need_no_network(tmp_path: Path
     assert main(["export", str(verdict.log), "--scene", str(page), "--foxglove"]) == 2
     with mission_scene(load_mission(DUAL)) as serializer:
         assert "__VISER_EMBED_DATA__" in serializer.as_html()
+
+
+def test_ctrl_c_ends_the_page_as_soon_as_it_is_announced(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "dart_flight", "studio", "--port", "0", "--no-browser"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as page:
+        assert page.stderr is not None
+        assert page.stderr.readline().startswith("studio: http://127.0.0.1:")
+        page.send_signal(signal.SIGINT)
+        assert page.stderr.read() == ""
+    assert page.returncode == 0
