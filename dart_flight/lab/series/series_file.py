@@ -178,9 +178,7 @@ class SeriesFolder:
         target = self.path / _ADDED / name / LOG_NAME
         if name in self.settings.added:
             raise InputError(f"the series has this flight already: {_ADDED}/{name}", source=str(log))
-        with report_write_errors(target):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(target, log.read_bytes())
+        _copy(log, target)
         self.change(added=(*self.settings.added, name))
         return f"{_ADDED}/{name}"
 
@@ -189,9 +187,7 @@ class SeriesFolder:
         target = self.path / _ADDED / trial.file
         if any(one.file == trial.file for one in self.settings.drops):
             raise InputError(f"the series has this drop already: {_ADDED}/{trial.file}", source=str(path))
-        with report_write_errors(target):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(target, path.read_bytes())
+        _copy(path, target)
         self.change(drops=(*self.settings.drops, trial))
         return f"{_ADDED}/{trial.file}"
 
@@ -276,3 +272,9 @@ def _write(path: Path, text: str) -> None:
     with report_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, text.encode("utf-8"))
+
+
+def _copy(recording: Path, target: Path) -> None:
+    with report_write_errors(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(target, recording.read_bytes())
