@@ -441,12 +441,13 @@ class ContactFitter:
         self._vehicle = vehicle
         self._beliefs: dict[tuple[str, Mode], Belief] = {}
 
-    def answer(self, request: ContactRequest, received_us: int) -> ContactAnswer:
+    def answer(self, request: ContactRequest) -> ContactAnswer:
         """Return the fit of a contact, or an answer with a `problem` if the fit fails.
 
-        An exception in the fit also becomes a `problem`, so that it does not end the flight.
+        An exception in the fit also becomes a `problem`, so that it does not end the flight. The receiver of
+        the answer sets `received_us`.
         """
-        answer = ContactAnswer(received_us, request.number)
+        answer = ContactAnswer(0, request.number)
         try:
             with np.errstate(all="ignore"):
                 body, wall = self._estimate(request)

@@ -138,12 +138,13 @@ class Replanner:
         if self._anchors is not None:
             self._anchors.add_recorded(anchor)
 
-    def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
+    def answer(self, request: PlanRequest) -> PlanAnswer:
         """Plan a trajectory that starts in the requested state. If none is found, the answer has a `problem`.
 
-        An exception in the planner also becomes a `problem`, so that it does not end the flight.
+        An exception in the planner also becomes a `problem`, so that it does not end the flight. The
+        receiver of the answer sets `received_us`.
         """
-        found = PlanAnswer(received_us, request.number, request.begin_us, collision=request.collision)
+        found = PlanAnswer(0, request.number, request.begin_us, collision=request.collision)
         try:
             return self._plan(found, request)
         except Exception as error:

@@ -107,10 +107,10 @@ class Planner:
     def take(self, item: PlanItem) -> PlanAnswer | ContactAnswer | None:
         """Return the answer to a request; store a wall's estimate or a new frame."""
         if self._fitter is not None:
-            return self._fitter.answer(item, 0) if isinstance(item, ContactRequest) else None
+            return self._fitter.answer(item) if isinstance(item, ContactRequest) else None
         assert self._replanner is not None
         if isinstance(item, PlanRequest):
-            return self._replanner.answer(item, 0)
+            return self._replanner.answer(item)
         if isinstance(item, WallEstimate):
             self._replanner.update_wall(item)
         elif isinstance(item, FrameAnchor):

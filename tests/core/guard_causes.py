@@ -442,7 +442,7 @@ def rigid_pulse(c: HandFedCore) -> None:
     c.pulse((0.0, -41.0), 0.056)
     c.run(0.08)
     fit = next(o for o in c.outputs if isinstance(o, ContactRequest))
-    c.feed(ContactFitter(c.core.mission.vehicle).answer(fit, c.t_us))
+    c.feed(ContactFitter(c.core.mission.vehicle).answer(fit))
 
 
 @cause(

@@ -64,7 +64,7 @@ def test_the_normal_of_an_unplanned_contact_is_that_of_its_force(hand_fed: HandF
 
 def test_an_answer_is_recorded_once(hand_fed: HandFedCore) -> None:
     request, _ = hit_wood(hand_fed)
-    answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
+    answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request)
     out = hand_fed.feed(answer)
     assert of_kind(ImpactBody, out) == [answer.body]
     assert of_kind(WallEstimate, out) == [answer.wall]
@@ -83,7 +83,7 @@ def test_a_missing_answer_leaves_mode_and_wall_undecided_after_the_timeout(hand_
     wood = hand_fed.core.mission.vehicle.materials["wood"].coefficients(Mode.FLEXIBLE)
     assert (estimate.k_n_per_m, estimate.f_ns_per_m, estimate.mu_s_per_m) == (wood.k, wood.f, wood.mu)
     assert not of_kind(WallEstimate, hand_fed.run(2.0 * WITHIN_S))
-    late = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
+    late = ContactFitter(hand_fed.core.mission.vehicle).answer(request)
     out = hand_fed.feed(late)
     assert not of_kind(WallEstimate, out)
     assert not of_kind(ImpactBody, out)
@@ -101,7 +101,7 @@ def test_an_empty_answer_leaves_mode_and_wall_undecided_at_once(hand_fed: HandFe
 
 def test_an_answer_for_another_wall_or_contact_is_rejected(hand_fed: HandFedCore) -> None:
     request, _ = hit_wood(hand_fed)
-    answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
+    answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request)
     other = msgspec.structs.replace(answer, number=request.number + 1)
     assert not of_kind(WallEstimate, hand_fed.feed(other))
     elsewhere = msgspec.structs.replace(known(answer.wall), wall="acrylic")

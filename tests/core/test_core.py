@@ -198,7 +198,7 @@ def test_a_contact_without_closing_speed_gives_no_wall_estimate(
     hand_fed.pulse((-10.0, -16.0))
     hand_fed.position_ned, hand_fed.velocity_ned = (1.0, 1.0, -1.0), (0.0, 0.0, 0.0)
     (request,) = of_kind(ContactRequest, hand_fed.run(0.2))
-    answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
+    answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request)
     assert bool(answer.problem) is not estimated
     (estimate,) = of_kind(WallEstimate, hand_fed.feed(answer))
     assert (estimate.log_odds != 0.0) is estimated

@@ -152,7 +152,7 @@ def sense_hit(
         out.peaks.extend(e for e in sensed.impacts if isinstance(e, ImpactPeak))
         for request in sensed.contact:
             if isinstance(request, ContactRequest):
-                answer = fitter.answer(request, 0)
+                answer = fitter.answer(request)
                 out.bodies.append(known(answer.body))
     return out._replace(contact=plant.finished[0] if plant.finished else None)
 

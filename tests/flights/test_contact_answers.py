@@ -60,10 +60,10 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
 
     answer = ContactFitter.answer
 
-    def answer_once(fitter: ContactFitter, request: ContactRequest, received_us: int) -> ContactAnswer:
+    def answer_once(fitter: ContactFitter, request: ContactRequest) -> ContactAnswer:
         if request.number > 1:
-            return ContactAnswer(received_us, request.number, problem=ENDED)
-        return answer(fitter, request, received_us)
+            return ContactAnswer(0, request.number, problem=ENDED)
+        return answer(fitter, request)
 
     return fly
 

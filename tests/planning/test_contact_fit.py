@@ -258,7 +258,7 @@ def test_a_certain_wall_position_is_kept() -> None:
 
 def test_the_angle_of_a_tick_applies_at_its_middle(fits: Fits) -> None:
     """A left turn at 2 rad/s gives 4 mrad at the middle of the first tick and 12 mrad at the second."""
-    ContactFitter(VEHICLE).answer(contact_request([0.0] * 3 + [9.0] * 5, rate=-2.0), 0)
+    ContactFitter(VEHICLE).answer(contact_request([0.0] * 3 + [9.0] * 5, rate=-2.0))
     assert fits.seen[0].contact.ticks.turned == pytest.approx([0.004 + 0.008 * i for i in range(8)])
 
 
@@ -396,10 +396,9 @@ def test_the_fitter_returns_finite_numbers_or_a_problem_for_any_readings(
             sample_us=tuple(later),
             force_mission=tuple((-n, t, up) for n, t, up, _ in forces),
             clipped=tuple(bound for *_, bound in forces),
-        ),
-        7,
+        )
     )
-    assert (answer.received_us, answer.number) == (7, 1)
+    assert answer.number == 1
     assert (answer.body is None) == (answer.wall is None) == bool(answer.problem)
     for record in (answer.body, answer.wall):
         values = () if record is None else msgspec.structs.astuple(record)
@@ -455,7 +454,7 @@ def answer_with_odds(
     found = Hypothesis(odds, misfit, AFTER[Mode.RIGID], 0.01, 0.02, 0.03, 0.004, theta)
     fits.results = [found, found._replace(evidence=0.0, belief=AFTER[Mode.FLEXIBLE])]
     fitter = ContactFitter(VEHICLE)
-    answer = fitter.answer(contact_request([0.0] * 3 + [9.0] * 5, reported=reported), 0)
+    answer = fitter.answer(contact_request([0.0] * 3 + [9.0] * 5, reported=reported))
     assert answer.wall is not None, answer.problem
     return fitter, answer.wall
 
@@ -497,7 +496,7 @@ def test_the_fitted_coefficients_are_stored_for_the_likely_mode(
 ) -> None:
     fitter, found = answer_with_odds(fits, odds, 0.5, reported)
     assert found.k_n_per_m == 777.0
-    fitter.answer(contact_request([0.0] * 3 + [9.0] * 5), 0)
+    fitter.answer(contact_request([0.0] * 3 + [9.0] * 5))
     for mode, before in zip(VEHICLE.modes, fits.seen[-1].before, strict=True):
         assert (before == AFTER[mode]) is (mode is kept)
 
@@ -513,7 +512,7 @@ def test_the_fitted_coefficients_are_stored_for_the_likely_mode(
 def test_an_unusable_contact_is_answered_with_the_reason(
     inside: int, velocity: tuple[float, float], problem: str
 ) -> None:
-    answer = ContactFitter(VEHICLE).answer(contact_request([0.0] * 3 + [9.0] * inside, velocity=velocity), 5)
+    answer = ContactFitter(VEHICLE).answer(contact_request([0.0] * 3 + [9.0] * inside, velocity=velocity))
     assert (answer.body, answer.wall) == (None, None)
     assert answer.problem == f"contact not fitted: {problem}"
 
@@ -534,12 +533,12 @@ def test_an_unplanned_contact_is_fitted_without_a_wall_estimate(fits: Fits) -> N
     """The force gives its direction to 15 degrees, and no belief of a wall is stored."""
     contact = pulse(VEHICLE.materials["acrylic"].rigid, -1.0)
     fitter = ContactFitter(VEHICLE)
-    answer = fitter.answer(request_from(contact, wall=None), 0)
+    answer = fitter.answer(request_from(contact, wall=None))
     assert answer.body is not None, answer.problem
     assert (answer.wall, answer.body.side) == (None, ContactSide.BOTH)
     assert abs(answer.body.incidence_rad) < 3.0 * answer.body.incidence_sigma_rad
     for one in (fitter, fitter, ContactFitter(VEHICLE)):
-        planned = one.answer(request_from(contact), 0)
+        planned = one.answer(request_from(contact))
         assert planned.wall is not None
         assert planned.wall.wall == "w"
     _, after_unplanned, after_planned, at_first = (fit.before for fit in fits.seen)
@@ -550,7 +549,7 @@ def test_an_unplanned_contact_is_fitted_without_a_wall_estimate(fits: Fits) -> N
 def test_a_planned_wall_narrows_the_prior_of_the_incidence(fits: Fits, planned: bool, degrees: float) -> None:
     """docs/torque.md gives a standard deviation of 4 degrees for a planned wall and 15 otherwise."""
     request = contact_request([0.0] * 3 + [9.0] * 8)
-    ContactFitter(VEHICLE).answer(request if planned else msgspec.structs.replace(request, wall=None), 0)
+    ContactFitter(VEHICLE).answer(request if planned else msgspec.structs.replace(request, wall=None))
     assert math.degrees(fits.seen[0].contact.angle_sd) == pytest.approx(degrees)
 
 

@@ -45,8 +45,8 @@ def test_a_replanned_trajectory_hits_the_wall_as_planned_after_the_lock_is_ready
     x: float, y: float, vx: float, vy: float
 ) -> None:
     request = msgspec.structs.replace(TO_WALL, position_mission=(x, y, 1.0), velocity_mission=(vx, vy, 0.0))
-    answer = REPLANNER.answer(request, 0)
-    assert answer == REPLANNER.answer(request, 0)
+    answer = REPLANNER.answer(request)
+    assert answer == REPLANNER.answer(request)
     assert answer.problem == ""
     assert answer.impact_s is not None
     trajectory, planned = trajectory_of(answer), predict_mission(MISSION).hits[2]
@@ -70,7 +70,7 @@ def test_a_replanned_trajectory_to_the_goal_ends_there_at_rest(
     x: float, y: float, vx: float, vy: float
 ) -> None:
     request = msgspec.structs.replace(TO_GOAL, position_mission=(x, y, 1.0), velocity_mission=(vx, vy, 0.0))
-    answer = REPLANNER.answer(request, 0)
+    answer = REPLANNER.answer(request)
     assert answer.problem == ""
     trajectory = trajectory_of(answer)
     end = trajectory.at(answer.duration_s + 1.0)
@@ -96,7 +96,7 @@ def test_a_replanned_trajectory_respects_the_missions_limits(most_m_s2: float, m
     request = msgspec.structs.replace(
         TO_GOAL, position_mission=(0.3, -0.6, 1.0), velocity_mission=(0.2, 0.0, 0.0)
     )
-    unbound, answer = (trajectory_of(one.answer(request, 0)) for one in (REPLANNER, bound))
+    unbound, answer = (trajectory_of(one.answer(request)) for one in (REPLANNER, bound))
     states = [answer.at(float(t)) for t in np.linspace(0.0, answer.duration_s, 100)]
     assert max(math.hypot(*at.acceleration[:2]) for at in states) <= most_m_s2 + 1e-2
     changes = (math.dist(a.acceleration, b.acceleration) for a, b in itertools.pairwise(states))
@@ -117,7 +117,7 @@ def test_rejoining_the_missions_trajectory_stays_near_its_limits_if_possible() -
     )  # fmt: skip
     unlimited = msgspec.structs.replace(hairpin.limits, motion=None, acceleration_m_s2=None, jerk_m_s3=None)
     bound, unlimited_plan = (
-        trajectory_of(Replanner(mission).answer(request, 0))
+        trajectory_of(Replanner(mission).answer(request))
         for mission in (hairpin, msgspec.structs.replace(hairpin, limits=unlimited))
     )
     pushes = [
@@ -133,9 +133,9 @@ def test_rejoining_the_missions_trajectory_stays_near_its_limits_if_possible() -
 
 
 def test_a_lock_fault_or_a_missing_trajectory_is_reported_as_the_problem() -> None:
-    no_lock = REPLANNER.answer(msgspec.structs.replace(TO_WALL, lock_ready_us=None), 0)
+    no_lock = REPLANNER.answer(msgspec.structs.replace(TO_WALL, lock_ready_us=None))
     assert no_lock.problem == "lock fault"
-    behind = REPLANNER.answer(msgspec.structs.replace(TO_WALL, position_mission=(3.0, 0.0, 1.0)), 0)
+    behind = REPLANNER.answer(msgspec.structs.replace(TO_WALL, position_mission=(3.0, 0.0, 1.0)))
     assert "no trajectory to wall acrylic" in behind.problem
 
 
@@ -145,7 +145,7 @@ def test_the_missions_predicted_impact_takes_precedence_over_the_model() -> None
     mission = msgspec.structs.replace(
         MISSION, collisions=(hit, msgspec.structs.replace(following, predicted=predicted_impact))
     )
-    answer = Replanner(mission).answer(TO_WALL, 0)
+    answer = Replanner(mission).answer(TO_WALL)
     assert answer.problem == ""
     assert (answer.normal_m_s, answer.tangential_m_s) == pytest.approx((-0.9, 0.1))
 
@@ -154,12 +154,12 @@ def test_no_plan_is_made_without_a_planned_impact_velocity(monkeypatch: pytest.M
     replanner = Replanner(MISSION)
     # Every mission that a loader accepts has this velocity.
     monkeypatch.setattr(replanner, "_planned", {})
-    assert replanner.answer(TO_WALL, 0).problem == "no velocity is planned for wall acrylic"
+    assert replanner.answer(TO_WALL).problem == "no velocity is planned for wall acrylic"
 
 
 def test_a_slow_lock_delays_the_impact() -> None:
-    quick = REPLANNER.answer(TO_WALL, 0)
-    slow = REPLANNER.answer(msgspec.structs.replace(TO_WALL, lock_ready_us=2_000_000), 0)
+    quick = REPLANNER.answer(TO_WALL)
+    slow = REPLANNER.answer(msgspec.structs.replace(TO_WALL, lock_ready_us=2_000_000))
     assert quick.impact_s is not None
     assert slow.impact_s is not None
     assert slow.impact_s >= 1.9 > quick.impact_s
@@ -167,7 +167,7 @@ def test_a_slow_lock_delays_the_impact() -> None:
 
 def test_an_impact_over_the_missions_peak_force_is_refused() -> None:
     weak = msgspec.structs.replace(MISSION, limits=msgspec.structs.replace(MISSION.limits, peak_force_n=50.0))
-    answer = Replanner(weak).answer(TO_WALL, 0)
+    answer = Replanner(weak).answer(TO_WALL)
     assert "peak_force" in answer.problem
 
 
@@ -177,7 +177,7 @@ def test_an_exception_in_the_planner_is_reported_as_a_problem(monkeypatch: pytes
 
     # No request is known to raise an exception.
     monkeypatch.setattr(REPLANNER, "_choose", fail)
-    answer = REPLANNER.answer(TO_GOAL, 0)
+    answer = REPLANNER.answer(TO_GOAL)
     assert answer.problem == "the planner failed: ZeroDivisionError: by hand"
     assert answer.number == TO_GOAL.number
 
@@ -201,10 +201,10 @@ def test_a_wall_estimate_updates_only_the_mode_of_its_contact(
     reported: Mode | None, identified: Mode | None, ratio: float
 ) -> None:
     """The peak force is about proportional to the square root of the stiffness."""
-    before = REPLANNER.answer(TO_WALL, 0)
+    before = REPLANNER.answer(TO_WALL)
     replanner = Replanner(MISSION)
     replanner.update_wall(wall_estimate(reported, identified, 2.0))
-    after = replanner.answer(TO_WALL, 0)
+    after = replanner.answer(TO_WALL)
     assert before.peak_force_n is not None
     assert after.peak_force_n is not None
     force = after.peak_force_n / before.peak_force_n
@@ -217,7 +217,7 @@ def test_a_measured_wall_stays_in_place_when_the_frame_is_corrected() -> None:
     replanner, (nx, ny) = Replanner(MISSION), ACRYLIC.normal
     replanner.update_wall(wall_estimate(Mode.RIGID, None, 1.0))
     replanner.move_frame(FrameAnchor(2, "acrylic", (0.06 * nx, 0.06 * ny), 0.1, 0.02, None, (nx, ny), 2, 0))
-    answer = replanner.answer(TO_WALL, 0)
+    answer = replanner.answer(TO_WALL)
     assert answer.impact_s is not None
     impact = trajectory_of(answer).at(answer.impact_s).position
     assert ACRYLIC.signed_distance(impact) == pytest.approx(-0.06, abs=1e-6)
@@ -234,7 +234,7 @@ def test_the_straight_segment_grows_with_the_age_of_the_contact_in_a_drifting_fr
             replanner.move_frame(
                 FrameAnchor(contact_us, wall.name, (0.0, 0.0), 0.1, 0.01, None, wall.normal, contact_us, 0)
             )
-        answer = replanner.answer(TO_WALL, 0)
+        answer = replanner.answer(TO_WALL)
         assert answer.impact_s is not None
         assert answer.normal_m_s is not None
         straights.append((answer.impact_s - answer.duration_s) * -answer.normal_m_s)
@@ -249,8 +249,8 @@ def test_a_trajectory_may_begin_while_the_arms_are_compressed(behind_m: float, p
     pressed = msgspec.structs.replace(
         TO_GOAL, begin_us=TO_GOAL.t_us, position_mission=(x - behind_m * nx, y - behind_m * ny, 1.0)
     )
-    assert problem in REPLANNER.answer(pressed, 0).problem
-    assert bool(REPLANNER.answer(pressed, 0).problem) is bool(problem)
+    assert problem in REPLANNER.answer(pressed).problem
+    assert bool(REPLANNER.answer(pressed).problem) is bool(problem)
 
 
 def test_an_uncertain_wall_lengthens_the_straight_segment_if_space_permits() -> None:
@@ -262,7 +262,7 @@ def test_an_uncertain_wall_lengthens_the_straight_segment_if_space_permits() -> 
 def test_an_impact_after_a_start_from_rest_uses_the_highest_permitted_speed(most_n: float) -> None:
     limits = msgspec.structs.replace(MISSION.limits, peak_force_n=most_n)
     request = msgspec.structs.replace(TO_WALL, collision=1)
-    answer = Replanner(msgspec.structs.replace(MISSION, limits=limits)).answer(request, 0)
+    answer = Replanner(msgspec.structs.replace(MISSION, limits=limits)).answer(request)
     assert answer.problem == ""
     assert answer.normal_m_s is not None
     planned = -0.6
@@ -275,7 +275,7 @@ def test_a_plan_begins_at_the_state_predicted_by_the_position_loop() -> None:
     begins = []
     for ahead_us in (0, 100_000, 200_000):
         request = msgspec.structs.replace(TO_WALL, begin_us=TO_WALL.t_us + ahead_us, lock_ready_us=600_000)
-        begins.append(trajectory_of(REPLANNER.answer(request, 0)).at(0.0).position)
+        begins.append(trajectory_of(REPLANNER.answer(request)).at(0.0).position)
     assert begins[0][:2] == pytest.approx(TO_WALL.position_mission[:2], abs=1e-6)
     for axis in (0, 1):
         first, second = (begins[i + 1][axis] - begins[i][axis] for i in (0, 1))
@@ -306,7 +306,7 @@ def test_the_requests_of_a_recorded_flight_give_the_recorded_answers() -> None:
         if isinstance(record, WallEstimate):
             replanner.update_wall(record)
         elif isinstance(record, PlanRequest):
-            answers[record.number] = replanner.answer(record, 0)
+            answers[record.number] = replanner.answer(record)
         elif isinstance(record, PlanAnswer):
             replayed = answers.pop(record.number)
             # An older version may have worded a problem differently.
@@ -325,7 +325,7 @@ def test_a_contact_above_the_centre_of_mass_plans_a_lean_into_the_wall(height_m:
     pushes = []
     for height in (0.0, height_m):
         trajectory = trajectory_of(
-            replanner.answer(msgspec.structs.replace(request, contact_height_m=height), 0)
+            replanner.answer(msgspec.structs.replace(request, contact_height_m=height))
         )
         push, _, _ = wall.to_collision(trajectory.at(trajectory.duration_s).acceleration)
         pushes.append(push)
@@ -340,7 +340,7 @@ def test_a_lean_into_the_wall_begins_early_enough_for_the_attitude_to_follow() -
     for request in (e.record for e in log.entries if isinstance(e.record, PlanRequest)):
         if request.collision is None:
             continue
-        answer = replanner.answer(msgspec.structs.replace(request, contact_height_m=0.03), 0)
+        answer = replanner.answer(msgspec.structs.replace(request, contact_height_m=0.03))
         if answer.problem:
             continue
         trajectory, wall = trajectory_of(answer), mission.collisions[request.collision - 1].wall
@@ -372,7 +372,7 @@ def test_rigid_arms_reduce_the_planned_lean_away_from_the_wall(
     changed = msgspec.structs.replace(mission, collisions=collisions, limits=limits, vehicle=vehicle)
     request = next(e.record for e in log.entries if isinstance(e.record, PlanRequest))
     trajectory = trajectory_of(
-        Replanner(changed).answer(msgspec.structs.replace(request, contact_height_m=0.0), 0)
+        Replanner(changed).answer(msgspec.structs.replace(request, contact_height_m=0.0))
     )
     end, wall = trajectory.at(trajectory.duration_s), mission.collisions[1].wall
     (push, _, _), (speed, _, _) = wall.to_collision(end.acceleration), wall.to_collision(end.velocity)
@@ -388,9 +388,7 @@ def test_a_trajectory_ends_with_the_planned_jerk_if_the_attitude_delay_is_known(
     flying = msgspec.structs.replace(mission.vehicle.flying, attitude_delay_s=dead_s)
     vehicle = msgspec.structs.replace(mission.vehicle, flying=flying)
     request = next(e.record for e in log.entries if isinstance(e.record, PlanRequest))
-    trajectory = trajectory_of(
-        Replanner(msgspec.structs.replace(mission, vehicle=vehicle)).answer(request, 0)
-    )
+    trajectory = trajectory_of(Replanner(msgspec.structs.replace(mission, vehicle=vehicle)).answer(request))
     written = mission.collisions[1].trajectory
     assert written is not None
     planned = Trajectory.from_mission(written, mission.altitude_m)
@@ -415,14 +413,12 @@ def test_a_trajectory_in_progress_is_not_replaced_by_a_slower_impact() -> None:
         (1.48, 0.0, 1.0), 0, True,
     )  # fmt: skip
     replanner = Replanner(shuttle)
-    assert (
-        replanner.answer(late, 0).problem == "no feasible trajectory leads back to the mission's trajectory"
-    )
+    assert replanner.answer(late).problem == "no feasible trajectory leads back to the mission's trajectory"
     early = msgspec.structs.replace(
         late, position_mission=(-0.935, 0.01, 1.142), velocity_mission=(2.038, -0.018, 0.074),
         acceleration_mission=(2.88, 0.02, 0.0),
     )  # fmt: skip
-    assert replanner.answer(early, 0).normal_m_s == pytest.approx(-2.81, abs=0.01)
+    assert replanner.answer(early).normal_m_s == pytest.approx(-2.81, abs=0.01)
 
 
 def test_a_mission_decoded_from_json_gives_the_same_plan() -> None:
@@ -433,8 +429,8 @@ def test_a_mission_decoded_from_json_gives_the_same_plan() -> None:
         (-0.53, -0.01, 1.0), 0,
     )  # fmt: skip
     read = msgspec.json.decode(msgspec.json.encode(shuttle), type=Mission)
-    answer = Replanner(read).answer(request, 0)
-    assert answer == Replanner(shuttle).answer(request, 0)
+    answer = Replanner(read).answer(request)
+    assert answer == Replanner(shuttle).answer(request)
     assert answer.normal_m_s == pytest.approx(-2.81, abs=0.05)
 
 
@@ -444,7 +440,7 @@ def test_a_trajectory_is_slowed_down_until_the_lock_is_ready() -> None:
         0, 1, 100_000, 4, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
         (-0.53, -0.01, 1.0), 2_000_000,
     )  # fmt: skip
-    answer = Replanner(load_mission(packaged("missions", "shuttle.yaml"))).answer(request, 0)
+    answer = Replanner(load_mission(packaged("missions", "shuttle.yaml"))).answer(request)
     assert answer.problem == ""
     assert answer.impact_s is not None
     assert 1.95 <= answer.impact_s < 2.05
@@ -455,7 +451,7 @@ def test_a_plan_for_a_coasting_vehicle_begins_with_the_decay_of_its_tilt() -> No
     request = msgspec.structs.replace(
         TO_WALL, acceleration_mission=(2.0, -1.0, 0.0), lock_ready_us=900_000, coasts=True
     )
-    begin = trajectory_of(REPLANNER.answer(request, 0)).at(0.0)
+    begin = trajectory_of(REPLANNER.answer(request)).at(0.0)
     t = np.linspace(0.0, 0.1, 2001)
     for axis, push in enumerate((2.0, -1.0)):
         a = push * np.exp(-t / ATTITUDE_LAG_S)
@@ -489,8 +485,8 @@ def test_no_trajectory_leads_into_a_post(place: Vec2, velocity: Vec2, share: flo
         TO_GOAL, position_mission=(*place, 1.0), velocity_mission=(*velocity, 0.0)
     )
     unaware, aware = (
-        REPLANNER.answer(request, 0),
-        Replanner(msgspec.structs.replace(MISSION, posts=(post,))).answer(request, 0),
+        REPLANNER.answer(request),
+        Replanner(msgspec.structs.replace(MISSION, posts=(post,))).answer(request),
     )
     assert not unaware.problem
 

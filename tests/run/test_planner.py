@@ -49,7 +49,7 @@ def test_the_planner_process_answers_like_the_planner_and_ends_with_its_flight(s
     planner.send(REQUEST)
     answer = answers.get(timeout=ANSWER_S)
     assert answer.received_us > 0
-    assert answer == Replanner(MISSION).answer(REQUEST, answer.received_us)
+    assert msgspec.structs.replace(answer, received_us=0) == Replanner(MISSION).answer(REQUEST)
     planner.process.end(patience_s=ANSWER_S)  # `stop` kills it sooner on a busy computer
     assert planner.process.returncode == 0
 
@@ -62,7 +62,7 @@ def test_the_contact_process_answers_like_the_fitter_and_reports_its_death(start
         request = msgspec.structs.replace(CONTACT, number=number)
         fits.send(request)
         answer = answers.get(timeout=ANSWER_S)
-        assert answer == fitter.answer(request, answer.received_us)
+        assert msgspec.structs.replace(answer, received_us=0) == fitter.answer(request)
         assert isinstance(answer, ContactAnswer)
         assert answer.wall is not None
         assert (answer.wall.wall, answer.received_us > 0) == (AT_WALL.name, True)

@@ -56,7 +56,7 @@ def test_a_touch_gives_the_height_of_the_guards(height_m: float) -> None:
     pushes = []
     for known_m in (None, to_wall.contact_height_m):
         request = msgspec.structs.replace(to_wall, contact_height_m=known_m)
-        answer = replanner.answer(request, request.t_us)
+        answer = replanner.answer(request)
         assert answer.problem == ""
         trajectory = Trajectory.from_plan(answer, mission.altitude_m)
         end = trajectory.at(trajectory.duration_s - 1e-6)
