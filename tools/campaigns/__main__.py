@@ -2,9 +2,12 @@
 
     python -m tools.campaigns NAME [--runs N] [--only KEY=VALUE] [--resume]
     python -m tools.campaigns                   # all that need no extra software (`make campaign`)
+    python -m tools.campaigns --list            # what each page of results rests on
+    python -m tools.campaigns --estimate [NAME] # how long a campaign would take here
 
-The table is written to build/campaigns/NAME, with the page that NAME.py makes of it. An interrupted campaign
-continues with --resume.
+The rows are written to build/campaigns/NAME. A complete campaign writes the tables that NAME.py makes of them
+into the pages of docs/results that have a block of this name; with --only or --out, it prints them. An
+interrupted campaign continues with --resume.
 """
 
 from __future__ import annotations
@@ -13,6 +16,8 @@ import argparse
 import importlib
 import os
 import sys
+import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -21,9 +26,11 @@ from rich.console import Console
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError
 from dart_flight.lab.campaign import campaign_folder as campaigns
-from dart_flight.lab.campaign.campaign_spec import CampaignSpec, cases_of, load_specification
+from dart_flight.lab.campaign.campaign_spec import CampaignSpec, cases_of, items_of, load_specification
+from dart_flight.lab.campaign.flight_job import ItemFlyer
 from dart_flight.run.workers import Interrupt, usable_cores
 from dart_flight.sim.px4.launch import ENVIRONMENT
+from tools.campaigns import results
 from tools.campaigns.results import ROOT
 
 HERE = Path(__file__).parent
@@ -70,8 +77,10 @@ def measure(options: argparse.Namespace, name: str) -> int:
         if rows % 20 == 0:
             console.print(f"{name}: {rows} of {opened.flights}")
 
+    began_s = time.monotonic()
     with Interrupt() as interrupt:
         completed = campaigns.fly(opened, engine, interrupt, show)
+    spent_s = _add_session(opened.folder, time.monotonic() - began_s)
     if completed < opened.flights:
         console.print(f"interrupted: {completed} of {opened.flights}; continue with --resume")
         return 130
@@ -81,7 +90,59 @@ def measure(options: argparse.Namespace, name: str) -> int:
     text = "\n".join([text, *failed])
     (opened.folder / "page.md").write_text(text + "\n", "utf-8")
     print(text)
+    if not (failed or options.only or options.out):
+        options_shown = f" --runs {options.runs}" if options.runs is not None else ""
+        options_shown += " --px4 DIR" if name.startswith("px4") else ""
+        command = f"python -m tools.campaigns {name}{options_shown}"
+        for page in results.pages_with(name):
+            head = results.measured_line(command, f"{len(rows)} runs", spent_s)
+            results.write_block(page, name, f"{head}\n\n{text}")
     return 1 if failed else 0
+
+
+def _add_session(folder: Path, seconds: float) -> float:
+    """Add a session's duration to the campaign's folder and return the sum of all sessions, seconds."""
+    path = folder / "seconds"
+    spent_s = seconds + (float(path.read_text("utf-8")) if path.exists() else 0.0)
+    path.write_text(f"{spent_s:.1f}\n", "utf-8")
+    return spent_s
+
+
+def show_list() -> int:
+    """Print what the pages rest on. Return 1 if a page names no command of this commit's history."""
+    status = 0
+    print("page                   date        commit    later  duration  command")
+    for found in results.measurements():
+        unknown = found.later is None and found.page not in results.KEEP_THEIR_DATE
+        status = max(status, int(unknown))
+        later = "?" if found.later is None else str(found.later)
+        print(
+            f"{found.page:22} {found.date:11} {found.commit:9} {later:>5}  {found.duration:9} {found.command}"
+        )
+    return status
+
+
+def show_estimate(options: argparse.Namespace, names: Sequence[str]) -> int:
+    """Run three items of each campaign and print how long the whole would take with `--jobs` processes.
+
+    Raises:
+        InputError: as `load_campaign`.
+    """
+    for name in names:
+        campaign = load_campaign(options, name)
+        points = campaigns.points_of(campaign)
+        items = list(items_of(msgspec.structs.replace(campaign, runs=1), points))
+        sample = items[:: max(1, len(items) // 3)][:3]
+        flyer = ItemFlyer(campaigns.campaign_of(campaign, points), points)
+        # Processor time does not depend on what else runs here, but PX4 flies in processes of its own.
+        clock_s = time.monotonic if name.startswith("px4") else time.process_time
+        began_s = clock_s()
+        for item in sample:
+            flyer(item)
+        each_s = (clock_s() - began_s) / len(sample)
+        runs = len(points) * campaign.runs
+        print(f"{name}: {runs} runs, about {results.duration(each_s * runs / options.jobs)}")
+    return 0
 
 
 def main() -> int:
@@ -98,14 +159,20 @@ def main() -> int:
     parser.add_argument("--px4", metavar="DIR", help="build of PX4 SITL")
     parser.add_argument("--out", type=lambda text: Path(text).resolve(), metavar="DIR")
     parser.add_argument("--resume", action="store_true")
+    parser.add_argument("--list", action="store_true", help="what each page of docs/results rests on")
+    parser.add_argument("--estimate", action="store_true", help="how long a campaign would take here")
     options = parser.parse_args()
     if options.px4 is not None:
         os.environ[ENVIRONMENT] = str(Path(options.px4).resolve())
         options.jobs = 1  # PX4 needs the whole computer
     os.chdir(ROOT)
-    status = 0
+    status, names = 0, [options.name] if options.name else USUAL
     try:
-        for name in [options.name] if options.name else USUAL:
+        if options.list:
+            return show_list()
+        if options.estimate:
+            return show_estimate(options, names)
+        for name in names:
             status = measure(options, name) or status
     except (InputError, FlightError) as error:
         sys.stderr.write(f"{error.one_line() if isinstance(error, InputError) else error}\n")
