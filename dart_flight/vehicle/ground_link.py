@@ -329,12 +329,14 @@ class GroundLink:
         return HeartbeatMode(armed=False, hil=False, not_px4=other) if other else None
 
     def require_disarmed(self) -> None:
-        """Raise VehicleError if the vehicle is armed or sends no heartbeat."""
+        """Raise VehicleError if the vehicle is armed, or if its heartbeat is missing or not from PX4."""
         mode = self.heartbeat_mode()
-        if mode is None or mode.armed:
-            raise VehicleError(
-                f"the vehicle {'sends no heartbeat' if mode is None else 'is armed: disarm it first'}"
-            )
+        if mode is None:
+            raise VehicleError("the vehicle sends no heartbeat")
+        if mode.not_px4:
+            raise VehicleError(f"it is unknown whether the vehicle is disarmed: {mode.not_px4}")
+        if mode.armed:
+            raise VehicleError("the vehicle is armed: disarm it first")
 
     def px4_logs(self) -> Px4Logs:
         """Return access to PX4's logs; the caller must close the returned object, then this link."""

@@ -54,8 +54,8 @@ def mission(**changes: object) -> Mission:
 class FakeLink(GroundLink):
     """A vehicle that ignores writes of `stubborn` parameters and rejects those of `refusing` ones."""
 
-    def __init__(self, values: dict[str, Value], *, armed: bool = False, metadata: bytes = b"") -> None:
-        self.values, self.armed, self.metadata = values, armed, metadata
+    def __init__(self, values: dict[str, Value], *, metadata: bytes = b"") -> None:
+        self.values, self.metadata = values, metadata
         self._system_id = 1
         self.stubborn: set[str] = set()
         self.refusing: set[str] = set()
@@ -65,7 +65,7 @@ class FakeLink(GroundLink):
         self.writes = 0
 
     def heartbeat_mode(self) -> HeartbeatMode | None:
-        return HeartbeatMode(armed=self.armed, hil=False)
+        return HeartbeatMode(armed=False, hil=False)
 
     def version(self) -> str:
         return "1.18.0"
@@ -269,10 +269,25 @@ def test_values_of_one_flight_controller_are_restored_only_on_request(tmp_path: 
         setting.load_restored(path)
 
 
-def test_writing_to_an_armed_vehicle_is_refused() -> None:
-    FakeLink({}).require_disarmed()
-    with pytest.raises(VehicleError, match="armed"):
-        FakeLink({}, armed=True).require_disarmed()
+@pytest.mark.parametrize(
+    ("mode", "problem"),
+    [
+        (HeartbeatMode(armed=True, hil=False), "the vehicle is armed: disarm it first"),
+        (
+            HeartbeatMode(armed=False, hil=False, not_px4="the autopilot is 3"),
+            "it is unknown whether the vehicle is disarmed: the autopilot is 3",
+        ),
+        (None, "the vehicle sends no heartbeat"),
+    ],
+)
+def test_writing_requires_a_vehicle_that_is_known_to_be_disarmed(
+    mode: HeartbeatMode | None, problem: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = FakeLink({})
+    link.require_disarmed()
+    monkeypatch.setattr(link, "heartbeat_mode", lambda: mode)
+    with pytest.raises(VehicleError, match=problem):
+        link.require_disarmed()
 
 
 def test_a_parameter_of_another_version_is_skipped_or_read_by_its_new_name() -> None:
