@@ -5,11 +5,11 @@ Frames (`docs/concepts.md`):
 * mission frame: right-handed, x along a configured heading, y left, z up, metres;
 * NED: PX4's local world frame, north, east, down;
 * FRD: the body frame, forward, right, down;
-* collision frame of a wall: X outward normal, Y to the right when looking along X in a z-up frame,
-  Z = X x Y, which points down because walls are vertical.
+* collision frame of a wall: X outward normal, Y to the right when looking along X, Z = X x Y. Walls are
+  vertical, so Z points down.
 
-Vectors are plain tuples of floats; quaternions are tuples (w, x, y, z). Scalar arithmetic is deterministic,
-and faster than arrays for three numbers. Walls, with their collision frame, are in `walls`.
+Vectors are plain tuples of floats; quaternions are tuples (w, x, y, z). For three numbers, scalar arithmetic
+is faster than arrays, and it is deterministic. Walls, with their collision frame, are in `walls`.
 """
 
 from __future__ import annotations
@@ -261,8 +261,8 @@ def wrap_deg(angle_deg: float) -> float:
 class MissionFrame:
     """Position and direction of the mission frame in PX4's local NED frame; immutable.
 
-    A `vector_` is a direction (velocity, force, acceleration), a `point_` a position. A mission yaw is
-    counter-clockwise from x, a NED heading clockwise from north.
+    In names, `vector_` means a direction (velocity, force, acceleration), and `point_` means a position. A
+    mission yaw is counter-clockwise from x; a NED heading is clockwise from north.
 
     Attributes:
         north_m, east_m: the mission's origin in local NED.

@@ -69,9 +69,9 @@ class MotorOutputDecoder:
         self.scale: OutputScale | None = None
 
     def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
-        """Return the throttle of each motor, or the reason why the outputs cannot be the motors'.
+        """Return the throttle of each motor, or the reason why the motors cannot be on these outputs.
 
-        An output that is not a number is None.
+        In `outputs`, None stands for an output without a value.
         """
         raw = [value for value in outputs[: self._motors] if value is not None]
         if len(raw) < self._motors:

@@ -72,7 +72,7 @@ class ChildProcess(subprocess.Popen[bytes]):
 
     Args:
         module: name of the module; it must exit when its standard input is closed.
-        first: first line sent to the module, of any length.
+        first: first line that is sent to the module; it may have any length.
         on_line: callback, on a separate thread, for every printed line; an empty line means that the module
             ended.
         errors: destination of the module's standard error; None uses this process's standard error.

@@ -22,9 +22,9 @@ w = sqrt(1 - zeta^2) and A = theta / w,
 
 The units of the four rows are 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp`
 contact never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force has
-no elementary form. If a is not 0, the time of release has none either. A safeguarded Newton iteration finds
-both to machine precision. If a = 0, this module uses the table, which is six times faster than the general
-solution in `oscillator.py`.
+no elementary form. If a is not 0, nor does the time of release. A safeguarded Newton iteration finds both to
+machine precision. If a = 0, this module uses the formulas of the table. They are six times faster than the
+general solution in `oscillator.py`.
 
 All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); a negative normal velocity is
 towards the wall.
@@ -173,8 +173,8 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
         tau = acot((zeta + r)/w)/w,   Q = 1 + 2 zeta r + r^2,   phi = exp(-zeta tau)/sqrt(Q),
         xi' = -phi (r + 2 zeta).
     Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. A `touch` contact has the same
-    solution, with c multiplied by `_Shape.scale`. It begins later, at r = `_Shape.entry`, and r never exceeds
-    this value.
+    solution, with c multiplied by `_Shape.scale`. That contact begins later, at r = `_Shape.entry`, and r
+    never exceeds this value.
     """
     two_zeta = 2.0 * s.zeta
     rate = -s.zeta / s.w
@@ -345,8 +345,8 @@ def contact_map(
     """Predict wall hits (paper, Sec. IV-B) in closed form; the results have the broadcast shape and no NaN.
 
     Args:
-        coefficients: one set, or one set per collision (any shape that broadcasts with the velocities). With
-            `rows`: a table of shape (n,).
+        coefficients: one set, or one set per collision (any shape that broadcasts with the velocities). If
+            `rows` is given, a table of shape (n,).
         mass_kg: broadcasts with `coefficients`.
         normal_m_s: velocity along the outward normal at the onset, collision frame. If the vehicle does not
             approach, it does not touch the wall: the velocity is unchanged, and force and contact time are 0.

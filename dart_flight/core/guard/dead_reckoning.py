@@ -6,7 +6,7 @@ from the state before the reset, is accurate for that time:
 
     v' = R(q) f + g,    p' = v,    q = D gyro(t)
 
-D is the rotation of `heading_step` before the reset; f is the specific force.
+D is the rotation that `heading_step` defines, taken before the reset; f is the specific force.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _SAME_M, _SAME_M_S = 0.2, 0.3  # tolerances within which PX4's estimate counts a
 class DeadReckoning:
     """Motion in local NED, integrated from the state before a reset.
 
-    `rotation` is the rotation D of `heading_step` before the reset.
+    `rotation` is D (see the module).
     """
 
     def __init__(self, odometry: OdometrySample, rotation: Quaternion) -> None:

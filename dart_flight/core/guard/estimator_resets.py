@@ -79,7 +79,7 @@ class EstimatorResets:
     def update_counter(self, counter: int, now_us: int, aligning: bool = False) -> bool:
         """Return whether the reset counter has changed since the last call.
 
-        If PX4 may be `aligning` its heading, the heading before the reset does not count as the true one.
+        If PX4 may be `aligning` its heading, the heading before the reset is not assumed to be true.
         """
         before, self._counter = self._counter, counter
         if before is None or counter == before:

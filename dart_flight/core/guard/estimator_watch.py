@@ -25,8 +25,8 @@ VELOCITY_JUMP_M_S: Final = 1.5  # limit of a jump between two samples; only a co
 # A reset with smaller steps changes only the heading, for example when PX4 aligns it in flight.
 RESET_POSITION_M: Final = 0.05
 RESET_VELOCITY_M_S: Final = 0.2
-ESTIMATOR_BAD_S: Final = 0.3  # longest time without a valid position, as when PX4 switches sources
-# PX4 may align its heading in the climb if it had none on the ground.
+ESTIMATOR_BAD_S: Final = 0.3  # longest time without a valid position; PX4 may be switching sources
+# PX4 may align its heading in the climb if it had no heading on the ground.
 _ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
 
 

@@ -206,7 +206,7 @@ class FlightConditions:
     def unrequested_mode(self) -> FlightMode | None:
         """The current flight mode if PX4 has certainly left offboard without a request; otherwise None."""
         mode = self._mode_left_to
-        # The mode may be another vehicle's. In manual mode the pilot flies, and nothing is sent in any case.
+        # Another vehicle may have sent the mode. In manual mode this is harmless: the guard sends nothing.
         if (
             mode is not None
             and mode is not FlightMode.MANUAL
@@ -219,7 +219,7 @@ class FlightConditions:
     def mode_change_unexplained(self) -> bool:
         """Whether PX4 seems to have left offboard a moment ago, by itself or by a pilot's switch.
 
-        Another vehicle, not yet detected, may have sent the reported mode. During this moment the guard makes
+        Another vehicle, not yet detected, may have sent the reported mode. During this time the guard makes
         no decision and sends nothing. If PX4 has announced the mode change, or telemetry has just returned
         after a gap, the mode change counts as certain.
         """

@@ -78,7 +78,7 @@ class Guard:
         self._rules_by_phase = {phase: _rules_in(phase, rules) for phase in Phase}
         self._evaluated_us = 0  # host time of the last complete evaluation
         self._flight = FlightConditions(mission)
-        # Wait longer for a landing than the guard waits before it stops the motors.
+        # A landing may take longer than the time after which the guard stops the motors.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._flight.landing_timeout_s or 0.0)))
         self.action = Override.NONE
         self.overrules = False  # whether a rule has fired, so that the mission is ignored
@@ -183,7 +183,7 @@ class Guard:
     def _apply_explanation(
         self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
     ) -> None:
-        """Put `rule` in force, with the reason `detail`, if it explains why the first rule fired."""
+        """If `rule` explains the rule that gave the reason, put `rule` in force with the reason `detail`."""
         if detail is not None and self._cause in rule.explains:
             if rule.of_streams:
                 detail += self._flight.circumstances
@@ -192,9 +192,9 @@ class Guard:
             self._apply_reason(rule, detail)
 
     def _apply_reason(self, rule: Rule, detail: str) -> None:
-        """Make `rule` the reason, unless the current reason is a rule that `rule` does not explain.
+        """Make `rule` the reason if there is no reason yet, or if `rule` explains the current reason.
 
-        A release ends the program's control, so it always has its own reason.
+        A release always becomes the reason, because it ends the program's control.
         """
         if not self._cause or self._cause in rule.explains or rule.action is Override.RELEASE:
             self._cause = rule.name
@@ -205,8 +205,7 @@ class Guard:
     ) -> None:
         """Overrule the mission from now on.
 
-        If an action at least as strong is already active, nothing changes. With `noted` the rule is only
-        logged.
+        If an action at least as strong is already active, nothing changes. If `noted`, only log the rule.
         """
         rule = self._rules.get(name)
         if rule is None:
@@ -283,9 +282,9 @@ class Guard:
     ) -> Setpoint:
         """Return the setpoint that holds the vehicle at `hold`, with its true heading.
 
-        After a wrong reset of the heading, PX4 rotates every horizontal acceleration by the error of its
-        heading, and its position and velocity are wrong. Until PX4's estimate has recovered, the guard leaves
-        the axes free and commands an acceleration towards `hold`, rotated back by the heading error.
+        After a wrong reset of the heading, PX4's position and velocity are wrong, and PX4 rotates every
+        horizontal acceleration by its heading error. Until PX4's estimate has recovered, the guard leaves the
+        axes free and commands an acceleration towards `hold`, rotated back by the heading error.
         """
         resets, trigger = self._flight.estimator.resets, SetpointTrigger(item.t_us, item.received_us)
         error_rad, reckoned = resets.heading_error_rad, resets.reckoned
@@ -348,7 +347,7 @@ class Guard:
                 away_m = self._config.retreat_m + position_margin_m(wall, (x, y))
                 nx, ny = wall.normal
                 closing = max(0.0, -(velocity[0] * nx + velocity[1] * ny))
-                # Keep the retreat distance; if the vehicle approaches, a more distant point brakes it harder.
+                # Keep the retreat distance. A more distant point brakes an approaching vehicle harder.
                 push = max(away_m - distance, STOP_TIME_S * closing)
                 behind_m = min(away_m, wall.behind_m)
                 if wall.spans((x, y)) and -behind_m < distance < 1.0 and push > 0.0:

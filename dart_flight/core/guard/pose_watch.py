@@ -28,22 +28,22 @@ from dart_flight.core.sense.state import FlightState
 
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
-LOST_LAND_S: Final = 1.5  # longest loss of poses; dead reckoning is then off by 0.2 m, too much to fly back
+LOST_LAND_S: Final = 1.5  # longest loss of poses; dead reckoning then errs by 0.2 m, too much to fly back
 _GROUND_LOST_S: Final = 2.0  # longest loss of poses on the ground, where it is no hazard
 _FIRST_S: Final = 5.0  # longest wait from the first input to the first pose
-# Limit of the difference between a pose's step and PX4's velocity, whose error reaches 2 m/s in a contact.
+# Limit of a pose's distance from its prediction by PX4's velocity, which errs by up to 2 m/s in a contact.
 JUMP_M: Final = 0.15
 _JUMP_M_S: Final = 2.0
-_JUMP_S: Final = 0.05  # longest tolerated jump; PX4's innovation gate handles it
+_JUMP_S: Final = 0.05  # longest tolerated jump; PX4's innovation gate rejects it
 _JUMP_GAP_S: Final = 0.1  # gap above which a pose is compared only with PX4's estimate
-# Limits of the difference between a pose and PX4's estimate, and their times. In a fast rotation, latency
-# exceeds the limits only for shorter times.
+# Limits of the difference between a pose and PX4's estimate, and how long a pose may exceed them. In a fast
+# rotation, latency causes a larger difference, but for a shorter time.
 TURNED_DEG: Final = 30.0
 _TURNED_S: Final = 0.1
 APART_M: Final = 0.3
 _APART_S: Final = 0.5
 _APART_LATENCY_S: Final = 0.1
-_GROUND_APART_S: Final = 3.0  # the same on the ground, where PX4 aligns its estimate with the first poses
+_GROUND_APART_S: Final = 3.0  # `_APART_S` on the ground, where PX4 aligns its estimate with the first poses
 RATE_SHARE: Final = 0.5  # fraction of the configured rate below which poses are too slow
 _INTERVALS: Final = 9  # intervals whose median gives the rate, so that a single gap does not count
 LATER_S: Final = 0.04  # limit of the added delay, above which PX4's estimate oscillates
@@ -66,7 +66,7 @@ class PoseWatch:
         # Receipt and position (NED) of the newest plausible pose.
         self._plausible: tuple[int, Vec3] | None = None
         self._settling_us: int | None = None  # start or end of a gap; None once two poses agree
-        self._jumped_us: int | None = None  # host time at which poses first were far from that position
+        self._jumped_us: int | None = None  # host time at which poses first were far from `_plausible`
         self._jump = ""
         self._wrong = self._turned_wrong = ""  # why poses are withheld, and why only their attitudes are
         self._withheld_us = 0
@@ -277,8 +277,8 @@ POSE_RULES: tuple[Rule, ...] = (
         "are too slow, too late or far from PX4's estimate",
         f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
     Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
-        "PX4's estimate jumped during or shortly after wrong poses (see `pose_source_ground`), or the body "
-        "was lost or its poses were withheld for longer than the limit",
+        "PX4's estimate jumped during or shortly after wrong poses (see `pose_source_ground`), or poses "
+        "were missing or withheld for longer than the limit",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
     Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
         "the poses are wrong (see `pose_source_ground`); in an approach, the rule acts at once; in a contact "

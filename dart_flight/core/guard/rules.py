@@ -165,7 +165,7 @@ def _battery(flight: FlightConditions) -> str | None:
     return ", ".join(battery_figures(status.battery_remaining, status.battery_v))
 
 
-@condition("before the first impact, mass and thrust curve predict a thrust that is wrong by over 25 %")
+@condition("before the first impact, the thrust predicted from mass and thrust curve is wrong by over 25 %")
 def _hover_thrust(flight: FlightConditions) -> str | None:
     ratio = flight.thrust_ratio
     if (
@@ -349,8 +349,8 @@ RULES: tuple[Rule, ...] = (
            "difference is noted without an action",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
-           "the lock is not in the planned mode when the vehicle can last stop before the wall, unless the "
-           "lock will settle at least 0.05 s before the impact and either mode is acceptable"),
+           "the lock is not in the planned mode at the last moment for stopping; the approach continues only "
+           "if the lock will settle 0.05 s before the impact and an impact in either mode is acceptable"),
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,

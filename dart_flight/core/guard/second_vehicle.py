@@ -53,7 +53,7 @@ class SecondClockDetector:
             return
         before = self._behind_us
         if before is not None and not 0 < t_us - before < _REACH_US:
-            self._turns.clear()  # one clock that jumps back repeatedly or stands still
+            self._turns.clear()  # a single clock that jumps back repeatedly or stands still
         if not self._was_behind:
             self.odd_us = received_us
         self._behind_us, self._was_behind = t_us, True
@@ -70,7 +70,7 @@ class SecondClockDetector:
 class SecondPositionDetector:
     """Detects a second vehicle in the positions of ODOMETRY.
 
-    `jump_m` is the largest distance between two positions of one vehicle beyond what its speed explains.
+    `jump_m` is the largest step between two positions of one vehicle, beyond the distance that it flies.
     """
 
     def __init__(self, jump_m: float) -> None:

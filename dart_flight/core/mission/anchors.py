@@ -44,7 +44,7 @@ class FrameAnchors:
 
     Args:
         drift_m_s: standard deviation of PX4's velocity error, which makes PX4's position drift.
-        start_us: time at which the frame was set at the start.
+        start_us: time at which the frame was first set.
     """
 
     def __init__(self, drift_m_s: float, start_us: int = 0) -> None:
@@ -63,7 +63,7 @@ class FrameAnchors:
         """Add the anchor of a contact, and return the frame's correction along the wall's normal.
 
         The difference between measured and assumed wall is divided between frame and wall in proportion to
-        their variances. `wall` is as assumed before the contact.
+        their variances. `wall` is the wall assumed before the contact.
         """
         measured_sd, place = estimate.plane_offset_sigma_m, estimate.plane_point_mission
         wall_sd = WALL_SD_M if wall.position_sd_m is None else wall.position_sd_m

@@ -1,7 +1,7 @@
 """Approaches to walls: straight runs with smooth speed, probes, and checks of their free space.
 
-A reference is position, velocity and acceleration in the mission frame as functions of time. PX4 receives it
-as feed-forward, so its P-PID cascade only corrects errors.
+A reference is position, velocity and acceleration in the mission frame as functions of time. PX4 receives the
+reference as feed-forward, so PX4's P-PID cascade only corrects errors.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def run_up(
     flying: Flying,
     wall: Wall,
 ) -> RunUp:
-    """Return the run-up of an approach to an impact on the wall's plane; `velocity` in the mission frame.
+    """Return the run-up to an impact on the wall's plane; `velocity` is in the mission frame.
 
     The approach follows a ray that ends at the impact. If the mission's start lies on this ray and is far
     enough from the wall, the run-up begins there. Otherwise the run-up begins on the ray at the distance that

@@ -121,7 +121,7 @@ class Executive:
             p.outputs.append(permission)
         step = self._steps.get(progress.phase)
         if step is not None and not (p.frame is not None and progress.anchors is not None and sensed.wall):
-            step(state, sensed, p)  # skipped after a frame correction, which the state does not contain yet
+            step(state, sensed, p)  # skipped after a frame correction: the state is still in the old frame
         p.expected = progress.expected = self._impacts.expected(progress, state)
         p.altitude_m = progress.course.altitude_m
         if type(item) is OdometrySample:
@@ -571,7 +571,9 @@ class Executive:
         miss = distance2(state.position, self.mission.goal.position_m)
         self.progress.least_miss_m = min(self.progress.least_miss_m, miss)
         if self.progress.replan.trajectory is not None:
-            passed = self.progress.replan.is_over(state.now_us)  # the distance may first rise
+            passed = self.progress.replan.is_over(
+                state.now_us
+            )  # a trajectory may first increase the distance
         else:
             rising = miss > self.progress.least_miss_m + PASSED_RISE_M
             # A trajectory is expected, so wait longer.

@@ -27,7 +27,7 @@ _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 _UNDERWAY: Final = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
 _OFF_TIME_S: Final = 0.1  # largest correction for an impact that is earlier or later than planned
 _CLOSES_M_S: Final = 0.3
-# [ours] Fraction of the attitude's delay that the jerk term leaves out; chosen on six seeds with PX4.
+# [ours] Fraction of the attitude's delay without compensation by the jerk term; chosen on six PX4 seeds.
 _STRAIGHT_SHARE: Final = 0.5
 _NONE: Vec3 = (0.0, 0.0, 0.0)
 

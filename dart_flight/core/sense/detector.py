@@ -33,7 +33,7 @@ PEAK_DROP_FRACTION: Final = 0.12  # drop, as a fraction of the top, that ends th
 CONTACT_END_S: Final = 0.012  # time below the release level; three samples, because one may be noise
 SURE_SIGMA: Final = 2.5  # standard deviations over the threshold from which one sample is sufficient
 SHORT_WINDOW_S: Final = 0.032  # window whose mean keeps 85 % of the peak of rigid contacts (46 to 54 ms)
-LONG_WINDOW_S: Final = 0.1  # the same for 83 % of the peak of flexible contacts (145 to 183 ms)
+LONG_WINDOW_S: Final = 0.1  # window whose mean keeps 83 % of the peak of flexible contacts (145 to 183 ms)
 PULSE_MISFIT: Final = 3.0  # mean square of the normalised residuals above which the model does not fit
 _RISE_SHARE: Final = 0.3  # fraction of the threshold above which earlier samples belong to the contact
 _PEAK_DROP_SHARE: Final = 0.25  # fraction of the threshold below which a drop is noise
@@ -47,7 +47,7 @@ _FAR_SIGMA: Final = 4.6  # ratio of threshold to noise from which two samples in
 # Added to the thresholds of one and two samples, which noise crosses more often than those of long means.
 _SHORT_SIGMA: Final = 1.0
 _MARGIN_SIGMA: Final = 1.0  # standard deviations over the threshold from which detection is guaranteed
-_NOISY_BASELINE: Final = 0.4  # relative rate of the baseline under vibration; a faster one would follow it
+_NOISY_BASELINE: Final = 0.4  # relative rate under vibration; a faster baseline would follow the vibration
 _LONGEST_CONTACT_S: Final = 0.5  # time after which a contact counts as ended, because noise may hide its end
 _INTO_WALL: Final = 0.1  # fraction of the force that may point into the expected wall at the onset
 
@@ -253,7 +253,7 @@ class ImpactDetector:
 
     @property
     def noise_n(self) -> tuple[float, float]:
-        """Learnt standard deviations of the short mean and of the long mean, per component, newton."""
+        """Learnt standard deviations of the short and of the long window's mean, per component, newton."""
         return (self._windows[2].noise_n, self._windows[3].noise_n)
 
     def _report_floor(self, t_us: int, expected: ExpectedContact) -> Events:
@@ -290,8 +290,8 @@ class ImpactDetector:
         fx, fy = self._detecting_window.mean if self._detecting_window is not None else (sample.fx, sample.fy)
         size = max(math.sqrt(fx * fx + fy * fy), 1e-9)
         expected = self._expected.normal
-        # Friction may hide the sign of the normal force, so only a force clearly into the wall is unplanned.
-        # `_peak` repeats the test with the impulse.
+        # Friction may hide the sign of the normal force. The onset is unplanned only if its force clearly
+        # points into the wall. `_peak` repeats the test with the impulse.
         least = -(_INTO_WALL * size + 3.0 * self._noise)
         planned = expected is not None and fx * expected[0] + fy * expected[1] > least
         self._normal = expected if expected is not None and planned else (fx / size, fy / size)

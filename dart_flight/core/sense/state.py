@@ -65,7 +65,7 @@ class FlightState:
             self.lock = LockState(t_us=0, phase=LockPhase.SETTLED, mode=Mode.RIGID)
         self.position: Vec3 = (0.0, 0.0, 0.0)
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
-        self.acceleration: Vec3 = (0.0, 0.0, 0.0)  # lightly filtered change of the odometry's velocity
+        self.acceleration: Vec3 = (0.0, 0.0, 0.0)  # low-pass-filtered derivative of the odometry's velocity
         self.yaw = 0.0
         self.tilt_rad = 0.0
         self._velocities: deque[tuple[int, Vec3]] = deque()
@@ -75,8 +75,8 @@ class FlightState:
         }
         self.health: HealthReport | None = None
         self._px4_texts: dict[str, int] = {}  # PX4's last warnings or worse, oldest first, with their times
-        self._found_on_link: dict[str, int] = {}  # the same for this program's warnings about the link
-        self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
+        self._found_on_link: dict[str, int] = {}  # this program's warnings about the link, with their times
+        self._refused: dict[str, str] = {}  # command -> PX4's refusal
 
     def update_odometry(self, sample: OdometrySample) -> bool:
         if not self.is_plausible(sample):
