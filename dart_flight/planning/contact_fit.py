@@ -55,27 +55,29 @@ from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.contact_recorder import undecided
 
-FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/contact_fit.md)
+FIT_US: Final = 50_000  # simulated duration of a fit (docs/contact_fit.md)
 CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall
-SURE_LOG_ODDS: Final = 5.3  # 200 to 1: the mode then counts as known, 1 in 1000 wrong (docs/contact_fit.md)
+SURE_LOG_ODDS: Final = (
+    5.3  # odds of 200 to 1 decide the mode; 1 of 1000 decisions is wrong (docs/contact_fit.md)
+)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
 _PLACE_M: Final = 0.1  # minimum prior deviation of a wall's position; wide, because the force determines it
 _WALL_RAD: Final = math.radians(4.0)  # minimum prior deviation of a planned wall's direction
-_UNPLANNED_RAD: Final = math.radians(15.0)  # the same for an unplanned wall: the force gives the direction
+_UNPLANNED_RAD: Final = math.radians(15.0)  # `_WALL_RAD` for an unplanned wall; the force shows its direction
 _UNKNOWN_SPREAD: Final = 0.8  # relative deviation of the coefficients if the material is unknown
 _KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations above which the material is not in the table
 _MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which the law does not fit
 _VELOCITY_M_S: Final = 0.04  # standard deviation of PX4's velocity at rest
-_VELOCITY_SHARE: Final = 0.02  # fraction of the speed that is added to this deviation
+_VELOCITY_SHARE: Final = 0.02  # fraction of the speed, added to `_VELOCITY_M_S`
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
-_LEVER_SHARE: Final = 0.3  # prior mean of b, the friction's lever divided by d
-_LEVER_SD: Final = 0.3  # prior standard deviation of b: no lever and twice the mean are both plausible
+_LEVER_SHARE: Final = 0.3  # prior mean of b, the lever arm of the friction divided by d
+_LEVER_SD: Final = 0.3  # prior standard deviation of b: both 0 and twice the mean are plausible
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
-_TORQUE_ERROR: Final = 0.05  # larger than independent ticks would need, because their errors are correlated
+_TORQUE_ERROR: Final = 0.05  # larger than for independent errors, because the ticks' errors are correlated
 _SURE_SIGMA: Final = 5.0  # sum of the readings, in standard deviations, below which there was no contact
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
@@ -157,7 +159,7 @@ class Ticks(NamedTuple):
 
 
 class ContactReadings(NamedTuple):
-    """The readings of one contact and what was known before the fit.
+    """The readings of one contact, and the prior information for its fit.
 
     Attributes:
         ticks: readings from a few ticks before the first touch until shortly after the contact.
@@ -276,7 +278,7 @@ class ContactFit:
         return found
 
     def _begin(self, lead: Array, believed: NDArray[np.bool_], mode: NDArray[np.intp]) -> Array:
-        """Return start parameters; the wall's angle is chosen to give the angle of incidence `lead`.
+        """Return start parameters. The start of the wall's angle makes the angle of incidence equal `lead`.
 
         The starts flagged in `believed` use the prior of k. For the other starts, k is computed from the peak
         force. A point mass has the peak force v (k m)^0.5.

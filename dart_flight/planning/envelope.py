@@ -3,8 +3,8 @@
 The limits of speed and force come from the flights in docs/px4.md. These flights are a sweep (acrylic and
 wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come
 from the flights in docs/results/body.md and docs/results/tumbles.md. A `_warning` function returns None if
-there is nothing to warn about. Its `velocity` is the predicted (normal, tangential) velocity, used if the
-mission specifies none.
+there is nothing to warn about. If the mission specifies no velocity, the function uses its argument
+`velocity`: the predicted (normal, tangential) velocity.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dart_flight.core.mission.planned_impact import expected_hit, impact_velocit
 # Largest normal speed without a warning; a body with guards tilts by more than 60 degrees at 3.5 m/s
 # (docs/px4.md).
 FLOWN_UP_TO_M_S = 3.0
-# Flights recovered from all impacts up to this incidence: in both modes up to 2 m/s, rigid up to 3 m/s.
+# Flights recovered from all impacts up to this incidence: at 2 m/s in both modes, at 3 m/s with rigid arms.
 INCIDENCE_FLOWN_DEG = 30.0
 # Largest distances (m) of the guards from the centre of mass at which the tilt stays below 60 degrees
 # (docs/results/tumbles.md). Columns: normal speed (m/s); distance below with rigid arms, and with flexible
@@ -82,7 +82,7 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def speed_warning(collision: Collision, velocity: tuple[float, float] | None = None) -> str | None:
-    """Warn about an impact that is faster than those from which PX4 reliably recovered."""
+    """Warn about an impact that is faster than all impacts from which PX4 reliably recovered."""
     velocity = impact_velocity(collision) or velocity
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None

@@ -11,10 +11,10 @@ trajectory. For this return, the replanner adds a polynomial to the mission's tr
 
 A `WallEstimate` replaces the wall's configured coefficients and its planned plane. The replanner keeps no
 other state between requests, so an answer can be computed again from the log. An approach from rest stays as
-planned, except that its speed is lower if the estimated impact would exceed a limit.
+planned. Its speed is reduced if the estimated impact would exceed a limit.
 
 The replanner does not run within the core's step. In flights over MAVSDK the replanner runs in its own
-process (`run.planner_process`). In the fast world it runs in the flight's process (`run.fast`).
+process (`run.planner_process`). In the fast world the replanner runs in the flight's process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ _PUSH_SAMPLES = 12  # samples at which acceleration and jerk are checked, before
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # jerk limit: about 150 degrees of tilt per second, which the attitude loop can follow
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
-_GENTLE_REJOINING_S = 0.05  # smaller when rejoining: the mission's trajectory is already within the limits
+_GENTLE_REJOINING_S = 0.05  # `_GENTLE_S` when rejoining; small, because the plan is within the limits
 _REJOINING_ALLOWANCE = 1.25  # factor on the acceleration limit, which the plan may already reach
 _SPEED_TOLERANCE = 1.01  # slow-down factor above which a trajectory counts as slower than planned
 # A contact rotates the vehicle (docs/results/faster_hits.md) if a plan for rigid arms tilts it too far away
 # from the wall. A contact also rotates it if a tilt into the wall begins too late for the lagging attitude.
-_THRUST_OFF_SHARE = 0.5  # rigid arms: removed fraction of the final thrust off the wall; lag removes the rest
+_THRUST_OFF_SHARE = 0.5  # removed fraction of the final outward thrust, rigid arms; lag removes the rest
 _LEANS_IN_M_S3 = 8.0  # final jerk into the wall above which another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
 _COMPRESSED_M = 0.15  # largest depth behind a wall, due to compressed arms and the wall's position error
@@ -118,7 +118,7 @@ class Replanner:
         self._matrices = [loop_matrix(loop, b) for b in mission.vehicle.airframe.drag_per_s[:2]]
         tilt = math.radians(mission.vehicle.px4.mpc_tiltmax_air)
         self._most_m_s2 = _TILT_SHARE * GRAVITY_M_S2 * math.tan(tilt)
-        # A new trajectory stays within the mission's limits; rejoining the mission's own may need more.
+        # A new trajectory stays within the mission's limits. A trajectory that rejoins may exceed them.
         limits = mission.limits
         self._planned_m_s2 = min(self._most_m_s2, limits.acceleration_m_s2 or math.inf)
         self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
@@ -189,7 +189,7 @@ class Replanner:
             return None
         wall, moved, pushed, settled_s = None, (0.0, 0.0), (0.0, 0.0), 0.0
         if collision is not None:
-            # With a configured attitude delay the attitude follows the plan to its end; otherwise it lags.
+            # The attitude follows the plan to its end if an attitude delay is configured. Otherwise it lags.
             follows = bool(self._mission.vehicle.flying.attitude_delay_s)
             settled_s = SETTLED_S if follows else 0.0
             wall = self._survey.known_wall(collision.wall, request.t_us)
@@ -422,9 +422,9 @@ class Replanner:
 
 
 def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
-    """Return by how much each trajectory's final jerk towards the wall exceeds `_LEANS_IN_M_S3`.
+    """Return the excess of each trajectory's final jerk towards the wall over `_LEANS_IN_M_S3`.
 
-    The unit of the result is `_LEANS_IN_STEP_M_S3`, rounded up. Within the limit the result is 0.
+    The excess is a number of steps of `_LEANS_IN_STEP_M_S3`, rounded up, or 0 without an excess.
     """
     (nx, ny), (jx, jy) = wall.normal, rejoining.jerk[:, :, -_LAST:]
     too_fast = np.max(-(nx * jx + ny * jy), axis=1, initial=0.0) - _LEANS_IN_M_S3
@@ -435,8 +435,8 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 def _straights(slack: float) -> list[tuple[float, float]]:
     """Return options for the straight flight before a wall, best first, as pairs (duration, count).
 
-    The straight flight lasts for the duration (s) and in addition covers `count` times `slack`, the tolerance
-    of the wall's position in metres.
+    `slack` is the tolerance of the wall's position, metres. The straight flight lasts for `duration` seconds
+    plus the time for `count` times `slack`.
     """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]

@@ -192,7 +192,7 @@ class RoomFit:
         squares = (off * off).sum(axis=0) / _ON_WALL_M**2
         squares[np.isnan(squares)] = np.inf
         squares[np.abs(off).max(axis=0) > _MOST_OFF_M] = np.inf
-        for k in group:  # the direction from a single contact, which counts less if it is oblique
+        for k in group:  # the direction measured by one contact, which counts less after an oblique contact
             one = self._touches[k]
             if one.normal_rad is None:
                 continue
