@@ -79,7 +79,7 @@ def find_inherited(
 ) -> Inherited | None:
     """Return the values that a vehicle's file inherits from a packaged file or from the file in `extends`.
 
-    A copy of a packaged example inherits every value that it has not changed, because it was not measured.
+    A copy of a packaged example inherits every unchanged value, because this value was not measured.
 
     Args:
         vehicle: the whole configuration.
@@ -88,7 +88,7 @@ def find_inherited(
 
     Returns:
         None for DART itself. A file describes DART if it is DART's own file, or if it extends or copies that
-        file without a change of a key in `FOLLOWS_FROM`, a material or the lock.
+        file and changes neither the lock, a material nor a key in `FOLLOWS_FROM`.
     """
     if file is None:
         return None

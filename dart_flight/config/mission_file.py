@@ -219,7 +219,7 @@ class ApproachSpec(Section, frozen=True):
 
 
 class ProbeSpec(Section, frozen=True):
-    """A straight leg, from rest to rest, that searches for a wall; a contact ends it but is not required.
+    """A straight leg from rest to rest that searches for a wall; a contact ends the leg, but is not required.
 
     Attributes:
         from_m: [x, y] of the leg's start, mission frame.

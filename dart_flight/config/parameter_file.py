@@ -70,7 +70,7 @@ class Parameter(msgspec.Struct, frozen=True):
             "without gyro_fft"; empty for none.
         renamed: name of the parameter in the builds of `absent`; or None if these builds do not need the
             parameter.
-        tolerance: maximum difference from the vehicle's value that counts as equal.
+        tolerance: maximum difference from the vehicle's value at which the values still count as equal.
     """
 
     name: str
@@ -130,10 +130,9 @@ def is_storable(value: Value) -> bool:
 
 
 def is_same_value(a: float, b: float, tolerance: float = 0.0) -> bool:
-    """Return whether a parameter with value `a` need not be changed to `b`.
+    """Return whether two values of a parameter count as equal.
 
-    No change is needed if the values differ by at most `tolerance`, or if two REAL32 are equal after
-    rounding.
+    They do if they differ by at most `tolerance`, or if they are REAL32 and equal after rounding.
     """
     whole = isinstance(a, int) or isinstance(b, int)
     return abs(a - b) <= tolerance or (not whole and to_float32(a) == to_float32(b))

@@ -45,7 +45,7 @@ def cannot(do: str, path: Path, error: OSError, remedy: str = REMEDY) -> InputEr
 
     Args:
         do: the failed action, such as `write`.
-        remedy: advice for the operator, used unless the file's permissions are the reason.
+        remedy: advice for the operator if the file's permissions are not the reason.
     """
     advice = "" if error.errno in (errno.EACCES, errno.EPERM) else f"; {remedy}"
     return InputError(f"cannot {do}: {write_problem(path, error)}{advice}", source=str(path))
