@@ -8,7 +8,7 @@ from typing import Final
 from dart_flight.base.geometry import Vec3
 
 _MAX_STEP_S: Final = 0.05  # limit of the time that one sample represents after a gap in the stream
-_OUTLIER: Final = 9.0  # multiple of the current variance at which a square is clipped
+_OUTLIER: Final = 9.0  # a square is clipped at this multiple of the current variance
 
 
 def decay_factor(dt_s: float, time_s: float) -> float:

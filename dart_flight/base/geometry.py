@@ -9,7 +9,7 @@ Frames (`docs/concepts.md`):
   vertical, so Z points down.
 
 Vectors are plain tuples of floats; quaternions are tuples (w, x, y, z). For three numbers, scalar arithmetic
-is faster than arrays, and it is deterministic. Walls, with their collision frame, are in `walls`.
+is deterministic and faster than arrays. Walls, with their collision frame, are in `walls`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 GRAVITY_M_S2: Final = 9.81
 _HALF_TURN_X: Quaternion = (0.0, 1.0, 0.0, 0.0)  # converts x forward, z up to x forward, z down
 _Y_UP_TO_Z_UP: Quaternion = (0.5, 0.5, 0.5, 0.5)  # converts z forward, y up to x forward, z up
-_SMALL_RAD: Final = 1e-9  # angle below which sin(x) equals x
+_SMALL_RAD: Final = 1e-9  # below this angle, sin(x) equals x
 
 
 # --- vectors ---------------------------------------------------------------------------------------
@@ -204,7 +204,7 @@ def quaternion_from_intrinsic_xyz(x_rad: float, y_rad: float, z_rad: float) -> Q
 
 
 def quaternion_from_matrix(columns: Sequence[float]) -> Quaternion:
-    """Return the quaternion of a rotation matrix, given column by column, as Qualisys (QTM) sends it.
+    """Return the quaternion of a rotation matrix, whose columns follow each other, as sent by Qualisys (QTM).
 
     A matrix that is not a rotation raises ValueError.
     """
@@ -315,7 +315,7 @@ class RoomFrame:
     y up. The room and local NED have the same origin.
 
     Args:
-        y_up: whether the room's y axis points up; if not, its z axis does.
+        y_up: whether the room's y axis points up; if not, the z axis points up.
         heading_rad: direction of the room's x axis (z axis if y is up), clockwise from north.
         body_offset_m: position of the vehicle's centre in the axes of the marker body.
         body_yaw_rad: direction of the vehicle's nose in the marker body, counter-clockwise from the body's

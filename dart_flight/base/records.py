@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.base.geometry import Quaternion, Vec2, Vec3
 from dart_flight.base.walls import Wall
 
-MIN_LEAD_M: Final = 0.002  # lead of one guard over the other below which both count as touching together
+MIN_LEAD_M: Final = 0.002  # with a smaller lead of one guard over the other, both count as touching together
 
 # PX4's default PWM_<bank>_MIN and _MAX: pulse widths at throttle 0 and 1.
 MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
@@ -365,7 +365,7 @@ class PlanAnswer(Record, frozen=True, gc=False):
 
     x and y are piecewise quintic polynomials, constant term first. Their variable is the time since the
     beginning of the piece, seconds. The first piece begins at `begin_us`. After the last piece, the vehicle
-    continues at its final velocity.
+    continues at the final velocity.
     """
 
     topic: ClassVar[str] = "/in/plan"
@@ -454,7 +454,7 @@ class VehicleAction(StrEnum):
 
 
 class VehicleCommand(Record, frozen=True, gc=False):
-    """An action for the autopilot; its result comes back as a `CommandResult`."""
+    """An action for the autopilot; the result of the action comes back as a `CommandResult`."""
 
     topic: ClassVar[str] = "/out/command"
     t_us: int
@@ -574,7 +574,7 @@ class ImpactOnset(Record, frozen=True, gc=False):
     force_mission: Vec3
     velocity_mission: Vec3  # last velocity before the contact
     position_mission: Vec3
-    planned: bool = False  # whether a wall was expected and the force points away from it
+    planned: bool = False  # whether a wall was expected and the force points away from this wall
 
 
 class ImpactPeak(Record, frozen=True, gc=False):
@@ -676,8 +676,8 @@ class DetectionFloor(Record, frozen=True, gc=False):
     threshold_n: float  # lowest of the current thresholds
     noise_short_n: float  # standard deviation of one component of the force averaged over the short window
     noise_long_n: float  # standard deviation of one component of the force averaged over the long window
-    rigid_n: float  # peak above which a rigid contact with this wall is always detected
-    flexible_n: float | None = None  # peak above which a flexible contact is always detected, or None
+    rigid_n: float  # lowest peak of a rigid contact with this wall that is always detected
+    flexible_n: float | None = None  # lowest peak of a flexible contact that is always detected, or None
 
 
 class PhaseChange(Record, frozen=True, gc=False):

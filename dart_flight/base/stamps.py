@@ -1,4 +1,4 @@
-"""Stamps that leap ahead: they are from another vehicle, or the clock has jumped."""
+"""Detection of stamps that leap ahead, because another vehicle sent them or because the clock jumped."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def leaps(ahead_us: int, elapsed_us: int = 0) -> bool:
 
 
 class LeapFilter:
-    """Rejects stamps that leap. After several in a row it accepts them, because the clock has then jumped."""
+    """Rejects stamps that leap, until several in a row show that the clock has jumped."""
 
     def __init__(self, accepted_after: int) -> None:
         self._accepted_after = accepted_after

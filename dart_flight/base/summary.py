@@ -96,8 +96,8 @@ def cause_of(reason: str) -> str:
 def student_t(freedom: int) -> float:
     """Return the 97.5 % point of Student's t.
 
-    Up to ten degrees of freedom it comes from a table: the expansion about the normal quantile is inaccurate
-    there.
+    Up to ten degrees of freedom the point comes from a table, because the expansion about the normal quantile
+    is inaccurate.
     """
     if freedom <= len(_T_FEW):
         return _T_FEW[freedom - 1]

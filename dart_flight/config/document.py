@@ -35,7 +35,7 @@ _MAX_BYTES = 1_000_000
 MAX_TABLE_BYTES = 200_000_000  # maximum size of CSV files: an hour of trials at 1 kHz
 MAX_LOG_BYTES = 2_000_000_000  # maximum size of logs: PX4 writes up to 500 MB an hour
 _MAX_DEPTH = 32
-# YAML 1.1 reads 1e-3 as a string; read it as a number, like YAML 1.2.
+# YAML 1.1 reads 1e-3 as a string. Read such text as a number, like YAML 1.2.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
 _INTEGER = re.compile(r"[-+]?\d+\Z")
 _SPECIAL: dict[str, Any] = {
@@ -157,7 +157,7 @@ def stamp_of(path: Path) -> Stamp:
 
 @contextlib.contextmanager
 def noting_files() -> Iterator[dict[Path, Stamp]]:
-    """Collect the files opened within the context, each with the stamp that it had before it was opened."""
+    """Collect the files opened within the context, each with its stamp from before the opening."""
     noted: dict[Path, Stamp] = {}
     _noting.append(noted)
     try:

@@ -20,7 +20,7 @@ from dart_flight.config.document import (
     report_write_errors,
 )
 
-_INDENT: Final = 2  # spaces by which a new block is indented
+_INDENT: Final = 2  # indentation of a new block, spaces
 
 
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
@@ -148,7 +148,7 @@ class _Editor:
         return self._head(entry, step) + self.updated(entry.node, present[step.old], wanted[step.new])
 
     def _head(self, entry: _Entry, step: _EntryStep) -> str:
-        """Return the text from an entry's begin to its value, with a new key if it is renamed."""
+        """Return the text from the beginning of an entry to its value; a renamed entry gets its new key."""
         begin = self.span(entry.node)[0]
         if entry.name is None or step.new == step.old:
             return self._text[entry.begin : begin]

@@ -87,9 +87,9 @@ class HeldFile:
 
     `acquire` creates the file, and `release` removes it. The kernel releases the lock when the process ends
     for any reason. Two parts of one process exclude each other as well. A forked child does not inherit the
-    locks of its parent. A process that has called `keep` holds the file until it ends, and passes it to a
-    child process with `pass_kept`; both then hold the file. Every account can hold the file, even if another
-    account has created it.
+    locks of its parent. A process that has called `keep` holds the file until the process ends. With
+    `pass_kept` a child process holds the file, too. Every account can hold the file, even if another account
+    has created it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -228,7 +228,7 @@ class Lease(ABC):
 
     @abstractmethod
     def release(self) -> None:
-        """Release the right; has no effect if it is not held."""
+        """Release the right, if it is held."""
 
     def __enter__(self) -> Self:
         self.acquire()

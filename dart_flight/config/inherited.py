@@ -10,13 +10,13 @@ from dart_flight.config.document import Document, dotted, iterate_leaves
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
-_COPIED: Final = 0.5  # fraction of a packaged file's values above which a file counts as its copy
-_SAME: Final = 0.1  # relative difference from the inherited value below which values count as equal
+_COPIED: Final = 0.5  # a file with more than this fraction of a packaged file's values counts as its copy
+_SAME: Final = 0.1  # values with a smaller relative difference count as equal
 _SIZE: Final = ("airframe.arm_x_m", "airframe.arm_y_m", "airframe.motors")
 _TURNING: Final = ("airframe.mass_kg", "airframe.inertia_kg_m2", "thrust.full_n", *_SIZE)
 LOCK: Final = "lock"
 
-# Keys that must be measured for each vehicle -> the keys on which they depend.
+# Keys that must be measured for each vehicle -> keys on which their values depend.
 FOLLOWS_FROM: Final[Mapping[str, tuple[str, ...]]] = {
     "airframe.mass_kg": (),
     "airframe.contact_distance_m": _SIZE,

@@ -104,7 +104,7 @@ class ParameterFile(msgspec.Struct, frozen=True):
 
 
 class ParameterDifference(msgspec.Struct, frozen=True):
-    """A parameter of the vehicle that differs from the file; `actual` is None if the vehicle lacks it."""
+    """A parameter of the vehicle that differs from the file; `actual` is None for a missing parameter."""
 
     name: str
     wanted: Value
@@ -132,7 +132,7 @@ def is_storable(value: Value) -> bool:
 def is_same_value(a: float, b: float, tolerance: float = 0.0) -> bool:
     """Return whether two values of a parameter count as equal.
 
-    They do if they differ by at most `tolerance`, or if they are REAL32 and equal after rounding.
+    Values that differ by at most `tolerance`, and REAL32 that are equal after rounding, count as equal.
     """
     whole = isinstance(a, int) or isinstance(b, int)
     return abs(a - b) <= tolerance or (not whole and to_float32(a) == to_float32(b))

@@ -23,8 +23,8 @@ w = sqrt(1 - zeta^2) and A = theta / w,
 The units of the four rows are 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp`
 contact never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force has
 no elementary form. If a is not 0, nor does the time of release. A safeguarded Newton iteration finds both to
-machine precision. If a = 0, this module uses the formulas of the table. They are six times faster than the
-general solution in `oscillator.py`.
+machine precision. If a = 0, this module uses the formulas of the table. These formulas are six times faster
+than the general solution in `oscillator.py`.
 
 All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); a negative normal velocity is
 towards the wall.
@@ -69,7 +69,7 @@ class WallContact(NamedTuple, Generic[T]):
     Attributes:
         normal_out_m_s, tangential_out_m_s: velocity when the force returns to zero.
         contact_time_s: time during which the force is above zero; infinite if the vehicle stays at the wall.
-        penetration_m: largest distance of the vehicle's centre behind its plane of first touch.
+        penetration_m: largest distance of the vehicle's centre behind the plane of first touch.
         peak_normal_force_n: largest lx.
         peak_friction_force_n: largest |ly|.
         impulse_n_s: time integral of lx.
@@ -93,7 +93,7 @@ class Drop(NamedTuple, Generic[T]):
         contact_time_s: time during which the force is above zero; infinite if the vehicle stays down.
         max_rebound_speed_m_s: largest upward speed, reached in contact at lx = m g.
         peak_force_n: largest contact force lx.
-        penetration_m: largest distance of the vehicle's centre below its plane of first touch.
+        penetration_m: largest distance of the vehicle's centre below the plane of first touch.
         impulse_n_s: time integral of lx.
         onset_s: time from the release to the first force.
         onset_speed_m_s: speed (positive) at the first force.

@@ -13,7 +13,7 @@ guards. The *share* is this stiffness divided by k. The share is fixed at the fi
 while the bar is pressed. The depth stays continuous when the cylinder's axis enters the outline. The stored
 energy, 1/2 share k x^2, therefore depends on the depth alone, and sliding adds no energy.
 
-A surface presses only points that reach the surface from outside; otherwise it would add energy. A guard may
+A surface presses only points that reach the surface from outside. Other points would gain energy. A guard may
 move past the wall's end and then behind the surface. This guard touches nothing until it is in front of the
 surface again. While the surface presses one of a bar's guards, this guard carries the load, and the bar
 touches no edge.
@@ -238,7 +238,7 @@ class WallWithEnds:
 
     @property
     def is_plain(self) -> bool:
-        """Whether no contact state is stored. Away from its ends, the wall then acts like a plane."""
+        """Whether no contact state is stored. The wall, away from its ends, then acts like a plane."""
         return not self.beside and all(one.share is None and not one.stood_in for one in self.edges)
 
     @property

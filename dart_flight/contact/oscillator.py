@@ -180,7 +180,7 @@ def falling_root(
             newton = x - value / np.where(slope == 0.0, -1.0, slope)
         good = (slope < 0.0) & (newton >= low) & (newton <= high)
         new = np.where(good, newton, 0.5 * (low + high))
-        # Newton squares its error: after a step of 1e-9 only rounding is left.
+        # A Newton step squares the error: after a step of 1e-9 only rounding is left.
         done = bool((np.abs(new - x) <= np.where(good, 1e-9, 1e-15) * np.abs(new)).all())
         x = new
         if done:

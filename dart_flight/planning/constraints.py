@@ -37,7 +37,7 @@ MIN_REBOUND_M_S = 0.05
 # A wall counts as touched if the vehicle would reach the plane within this time, because forces may begin
 # before the plane (`lcp`).
 _TOUCH_S = 0.01
-_THICK_M = 0.5  # distance behind the plane above which the vehicle is on the wall's other side
+_THICK_M = 0.5  # a vehicle farther behind the plane is on the wall's other side
 _LOCK_POLL_S = 0.02
 
 
@@ -186,7 +186,7 @@ class Constraints:
         return codes
 
     def _leaves_bounds(self, w: GridWindow) -> NDArray[np.bool_]:
-        """Return at which grid points the vehicle is outside the bounds or could not stop inside the bounds.
+        """Return the grid points at which the vehicle is outside the bounds or could not stop inside them.
 
         If a wall ahead stops the vehicle earlier, the stopping distance is shorter (`stop_share`). The core's
         guard (`core.guard`) applies the same rule.

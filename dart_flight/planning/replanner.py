@@ -2,12 +2,12 @@
 
 The replanner uses the contact stages and constraints of `plan` (`contact_stage`, `constraints`). It chooses a
 trajectory: one fifth-order polynomial per axis. The trajectory begins in the state that the vehicle will have
-when the core receives the answer. It ends at the next wall with the planned velocity, or at rest at the goal.
-The replanner tries durations and impact points along the wall and discards the trajectories that violate a
-constraint. It prefers trajectories that are quick, gentle and near the planned point. If the mission has a
-trajectory of its own (`trajectory`, `goal_trajectory`), the replanner first tries to return to this
-trajectory. For this return, the replanner adds a polynomial to the mission's trajectory
-(`planning.rejoining`).
+when the core receives the answer. The trajectory ends at the next wall with the planned velocity, or at rest
+at the goal. The replanner tries durations and impact points along the wall and discards the trajectories that
+violate a constraint. Among the remaining trajectories, the replanner prefers quick and gentle ones that end
+near the planned point. If the mission has a trajectory of its own (`trajectory`, `goal_trajectory`), the
+replanner first tries to return to this trajectory. For this return, the replanner adds a polynomial to the
+mission's trajectory (`planning.rejoining`).
 
 A `WallEstimate` replaces the wall's configured coefficients and its planned plane. The replanner keeps no
 other state between requests, so an answer can be computed again from the log. An approach from rest stays as
@@ -61,11 +61,11 @@ _JERK_M_S3 = 25.0  # jerk limit: about 150 degrees of tilt per second, which the
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
 _GENTLE_REJOINING_S = 0.05  # `_GENTLE_S` when rejoining; small, because the plan is within the limits
 _REJOINING_ALLOWANCE = 1.25  # factor on the acceleration limit, which the plan may already reach
-_SPEED_TOLERANCE = 1.01  # slow-down factor above which a trajectory counts as slower than planned
-# A contact rotates the vehicle (docs/results/faster_hits.md) if a plan for rigid arms tilts it too far away
-# from the wall. A contact also rotates it if a tilt into the wall begins too late for the lagging attitude.
+_SPEED_TOLERANCE = 1.01  # a trajectory with a larger slow-down factor counts as slower than planned
+# A contact rotates the vehicle (docs/results/faster_hits.md) if the planned tilt away from the wall is too
+# large for rigid arms, or if a tilt into the wall begins too late for the lagging attitude.
 _THRUST_OFF_SHARE = 0.5  # removed fraction of the final outward thrust, rigid arms; lag removes the rest
-_LEANS_IN_M_S3 = 8.0  # final jerk into the wall above which another trajectory is preferred
+_LEANS_IN_M_S3 = 8.0  # with a larger final jerk into the wall, another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
 _COMPRESSED_M = 0.15  # largest depth behind a wall, due to compressed arms and the wall's position error
 _OFF_PLACE_S = 1.0  # cost of a contact at the mission's tolerance from the planned point
@@ -141,7 +141,7 @@ class Replanner:
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
         """Plan a trajectory that starts in the requested state. If none is found, the answer has a `problem`.
 
-        An exception in the planner also becomes a `problem`, so that it does not end the flight.
+        An exception in the planner also becomes a `problem`, so that the flight continues.
         """
         found = PlanAnswer(received_us, request.number, request.begin_us, collision=request.collision)
         try:
@@ -370,9 +370,9 @@ class Replanner:
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
         """Return the known walls; `start` is (position, velocity, acceleration) of the vehicle in x and y.
 
-        The vehicle may start slightly behind the plane of the wall that it has just left, because flexible
-        arms release while still compressed, and because a wall's position is uncertain. The plane of such a
-        wall is shifted back to the vehicle.
+        The vehicle may start slightly behind the plane of the wall that it has just left: flexible arms
+        release while still compressed, and a wall's position is uncertain. The plane of such a wall is
+        shifted back to the vehicle.
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []

@@ -30,8 +30,8 @@ _MOST_OFF_M = 0.05
 _BACK_M = 0.5
 _INSIDE_M = 0.1  # distance inside the bounds at which a probe ends
 _STEEPEST_RAD = math.radians(65.0)  # largest angle between a contacted wall's normal and the probe
-_OBLIQUE_RAD = math.radians(12.0)  # obliqueness below which a single contact measures a wall's direction
-_STEP_RAD = math.radians(7.0)  # angle between a single contact and the additional probes beside it
+_OBLIQUE_RAD = math.radians(12.0)  # a single contact measures a wall's direction only if it is less oblique
+_STEP_RAD = math.radians(7.0)  # angle between a single contact and the additional probes beside this contact
 _GROUP_COST = 12.0  # cost of an additional wall, in squared deviations
 
 Array = NDArray[Any]

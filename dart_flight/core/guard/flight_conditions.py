@@ -41,17 +41,17 @@ from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from dart_flight.core.sense.state import FlightState
 
-_DOUBT_US: Final = 100_000  # host time within which another vehicle's first sample follows its heartbeat
+_DOUBT_US: Final = 100_000  # another vehicle's first sample follows its heartbeat within this host time
 _CLIP_SHARE: Final = 0.99
 # No flying vehicle keeps such a tilt near the ground. PX4 does not detect that a vehicle lies on its side.
 LYING_TILT_DEG: Final = 60.0
-_FALLING_M_S2: Final = 4.9  # specific force below which the vehicle falls: half of that in hover
+_FALLING_M_S2: Final = 4.9  # with a smaller specific force the vehicle falls; half of that in hover
 _LYING_BELOW_M: Final = 0.5  # limit of the height above take-off; large, because a fall disturbs the estimate
 # The body rates are not tested: PX4's rate loop shakes a vehicle that lies on its side at up to 2.5 rad/s.
 _STILL_M_S: Final = 0.5
 _ATTITUDE_OLD_US: Final = 100_000
 _SURELY_DOWN: Final = 3.0  # longest landing, as a multiple of the descent from the flight space's top
-_PAUSE_US: Final = 40_000  # gap between ticks (period 20 ms of host time) above which this program has paused
+_PAUSE_US: Final = 40_000  # this program has paused if two ticks (period 20 ms) are farther apart, host time
 _PAUSE_MEMORY_US: Final = 3_000_000
 
 
@@ -192,7 +192,7 @@ class FlightConditions:
     def termination(self) -> str | None:
         """Message that PX4 has terminated the flight, or None.
 
-        On the ground it is always None, because a landing ends with a kill.
+        On the ground the result is always None, because a landing ends with a kill.
         """
         if not self.was_armed or self.state.on_ground:
             return None
@@ -243,7 +243,7 @@ class FlightConditions:
         return self.others.is_suspected(self.streams.host_us)
 
     def duration_s(self, since_us: int | None) -> float:
-        """Return how long a condition has lasted, autopilot time; 0 if it does not hold."""
+        """Return the duration of a condition in autopilot time, or 0 if the condition does not hold."""
         return 0.0 if since_us is None else (self.state.now_us - since_us) * 1e-6
 
     def stop_excess_m(self) -> float:

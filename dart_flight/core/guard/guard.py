@@ -1,9 +1,9 @@
 """The guard: it observes the same state as the mission and can overrule the mission's proposal.
 
-`review` is the last stage of every step. It evaluates all rules of `rules` every 20 ms. Some rules are also
-evaluated immediately after the inputs that they name. The guard also receives the findings of the mission. An
-override latches: only a stronger action can replace it, in the order release > kill > land > hold > break
-off. From then on the mission's setpoints and commands are dropped and the guard flies without the mission.
+`review` is the last stage of every step. It evaluates all rules of `rules` every 20 ms. Some rules name
+inputs, and are also evaluated immediately after these inputs. The guard also receives the findings of the
+mission. An override latches: only a stronger action replaces it (release > kill > land > hold > break off).
+From then on the mission's setpoints and commands are dropped and the guard flies without the mission.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _MOST_M_S2: Final = 5.0  # acceleration limit while PX4's heading is wrong; corr
 # PX4 disarms by itself after landing; if PX4 has not disarmed after this time, the guard disarms.
 _DISARM_AFTER_US: Final = 15_000_000
 _UNSURE_US: Final = 15_000_000
-_LANDING_US: Final = 60_000_000  # limit of a landing's duration; from 2 m at 0.7 m/s it takes 5 s
+_LANDING_US: Final = 60_000_000  # limit of a landing's duration; a landing from 2 m at 0.7 m/s takes 5 s
 
 
 class _PhaseRules(NamedTuple):
@@ -134,7 +134,7 @@ class Guard:
         return kept
 
     def land_after_fault(self, item: Input, state: FlightState, detail: str) -> list[Output]:
-        """Land after an exception in `review`, without evaluating the rules, which may have raised it.
+        """Land after an exception in `review`; do not evaluate the rules, which may have raised it.
 
         If every step raises the exception, this method continues the landing. `detail` names the exception.
         """

@@ -29,13 +29,13 @@ from dart_flight.core.sense.state import FlightState
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
 LOST_LAND_S: Final = 1.5  # longest loss of poses; dead reckoning then errs by 0.2 m, too much to fly back
-_GROUND_LOST_S: Final = 2.0  # longest loss of poses on the ground, where it is no hazard
+_GROUND_LOST_S: Final = 2.0  # longest loss of poses on the ground, where a loss is no hazard
 _FIRST_S: Final = 5.0  # longest wait from the first input to the first pose
 # Limit of a pose's distance from its prediction by PX4's velocity, which errs by up to 2 m/s in a contact.
 JUMP_M: Final = 0.15
 _JUMP_M_S: Final = 2.0
-_JUMP_S: Final = 0.05  # longest tolerated jump; PX4's innovation gate rejects it
-_JUMP_GAP_S: Final = 0.1  # gap above which a pose is compared only with PX4's estimate
+_JUMP_S: Final = 0.05  # longest duration of a tolerated jump; PX4's innovation gate rejects shorter jumps
+_JUMP_GAP_S: Final = 0.1  # after a longer gap, a pose is compared only with PX4's estimate
 # Limits of the difference between a pose and PX4's estimate, and how long a pose may exceed them. In a fast
 # rotation, latency causes a larger difference, but for a shorter time.
 TURNED_DEG: Final = 30.0
@@ -44,14 +44,14 @@ APART_M: Final = 0.3
 _APART_S: Final = 0.5
 _APART_LATENCY_S: Final = 0.1
 _GROUND_APART_S: Final = 3.0  # `_APART_S` on the ground, where PX4 aligns its estimate with the first poses
-RATE_SHARE: Final = 0.5  # fraction of the configured rate below which poses are too slow
+RATE_SHARE: Final = 0.5  # poses are too slow below this fraction of the configured rate
 _INTERVALS: Final = 9  # intervals whose median gives the rate, so that a single gap does not count
-LATER_S: Final = 0.04  # limit of the added delay, above which PX4's estimate oscillates
+LATER_S: Final = 0.04  # limit of the added delay; PX4's estimate oscillates with a longer delay
 _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
-_RECENT_US: Final = 5_000_000  # time within which PX4's estimate follows wrong poses
+_RECENT_US: Final = 5_000_000  # PX4's estimate may follow wrong poses for this time
 _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
-_RECOVERED_S: Final = 0.5  # time after which a recovering vehicle flies on to the next wall or the goal
+_RECOVERED_S: Final = 0.5  # after this time, a recovering vehicle flies on to the next wall or the goal
 
 
 class PoseWatch:
@@ -68,7 +68,7 @@ class PoseWatch:
         self._settling_us: int | None = None  # start or end of a gap; None once two poses agree
         self._jumped_us: int | None = None  # host time at which poses first were far from `_plausible`
         self._jump = ""
-        self._wrong = self._turned_wrong = ""  # why poses are withheld, and why only their attitudes are
+        self._wrong = self._turned_wrong = ""  # why poses, or only their attitudes, are withheld
         self._withheld_us = 0
         self._not_recovering_us = 0  # host time of the newest pose in a phase other than the recovery
         self._recent, self._recent_us = "", -_RECENT_US  # newest fault and its time
@@ -125,7 +125,7 @@ class PoseWatch:
         return text
 
     def blind(self, estimate_steps: bool, phase: Phase) -> str | None:
-        """Return the reason why PX4's position is unusable, or None if it is usable.
+        """Return the reason why PX4's position is unusable, or None for a usable position.
 
         `estimate_steps` means that PX4's estimate has just jumped.
         """

@@ -1,7 +1,7 @@
 """Detection of a second vehicle that shares the link and the system id.
 
 In MAVLink the two vehicles are one system, so their samples alternate between two clocks or two positions. A
-single vehicle does not alternate: after a clock reset, restart or jump of its estimate, the old clock or
+single vehicle does not alternate. After a clock reset, restart or jump of its estimate, the old clock or
 position does not return. The detectors process every sample in the order of receipt.
 """
 
@@ -70,7 +70,7 @@ class SecondClockDetector:
 class SecondPositionDetector:
     """Detects a second vehicle in the positions of ODOMETRY.
 
-    `jump_m` is the largest step between two positions of one vehicle, beyond the distance that it flies.
+    `jump_m` is the largest step between two positions of one vehicle, beyond the distance flown.
     """
 
     def __init__(self, jump_m: float) -> None:
@@ -112,7 +112,7 @@ class SecondPositionDetector:
 class OtherVehicles:
     """Other vehicles on the link: those with another system id, and one that shares the vehicle's id.
 
-    `same_system` describes the evidence of a second vehicle with the same system id; it is never cleared.
+    `same_system` describes the evidence of a second vehicle with the same system id, and is never cleared.
     """
 
     def __init__(self) -> None:

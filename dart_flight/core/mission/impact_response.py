@@ -26,7 +26,7 @@ from dart_flight.core.mission.wall_uncertainty import early_m
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-_BOUNCES_US: Final = 1_000_000  # time after an impact in which PX4 may tilt the vehicle into the wall again
+_BOUNCES_US: Final = 1_000_000  # in this time after an impact, PX4 may tilt the vehicle into the wall again
 _ANY_WALL: Final = ExpectedContact(watching=True)
 _NO_WALL: Final = ExpectedContact()
 

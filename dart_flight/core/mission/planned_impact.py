@@ -22,7 +22,7 @@ def impact_velocity(collision: Collision) -> tuple[float, float] | None:
 
 
 def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallContact[float] | None:
-    """Return the contact law's result for a collision, or None if its velocity is unknown."""
+    """Return the contact law's result for a collision, or None if the impact velocity is unknown."""
     velocity = impact_velocity(collision)
     if velocity is None or velocity[0] >= 0.0:
         return None

@@ -29,7 +29,7 @@ from dart_flight.base.records import (
 from dart_flight.base.stamps import LEAP_US, LeapFilter
 
 _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
-_TEXT_AGE_US: Final = 15_000_000  # age above which PX4's texts are not given as reasons
+_TEXT_AGE_US: Final = 15_000_000  # older texts of PX4 are not given as reasons
 _MAX_REASONS: Final = 6
 _FURTHEST_M: Final = 1e5  # limit of a plausible position in PX4's local frame
 _FASTEST_M_S: Final = 1e3
@@ -42,8 +42,8 @@ class FlightState:
 
     `now_us` is the estimate of the autopilot's time: the newest stamp, or the host's time plus the clock
     offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick. Without a
-    lock, `lock` is settled and rigid. An `update_` method returns False if it has discarded the sample,
-    because the stamp does not increase or the sample is implausible.
+    lock, `lock` is settled and rigid. An `update_` method returns False if it discards the sample: the stamp
+    does not increase, or the sample is implausible.
     """
 
     def __init__(self, has_lock: bool = True) -> None:
@@ -291,7 +291,7 @@ class FlightState:
             return f"{here}; PX4 reports: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
         answer = self._refused.get(command or "")
         answered = f"{here}; PX4 answers: {answer}" if answer else here
-        if also:  # perhaps not the reason, but an older PX4 reports nothing else
+        if also:  # these faults may not be the reason, but an older PX4 reports nothing else
             return f"{answered}; PX4 gives no reason, but reports: " + ", ".join(also)
         return answered
 
