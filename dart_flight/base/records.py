@@ -357,7 +357,7 @@ class RoundTrip(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/round_trip"
     received_us: int  # host's monotonic time at which the answer was received
     sent_us: int  # host's monotonic time at which the request was sent
-    autopilot_us: int | None  # autopilot time of the answer; None if not reported or not real time
+    autopilot_us: int | None  # autopilot time of the answer; None if unknown or if not in real time
 
 
 class PlanAnswer(Record, frozen=True, gc=False):

@@ -124,7 +124,7 @@ class _Editor:
             return self._updated_block(node, present, wanted)
         return self._updated_flow(node, present, wanted)
 
-    # -- collections in braces and brackets --
+    # -- flow collections: braces and brackets --
 
     def _updated_flow(self, node: yaml.Node, present: Any, wanted: Any) -> str:
         entries = self._entries(node)
@@ -154,7 +154,7 @@ class _Editor:
             return self._text[entry.begin : begin]
         return _scalar(step.new) + self._text[entry.name.end_mark.index : begin]
 
-    # -- collections in lines --
+    # -- block collections: one entry in each line --
 
     def _updated_block(self, node: yaml.Node, present: Any, wanted: Any) -> str:
         entries = self._entries(node)

@@ -125,7 +125,7 @@ def to_float32(value: float) -> float:
 
 
 def is_storable(value: Value) -> bool:
-    """Return whether a parameter of the value's type, INT32 or REAL32, can hold the value."""
+    """Return whether an INT32 parameter (for an int) or a REAL32 parameter can hold the value."""
     return -_INT32 <= value < _INT32 if isinstance(value, int) else math.isfinite(to_float32(value))
 
 
@@ -139,7 +139,7 @@ def is_same_value(a: float, b: float, tolerance: float = 0.0) -> bool:
 
 
 def show_value(value: float) -> str:
-    """Return an INT32 in full, and any other number with the fewest digits that identify it as REAL32."""
+    """Return an INT32 in full, and any other number with the fewest digits that give the same REAL32."""
     if isinstance(value, int):
         return str(value)
     texts = (f"{value:.{digits}g}" for digits in range(6, 10))

@@ -353,8 +353,8 @@ def contact_map(
         tangential_m_s: velocity along the wall at the onset.
         rows: index of the table's row for each collision; broadcasts with the velocities.
         acceleration_m_s2: constant acceleration along the normal by other forces during the contact, such as
-            the controller's push. It is negative into the wall; None means no acceleration. If a pushed
-            vehicle comes to rest at the wall, contact time and impulse are infinite and the speeds are 0.
+            the controller's push. Negative values point into the wall; None is 0. If a pushed vehicle
+            comes to rest at the wall, contact time and impulse are infinite and the speeds are 0.
 
     Raises:
         ValueError: an input is not finite, mass or k is not positive, or f, mu or nu is negative.

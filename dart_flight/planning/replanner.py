@@ -50,7 +50,7 @@ from dart_flight.planning.task import MissionTask, drag_along
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
 _ALONG_M = np.arange(-0.8, 0.81, 0.05)  # impact points along the wall, relative to the planned point
 _SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # fractions of the planned velocity, tried in this order
-# Durations at constant velocity before the wall, so that the attitude settles; the second for small rooms.
+# Times of straight flight before the wall, in which the attitude settles. The second is for small rooms.
 _STRAIGHT_S = (0.3, 0.1)
 _SAMPLES = 24  # samples of a trajectory at which the constraints are checked
 _LAST = 3  # number of samples that count as a trajectory's end
@@ -68,7 +68,7 @@ _THRUST_OFF_SHARE = 0.5  # removed fraction of the final outward thrust, rigid a
 _LEANS_IN_M_S3 = 8.0  # with a larger final jerk into the wall, another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
 _COMPRESSED_M = 0.15  # largest depth behind a wall, due to compressed arms and the wall's position error
-_OFF_PLACE_S = 1.0  # cost of a contact at the mission's tolerance from the planned point
+_OFF_PLACE_S = 1.0  # cost of an impact that is off the planned point by the mission's tolerance
 
 
 class _EndStates(NamedTuple):

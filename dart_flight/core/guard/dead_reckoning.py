@@ -48,7 +48,7 @@ class DeadReckoning:
         self._since_us = self._t_us = odometry.t_us
 
     def add_imu(self, item: ImuSample, gyro: Quaternion) -> None:
-        """Integrate a sample; `gyro` is the integral of the rates at its stamp."""
+        """Integrate a sample; `gyro` is the integral of the rates up to the item's stamp."""
         dt_s = (item.t_us - self._t_us) * 1e-6
         if dt_s <= 0.0:
             return

@@ -16,7 +16,7 @@ from dart_flight.core.guard.heading_step import HeadingStep
 
 REACH_US: Final = 100_000  # largest time between a reset's step and the counter's change
 _JUMP_REACH_US: Final = 100_000  # jumps are detected only across shorter gaps between odometry samples
-_STEPS: Final = 16  # odometry samples kept, which cover more than `REACH_US`
+_STEPS: Final = 16  # number of odometry samples kept; they cover more than `REACH_US`
 
 
 class EstimatorReset:

@@ -89,7 +89,7 @@ class FlightConditions:
         self._left_since_us: int | None = None  # host time at which PX4 left offboard mode
         self._failsafe = FailsafeEvidence()
         self._stepped_us = 0  # host time at the previous step
-        self._pause_us = self._paused_us = 0  # longest recent pause of this program, and its end
+        self._pause_us = self._paused_us = 0  # longest recent pause of this program, and when it ended
         self.landing_timeout_s = self._landing_timeout_s()
         self._full_scale = _CLIP_SHARE * mission.vehicle.imu.full_scale_m_s2
         self._imu: ImuSample | None = None
@@ -149,7 +149,7 @@ class FlightConditions:
 
     @property
     def circumstances(self) -> str:
-        """Possible cause of a stream's failure, as text to append (another vehicle, or a pause), or empty."""
+        """Text to append about a stream's failure: another vehicle, a pause, both, or empty."""
         other = self.others.other_system
         known = f"; {other}" if other is not None else ""
         if self.has_paused:

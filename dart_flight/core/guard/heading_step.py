@@ -37,7 +37,7 @@ class HeadingStep:
         self.gyro: Quaternion = IDENTITY
         self._imu_us: int | None = None
         self._rate: Vec3 = (0.0, 0.0, 0.0)
-        self._waiting: AttitudeSample | None = None  # waits for a rate that is not older
+        self._waiting: AttitudeSample | None = None  # waits until the rates have reached its stamp
         self._turns: deque[tuple[int, Quaternion]] = deque()  # stamp, D; the last 0.1 s
 
     def add_imu(self, item: ImuSample) -> None:

@@ -21,7 +21,7 @@ POSITION_JUMP_M: Final = 0.3  # limit of a step that speed does not explain; est
 _TURNS: Final = 3  # alternations within `_WINDOW_US` that prove a second source
 _WINDOW_US: Final = 2_000_000  # host time
 _REACH_US: Final = 1_000_000  # longest gap between samples of one source
-_SUSPECT_US: Final = 250_000  # lifetime of a suspicion after the last odd sample; a detection takes less
+_SUSPECT_US: Final = 250_000  # lifetime of a suspicion after the last odd sample; a detection takes less time
 
 
 class SecondClockDetector:

@@ -29,11 +29,11 @@ Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
 LINK_LOST_S: Final = 5.0  # after this silence, PX4's own failsafe for a lost link has acted
 ACTUATOR_TIMEOUT_S: Final = 0.3  # after this silence, thrust and contact force cannot be separated
-STATUS_TIMEOUT_S: Final = 3.0  # timeout of three heartbeats
+STATUS_TIMEOUT_S: Final = 3.0  # time of three heartbeats
 STAMP_TOLERANCE_S: Final = 0.5  # largest delay of a datagram
 _OTHERS_SINCE: Final = 12  # so many samples since the last IMU sample prove that the other streams continue
 _GAP_US: Final = 500_000  # an announcement of PX4 may have been lost in a silence of this length
-_GAP_MEMORY_US: Final = 3_000_000  # a gap explains a mode change for this time
+_GAP_MEMORY_US: Final = 3_000_000  # a gap may explain a mode change within this time
 _RATE_WINDOW_US: Final = 1_000_000
 _SHARE: Final = 0.15  # limit of the fraction of time with late samples; a batch after a pause takes no time
 _SHARE_US: Final = 1_000_000
@@ -124,7 +124,7 @@ class StreamWatch:
         self.delay = TelemetryDelay(guard.telemetry_late_s)
         self.host_us = 0
         self._since_imu = 0  # samples of other streams since the newest IMU sample
-        self._counts: dict[str, tuple[int, int]] = {}  # first stamp, and samples since
+        self._counts: dict[str, tuple[int, int]] = {}  # first stamp, and number of samples since
         self._gap_us: int | None = None
 
     def add_sample(self, name: str, item: Stamped, newest: Stamped | None) -> None:

@@ -22,7 +22,7 @@ from dart_flight.base.records import FrameAnchor, WallEstimate
 from dart_flight.base.walls import Wall
 
 START_SD_M: Final = 0.3  # accuracy of the vehicle's placement at the mission's start
-WALL_SD_M: Final = 0.02  # standard deviation of a surveyed wall without a configured one
+WALL_SD_M: Final = 0.02  # standard deviation of a surveyed wall if none is configured
 _SAME_NORMAL: Final = 0.98  # above this cosine, an anchor replaces the previous one of that direction
 
 

@@ -58,7 +58,7 @@ from dart_flight.core.mission.wall_uncertainty import late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_TRAJECTORY_WAIT_S: Final = 1.5  # longest wait for a trajectory, from the contact; allows two answers
+_TRAJECTORY_WAIT_S: Final = 1.5  # longest wait for a trajectory after the contact; enough for two answers
 _NEAR_S: Final = 0.3  # the impact is near if the time to the planned impact is shorter
 _NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows setpoints with a delay
 _RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
@@ -295,7 +295,7 @@ class Executive:
             p.add_finding("climb_timeout", "the altitude was not reached in time")
 
     def _start_next(self, trigger: PhaseTrigger, state: FlightState, p: Proposal) -> None:
-        """Begin the next leg at the target, from rest; for a collision, `trigger` begins its phase."""
+        """Begin the next leg at the target, from rest; `trigger` begins the phase of a collision."""
         self._skip_legs(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:

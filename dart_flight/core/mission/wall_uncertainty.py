@@ -133,7 +133,7 @@ def _updated_wall(before: Wall, written: Wall, estimate: WallEstimate) -> Wall:
     if written.yaw_sd_rad is None:  # the wall's direction is assumed exact
         normal, sure_rad = written.normal, None
     found = msgspec.structs.replace(before, normal=normal, sought=False)
-    if before.sought:  # a probe found the wall: the contact becomes its middle
+    if before.sought:  # a probe found the wall: the contact becomes the wall's middle
         middle = place
     else:
         along, (tx, ty) = before.along(place), found.tangent

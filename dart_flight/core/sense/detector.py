@@ -44,7 +44,7 @@ _TOP_SHARE: Final = 0.7  # samples above this fraction of the maximum form the t
 _TOP_REACH: Final = 4  # largest number of the top's samples on either side of the maximum
 _BEFORE: Final = 8  # samples kept before the crossing
 _FAR_SIGMA: Final = 4.6  # two samples in a row suffice if threshold / noise is at least this ratio
-# Added to the thresholds of one and two samples, which noise crosses more often than those of long means.
+# Added to the thresholds of one and two samples, because noise crosses these thresholds more often.
 _SHORT_SIGMA: Final = 1.0
 _MARGIN_SIGMA: Final = 1.0  # detection is guaranteed this many standard deviations above the threshold
 _NOISY_BASELINE: Final = 0.4  # relative rate under vibration; a faster baseline would follow the vibration
@@ -238,8 +238,8 @@ class ImpactDetector:
     def detection_floor_n(self, duration_s: float) -> float:
         """Return the smallest peak at which a half-sine of this duration is certainly detected, newton.
 
-        The detection floor of a window is the threshold plus one standard deviation, divided by the ratio of
-        the window's mean to the peak. The result is the lowest floor among the windows in use.
+        The floor of a window is (threshold + one standard deviation) / (ratio of the window's mean to the
+        peak). The result is the lowest floor among the windows in use.
         """
         best = math.inf
         for i, threshold in enumerate(self.thresholds_n()):

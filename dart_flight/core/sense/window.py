@@ -73,7 +73,7 @@ class WindowMean:
         self.mean = (x / n, y / n)
 
     def learn(self, dt_s: float) -> None:
-        """Update the noise from the current mean and the mean one window earlier (not during contacts)."""
+        """Update the noise from the current mean and the mean one window earlier; do not call in contacts."""
         past, pending, mean = self._past, self._pending, self.mean
         if len(past) == past.maxlen:
             (x, y), (before_x, before_y) = mean, past[0]
