@@ -17,7 +17,7 @@ REMEDY = "set DART_FLIGHT_STATE_DIR to a local disk"
 def state_dir() -> Path:
     """Return `$DART_FLIGHT_STATE_DIR`, `$XDG_STATE_HOME/dart-flight` or `~/.local/state/dart-flight`.
 
-    Raises: InputError: all are unknown, because this account has no home folder.
+    Raises: InputError: neither variable is set, and this account has no home folder.
     """
     named = os.environ.get("DART_FLIGHT_STATE_DIR")
     if named:

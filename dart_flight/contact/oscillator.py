@@ -192,7 +192,7 @@ class ContactTimes(NamedTuple):
     """Event times of a contact, in 1/omega."""
 
     peak: Array  # largest force
-    turn: Array  # lx equals -m a: the outward speed is at its maximum, if a points into the wall
+    turn: Array  # lx equals -m a; if a points into the wall, this is when the outward speed is largest
     end: Array  # force returns to zero; inf if it never does
 
 

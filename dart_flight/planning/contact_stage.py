@@ -357,7 +357,7 @@ def _prepare_tangential(stage: ContactStage, loop: PositionLoop, course: Oscilla
         [phases.to_time(stage.peak_s), whole[count], to_integral[count], acceleration[count]]
     )
     stage._push_speed = weights[:, None] * acceleration[:count]
-    # Per unit of a, i and s: exact, because the drive is a polynomial in each phase.
+    # The factors per unit of a, i and s are exact, because the drive is a polynomial in each phase.
     places = np.zeros((count, 3))
     places[:, 2] = after
     integral = ki * kp * whole @ places

@@ -75,7 +75,7 @@ class PoseWatch:
         self._apart_us: int | None = None
         self._turned_us: int | None = None
         self._apart_m = self._turned_deg = 0.0
-        self._intervals: deque[int] = deque(maxlen=_INTERVALS)  # between tracked poses, microseconds
+        self._intervals: deque[int] = deque(maxlen=_INTERVALS)  # times between tracked poses, us
         self._ages: deque[tuple[int, int]] = deque()  # receipt, and receipt minus the source's stamp
         self._least_age_us: int | None = None
         self._other: PoseSample | None = None  # newest pose of the previous sender
