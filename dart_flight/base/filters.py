@@ -8,7 +8,7 @@ from typing import Final
 from dart_flight.base.geometry import Vec3
 
 _MAX_STEP_S: Final = 0.05  # limit of the time that one sample represents after a gap in the stream
-_OUTLIER: Final = 9.0  # multiple of the current variance at which a square is clipped
+_OUTLIER: Final = 9.0  # a square is clipped at this multiple of the current variance
 
 
 def decay_factor(dt_s: float, time_s: float) -> float:
@@ -45,7 +45,7 @@ class VarianceEstimate:
     """Running estimate of a noise variance: the mean of the squares that `update` receives.
 
     A square far above the variance is clipped first. The variance is never below `least`, because some noise
-    is always possible. Every update adds `added`.
+    is always possible. Every update also adds `added` to the variance.
     """
 
     def __init__(self, value: float, time_s: float, least: float = 0.0, added: float = 0.0) -> None:
@@ -53,7 +53,7 @@ class VarianceEstimate:
         self._time_s, self._least, self._added = time_s, least, added
 
     def update(self, square: float, dt_s: float, least_share: float = 0.0) -> float:
-        """Update with the next square, `dt_s` after the previous one, weighted by at least `least_share`."""
+        """Include the next square, `dt_s` after the previous one, with a weight of at least `least_share`."""
         share = (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / self._time_s
         share = share if share > least_share else least_share
         value = self.value

@@ -5,11 +5,11 @@ Frames (`docs/concepts.md`):
 * mission frame: right-handed, x along a configured heading, y left, z up, metres;
 * NED: PX4's local world frame, north, east, down;
 * FRD: the body frame, forward, right, down;
-* collision frame of a wall: X outward normal, Y to the right when looking along X in a z-up frame,
-  Z = X x Y, which points down because walls are vertical.
+* collision frame of a wall: X outward normal, Y to the right when looking along X, Z = X x Y. Walls are
+  vertical, so Z points down.
 
-Vectors are plain tuples of floats; quaternions are tuples (w, x, y, z). Scalar arithmetic is deterministic,
-and faster than arrays for three numbers. Walls, with their collision frame, are in `walls`.
+Vectors are plain tuples of floats; quaternions are tuples (w, x, y, z). For three numbers, scalar arithmetic
+is deterministic and faster than arrays. Walls, with their collision frame, are in `walls`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 GRAVITY_M_S2: Final = 9.81
 _HALF_TURN_X: Quaternion = (0.0, 1.0, 0.0, 0.0)  # converts x forward, z up to x forward, z down
 _Y_UP_TO_Z_UP: Quaternion = (0.5, 0.5, 0.5, 0.5)  # converts z forward, y up to x forward, z up
-_SMALL_RAD: Final = 1e-9  # angle below which sin(x) equals x
+_SMALL_RAD: Final = 1e-9  # below this angle, sin(x) equals x
 
 
 # --- vectors ---------------------------------------------------------------------------------------
@@ -204,7 +204,7 @@ def quaternion_from_intrinsic_xyz(x_rad: float, y_rad: float, z_rad: float) -> Q
 
 
 def quaternion_from_matrix(columns: Sequence[float]) -> Quaternion:
-    """Return the quaternion of a rotation matrix, given column by column, as Qualisys (QTM) sends it.
+    """Return the quaternion of a rotation matrix, whose columns follow each other, as sent by Qualisys (QTM).
 
     A matrix that is not a rotation raises ValueError.
     """
@@ -261,8 +261,8 @@ def wrap_deg(angle_deg: float) -> float:
 class MissionFrame:
     """Position and direction of the mission frame in PX4's local NED frame; immutable.
 
-    A `vector_` is a direction (velocity, force, acceleration), a `point_` a position. A mission yaw is
-    counter-clockwise from x, a NED heading clockwise from north.
+    In names, `vector_` means a direction (velocity, force, acceleration), and `point_` means a position. A
+    mission yaw is counter-clockwise from x; a NED heading is clockwise from north.
 
     Attributes:
         north_m, east_m: the mission's origin in local NED.
@@ -315,7 +315,7 @@ class RoomFrame:
     y up. The room and local NED have the same origin.
 
     Args:
-        y_up: whether the room's y axis points up; if not, its z axis does.
+        y_up: whether the room's y axis points up; if not, the z axis points up.
         heading_rad: direction of the room's x axis (z axis if y is up), clockwise from north.
         body_offset_m: position of the vehicle's centre in the axes of the marker body.
         body_yaw_rad: direction of the vehicle's nose in the marker body, counter-clockwise from the body's

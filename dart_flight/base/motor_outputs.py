@@ -56,10 +56,10 @@ def identify_scale(lowest: float, highest: float) -> OutputScale | None:
 class MotorOutputDecoder:
     """Converter of the first `motors` raw outputs to throttles.
 
-    The scale follows from the smallest and the largest value since the start; it is None until an output has
-    exceeded 0. Before take-off, the outputs of an armed vehicle pass through small values, which distinguish
-    DShot from PWM. UAVCAN is recognised once a motor passes a quarter of full throttle. Before that, UAVCAN
-    values are read as DShot.
+    The scale follows from the smallest and the largest value since the start. The scale is None until an
+    output has exceeded 0. Before take-off, the outputs of an armed vehicle pass through small values, which
+    distinguish DShot from PWM. UAVCAN is recognised once a motor passes a quarter of full throttle. Before
+    that, UAVCAN values are read as DShot.
     """
 
     def __init__(self, motors: int) -> None:
@@ -69,9 +69,9 @@ class MotorOutputDecoder:
         self.scale: OutputScale | None = None
 
     def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
-        """Return the throttle of each motor, or the reason why the outputs cannot be the motors'.
+        """Return the throttle of each motor, or the reason why the motors cannot be on these outputs.
 
-        An output that is not a number is None.
+        In `outputs`, None stands for an output without a value.
         """
         raw = [value for value in outputs[: self._motors] if value is not None]
         if len(raw) < self._motors:

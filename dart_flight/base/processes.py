@@ -16,7 +16,7 @@ from typing import IO, NoReturn
 _WATCHING_NICE = 19
 _PIPE_BYTES = 1 << 19
 _NAP_S, _MEASURE_S = 0.005, 0.5
-LATE_S = 0.05  # scheduling latency above which a real-time flight is at risk
+LATE_S = 0.05  # a larger scheduling latency is a risk for a real-time flight
 
 
 def use_idle_priority() -> None:
@@ -71,8 +71,8 @@ class ChildProcess(subprocess.Popen[bytes]):
     Because of the new session, Ctrl-C at the terminal does not reach the module.
 
     Args:
-        module: name of the module; it must exit when its standard input is closed.
-        first: first line sent to the module, of any length.
+        module: name of the module, which must exit when its standard input is closed.
+        first: first line that is sent to the module; it may have any length.
         on_line: callback, on a separate thread, for every printed line; an empty line means that the module
             ended.
         errors: destination of the module's standard error; None uses this process's standard error.

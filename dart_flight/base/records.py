@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.base.geometry import Quaternion, Vec2, Vec3
 from dart_flight.base.walls import Wall
 
-MIN_LEAD_M: Final = 0.002  # lead of one guard over the other below which both count as touching together
+MIN_LEAD_M: Final = 0.002  # with a smaller lead of one guard over the other, both count as touching together
 
 # PX4's default PWM_<bank>_MIN and _MAX: pulse widths at throttle 0 and 1.
 MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
@@ -272,7 +272,7 @@ class HealthReport(Record, frozen=True, gc=False):
 
 
 class OtherVehicle(Record, frozen=True, gc=False):
-    """Another autopilot on the same link, identified by its system id; its messages are not mixed in."""
+    """Another autopilot on the same link, identified by its system id. Its telemetry is discarded."""
 
     topic: ClassVar[str] = "/in/other_vehicle"
     t_us: int
@@ -357,7 +357,7 @@ class RoundTrip(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/round_trip"
     received_us: int  # host's monotonic time at which the answer was received
     sent_us: int  # host's monotonic time at which the request was sent
-    autopilot_us: int | None  # autopilot time of the answer; None if not reported or not real time
+    autopilot_us: int | None  # autopilot time of the answer; None if unknown or if not in real time
 
 
 class PlanAnswer(Record, frozen=True, gc=False):
@@ -365,7 +365,7 @@ class PlanAnswer(Record, frozen=True, gc=False):
 
     x and y are piecewise quintic polynomials, constant term first. Their variable is the time since the
     beginning of the piece, seconds. The first piece begins at `begin_us`. After the last piece, the vehicle
-    continues at its final velocity.
+    continues at the final velocity.
     """
 
     topic: ClassVar[str] = "/in/plan"
@@ -454,7 +454,7 @@ class VehicleAction(StrEnum):
 
 
 class VehicleCommand(Record, frozen=True, gc=False):
-    """An action for the autopilot; its result comes back as a `CommandResult`."""
+    """An action for the autopilot; the result of the action comes back as a `CommandResult`."""
 
     topic: ClassVar[str] = "/out/command"
     t_us: int
@@ -470,7 +470,7 @@ class LockCommand(Record, frozen=True, gc=False):
 
 
 class LockPermission(Record, frozen=True, gc=False):
-    """Whether the lock may move: not during a contact, and not until the arms have relaxed after it."""
+    """Permission to move the lock. It is withheld from a contact's onset until the arms have relaxed."""
 
     topic: ClassVar[str] = "/out/lock_permission"
     t_us: int
@@ -487,7 +487,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     collision: int | None  # 1-based index of the next collision, or None if the goal is next
     position_mission: Vec3
     velocity_mission: Vec3
-    acceleration_mission: Vec3  # acceleration by thrust and drag
+    acceleration_mission: Vec3  # acceleration caused by thrust and drag
     setpoint_mission: Vec3  # setpoint that is valid until `begin_us`, m
     lock_ready_us: int | None  # time at which lock and heading are ready for the wall; None: never
     under_way: bool = False  # whether the vehicle follows a trajectory instead of a setpoint
@@ -506,7 +506,7 @@ class ContactRequest(Record, frozen=True, gc=False):
     number: int  # request number, counting up
     onset: ImpactOnset
     wall: Wall | None  # the expected wall, or None if the contact was not planned
-    normal: Vec2  # outward normal of that wall, or else the direction of the force
+    normal: Vec2  # outward normal of that wall, or the direction of the force if there is no such wall
     mode_reported: Mode | None  # mode reported by the lock at the onset, or None if not settled
     frame_heading_rad: float  # direction of the mission's x axis, clockwise from north
     slow_force: Vec2  # constant horizontal force outside of contacts, mission frame, N
@@ -574,7 +574,7 @@ class ImpactOnset(Record, frozen=True, gc=False):
     force_mission: Vec3
     velocity_mission: Vec3  # last velocity before the contact
     position_mission: Vec3
-    planned: bool = False  # whether a wall was expected and the force points away from it
+    planned: bool = False  # whether a wall was expected and the force points away from this wall
 
 
 class ImpactPeak(Record, frozen=True, gc=False):
@@ -674,10 +674,10 @@ class DetectionFloor(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/estimate/detection"
     t_us: int
     threshold_n: float  # lowest of the current thresholds
-    noise_short_n: float  # standard deviation of one component of the short mean
-    noise_long_n: float  # standard deviation of one component of the long mean
-    rigid_n: float  # peak above which a rigid contact with this wall is always detected
-    flexible_n: float | None = None  # peak above which a flexible contact is always detected, or None
+    noise_short_n: float  # standard deviation of one component of the force averaged over the short window
+    noise_long_n: float  # standard deviation of one component of the force averaged over the long window
+    rigid_n: float  # lowest peak of a rigid contact with this wall that is always detected
+    flexible_n: float | None = None  # lowest peak of a flexible contact that is always detected, or None
 
 
 class PhaseChange(Record, frozen=True, gc=False):
@@ -692,7 +692,7 @@ class PhaseChange(Record, frozen=True, gc=False):
 
 
 class PosesWithheld(Record, frozen=True, gc=False):
-    """End of pose forwarding, because the poses are wrong; PX4 uses its IMU instead.
+    """End of pose forwarding, because the poses are wrong; PX4 then navigates with its IMU.
 
     If only the attitudes of the poses are wrong, the positions are still forwarded.
     """
@@ -719,7 +719,7 @@ class GoalPassed(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/event/goal"
     t_us: int
     miss_m: float  # distance from the goal at the closest approach
-    timed_out: bool = False  # whether the goal was not passed within limits.collision_timeout_s
+    timed_out: bool = False  # whether limits.collision_timeout_s elapsed before the vehicle passed the goal
 
 
 class PlanTaken(Record, frozen=True, gc=False):
@@ -733,7 +733,7 @@ class PlanTaken(Record, frozen=True, gc=False):
 
 
 class ProbeEnd(Record, frozen=True, gc=False):
-    """End of a probe without contact, or a skipped leg, whose condition on a probe was not met."""
+    """A probe that ended without contact, or a leg that was skipped because of a probe's result."""
 
     topic: ClassVar[str] = "/event/probe"
     t_us: int
@@ -752,7 +752,7 @@ class FrameAnchor(Record, frozen=True, gc=False):
     age_s: float | None  # age of the previous anchor along this normal, or None if there was none
     normal: Vec2  # normal of the wall as assumed before the contact
     felt_us: int  # time of the contact
-    start_us: int  # time at which the frame was set at the start
+    start_us: int  # time at which the frame was first set
 
 
 class MissionEnd(Record, frozen=True, gc=False):

@@ -1,4 +1,4 @@
-"""Stamps that leap ahead: they are from another vehicle, or the clock has jumped."""
+"""Detection of stamps that leap ahead, because another vehicle sent them or because the clock jumped."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ FASTEST: Final = 20  # real-time factor of the fastest simulation
 
 
 def leaps(ahead_us: int, elapsed_us: int = 0) -> bool:
-    """Return whether a stamp is too far ahead of an earlier one for the host time `elapsed_us` between them.
+    """Return whether a stamp leads an earlier one by more than the elapsed host time can explain.
 
     The sample may then come from another vehicle.
     """
@@ -17,7 +17,7 @@ def leaps(ahead_us: int, elapsed_us: int = 0) -> bool:
 
 
 class LeapFilter:
-    """Rejects stamps that leap, but accepts them after several in a row: the clock itself has then jumped."""
+    """Rejects stamps that leap, until several in a row show that the clock has jumped."""
 
     def __init__(self, accepted_after: int) -> None:
         self._accepted_after = accepted_after

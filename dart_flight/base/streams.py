@@ -29,7 +29,7 @@ class Stream(msgspec.Struct, frozen=True):
 
     Attributes:
         number: MAVLink message id.
-        record: type of the record that the message is converted to, or that it updates.
+        record: type of the record that the message becomes or updates.
         rate_hz: requested rate.
         expected_hz: lowest rate that a mission needs; 0 if a mission does not need the stream.
     """
@@ -43,7 +43,7 @@ class Stream(msgspec.Struct, frozen=True):
 
     @property
     def watched_hz(self) -> float:
-        """Rate requested by commands that do not fly: `rate_hz` for the IMU, else at most 62.5 Hz."""
+        """Rate for commands that do not fly: `rate_hz` for the IMU, at most 62.5 Hz for other streams."""
         return self.rate_hz if self.name == "imu" else min(self.rate_hz, 62.5)
 
 
@@ -56,9 +56,9 @@ SAMPLED: Final = (
 )
 STREAMS: Final = (*SAMPLED, Stream("landed", "EXTENDED_SYS_STATE", 245, StatusSample, 5.0, 1.0))
 
-# Motor speeds if the configuration uses them, and the estimator's status and the flight mode for the guard.
-# PX4's default of 1 Hz for the status is too slow: a drifting position is wrong by a metre after a second.
-# The heartbeat shows the mode only once a second and may miss a pilot's brief change.
+# Motor speeds, if the configuration uses them; the estimator's status and the flight mode, for the guard.
+# PX4 sends the status at 1 Hz by default. This is too slow: a drifting position errs by 1 m in a second. The
+# heartbeat shows the mode only once a second and may miss a pilot's brief change.
 OPTIONAL: Final = (
     Stream("esc", "ESC_STATUS", 291, EscSample, 125.0, 45.0),
     Stream("estimator", "ESTIMATOR_STATUS", 230, EstimatorSample, 10.0, 0.0),

@@ -13,7 +13,7 @@ _T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.262
 
 
 class Share(msgspec.Struct, frozen=True):
-    """A success rate (`count` of `of`) with its 95 % interval (Wilson's score interval), 0 to 1.
+    """A success rate (`count` of `of` flights) with its 95 % interval (Wilson's score interval), 0 to 1.
 
     Rate and interval are None without flights.
     """
@@ -46,7 +46,7 @@ def wilson(successes: int, flights: int) -> tuple[float, float]:
 
 
 class Spread(msgspec.Struct, frozen=True):
-    """The distribution of a value over many flights, without the flights that lack it.
+    """The distribution of a value over many flights. Flights without this value are not counted.
 
     Attributes:
         mean_half_width: half the width of the mean's 95 % interval (Student's t).
@@ -96,8 +96,8 @@ def cause_of(reason: str) -> str:
 def student_t(freedom: int) -> float:
     """Return the 97.5 % point of Student's t.
 
-    Up to ten degrees of freedom it comes from a table: the expansion about the normal quantile is inaccurate
-    there.
+    Up to ten degrees of freedom the point comes from a table, because the expansion about the normal quantile
+    is inaccurate.
     """
     if freedom <= len(_T_FEW):
         return _T_FEW[freedom - 1]

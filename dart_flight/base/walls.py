@@ -9,7 +9,7 @@ import msgspec
 from dart_flight.base.arithmetic import Number, where
 from dart_flight.base.geometry import Vec2, Vec3, distance_to_segment, wrap_angle
 
-FRONT, BACK = ".front", ".back"  # ends of the names of a partition's faces
+FRONT, BACK = ".front", ".back"  # suffixes of the names of a partition's two faces
 
 
 class Post(msgspec.Struct, frozen=True):
@@ -45,7 +45,7 @@ class Wall(msgspec.Struct, frozen=True):
             this far inside the wall's ends, and a path past the wall is at least this far outside the ends.
         post_radius_m: radius of the post, if the wall is the tangent plane of a post; 0 for a flat wall.
         sought: whether a probe searches for the wall, because its position is unknown. The plane is then
-            assumed at the end of the probe's path.
+            assumed to lie at the end of the probe's path.
         material_known: whether the material is given. If not, `material` is the vehicle's stiffest material
             until a contact identifies the wall's material.
         thickness_m: thickness of the partition, if the wall is one of its two faces; otherwise None.
@@ -177,7 +177,7 @@ class Wall(msgspec.Struct, frozen=True):
     def parallel_yaw(self, yaw_mission_rad: float) -> float:
         """Return the heading nearest to `yaw_mission_rad` at which a leading edge is parallel to the wall.
 
-        The vehicle is four-fold symmetric, so four headings are parallel. From a wall to a perpendicular
+        The vehicle is four-fold symmetric, so four headings are suitable. From a wall to a perpendicular
         wall, the vehicle does not need to turn (`docs/concepts.md`, yaw).
         """
         facing = math.atan2(-self.normal[1], -self.normal[0])

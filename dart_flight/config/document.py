@@ -35,7 +35,7 @@ _MAX_BYTES = 1_000_000
 MAX_TABLE_BYTES = 200_000_000  # maximum size of CSV files: an hour of trials at 1 kHz
 MAX_LOG_BYTES = 2_000_000_000  # maximum size of logs: PX4 writes up to 500 MB an hour
 _MAX_DEPTH = 32
-# YAML 1.1 reads 1e-3 as a string; read it as a number, like YAML 1.2.
+# YAML 1.1 reads 1e-3 as a string. Read such text as a number, like YAML 1.2.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
 _INTEGER = re.compile(r"[-+]?\d+\Z")
 _SPECIAL: dict[str, Any] = {
@@ -88,7 +88,7 @@ def report_write_errors(path: str | Path) -> Iterator[None]:
 
 
 def write_problem(path: str | Path, error: OSError) -> str:
-    """Return why a path cannot be written, in one line.
+    """Return the reason why a path cannot be written, in one line.
 
     If the reason is a file or folder of another account (for example, one left behind by `sudo`), the text
     names that file or folder, its owner and the remedy.
@@ -100,7 +100,7 @@ def write_problem(path: str | Path, error: OSError) -> str:
         return reason
     owner = near.stat().st_uid
     if owner == os.geteuid():
-        return f"{reason}: the mode of {near} does not permit it; chmod u+w {shlex.quote(str(near))}"
+        return f"{reason}: the mode of {near} does not permit writing; chmod u+w {shlex.quote(str(near))}"
     *_, theirs = itertools.takewhile(lambda p: p.stat().st_uid == owner, (near, *near.parents))
     remedy = "choose a folder that you can write to"
     if os.access(theirs.parent, os.W_OK, effective_ids=True):
@@ -157,7 +157,7 @@ def stamp_of(path: Path) -> Stamp:
 
 @contextlib.contextmanager
 def noting_files() -> Iterator[dict[Path, Stamp]]:
-    """Collect the files opened within the context, each with the stamp that it had before it was opened."""
+    """Collect the files opened within the context, each with its stamp from before the opening."""
     noted: dict[Path, Stamp] = {}
     _noting.append(noted)
     try:
@@ -214,7 +214,7 @@ def dotted(key: Key) -> str:
 
 
 def iterate_leaves(tree: Any, key: Key = (), *, in_lists: bool = False) -> Iterator[tuple[Key, Any]]:
-    """Yield the values of a tree with their keys; a list is one value unless `in_lists` is set."""
+    """Yield the values of a tree with their keys. A list is one value, or several with `in_lists`."""
     inner: Iterable[tuple[str | int, Any]]
     if isinstance(tree, Mapping):
         inner = tree.items()
@@ -231,8 +231,7 @@ class Document:
     """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
 
     `set_by` names the source of each value that is not from this file: an option (`config.settings`), or
-    another configuration file. If this document is part of another document, `above` is the key of this part
-    there.
+    another configuration file. If this document is part of another document, `above` is the key of the part.
 
     Raises:
         InputError: the text is not YAML, is not a mapping, is too large, is nested too deep, or contains

@@ -20,7 +20,7 @@ from dart_flight.config.document import (
     report_write_errors,
 )
 
-_INDENT: Final = 2  # spaces by which a new block is indented
+_INDENT: Final = 2  # indentation of a new block, spaces
 
 
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
@@ -58,10 +58,10 @@ def _no_value(key: Key, source: str) -> InputError:
 
 
 def update_text(text: str, wanted: Mapping[str, Any], source: str = "") -> str:
-    """Return a YAML text whose values are those wanted; entries that are equal keep their bytes.
+    """Return a YAML text with the wanted values; unchanged entries keep their bytes.
 
-    A comment on its own line belongs to the entry below it: it goes with this entry. A key that is replaced
-    by another key at the same place is renamed.
+    A comment on its own line belongs to the entry below it, and is moved or deleted with this entry. A key
+    that is replaced by another key at the same place is renamed.
 
     Raises:
         InputError: the text is not YAML as `Document` reads it.
@@ -79,7 +79,7 @@ class _Entry(NamedTuple):
     """An entry of a collection.
 
     Attributes:
-        key: key of a mapping's entry, None in a list.
+        key: key of a mapping's entry; None in a list.
         name: node of the key.
         node: node of the value.
         begin: index of the key's first character, or of the dash before a block list's item.
@@ -112,7 +112,7 @@ class _Editor:
         return self._comments_above(entries[0].begin), len(self._text) if line_end < 0 else line_end
 
     def updated(self, node: yaml.Node, present: Any, wanted: Any) -> str:
-        """Return the text of a node, without its surroundings, with the wanted value."""
+        """Return the text of the node alone, with the wanted value."""
         begin, end = self.span(node)
         if _equal(present, wanted):
             return self._text[begin:end]
@@ -124,7 +124,7 @@ class _Editor:
             return self._updated_block(node, present, wanted)
         return self._updated_flow(node, present, wanted)
 
-    # -- collections in braces and brackets --
+    # -- flow collections: braces and brackets --
 
     def _updated_flow(self, node: yaml.Node, present: Any, wanted: Any) -> str:
         entries = self._entries(node)
@@ -148,13 +148,13 @@ class _Editor:
         return self._head(entry, step) + self.updated(entry.node, present[step.old], wanted[step.new])
 
     def _head(self, entry: _Entry, step: _EntryStep) -> str:
-        """Return the text from an entry's begin to its value, with a new key if it is renamed."""
+        """Return the text from the beginning of an entry to its value; a renamed entry gets its new key."""
         begin = self.span(entry.node)[0]
         if entry.name is None or step.new == step.old:
             return self._text[entry.begin : begin]
         return _scalar(step.new) + self._text[entry.name.end_mark.index : begin]
 
-    # -- collections in lines --
+    # -- block collections: one entry in each line --
 
     def _updated_block(self, node: yaml.Node, present: Any, wanted: Any) -> str:
         entries = self._entries(node)
@@ -205,7 +205,7 @@ class _Editor:
         return index - self._line_start(index)
 
     def _comments_above(self, index: int) -> int:
-        """Return where the comments begin that stand directly above an entry, at its column."""
+        """Return the beginning of the comments directly above an entry, at the entry's column."""
         column, begin = self._column(index), index
         if self._text[self._line_start(index) : index].strip():  # the entry follows a dash
             return index
@@ -219,7 +219,7 @@ class _Editor:
 
 
 class _EntryStep(NamedTuple):
-    """One step from the present entries to those wanted; `old` or `new` is None where there is none.
+    """A change of one entry; `old` is None if the entry is inserted, `new` is None if it is deleted.
 
     Attributes:
         old, new: key or index of the entry.
@@ -232,7 +232,7 @@ class _EntryStep(NamedTuple):
 
 
 def _steps(present: Any, wanted: Any) -> Iterator[_EntryStep]:
-    """Yield how the present entries become those wanted, in the order of the text."""
+    """Yield the changes from the present to the wanted entries, in the order of the text."""
     if isinstance(present, dict):
         # A key that is still wanted keeps its place.
         order = [key for key in present if key in wanted]
@@ -268,7 +268,7 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 def _with_comment(tail: str, shorter: int) -> str:
-    """Return the text after a value; a comment in it keeps its column although the value got shorter."""
+    """Return the text after a value; if the value gets shorter, a comment in this text keeps its column."""
     gap = len(tail) - len(tail.lstrip(" "))
     if tail[gap : gap + 1] != "#":
         return tail
@@ -279,7 +279,7 @@ def _with_comment(tail: str, shorter: int) -> str:
 
 
 def _nests(value: Any) -> bool:
-    """Return whether a value is written in lines: a list or mapping of nothing but mappings."""
+    """Return whether a value is written in several lines: a list or mapping that contains only mappings."""
     inner: Sequence[Any] = list(value.values()) if isinstance(value, dict) else value
     return isinstance(value, dict | list) and bool(inner) and all(isinstance(one, dict) for one in inner)
 

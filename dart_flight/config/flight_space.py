@@ -73,8 +73,8 @@ def resolve_walls(
             raise document.error((*key, "material"), unknown_name(spec.material, list(vehicle.materials)))
         if spec.thickness_m is not None and spec.given_at is None:
             text = (
-                "a partition needs given_at: surface if point_m is on its front face, or centre if "
-                f"point_m is the vehicle's centre at first touch, {contact_m:g} m before it"
+                "a partition needs given_at: surface (point_m is on the front face) or centre (point_m is "
+                f"the vehicle's centre at first touch, {contact_m:g} m before the front face)"
             )
             raise document.error(key, text)
         offset = contact_m if spec.given_at == "surface" else 0.0

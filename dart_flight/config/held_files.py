@@ -87,9 +87,9 @@ class HeldFile:
 
     `acquire` creates the file, and `release` removes it. The kernel releases the lock when the process ends
     for any reason. Two parts of one process exclude each other as well. A forked child does not inherit the
-    locks of its parent. A process that has called `keep` holds the file until it ends, and passes it to a
-    child process with `pass_kept`; both then hold the file. Every account can hold the file, whichever
-    account has created it.
+    locks of its parent. A process that has called `keep` holds the file until the process ends. With
+    `pass_kept` a child process holds the file, too. Every account can hold the file, even if another account
+    has created it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -119,7 +119,7 @@ class HeldFile:
             raise
 
     def write(self, content: bytes) -> None:
-        """Replace the file's content, unless another account permits only reading."""
+        """Replace the file's content. If the file could be opened only for reading, do nothing."""
         assert self._descriptor is not None
         if fcntl.fcntl(self._descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
             return
@@ -162,7 +162,7 @@ class HeldFile:
             try:
                 if not lock_file(descriptor, self._path, REMEDY):
                     other = os.pread(descriptor, _LONGEST, 0)
-                elif _is_at(descriptor, self._path):  # if not, the previous holder has removed the file
+                elif _is_at(descriptor, self._path):  # false if the previous holder has removed the file
                     locked = True
                     return descriptor
             finally:
@@ -184,13 +184,13 @@ class HeldFile:
         except OSError as error:
             raise _cannot("create", self._path, error) from None
         else:
-            os.fchmod(descriptor, 0o666)  # regardless of the umask
+            os.fchmod(descriptor, 0o666)  # fchmod ignores the umask
             return descriptor
         for access in (os.O_RDWR, os.O_RDONLY):  # a read-only file can be locked, but not written
             try:
                 return os.open(self._path, flags | access)
             except FileNotFoundError:
-                return None  # the previous holder has just removed it
+                return None  # the previous holder has just removed the file
             except OSError as error:
                 problem = error
         if last:
@@ -228,7 +228,7 @@ class Lease(ABC):
 
     @abstractmethod
     def release(self) -> None:
-        """Release the right; has no effect if it is not held."""
+        """Release the right, if it is held."""
 
     def __enter__(self) -> Self:
         self.acquire()

@@ -10,13 +10,13 @@ from dart_flight.config.document import Document, dotted, iterate_leaves
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
-_COPIED: Final = 0.5  # fraction of a packaged file's values above which a file counts as its copy
-_SAME: Final = 0.1  # relative difference from the inherited value below which values count as equal
+_COPIED: Final = 0.5  # a file with more than this fraction of a packaged file's values counts as its copy
+_SAME: Final = 0.1  # values with a smaller relative difference count as equal
 _SIZE: Final = ("airframe.arm_x_m", "airframe.arm_y_m", "airframe.motors")
 _TURNING: Final = ("airframe.mass_kg", "airframe.inertia_kg_m2", "thrust.full_n", *_SIZE)
 LOCK: Final = "lock"
 
-# Keys that must be measured for each vehicle -> the keys on which they depend.
+# Keys that must be measured for each vehicle -> keys on which their values depend.
 FOLLOWS_FROM: Final[Mapping[str, tuple[str, ...]]] = {
     "airframe.mass_kg": (),
     "airframe.contact_distance_m": _SIZE,
@@ -79,7 +79,7 @@ def find_inherited(
 ) -> Inherited | None:
     """Return the values that a vehicle's file inherits from a packaged file or from the file in `extends`.
 
-    A copy of a packaged example inherits every value that it has not changed, because it was not measured.
+    A copy of a packaged example inherits every unchanged value, because this value was not measured.
 
     Args:
         vehicle: the whole configuration.
@@ -88,7 +88,7 @@ def find_inherited(
 
     Returns:
         None for DART itself. A file describes DART if it is DART's own file, or if it extends or copies that
-        file without a change of a key in `FOLLOWS_FROM`, a material or the lock.
+        file and changes neither the lock, a material nor a key in `FOLLOWS_FROM`.
     """
     if file is None:
         return None

@@ -17,7 +17,7 @@ from dart_flight.config.section import Section
 
 
 class AppliedCoefficient(Section, frozen=True):
-    """A coefficient with its 95 % interval, allowance included."""
+    """A coefficient with its 95 % interval, which includes the allowance for systematic errors."""
 
     value: float
     low: float
@@ -49,7 +49,7 @@ class HistoryEntry(Section, frozen=True, kw_only=True):
 
 
 class HistoryFile(Section, frozen=True):
-    """The file, entries in the order applied."""
+    """The history file; its entries are in the order in which they were applied."""
 
     version: Literal[1] = 1
     applied: tuple[HistoryEntry, ...] = ()
@@ -61,7 +61,7 @@ def history_path(config: Path) -> Path:
 
 
 def read_history(config: Path) -> tuple[HistoryEntry, ...]:
-    """Return the entries of a configuration's history; none without the file."""
+    """Return the entries of a configuration's history; without the file, the result is empty."""
     path = history_path(config)
     return Document.load(path).convert(HistoryFile).applied if path.exists() else ()
 

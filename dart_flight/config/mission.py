@@ -40,9 +40,9 @@ from dart_flight.config.vehicle import Flying, VehicleConfig, load_vehicle
 from dart_flight.lab_entries import MISSION_SCENE, load_entry
 
 _PAUSE_S = 60.0
-# After power-on, the position estimate of a resting vehicle drifts; until arming, the frame follows it.
+# After power-on, the position estimate of a resting vehicle drifts. Until arming, the frame follows.
 ESTIMATE_MOVED_M = 0.05
-# A trajectory is rounded, and it ends at the onset of the force, slightly before the plane.
+# Tolerances: a trajectory is rounded, and ends at the onset of the force, slightly before the plane.
 _TRAJECTORY_OFF_M, _TRAJECTORY_OFF_M_S = 0.05, 0.05
 
 

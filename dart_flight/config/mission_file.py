@@ -41,8 +41,8 @@ class FrameSpec(Section, frozen=True):
         origin: local: PX4's local origin, displaced by north_m and east_m (motion capture, surveyed room);
             takeoff: the origin for which the mission's start is directly above the take-off point, displaced
             by north_m and east_m.
-        anchored_by: none: PX4's position is used as it is; touch: the position drifts, and every contact with
-            a wall of the mission corrects the frame along the wall's normal.
+        anchored_by: none: PX4's position is used without correction; touch: the position drifts, and every
+            contact with a wall of the mission corrects the frame along the wall's normal.
         north_m, east_m: displacement of the frame's origin, m.
         heading_deg: direction of the mission's x axis, clockwise from north.
     """
@@ -84,8 +84,7 @@ class BoundsSpec(Section, frozen=True):
     """The flight space, mission frame: [low, high] per axis.
 
     Attributes:
-        x, y: limits of the measured position, and of the position at which the vehicle would stop if it
-            braked immediately, m.
+        x, y: limits of the position, m, both as measured and after an immediate stop.
         z: limits above the take-off point, m; take-off and landing are exempt.
     """
 
@@ -219,7 +218,7 @@ class ApproachSpec(Section, frozen=True):
 
 
 class ProbeSpec(Section, frozen=True):
-    """A straight leg, from rest to rest, that searches for a wall; a contact ends it but is not required.
+    """A straight leg from rest to rest that searches for a wall; a contact ends the leg, but is not required.
 
     Attributes:
         from_m: [x, y] of the leg's start, mission frame.
@@ -260,7 +259,7 @@ class PlaceAtWall(Section, frozen=True):
 
 
 class CollisionPrediction(Section, frozen=True):
-    """The planner's prediction for a collision; flight and report compare the measured impact with it.
+    """The planner's prediction for a collision; flight and report compare it with the measured impact.
 
     Attributes:
         t_s: time from the start of the run-up to the onset of the contact.

@@ -70,7 +70,7 @@ class Parameter(msgspec.Struct, frozen=True):
             "without gyro_fft"; empty for none.
         renamed: name of the parameter in the builds of `absent`; or None if these builds do not need the
             parameter.
-        tolerance: maximum difference from the vehicle's value that counts as equal.
+        tolerance: maximum difference from the vehicle's value at which the values still count as equal.
     """
 
     name: str
@@ -104,7 +104,7 @@ class ParameterFile(msgspec.Struct, frozen=True):
 
 
 class ParameterDifference(msgspec.Struct, frozen=True):
-    """A parameter of the vehicle that differs from the file; `actual` is None if the vehicle lacks it."""
+    """A parameter of the vehicle that differs from the file; `actual` is None for a missing parameter."""
 
     name: str
     wanted: Value
@@ -125,22 +125,21 @@ def to_float32(value: float) -> float:
 
 
 def is_storable(value: Value) -> bool:
-    """Return whether a parameter of the value's type, INT32 or REAL32, can hold the value."""
+    """Return whether an INT32 parameter (for an int) or a REAL32 parameter can hold the value."""
     return -_INT32 <= value < _INT32 if isinstance(value, int) else math.isfinite(to_float32(value))
 
 
 def is_same_value(a: float, b: float, tolerance: float = 0.0) -> bool:
-    """Return whether a parameter with value `a` need not be changed to `b`.
+    """Return whether two values of a parameter count as equal.
 
-    No change is needed if the values differ by at most `tolerance`, or if two REAL32 are equal after
-    rounding.
+    Values that differ by at most `tolerance`, and REAL32 that are equal after rounding, count as equal.
     """
     whole = isinstance(a, int) or isinstance(b, int)
     return abs(a - b) <= tolerance or (not whole and to_float32(a) == to_float32(b))
 
 
 def show_value(value: float) -> str:
-    """Return an INT32 in full, and any other number with the fewest digits that identify it as REAL32."""
+    """Return an INT32 in full, and any other number with the fewest digits that give the same REAL32."""
     if isinstance(value, int):
         return str(value)
     texts = (f"{value:.{digits}g}" for digits in range(6, 10))

@@ -1,13 +1,13 @@
 """Base of all sections that are read from YAML files.
 
 The meaning of a key is written once, under `Attributes:` in the docstring of its section, next to its type.
-`make docs` copies it from there to the JSON Schemas, the tables in docs/ and the comments of
-configs/dart.yaml. The docstring states what the key's name omits: meaning, sign, frame, effect of null, and
-the unit if the name has none. If a key's type is itself a section, the docstring of that section may explain
-the key; the key then needs no entry.
+`make docs` copies the meaning to the JSON Schemas, the tables in docs/ and the comments of configs/dart.yaml.
+The docstring states what the key's name omits: meaning, sign, frame, effect of null, and the unit if the name
+has none. If a key's type is itself a section, the docstring of that section may explain the key; the key then
+needs no entry.
 
-A key that is added later has a default, which applies to files and logs without this key. If the key changes
-decisions, the default keeps the old behaviour, and the shipped configurations set the better value.
+A key that is added later has a default, for files and logs without this key. If the key changes decisions,
+the default keeps the old behaviour, and the shipped configurations set the better value.
 """
 
 from __future__ import annotations
@@ -53,6 +53,6 @@ def _default_of(field: msgspec.structs.FieldInfo) -> Any:
 def shared_keys(section: Section, kind: type[Section]) -> dict[str, Any]:
     """Return names and values of the section's keys that `kind` defines.
 
-    The conversion from a file to its resolved form uses this function, so that it loses no key.
+    The conversion from a file to its resolved form uses this function, so that the conversion loses no key.
     """
     return {name: getattr(section, name) for name in kind.__struct_fields__}

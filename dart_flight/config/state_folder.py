@@ -17,7 +17,7 @@ REMEDY = "set DART_FLIGHT_STATE_DIR to a local disk"
 def state_dir() -> Path:
     """Return `$DART_FLIGHT_STATE_DIR`, `$XDG_STATE_HOME/dart-flight` or `~/.local/state/dart-flight`.
 
-    Raises: InputError: all are unknown, because this account has no home folder.
+    Raises: InputError: neither variable is set, and this account has no home folder.
     """
     named = os.environ.get("DART_FLIGHT_STATE_DIR")
     if named:
@@ -45,7 +45,7 @@ def cannot(do: str, path: Path, error: OSError, remedy: str = REMEDY) -> InputEr
 
     Args:
         do: the failed action, such as `write`.
-        remedy: advice for the operator, used unless the file's permissions are the reason.
+        remedy: advice for the operator if the file's permissions are not the reason.
     """
     advice = "" if error.errno in (errno.EACCES, errno.EPERM) else f"; {remedy}"
     return InputError(f"cannot {do}: {write_problem(path, error)}{advice}", source=str(path))

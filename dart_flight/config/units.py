@@ -31,7 +31,7 @@ _ENDINGS = {
     "_s": "s",
     "_v": "V",
 }
-# The names of the coefficients are the paper's letters.
+# The coefficients are named by the paper's letters, without a unit.
 COEFFICIENTS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
 
 

@@ -22,9 +22,9 @@ w = sqrt(1 - zeta^2) and A = theta / w,
 
 The units of the four rows are 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp`
 contact never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force has
-no elementary form. If a is not 0, the time of release has none either. A safeguarded Newton iteration finds
-both to machine precision. If a = 0, this module uses the table, which is six times faster than the general
-solution in `oscillator.py`.
+no elementary form. If a is not 0, nor does the time of release. A safeguarded Newton iteration finds both to
+machine precision. If a = 0, this module uses the formulas of the table. These formulas are six times faster
+than the general solution in `oscillator.py`.
 
 All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); a negative normal velocity is
 towards the wall.
@@ -69,7 +69,7 @@ class WallContact(NamedTuple, Generic[T]):
     Attributes:
         normal_out_m_s, tangential_out_m_s: velocity when the force returns to zero.
         contact_time_s: time during which the force is above zero; infinite if the vehicle stays at the wall.
-        penetration_m: largest distance of the vehicle's centre behind its plane of first touch.
+        penetration_m: largest distance of the vehicle's centre behind the plane of first touch.
         peak_normal_force_n: largest lx.
         peak_friction_force_n: largest |ly|.
         impulse_n_s: time integral of lx.
@@ -93,7 +93,7 @@ class Drop(NamedTuple, Generic[T]):
         contact_time_s: time during which the force is above zero; infinite if the vehicle stays down.
         max_rebound_speed_m_s: largest upward speed, reached in contact at lx = m g.
         peak_force_n: largest contact force lx.
-        penetration_m: largest distance of the vehicle's centre below its plane of first touch.
+        penetration_m: largest distance of the vehicle's centre below the plane of first touch.
         impulse_n_s: time integral of lx.
         onset_s: time from the release to the first force.
         onset_speed_m_s: speed (positive) at the first force.
@@ -173,8 +173,8 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
         tau = acot((zeta + r)/w)/w,   Q = 1 + 2 zeta r + r^2,   phi = exp(-zeta tau)/sqrt(Q),
         xi' = -phi (r + 2 zeta).
     Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. A `touch` contact has the same
-    solution, with c multiplied by `_Shape.scale`. It begins later, at r = `_Shape.entry`, and r never exceeds
-    this value.
+    solution, with c multiplied by `_Shape.scale`. That contact begins later, at r = `_Shape.entry`, and r
+    never exceeds this value.
     """
     two_zeta = 2.0 * s.zeta
     rate = -s.zeta / s.w
@@ -345,16 +345,16 @@ def contact_map(
     """Predict wall hits (paper, Sec. IV-B) in closed form; the results have the broadcast shape and no NaN.
 
     Args:
-        coefficients: one set, or one set per collision (any shape that broadcasts with the velocities). With
-            `rows`: a table of shape (n,).
+        coefficients: one set, or one set per collision (any shape that broadcasts with the velocities). If
+            `rows` is given, a table of shape (n,).
         mass_kg: broadcasts with `coefficients`.
         normal_m_s: velocity along the outward normal at the onset, collision frame. If the vehicle does not
             approach, it does not touch the wall: the velocity is unchanged, and force and contact time are 0.
         tangential_m_s: velocity along the wall at the onset.
         rows: index of the table's row for each collision; broadcasts with the velocities.
         acceleration_m_s2: constant acceleration along the normal by other forces during the contact, such as
-            the controller's push. It is negative into the wall; None means no acceleration. If a pushed
-            vehicle comes to rest at the wall, contact time and impulse are infinite and the speeds are 0.
+            the controller's push. Negative values point into the wall; None is 0. If a pushed vehicle
+            comes to rest at the wall, contact time and impulse are infinite and the speeds are 0.
 
     Raises:
         ValueError: an input is not finite, mass or k is not positive, or f, mu or nu is negative.

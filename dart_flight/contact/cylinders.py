@@ -9,18 +9,18 @@ lever arm of friction is reduced as for guards (`propeller_guards`).
 
 A bar rests on the springs of its two guards, k/2 and f/2 each. At the fraction s of the bar's length the
 stiffness is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall that touches both
-guards. The *share* is this stiffness divided by k. It is fixed at the touch and kept while the bar is
-pressed. The depth stays continuous when the cylinder's axis enters the outline. The stored energy, 1/2 share
-k x^2, therefore depends on the depth alone, and sliding adds no energy.
+guards. The *share* is this stiffness divided by k. The share is fixed at the first touch and stays constant
+while the bar is pressed. The depth stays continuous when the cylinder's axis enters the outline. The stored
+energy, 1/2 share k x^2, therefore depends on the depth alone, and sliding adds no energy.
 
-A surface presses only points that reach the surface from outside; otherwise it would add energy. A guard may
+A surface presses only points that reach the surface from outside. Other points would gain energy. A guard may
 move past the wall's end and then behind the surface. This guard touches nothing until it is in front of the
 surface again. While the surface presses one of a bar's guards, this guard carries the load, and the bar
 touches no edge.
 
-The same holds for several walls. If a guard's depth in a face exceeds the partition's thickness, the guard
-has not passed through the partition, and the other face cannot press it. A bar that already rests on one wall
-touches no edge of another.
+Several walls share these rules. A guard that entered a partition through one face cannot be pressed by the
+other face, even if its depth exceeds the partition's thickness. A bar that rests on one wall touches no edge
+of another wall.
 """
 
 from __future__ import annotations
@@ -147,8 +147,8 @@ class CylinderContact:
     Attributes:
         coefficients: coefficients for the whole side of the vehicle; None if not set.
         share: share of k and f, fixed at the touch; None if the outline is not pressed.
-        stood_in: whether the outline is inside the cylinder but is not pressed, because a guard carried the
-            load first, or because the outline did not come from outside.
+        stood_in: whether the outline is inside the cylinder without being pressed. The reason is that a guard
+            carried the load first, or that the outline did not come from outside.
     """
 
     def __init__(self, cylinder: Cylinder) -> None:
@@ -238,7 +238,7 @@ class WallWithEnds:
 
     @property
     def is_plain(self) -> bool:
-        """Whether no contact state is stored, so that the wall, except near its ends, acts like a plane."""
+        """Whether no contact state is stored. The wall, away from its ends, then acts like a plane."""
         return not self.beside and all(one.share is None and not one.stood_in for one in self.edges)
 
     @property
@@ -298,7 +298,7 @@ class WallWithEnds:
             yield edge, nearest_point(self._corners, q, position, edge.cylinder)
 
     def _note_side(self, i: int, height: float, along: float, held: Callable[[int], bool]) -> None:
-        """Update `beside` for a guard; a guard that another face holds has not come to the front."""
+        """Update `beside` for a guard. A guard that another face holds keeps its place in `beside`."""
         if height > 0.0:
             if i in self.beside and not held(i):
                 self.beside.discard(i)
@@ -310,8 +310,8 @@ class WallWithEnds:
     ) -> WallLoad:
         """Return force and torque on the vehicle; `motion` is in NED.
 
-        If every guard is in front of the finite surface, the result equals `propeller_guards.touch`, except
-        for rounding.
+        While every guard stays between the wall's ends, the result equals `propeller_guards.touch`, up to
+        rounding.
 
         Args:
             c: coefficients for the surface; an edge has its own.

@@ -5,8 +5,8 @@ This is the only evaluation of the point law over time. `contact_map` uses a con
 vehicle integrates `law.py` instead.
 
 The symbols are those of `contact_map`. V is the speed scale, the force is lx = m V omega (phi - alpha), and
-the normal velocity is V xi'. phi, xi and xi' all solve z'' + 2 zeta z' + z = 0 in tau = omega t. Any damping
-is covered, from none to far above critical.
+the normal velocity is V xi'. The functions phi, xi and xi' all solve z'' + 2 zeta z' + z = 0 in tau = omega
+t. Any damping is covered, from none to far above critical.
 
 All arguments and results are float64 arrays of one shape (or shapes that broadcast).
 """
@@ -36,7 +36,7 @@ def oscillator(c: CoefficientArrays, mass: Array) -> tuple[Array, Array, Array]:
 def quarter_time(zeta: Array, w2: Array) -> Array:
     """Return A = acos(zeta)/sqrt(1 - zeta^2), or acosh(zeta)/sqrt(zeta^2 - 1) above critical damping."""
     w = np.sqrt(np.abs(w2))
-    near = w < 1e-5  # there A = 1 +- w^2/6 + ..., which differs from 1 by at most 1e-11
+    near = w < 1e-5  # A = 1 +- w^2/6 + ... differs from 1 by at most 1e-11 here
     safe = np.where(near, 1.0, w)
     angle = np.where(w2 < 0.0, np.arcsinh(safe), np.arctan2(safe, zeta))
     return np.where(near, 1.0 + w2 / 6.0, angle / safe)
@@ -53,7 +53,7 @@ class NormalMotion(NamedTuple):
 class Oscillation(NamedTuple):
     """A contact in dimensionless units: phi - alpha is the force, xi' the normal velocity (see the module).
 
-    V is |v| + |a|/omega. It is 0 only for a vehicle at rest without push.
+    V is |v| + |a|/omega. V is 0 only if the vehicle is at rest and nothing pushes it.
     """
 
     omega: Array
@@ -97,7 +97,7 @@ def begin_contact(
     # Under a strong outward acceleration an lcp approach turns back before the first force.
     starts = (acceleration < 0.0) | (phi0 > alpha) | (slope0 > 0.0)
     hits = (normal <= 0.0) & (speed > 0.0) & starts
-    # Where there is no hit, use an ordinary hit so that all events are defined; the results discard it.
+    # An input without a hit gets the events of an ordinary hit, so that all events are defined.
     rest = 2.0 * zeta if onset is Onset.TOUCH else 0.0 * zeta
     return Oscillation(
         omega,
@@ -180,7 +180,7 @@ def falling_root(
             newton = x - value / np.where(slope == 0.0, -1.0, slope)
         good = (slope < 0.0) & (newton >= low) & (newton <= high)
         new = np.where(good, newton, 0.5 * (low + high))
-        # Newton squares its error: after a step of 1e-9 only rounding is left.
+        # A Newton step squares the error: after a step of 1e-9 only rounding is left.
         done = bool((np.abs(new - x) <= np.where(good, 1e-9, 1e-15) * np.abs(new)).all())
         x = new
         if done:
@@ -192,7 +192,7 @@ class ContactTimes(NamedTuple):
     """Event times of a contact, in 1/omega."""
 
     peak: Array  # largest force
-    turn: Array  # lx equals -m a; if a points into the wall, the outward speed is largest then
+    turn: Array  # lx equals -m a; if a points into the wall, this is when the outward speed is largest
     end: Array  # force returns to zero; inf if it never does
 
 
@@ -212,7 +212,7 @@ def find_contact_times(c: Oscillation) -> ContactTimes:
         return ContactTimes(peak, turn, turn)
     low = np.where(pulled, peak, np.where(np.isfinite(turn), turn, 0.0))
     high = np.where(pulled, turn, np.where(np.isfinite(trough), trough, 0.0))
-    # Overdamped with an outward acceleration: the force falls below m a, but phi has no zero as a bound.
+    # Overdamped with an outward acceleration: the force returns to zero, but no zero of phi bounds this time.
     open_end = pulled & ~np.isfinite(high)
     high = np.where(open_end, peak + 1.0, high)
     while np.any(open_end):

@@ -1,12 +1,12 @@
 """The contact law at the propeller guards: which guards touch, and the resulting force and torque.
 
-A vehicle touches a wall with guard points, two on each of its four sides. They are `guard_out_m` from the
-centre of mass, `guard_along_m` to either side of the middle, and `guard_height_m` above the centre of mass.
-The published law for a point applies to each guard, with that guard's share of the coefficients. If both
-guards of a side are at the same depth, their k/2 and f/2 sum to the k and f of the point law. A symmetric hit
-therefore has the normal force, contact time and exit velocity of the point law. Friction on a guard is -mu
-times the guard's normal force times the guard's own sliding velocity. The vertical force of all guards
-together is -nu L/(1 + L), where L is the sum of the normal forces on the wall.
+A vehicle touches a wall with guard points, two on each of its four sides. These points are `guard_out_m` from
+the centre of mass, `guard_along_m` to either side of the middle, and `guard_height_m` above the centre of
+mass. The published law for a point applies to each guard, with that guard's share of the coefficients. If
+both guards of a side are at the same depth, their k/2 and f/2 sum to the k and f of the point law. A
+symmetric hit therefore has the normal force, contact time and exit velocity of the point law. Friction on a
+guard is -mu times the guard's normal force times the guard's own sliding velocity. The vertical force of all
+guards together is -nu L/(1 + L), where L is the sum of the normal forces on the wall.
 
 The paper specifies neither the lever arm of the friction nor the lever arm of the vertical force. Both are
 parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at a point with a reduced lever
@@ -27,7 +27,7 @@ from dart_flight.base.geometry import Quaternion, Vec3, rotate_back
 from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody
 from dart_flight.contact.law import Onset, normal_force
 
-NEAR_M: Final = 0.08  # largest distance at which a contact below 5 m/s begins
+NEAR_M: Final = 0.08  # a contact below 5 m/s begins within this distance
 
 
 class PropellerGuard(NamedTuple):
@@ -75,7 +75,7 @@ class GuardLaw(NamedTuple):
     """The parts of the contact law that do not depend on material and mode.
 
     Attributes:
-        vertical_sign: -1 if the vertical force is up, as the paper writes lz; 1 if it is down.
+        vertical_sign: -1 if the vertical force points up, like lz in the paper; 1 if it points down.
         vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
     """
 

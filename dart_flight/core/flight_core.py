@@ -5,7 +5,7 @@
 
 Data flows in one direction: *sense* converts the input to estimates, *mission* converts these to a proposal,
 and *guard* decides. No part changes another part's data; this module passes the results on. `step` never
-raises: an exception in the mission's code becomes a guard decision (land), with its reason.
+raises. After an exception in the mission's code, the guard lands and reports the exception.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class FlightCore:
         kept: list[Output] = []
         if guard.overrules:
             kept += executive.record_override(state.now_us, guard.reason or "")
-            # While the guard holds or backs off, a contact with a wall is an impact; a touchdown is not.
+            # While the guard holds or backs off, a contact with a wall counts as an impact.
             if guard.landing:
                 self._expected = ExpectedContact()
         if guard.end is not None:

@@ -16,14 +16,14 @@ from dart_flight.core.mission.wall_uncertainty import early_m, overrun_m
 from dart_flight.core.sense.state import FlightState
 
 BATCH_S: Final = 0.02  # the tick's period; a quarter of the IMU silence that triggers the guard
-_LEAD_S: Final = 0.2  # time before a possible impact at which batching ends: ten times a batch's delay
+_LEAD_S: Final = 0.2  # batching ends at this time before a possible impact, ten times a batch's delay
 
 
 class Pace(Enum):
     """Pace at which the shell should pass the next inputs to the core."""
 
     BATCHED = auto()  # all inputs that arrive within `BATCH_S`, in one batch
-    IMMEDIATE = auto()  # each as it arrives, on the receiving thread
+    IMMEDIATE = auto()  # each input as it arrives, on the receiving thread
 
 
 def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:

@@ -37,7 +37,7 @@ MIN_REBOUND_M_S = 0.05
 # A wall counts as touched if the vehicle would reach the plane within this time, because forces may begin
 # before the plane (`lcp`).
 _TOUCH_S = 0.01
-_THICK_M = 0.5  # distance behind the plane above which the vehicle is on the wall's other side
+_THICK_M = 0.5  # a vehicle farther behind the plane is on the wall's other side
 _LOCK_POLL_S = 0.02
 
 
@@ -72,7 +72,7 @@ CODE = {reason: i + 1 for i, reason in enumerate(REFUSALS)}
 class Constraints:
     """The tests of one task, vectorised over candidates.
 
-    Reasons in `ignored` do not count; this shows which reasons prevent a plan.
+    The tests skip the reasons in `ignored`, so that a caller can find the reasons that prevent a plan.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class Constraints:
         bad &= np.arange(w.times.size) < until[:, None]
         codes = np.zeros(until.size, dtype=np.int8)
         rows = np.flatnonzero(bad.any(axis=1))
-        if rows.size:  # few, so only these are examined closely
+        if rows.size:  # few candidates fail, so only these are classified
             part = GridWindow(w.times, *(v[rows] for v in (w.x, w.y, w.vx, w.vy)))
             codes[rows] = self._classify(part, until[rows], obstacles, posts, begins)
         return codes
@@ -177,7 +177,7 @@ class Constraints:
             alive[:, 0] = False
         for wall in obstacles:
             place: tuple[Number, Number] = (w.x, w.y)
-            # A point farther behind the plane is beyond the wall: only a passage through the front counts.
+            # Count only a passage through the front. A point farther behind the plane is beyond the wall.
             inside = wall.signed_distance(place) > -min(_THICK_M, wall.behind_m)
             touched = _touches_wall(wall, w) & spans_with_margin(wall, place) & inside
             self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
@@ -186,7 +186,7 @@ class Constraints:
         return codes
 
     def _leaves_bounds(self, w: GridWindow) -> NDArray[np.bool_]:
-        """Return at which grid points the vehicle is outside the bounds or could not stop inside the bounds.
+        """Return the grid points at which the vehicle is outside the bounds or could not stop inside them.
 
         If a wall ahead stops the vehicle earlier, the stopping distance is shorter (`stop_share`). The core's
         guard (`core.guard`) applies the same rule.
@@ -263,13 +263,13 @@ class Constraints:
 
 
 def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:
-    """Return whether a wall has `target` behind it and `place` in front; coordinates may be arrays."""
+    """Return whether `target` is behind a wall and `place` in front of it; coordinates may be arrays."""
     crosses = (wall.signed_distance(place) > 0.0) & (wall.signed_distance(target) <= 0.0)
     return crosses & spans_with_margin(wall, target)
 
 
 def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return whether a coordinate is outside its limits now, or will be outside if the vehicle brakes now."""
+    """Return whether a coordinate is outside its limits, or cannot stop within them."""
     stop = x + np.float32(STOP_TIME_S) * v
     outside: NDArray[np.bool_] = np.minimum(x, stop) < np.float32(limits[0])
     outside |= np.maximum(x, stop) > np.float32(limits[1])

@@ -1,8 +1,8 @@
 """Fit of the contact law to the readings of one contact.
 
-The fit estimates the wall's coefficients, the wall's plane and the arms' mode. It integrates the contact law
-numerically. The measured rotation loads the two guards unequally, and the closed-form solution covers a point
-contact only.
+The fit estimates the wall's coefficients, the wall's plane and the arms' mode. The fit integrates the contact
+law numerically, because the closed-form solution covers a point contact only. The measured rotation loads the
+two guards unequally.
 
 Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
 positive if the vehicle is turned left. Each side of the vehicle has a right guard (g = 1) and a left guard
@@ -55,44 +55,46 @@ from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.contact_recorder import undecided
 
-FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/contact_fit.md)
+FIT_US: Final = 50_000  # simulated duration of a fit (docs/contact_fit.md)
 CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall
-SURE_LOG_ODDS: Final = 5.3  # 200 to 1: the mode then counts as known, 1 in 1000 wrong (docs/contact_fit.md)
+SURE_LOG_ODDS: Final = (
+    5.3  # odds of 200 to 1 decide the mode; 1 of 1000 decisions is wrong (docs/contact_fit.md)
+)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
-_PLACE_M: Final = 0.1  # minimum prior deviation of a wall's position; wide, because the force determines it
+_PLACE_M: Final = 0.1  # minimum prior deviation of a wall's position; wide, because the force locates it
 _WALL_RAD: Final = math.radians(4.0)  # minimum prior deviation of a planned wall's direction
-_UNPLANNED_RAD: Final = math.radians(15.0)  # the same for an unplanned wall: the force gives the direction
+_UNPLANNED_RAD: Final = math.radians(15.0)  # `_WALL_RAD` for an unplanned wall; the force shows its direction
 _UNKNOWN_SPREAD: Final = 0.8  # relative deviation of the coefficients if the material is unknown
-_KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations above which the material is not in the table
-_MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which the law does not fit
+_KNOWN_MATERIAL: Final = 6.0  # a larger sum of three squared deviations means an unknown material
+_MAX_MISFIT: Final = 2.0  # the law does not fit if the normalised residuals have a larger mean square
 _VELOCITY_M_S: Final = 0.04  # standard deviation of PX4's velocity at rest
-_VELOCITY_SHARE: Final = 0.02  # fraction of the speed that is added to this deviation
+_VELOCITY_SHARE: Final = 0.02  # fraction of the speed, added to `_VELOCITY_M_S`
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
-_LEVER_SHARE: Final = 0.3  # prior mean of b, the friction's lever divided by d
-_LEVER_SD: Final = 0.3  # prior standard deviation of b: no lever and twice the mean are both plausible
+_LEVER_SHARE: Final = 0.3  # prior mean of b, the lever arm of the friction divided by d
+_LEVER_SD: Final = 0.3  # prior standard deviation of b: both 0 and twice the mean are plausible
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
-_TORQUE_ERROR: Final = 0.05  # larger than independent ticks would need, because their errors are correlated
-_SURE_SIGMA: Final = 5.0  # sum of the readings, in standard deviations, below which there was no contact
+_TORQUE_ERROR: Final = 0.05  # larger than for independent errors, because the ticks' errors are correlated
+_SURE_SIGMA: Final = 5.0  # without a larger sum of the readings, in standard deviations, there was no contact
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
 # Angles of incidence from which the fits start.
 _STARTS_RAD = np.radians([-19, -14, -10, -7, -4, -1.5, 0, 1.5, 4, 7, 10, 14, 19])
-_SCREENED: Final = 3  # steps after which only the best starts are kept
+_SCREENED: Final = 3  # after so many steps, only the best starts are kept
 _KEPT: Final = 4
 _STEPS: Final = 10
-_SETTLED: Final = 1e-2  # reduction of the cost below which the search ends
+_SETTLED: Final = 1e-2  # the search ends when the reduction of the cost is smaller
 _DAMPINGS = np.array([1.0, 10.0, 100.0])  # damping factors, all tried at every step
 _DIFFERENCE: Final = 1e-5  # step of a parameter for the numerical derivatives
 _SUBSTEPS: Final = 2  # integration steps per tick
 _FINE: Final = 4  # integration steps per tick for the torque's peak
-_MAX_TICKS: Final = 36  # number of ticks above which neighbouring ticks are merged
+_MAX_TICKS: Final = 36  # if there are more ticks, neighbouring ticks are merged
 _QUADRATIC = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35.0
 _NEAR_TOP: Final = 0.6  # fraction of the torque's peak; the samples above it determine the peak's size
-_SURE_TORQUE: Final = 4.0  # torque, relative to the noise, below which the fit does not give the peak's shape
+_SURE_TORQUE: Final = 4.0  # the fit gives the peak's shape only for a larger torque, relative to the noise
 _QUARTER: Final = 0.5 * math.pi
 _K, _F, _X, _V, _D, _MU, _W, _B = range(8)  # k, f, place, velocity, angle, mu, tangential velocity, lever
 _FACTORS = [_K, _F, _MU]
@@ -157,7 +159,7 @@ class Ticks(NamedTuple):
 
 
 class ContactReadings(NamedTuple):
-    """The readings of one contact and what was known before the fit.
+    """The readings of one contact, and the prior information for its fit.
 
     Attributes:
         ticks: readings from a few ticks before the first touch until shortly after the contact.
@@ -276,7 +278,7 @@ class ContactFit:
         return found
 
     def _begin(self, lead: Array, believed: NDArray[np.bool_], mode: NDArray[np.intp]) -> Array:
-        """Return start parameters; the wall's angle is chosen to give the angle of incidence `lead`.
+        """Return start parameters. The start of the wall's angle makes the angle of incidence equal `lead`.
 
         The starts flagged in `believed` use the prior of k. For the other starts, k is computed from the peak
         force. A point mass has the peak force v (k m)^0.5.
@@ -346,7 +348,7 @@ class ContactFit:
         h = t.h / substeps
         bears = np.empty((len(h), substeps, 2, len(mode)))
         half_f = 0.5 * f
-        for n, h_n in enumerate(h.tolist()):  # NumPy multiplies faster by Python's numbers than by its own
+        for n, h_n in enumerate(h.tolist()):  # multiplying by Python numbers is faster than by NumPy scalars
             half, per_mass, own_n, push_n = 0.5 * h_n, h_n / m, own[n], h_n * push[n]
             damp, moved = half / m * f, half * v
             for s in range(substeps):
@@ -444,8 +446,8 @@ class ContactFitter:
     def answer(self, request: ContactRequest) -> ContactAnswer:
         """Return the fit of a contact, or an answer with a `problem` if the fit fails.
 
-        An exception in the fit also becomes a `problem`, so that it does not end the flight. The receiver of
-        the answer sets `received_us`.
+        An exception in the fit also becomes a `problem`, so that the flight continues. The receiver
+        of the answer sets `received_us`.
         """
         answer = ContactAnswer(0, request.number)
         try:
@@ -594,7 +596,7 @@ class ContactFitter:
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
     def _likely_material(self, belief: Belief, mode: Mode) -> str | None:
-        """Return the material whose coefficients are nearest to `belief`, or None if all are far."""
+        """Return the material with the coefficients nearest to `belief`, or None if none is near."""
         spread2 = self._vehicle.estimation.walls.spread**2
 
         def misfit(name: str) -> float:

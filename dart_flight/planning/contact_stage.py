@@ -179,7 +179,7 @@ class ContactStage:
     # -- impacts --
 
     def normal(self, speed: Array, acceleration: Array, integral: Array) -> NormalOut:
-        """Return the motion along the normal; at the onset `speed` is in m/s, < 0, the rest in m/s2."""
+        """Return the motion along the normal from values at the onset, m/s (`speed`, negative) and m/s2."""
         inputs = (speed, acceleration, integral)
         rows = [sum(c * v for c, v in zip(row, inputs, strict=True) if c != 0.0) for row in self._normal]
         return NormalOut(-self.lead_s * speed, *(np.asarray(row) for row in rows))
@@ -190,7 +190,7 @@ class ContactStage:
         flat = c.reshape(-1, 1)
         slip = np.exp(-flat * self._depths)  # u at the nodes per unit of u at the onset
         slip_end = np.exp(-flat * self._depth_end)
-        kept = np.exp(-flat * (self._depth_end - self._depths))  # fraction left at T of a push at the nodes
+        kept = np.exp(-flat * (self._depth_end - self._depths))  # fraction of a push that is left at T
         values = slip @ self._by_speed.T
         push = kept @ self._push
         push_v = np.einsum("nj,nj->n", kept, slip @ self._push_speed.T)
@@ -357,7 +357,7 @@ def _prepare_tangential(stage: ContactStage, loop: PositionLoop, course: Oscilla
         [phases.to_time(stage.peak_s), whole[count], to_integral[count], acceleration[count]]
     )
     stage._push_speed = weights[:, None] * acceleration[:count]
-    # Per unit of a, i and s: exact, because the drive is a polynomial in each phase.
+    # The factors per unit of a, i and s are exact, because the drive is a polynomial in each phase.
     places = np.zeros((count, 3))
     places[:, 2] = after
     integral = ki * kp * whole @ places

@@ -3,8 +3,8 @@
 The limits of speed and force come from the flights in docs/px4.md. These flights are a sweep (acrylic and
 wood, both modes, 0.5 to 4 m/s) and impacts of a body with guards. The limits of incidence and height come
 from the flights in docs/results/body.md and docs/results/tumbles.md. A `_warning` function returns None if
-there is nothing to warn about. Its `velocity` is the predicted (normal, tangential) velocity, used if the
-mission specifies none.
+there is nothing to warn about. If the mission specifies no velocity, the function uses its argument
+`velocity`: the predicted (normal, tangential) velocity.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from dart_flight.core.mission.planned_impact import expected_hit, impact_velocit
 # Largest normal speed without a warning; a body with guards tilts by more than 60 degrees at 3.5 m/s
 # (docs/px4.md).
 FLOWN_UP_TO_M_S = 3.0
-# Flights recovered from all impacts up to this incidence: in both modes up to 2 m/s, rigid up to 3 m/s.
+# Flights recovered from all impacts up to this incidence: at 2 m/s in both modes, at 3 m/s with rigid arms.
 INCIDENCE_FLOWN_DEG = 30.0
 # Largest distances (m) of the guards from the centre of mass at which the tilt stays below 60 degrees
 # (docs/results/tumbles.md). Columns: normal speed (m/s); distance below with rigid arms, and with flexible
-# arms; distance above. Guards below are worse, because the impact and the setpoint tilt the vehicle in the
-# same direction.
+# arms; distance above. Guards below the centre of mass are worse, because impact and setpoint then tilt the
+# vehicle in the same direction.
 HEIGHTS_FLOWN_M = (
     (0.5, 0.060, 0.060, 0.05),
     (1.0, 0.060, 0.060, 0.05),
@@ -37,7 +37,7 @@ HEIGHTS_FLOWN_M = (
 )
 HEIGHT_SURE_SD = 2.0  # standard deviations of the guards' height that `check` allows for
 CLIP_SHARE = 0.95  # usable fraction of full scale; the rest is a margin for tilt, noise and friction
-# Fraction of full scale above which PX4 loses its position. The position was wrong by 0.16 to 0.26 m at 254 N
+# Above this fraction of full scale, PX4 loses its position. The position was wrong by 0.16 to 0.26 m at 254 N
 # (1.25), and by 1.3 m at 296 N (1.45).
 LOST_SHARE = 1.3
 
@@ -82,7 +82,7 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def speed_warning(collision: Collision, velocity: tuple[float, float] | None = None) -> str | None:
-    """Warn about an impact that is faster than those from which PX4 reliably recovered."""
+    """Warn about an impact that is faster than all impacts from which PX4 reliably recovered."""
     velocity = impact_velocity(collision) or velocity
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None
@@ -132,7 +132,7 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def heights_flown_m(normal_m_s: float, mode: Mode) -> tuple[float, float]:
-    """Return the guards' largest distance below and above the centre of mass at which flights recovered."""
+    """Return the guards' largest distances below and above the centre of mass with a recovery in flight."""
     speeds, rigid, flexible, above = zip(*HEIGHTS_FLOWN_M, strict=True)
     below = rigid if mode is Mode.RIGID else flexible
     return float(np.interp(normal_m_s, speeds, below)), float(np.interp(normal_m_s, speeds, above))

@@ -64,10 +64,10 @@ class PredictedFlight(msgspec.Struct):
             line leads from the previous resting position (if known and different) through the run-up point to
             the impact. For a collision with its own trajectory, the line consists of points of this
             trajectory.
-        legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg begins at the onset of a contact. It
-            ends at the next onset, or at the closest approach to the goal. Index 0 is a trajectory from rest
-            at the start to the goal. In the first row of a leg after a contact, the velocity is 0.
-        hits: contacts by collision index, except those that the model does not reach.
+        legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg begins at the onset of a contact. The
+            leg ends at the next onset, or at the closest approach to the goal. Index 0 is a trajectory from
+            rest at the start to the goal. In the first row of a leg after a contact, the velocity is 0.
+        hits: contacts that the model reaches, by collision index.
         goal_miss_m: smallest distance to the goal after the last contact; None if not predicted.
         walls: walls at random positions, drawn from the uncertainty that the mission declares; empty if the
             prediction uses the nominal walls.
@@ -81,7 +81,7 @@ class PredictedFlight(msgspec.Struct):
 
 
 def impact_place(collision: Collision, hits: Mapping[int, PredictedContact]) -> Vec2:
-    """Return the impact point, mission frame: the mission's, else the model's, else the wall's middle."""
+    """Return the impact point, mission frame: from the mission, else the model, else the wall's middle."""
     if collision.impact_point is not None:
         return collision.impact_point
     if collision.predicted is not None:
@@ -93,7 +93,7 @@ def impact_place(collision: Collision, hits: Mapping[int, PredictedContact]) -> 
 def predicted_segments(mission: Mission, hits: Mapping[int, PredictedContact]) -> list[TransitSegment]:
     """Return the rest-to-rest segments; a segment after a recovery begins at the predicted setpoint.
 
-    Its beginning is None if the collision before it has no predicted impact.
+    The beginning is None if the preceding collision has no predicted impact.
     """
     found = []
     ends = {w.name: w.after for w in mission.waypoints}

@@ -28,8 +28,8 @@ _SAMPLES = 24
 _STEP_S = 0.03  # step between the possible starting times on the planned trajectory
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
 _LEAST_S = 0.2  # shortest trajectory
-_SAME_S = 1e-6  # duration below which pieces are dropped
-SETTLED_S = 0.2  # duration of the last part before a wall, which follows the plan; covers the attitude's lag
+_SAME_S = 1e-6  # shorter pieces are dropped
+SETTLED_S = 0.2  # the last part before a wall follows the plan for this time, which covers the attitude's lag
 _SETTLED_SHARE = 0.3  # largest fraction of a trajectory for this part
 
 
@@ -101,8 +101,8 @@ def candidate_trajectories(
         start: initial position, velocity and acceleration per axis; mission frame.
         moved: final position minus the planned one, m.
         pushed: final acceleration minus the planned one, m/s2.
-        settled_s: duration of the last part, in which only `moved` and `pushed` are added to the plan. It is
-            shortened if the trajectory is short.
+        settled_s: duration of the last part, in which only `moved` and `pushed` are added to the plan. This
+            part is shortened if the trajectory is short.
     """
     tried = [
         (begin, slower)

@@ -2,19 +2,19 @@
 
 The replanner uses the contact stages and constraints of `plan` (`contact_stage`, `constraints`). It chooses a
 trajectory: one fifth-order polynomial per axis. The trajectory begins in the state that the vehicle will have
-when the core receives the answer. It ends at the next wall with the planned velocity, or at rest at the goal.
-The replanner tries durations and impact points along the wall and discards the trajectories that violate a
-constraint. It prefers trajectories that are quick, gentle and near the planned point. If the mission has a
-trajectory of its own (`trajectory`, `goal_trajectory`), the replanner first tries to return to this
-trajectory. For this return, the replanner adds a polynomial to the mission's trajectory
-(`planning.rejoining`).
+when the core receives the answer. The trajectory ends at the next wall with the planned velocity, or at rest
+at the goal. The replanner tries durations and impact points along the wall and discards the trajectories that
+violate a constraint. Among the remaining trajectories, the replanner prefers quick and gentle ones that end
+near the planned point. If the mission has a trajectory of its own (`trajectory`, `goal_trajectory`), the
+replanner first tries to return to this trajectory. For this return, the replanner adds a polynomial to the
+mission's trajectory (`planning.rejoining`).
 
 A `WallEstimate` replaces the wall's configured coefficients and its planned plane. The replanner keeps no
 other state between requests, so an answer can be computed again from the log. An approach from rest stays as
-planned, except that its speed is lower if the estimated impact would exceed a limit.
+planned. Its speed is reduced if the estimated impact would exceed a limit.
 
 The replanner does not run within the core's step. In flights over MAVSDK the replanner runs in its own
-process (`run.planner_process`). In the fast world it runs in the flight's process (`run.fast`).
+process (`run.planner_process`). In the fast world the replanner runs in the flight's process (`run.fast`).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from dart_flight.planning.task import MissionTask, drag_along
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
 _ALONG_M = np.arange(-0.8, 0.81, 0.05)  # impact points along the wall, relative to the planned point
 _SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # fractions of the planned velocity, tried in this order
-# Durations at constant velocity before the wall, so that the attitude settles; the second for small rooms.
+# Times of straight flight before the wall, in which the attitude settles. The second is for small rooms.
 _STRAIGHT_S = (0.3, 0.1)
 _SAMPLES = 24  # samples of a trajectory at which the constraints are checked
 _LAST = 3  # number of samples that count as a trajectory's end
@@ -59,16 +59,16 @@ _PUSH_SAMPLES = 12  # samples at which acceleration and jerk are checked, before
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # jerk limit: about 150 degrees of tilt per second, which the attitude loop can follow
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
-_GENTLE_REJOINING_S = 0.05  # smaller when rejoining: the mission's trajectory is already within the limits
+_GENTLE_REJOINING_S = 0.05  # `_GENTLE_S` when rejoining; small, because the plan is within the limits
 _REJOINING_ALLOWANCE = 1.25  # factor on the acceleration limit, which the plan may already reach
-_SPEED_TOLERANCE = 1.01  # slow-down factor above which a trajectory counts as slower than planned
-# A contact rotates the vehicle (docs/results/faster_hits.md) if a plan for rigid arms tilts it too far away
-# from the wall. A contact also rotates it if a tilt into the wall begins too late for the lagging attitude.
-_THRUST_OFF_SHARE = 0.5  # rigid arms: removed fraction of the final thrust off the wall; lag removes the rest
-_LEANS_IN_M_S3 = 8.0  # final jerk into the wall above which another trajectory is preferred
+_SPEED_TOLERANCE = 1.01  # a trajectory with a larger slow-down factor counts as slower than planned
+# A contact rotates the vehicle (docs/results/faster_hits.md) if the planned tilt away from the wall is too
+# large for rigid arms, or if a tilt into the wall begins too late for the lagging attitude.
+_THRUST_OFF_SHARE = 0.5  # removed fraction of the final outward thrust, rigid arms; lag removes the rest
+_LEANS_IN_M_S3 = 8.0  # with a larger final jerk into the wall, another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
 _COMPRESSED_M = 0.15  # largest depth behind a wall, due to compressed arms and the wall's position error
-_OFF_PLACE_S = 1.0  # cost of a contact at the mission's tolerance from the planned point
+_OFF_PLACE_S = 1.0  # cost of an impact that is off the planned point by the mission's tolerance
 
 
 class _EndStates(NamedTuple):
@@ -118,7 +118,7 @@ class Replanner:
         self._matrices = [loop_matrix(loop, b) for b in mission.vehicle.airframe.drag_per_s[:2]]
         tilt = math.radians(mission.vehicle.px4.mpc_tiltmax_air)
         self._most_m_s2 = _TILT_SHARE * GRAVITY_M_S2 * math.tan(tilt)
-        # A new trajectory stays within the mission's limits; rejoining the mission's own may need more.
+        # A new trajectory stays within the mission's limits. A trajectory that rejoins may exceed them.
         limits = mission.limits
         self._planned_m_s2 = min(self._most_m_s2, limits.acceleration_m_s2 or math.inf)
         self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
@@ -141,8 +141,8 @@ class Replanner:
     def answer(self, request: PlanRequest) -> PlanAnswer:
         """Plan a trajectory that starts in the requested state. If none is found, the answer has a `problem`.
 
-        An exception in the planner also becomes a `problem`, so that it does not end the flight. The
-        receiver of the answer sets `received_us`.
+        An exception in the planner also becomes a `problem`, so that the flight continues. The receiver
+        of the answer sets `received_us`.
         """
         found = PlanAnswer(0, request.number, request.begin_us, collision=request.collision)
         try:
@@ -190,7 +190,7 @@ class Replanner:
             return None
         wall, moved, pushed, settled_s = None, (0.0, 0.0), (0.0, 0.0), 0.0
         if collision is not None:
-            # With a configured attitude delay the attitude follows the plan to its end; otherwise it lags.
+            # The attitude follows the plan to its end if an attitude delay is configured. Otherwise it lags.
             follows = bool(self._mission.vehicle.flying.attitude_delay_s)
             settled_s = SETTLED_S if follows else 0.0
             wall = self._survey.known_wall(collision.wall, request.t_us)
@@ -371,9 +371,9 @@ class Replanner:
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
         """Return the known walls; `start` is (position, velocity, acceleration) of the vehicle in x and y.
 
-        The vehicle may start slightly behind the plane of the wall that it has just left, because flexible
-        arms release while still compressed, and because a wall's position is uncertain. The plane of such a
-        wall is shifted back to the vehicle.
+        The vehicle may start slightly behind the plane of the wall that it has just left: flexible arms
+        release while still compressed, and a wall's position is uncertain. The plane of such a wall is
+        shifted back to the vehicle.
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []
@@ -423,9 +423,9 @@ class Replanner:
 
 
 def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
-    """Return by how much each trajectory's final jerk towards the wall exceeds `_LEANS_IN_M_S3`.
+    """Return the excess of each trajectory's final jerk towards the wall over `_LEANS_IN_M_S3`.
 
-    The unit of the result is `_LEANS_IN_STEP_M_S3`, rounded up. Within the limit the result is 0.
+    The excess is a number of steps of `_LEANS_IN_STEP_M_S3`, rounded up, or 0 without an excess.
     """
     (nx, ny), (jx, jy) = wall.normal, rejoining.jerk[:, :, -_LAST:]
     too_fast = np.max(-(nx * jx + ny * jy), axis=1, initial=0.0) - _LEANS_IN_M_S3
@@ -436,8 +436,8 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 def _straights(slack: float) -> list[tuple[float, float]]:
     """Return options for the straight flight before a wall, best first, as pairs (duration, count).
 
-    The straight flight lasts for the duration (s) and in addition covers `count` times `slack`, the tolerance
-    of the wall's position in metres.
+    `slack` is the tolerance of the wall's position, metres. The straight flight lasts for `duration` seconds
+    plus the time for `count` times `slack`.
     """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]

@@ -411,7 +411,7 @@ class Rollout:
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
         indices, found = [], []
-        # A wall is hit from its free side: a candidate behind its plane at the release does not reach it.
+        # A wall is hit from its free side, so a candidate behind the plane at the release is refused.
         side = _along(wall.normal, front.leg.x[0] + front.leg.goal_x, front.leg.y[0] + front.leg.goal_y)
         before = np.flatnonzero(side > offset)
         if before.size < live.size:
@@ -574,7 +574,7 @@ def _actual_approach(
     later_s = before / -into
     x, y = grid.impact_x + vx * later_s, grid.impact_y + vy * later_s
     codes = grid.codes.copy()
-    # The wall's position is drawn, so half the vehicle's width suffices, without a margin for uncertainty.
+    # The wall's position is drawn, so no margin for uncertainty is needed: half the vehicle's width suffices.
     beyond = wall.end_distance_m((x, y)) < wall.half_vehicle_m
     codes[(codes == 0) & beyond] = CODE[Refusal.BEYOND_WALL]
     actual = grid._replace(codes=codes, impact_x=x, impact_y=y, impact_s=grid.impact_s + later_s)

@@ -30,8 +30,8 @@ _MOST_OFF_M = 0.05
 _BACK_M = 0.5
 _INSIDE_M = 0.1  # distance inside the bounds at which a probe ends
 _STEEPEST_RAD = math.radians(65.0)  # largest angle between a contacted wall's normal and the probe
-_OBLIQUE_RAD = math.radians(12.0)  # obliqueness below which a single contact measures a wall's direction
-_STEP_RAD = math.radians(7.0)  # angle between a single contact and the additional probes beside it
+_OBLIQUE_RAD = math.radians(12.0)  # a single contact measures a wall's direction only if it is less oblique
+_STEP_RAD = math.radians(7.0)  # angle between a single contact and the additional probes beside this contact
 _GROUP_COST = 12.0  # cost of an additional wall, in squared deviations
 
 Array = NDArray[Any]
@@ -192,7 +192,7 @@ class RoomFit:
         squares = (off * off).sum(axis=0) / _ON_WALL_M**2
         squares[np.isnan(squares)] = np.inf
         squares[np.abs(off).max(axis=0) > _MOST_OFF_M] = np.inf
-        for k in group:  # the direction from a single contact, which counts less if it is oblique
+        for k in group:  # the direction measured by one contact, which counts less after an oblique contact
             one = self._touches[k]
             if one.normal_rad is None:
                 continue

@@ -24,7 +24,7 @@ _RUN_UP_M = 0.5  # distance of the run-up point from the nearest possible positi
 _BACK_M = 0.5
 # Contacts to try, in this order: offset from the wall's middle, as a fraction of the wall's length.
 _ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)
-_PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # standard deviations of walls without configured ones
+_PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # standard deviations for walls without configured standard deviations
 
 
 class SurveyPlan(NamedTuple):

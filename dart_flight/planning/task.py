@@ -68,7 +68,7 @@ def make_task(mission: Mission, group: Sequence[Collision]) -> MissionTask:
     first = group[0]
     assert first.approach_m_s is not None
     assert first.impact_point is not None
-    # A rollout's wall is on the ray from its start, which is therefore the beginning of the run-up.
+    # A rollout's wall is on the ray from the start, so the run-up begins at the start.
     vx, vy, _ = first.approach_velocity()
     flying = mission.vehicle.flying
     start = run_up(mission.start, first.impact_point, (vx, vy), flying, first.wall).begin

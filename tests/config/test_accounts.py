@@ -86,7 +86,7 @@ def test_a_folder_of_the_system_is_not_to_be_given_away(account: Path, mission: 
         FlightRecord(mission, World.FAST, 1, Path("/usr/flights"))
     (account / "own").mkdir(mode=0o555)
     with pytest.raises(
-        InputError, match=f"the mode of {account}/own does not permit it; chmod u\\+w {account}/own$"
+        InputError, match=f"the mode of {account}/own does not permit writing; chmod u\\+w {account}/own$"
     ):
         FlightRecord(mission, World.FAST, 1, account / "own")
 

@@ -126,8 +126,8 @@ def default_config_path() -> Path:
     """Return $DART_FLIGHT_CONFIG, the file chosen from ./configs, or the packaged default, in this order.
 
     `init --vehicle` writes a vehicle's file, which extends dart.yaml, next to dart.yaml. Therefore a file in
-    ./configs is a candidate only if no other file in ./configs extends it. A single candidate is chosen. If
-    there are several candidates and all are unchanged packaged files, dart.yaml is chosen.
+    ./configs is a candidate only if no other file in ./configs extends it. If there is only one candidate, it
+    is chosen. If there are several and all are unchanged packaged files, dart.yaml is chosen.
 
     Raises:
         InputError: there are several candidates, and one of them is the user's own file.
@@ -281,6 +281,6 @@ def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
                 node[part] = {}
             node = node[part]
         node[key[-1]] = value
-        merged.set_by.pop(key, None)  # remove it first, so that the dict has the order of the files
+        merged.set_by.pop(key, None)  # remove the key first, so that the dict has the order of the files
         merged.set_by[key] = document.error(key, "").one_line()
     return merged

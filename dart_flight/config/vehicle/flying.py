@@ -21,8 +21,8 @@ class GuardThresholds(Section, frozen=True):
             lands.
         battery_remaining: if the remaining charge is below this fraction, the vehicle lands.
         battery_v: if the battery voltage is below this, the vehicle lands.
-        kill_after_s: stop the motors if the vehicle is still armed in PX4's land mode after this time or
-            three times the expected descent time, whichever is longer; null: never.
+        kill_after_s: stop the motors if the vehicle is still armed after this time in PX4's land mode; at
+            least three times the expected descent time; null: never.
         wall_late_s: if no contact occurs within this time after the planned impact, the vehicle breaks off.
         wall_early_m: a contact farther than this in front of the wall's plane is not a contact with the
             planned wall, and the vehicle breaks off.

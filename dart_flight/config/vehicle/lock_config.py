@@ -188,7 +188,7 @@ class Px4Output(DriverSection, frozen=True):
     bank: Literal["MAIN", "AUX"]
     pin: Annotated[int, Meta(ge=1, le=16)]
     timer: Annotated[int, Meta(ge=0, le=7)]
-    # PX4's allowed ranges of the two parameters.
+    # PX4's allowed ranges of PWM_<bank>_MIN and PWM_<bank>_MAX.
     min_pulse_us: Annotated[float, Meta(ge=800.0, le=1400.0)]
     max_pulse_us: Annotated[float, Meta(ge=1600.0, le=2200.0)]
 

@@ -1,7 +1,7 @@
 """The thrust curve of one motor, which converts between command and thrust. Two numbers define the curve.
 
-It is a separate module because it is compiled (docs/speed.md). The simulated vehicle evaluates it for every
-motor, every millisecond.
+This module is separate because it is compiled (docs/speed.md): the simulated vehicle evaluates the curve for
+every motor, every millisecond.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """The vehicle's motion after a wrong reset of PX4's heading, from the IMU alone.
 
 PX4 rotates the accelerometer by its heading. While the heading is wrong, PX4's velocity and position follow
-accelerations in a wrong direction, and motion capture corrects them only seconds later. The IMU, integrated
-from the state before the reset, is accurate for that time:
+accelerations in a wrong direction. Motion capture corrects this only seconds later. The IMU, integrated from
+the state before the reset, is accurate for that time:
 
     v' = R(q) f + g,    p' = v,    q = D gyro(t)
 
-D is the rotation of `heading_step` before the reset; f is the specific force.
+D is the rotation that `heading_step` defines, taken before the reset; f is the specific force.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from dart_flight.base.records import ImuSample, OdometrySample
 from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
 
 WRONG_RAD = math.radians(HEADING_STEP_DEG)
-_DETECTED_S: Final = 0.2  # time after a reset within which a step of the heading is detected
+_DETECTED_S: Final = 0.2  # a step of the heading is detected within this time after a reset
 # PX4 subtracts its estimated biases from the IMU's readings. A wrong heading disturbs these estimates, so
 # PX4's velocity is wrong by up to 0.5 m/s after 2 s.
 _LONGEST_S: Final = 2.5
 _RESET_M: Final = 0.1
-_SAME_M, _SAME_M_S = 0.2, 0.3  # tolerances within which PX4's estimate counts as recovered
+_SAME_M, _SAME_M_S = 0.2, 0.3  # tolerances for a recovered estimate of PX4
 
 
 class DeadReckoning:
     """Motion in local NED, integrated from the state before a reset.
 
-    `rotation` is the rotation D of `heading_step` before the reset.
+    `rotation` is D (see the module).
     """
 
     def __init__(self, odometry: OdometrySample, rotation: Quaternion) -> None:
@@ -48,7 +48,7 @@ class DeadReckoning:
         self._since_us = self._t_us = odometry.t_us
 
     def add_imu(self, item: ImuSample, gyro: Quaternion) -> None:
-        """Integrate a sample; `gyro` is the integral of the rates at its stamp."""
+        """Integrate a sample; `gyro` is the integral of the rates up to the item's stamp."""
         dt_s = (item.t_us - self._t_us) * 1e-6
         if dt_s <= 0.0:
             return

@@ -1,4 +1,4 @@
-"""Resets of PX4's estimator. ODOMETRY's counter gives the time of a reset, the jumps give its size.
+"""Resets of PX4's estimator. ODOMETRY's counter shows the time of a reset, the jumps show its size.
 
 The guard evaluates the newest reset; the verdict lists all resets.
 """
@@ -15,8 +15,8 @@ from dart_flight.core.guard.dead_reckoning import WRONG_RAD, DeadReckoning
 from dart_flight.core.guard.heading_step import HeadingStep
 
 REACH_US: Final = 100_000  # largest time between a reset's step and the counter's change
-_JUMP_REACH_US: Final = 100_000  # longest gap between odometry samples across which jumps are detected
-_STEPS: Final = 16  # odometry samples kept, which cover more than `REACH_US`
+_JUMP_REACH_US: Final = 100_000  # jumps are detected only across shorter gaps between odometry samples
+_STEPS: Final = 16  # number of odometry samples kept; they cover more than `REACH_US`
 
 
 class EstimatorReset:
@@ -47,7 +47,7 @@ class EstimatorResets:
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
         self._heading = HeadingStep()
         self._before: Quaternion | None = None  # `HeadingStep.before` at the newest reset
-        self._rotation: Quaternion | None = None  # `before` at the reset from which the error is counted
+        self._rotation: Quaternion | None = None  # `before` at the reset to which the heading error refers
         self._reckoned: DeadReckoning | None = None  # the motion since that reset
 
     def add_imu(self, item: ImuSample) -> None:
@@ -79,7 +79,7 @@ class EstimatorResets:
     def update_counter(self, counter: int, now_us: int, aligning: bool = False) -> bool:
         """Return whether the reset counter has changed since the last call.
 
-        If PX4 may be `aligning` its heading, the heading before the reset does not count as the true one.
+        If PX4 may be `aligning` its heading, the heading before the reset is not assumed to be true.
         """
         before, self._counter = self._counter, counter
         if before is None or counter == before:
@@ -99,7 +99,7 @@ class EstimatorResets:
 
     @property
     def heading_error_rad(self) -> float:
-        """PX4's heading minus the heading that the gyro integrates from its value before a reset.
+        """PX4's heading minus the heading from before a reset, continued by integrating the gyro.
 
         The error is 0 if the heading did not step at the reset, or if the integral of the gyro has
         been interrupted since then.

@@ -21,19 +21,19 @@ from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.mission.phases import ON_GROUND
 
-VELOCITY_JUMP_M_S: Final = 1.5  # limit of a jump between two samples; only a contact exceeds it
+VELOCITY_JUMP_M_S: Final = 1.5  # limit of a jump between two samples; only a contact causes a larger jump
 # A reset with smaller steps changes only the heading, for example when PX4 aligns it in flight.
 RESET_POSITION_M: Final = 0.05
 RESET_VELOCITY_M_S: Final = 0.2
-ESTIMATOR_BAD_S: Final = 0.3  # longest time without a valid position, as when PX4 switches sources
-# PX4 may align its heading in the climb if it had none on the ground.
+ESTIMATOR_BAD_S: Final = 0.3  # longest time without a valid position; PX4 may be switching sources
+# PX4 may align its heading in the climb if it had no heading on the ground.
 _ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
 
 
 class EstimatorWatch:
     """Monitor of PX4's estimator in one flight. Its methods return a description of a problem, or None.
 
-    `jump` describes the problem with this step's odometry; it is empty without a problem.
+    `jump` describes the problem with this step's odometry, or is empty.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class EstimatorWatch:
         self._reset_phase = Phase.READYING  # the phase at the newest reset
         self._unhealthy = False
         self._invalid_since_us: int | None = None
-        self._recovers_us: int | None = None  # last time at which PX4's motion was wrong after a heading step
+        self._recovers_us: int | None = None  # last time of a wrong motion estimate after a heading step
 
     def begin(self, now_us: int, excused: bool) -> None:
         """Begin a step; if `excused`, an impact explains unusual behaviour of the estimator."""

@@ -41,17 +41,17 @@ from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from dart_flight.core.sense.state import FlightState
 
-_DOUBT_US: Final = 100_000  # host time within which another vehicle's first sample follows its heartbeat
+_DOUBT_US: Final = 100_000  # another vehicle's first sample follows its heartbeat within this host time
 _CLIP_SHARE: Final = 0.99
 # No flying vehicle keeps such a tilt near the ground. PX4 does not detect that a vehicle lies on its side.
 LYING_TILT_DEG: Final = 60.0
-_FALLING_M_S2: Final = 4.9  # specific force below which the vehicle falls: half of that in hover
+_FALLING_M_S2: Final = 4.9  # with a smaller specific force the vehicle falls; half of that in hover
 _LYING_BELOW_M: Final = 0.5  # limit of the height above take-off; large, because a fall disturbs the estimate
 # The body rates are not tested: PX4's rate loop shakes a vehicle that lies on its side at up to 2.5 rad/s.
 _STILL_M_S: Final = 0.5
 _ATTITUDE_OLD_US: Final = 100_000
 _SURELY_DOWN: Final = 3.0  # longest landing, as a multiple of the descent from the flight space's top
-_PAUSE_US: Final = 40_000  # gap between ticks (period 20 ms of host time) above which this program has paused
+_PAUSE_US: Final = 40_000  # this program has paused if two ticks (period 20 ms) are farther apart, host time
 _PAUSE_MEMORY_US: Final = 3_000_000
 
 
@@ -89,7 +89,7 @@ class FlightConditions:
         self._left_since_us: int | None = None  # host time at which PX4 left offboard mode
         self._failsafe = FailsafeEvidence()
         self._stepped_us = 0  # host time at the previous step
-        self._pause_us = self._paused_us = 0  # longest recent pause of this program, and its end
+        self._pause_us = self._paused_us = 0  # longest recent pause of this program, and when it ended
         self.landing_timeout_s = self._landing_timeout_s()
         self._full_scale = _CLIP_SHARE * mission.vehicle.imu.full_scale_m_s2
         self._imu: ImuSample | None = None
@@ -149,7 +149,7 @@ class FlightConditions:
 
     @property
     def circumstances(self) -> str:
-        """Possible cause of a stream's failure, as text to append (another vehicle, or a pause), or empty."""
+        """Text to append about a stream's failure: another vehicle, a pause, both, or empty."""
         other = self.others.other_system
         known = f"; {other}" if other is not None else ""
         if self.has_paused:
@@ -192,7 +192,7 @@ class FlightConditions:
     def termination(self) -> str | None:
         """Message that PX4 has terminated the flight, or None.
 
-        On the ground it is always None, because a landing ends with a kill.
+        On the ground the result is always None, because a landing ends with a kill.
         """
         if not self.was_armed or self.state.on_ground:
             return None
@@ -206,7 +206,7 @@ class FlightConditions:
     def unrequested_mode(self) -> FlightMode | None:
         """The current flight mode if PX4 has certainly left offboard without a request; otherwise None."""
         mode = self._mode_left_to
-        # The mode may be another vehicle's. In manual mode the pilot flies, and nothing is sent in any case.
+        # Another vehicle may have sent the mode. In manual mode this is harmless: the guard sends nothing.
         if (
             mode is not None
             and mode is not FlightMode.MANUAL
@@ -219,7 +219,7 @@ class FlightConditions:
     def mode_change_unexplained(self) -> bool:
         """Whether PX4 seems to have left offboard a moment ago, by itself or by a pilot's switch.
 
-        Another vehicle, not yet detected, may have sent the reported mode. During this moment the guard makes
+        Another vehicle, not yet detected, may have sent the reported mode. During this time the guard makes
         no decision and sends nothing. If PX4 has announced the mode change, or telemetry has just returned
         after a gap, the mode change counts as certain.
         """
@@ -243,7 +243,7 @@ class FlightConditions:
         return self.others.is_suspected(self.streams.host_us)
 
     def duration_s(self, since_us: int | None) -> float:
-        """Return how long a condition has lasted, autopilot time; 0 if it does not hold."""
+        """Return the duration of a condition in autopilot time, or 0 if the condition does not hold."""
         return 0.0 if since_us is None else (self.state.now_us - since_us) * 1e-6
 
     def stop_excess_m(self) -> float:

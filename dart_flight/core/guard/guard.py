@@ -1,9 +1,9 @@
 """The guard: it observes the same state as the mission and can overrule the mission's proposal.
 
-`review` is the last stage of every step. It evaluates all rules of `rules` every 20 ms. Some rules are also
-evaluated immediately after the inputs that they name. The guard also receives the findings of the mission. An
-override latches: only a stronger action can replace it, in the order release > kill > land > hold > break
-off. From then on the mission's setpoints and commands are dropped and the guard flies without the mission.
+`review` is the last stage of every step. It evaluates all rules of `rules` every 20 ms. Some rules name
+inputs, and are also evaluated immediately after these inputs. The guard also receives the findings of the
+mission. An override latches: only a stronger action replaces it (release > kill > land > hold > break off).
+From then on the mission's setpoints and commands are dropped and the guard flies without the mission.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ Causes = list[tuple[Rule, int, Cause]]  # rule, rank of its action, cause functi
 _NO_CAUSES: Final[Causes] = []
 _COMMANDS: Final = (Setpoint, VehicleCommand)
 _COMMANDS_AND_LOCK: Final = (Setpoint, VehicleCommand, LockCommand)
-_EVALUATION_US: Final = 20_000  # period of the ticks, host time; also applies if ticks are missing
+_EVALUATION_US: Final = 20_000  # evaluation period, host time: that of the ticks, also if ticks are missing
 _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 _STOPPED_M_S: Final = 0.3
@@ -58,7 +58,7 @@ _MOST_M_S2: Final = 5.0  # acceleration limit while PX4's heading is wrong; corr
 # PX4 disarms by itself after landing; if PX4 has not disarmed after this time, the guard disarms.
 _DISARM_AFTER_US: Final = 15_000_000
 _UNSURE_US: Final = 15_000_000
-_LANDING_US: Final = 60_000_000  # limit of a landing's duration; from 2 m at 0.7 m/s it takes 5 s
+_LANDING_US: Final = 60_000_000  # limit of a landing's duration; a landing from 2 m at 0.7 m/s takes 5 s
 
 
 class _PhaseRules(NamedTuple):
@@ -78,7 +78,7 @@ class Guard:
         self._rules_by_phase = {phase: _rules_in(phase, rules) for phase in Phase}
         self._evaluated_us = 0  # host time of the last complete evaluation
         self._flight = FlightConditions(mission)
-        # Wait longer for a landing than the guard waits before it stops the motors.
+        # A landing may take longer than the time after which the guard stops the motors.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._flight.landing_timeout_s or 0.0)))
         self.action = Override.NONE
         self.overrules = False  # whether a rule has fired, so that the mission is ignored
@@ -134,7 +134,7 @@ class Guard:
         return kept
 
     def land_after_fault(self, item: Input, state: FlightState, detail: str) -> list[Output]:
-        """Land after an exception in `review`, without evaluating the rules, which may have raised it.
+        """Land after an exception in `review`; do not evaluate the rules, which may have raised it.
 
         If every step raises the exception, this method continues the landing. `detail` names the exception.
         """
@@ -183,7 +183,7 @@ class Guard:
     def _apply_explanation(
         self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
     ) -> None:
-        """Put `rule` in force, with the reason `detail`, if it explains why the first rule fired."""
+        """If `rule` explains the rule that gave the reason, put `rule` in force with the reason `detail`."""
         if detail is not None and self._cause in rule.explains:
             if rule.of_streams:
                 detail += self._flight.circumstances
@@ -192,9 +192,9 @@ class Guard:
             self._apply_reason(rule, detail)
 
     def _apply_reason(self, rule: Rule, detail: str) -> None:
-        """Make `rule` the reason, unless the current reason is a rule that `rule` does not explain.
+        """Make `rule` the reason if there is no reason yet, or if `rule` explains the current reason.
 
-        A release ends the program's control, so it always has its own reason.
+        A release always becomes the reason, because it ends the program's control.
         """
         if not self._cause or self._cause in rule.explains or rule.action is Override.RELEASE:
             self._cause = rule.name
@@ -205,8 +205,7 @@ class Guard:
     ) -> None:
         """Overrule the mission from now on.
 
-        If an action at least as strong is already active, nothing changes. With `noted` the rule is only
-        logged.
+        If an action at least as strong is already active, nothing changes. If `noted`, only log the rule.
         """
         rule = self._rules.get(name)
         if rule is None:
@@ -283,9 +282,9 @@ class Guard:
     ) -> Setpoint:
         """Return the setpoint that holds the vehicle at `hold`, with its true heading.
 
-        After a wrong reset of the heading, PX4 rotates every horizontal acceleration by the error of its
-        heading, and its position and velocity are wrong. Until PX4's estimate has recovered, the guard leaves
-        the axes free and commands an acceleration towards `hold`, rotated back by the heading error.
+        After a wrong reset of the heading, PX4's position and velocity are wrong, and PX4 rotates every
+        horizontal acceleration by its heading error. Until PX4's estimate has recovered, the guard leaves the
+        axes free and commands an acceleration towards `hold`, rotated back by the heading error.
         """
         resets, trigger = self._flight.estimator.resets, SetpointTrigger(item.t_us, item.received_us)
         error_rad, reckoned = resets.heading_error_rad, resets.reckoned
@@ -348,7 +347,7 @@ class Guard:
                 away_m = self._config.retreat_m + position_margin_m(wall, (x, y))
                 nx, ny = wall.normal
                 closing = max(0.0, -(velocity[0] * nx + velocity[1] * ny))
-                # Keep the retreat distance; if the vehicle approaches, a more distant point brakes it harder.
+                # Keep the retreat distance. A more distant point brakes an approaching vehicle harder.
                 push = max(away_m - distance, STOP_TIME_S * closing)
                 behind_m = min(away_m, wall.behind_m)
                 if wall.spans((x, y)) and -behind_m < distance < 1.0 and push > 0.0:

@@ -27,7 +27,7 @@ from dart_flight.base.records import AttitudeSample, ImuSample
 # [ours] With motion capture, PX4's heading stays within 2 degrees during and after impacts.
 HEADING_STEP_DEG: Final = 5.0
 _BEFORE_US: Final = 100_000
-_GAP_US: Final = 20_000  # gap between rates above which the integral is invalid
+_GAP_US: Final = 20_000  # after a longer gap between rates, the integral is invalid
 
 
 class HeadingStep:
@@ -37,11 +37,11 @@ class HeadingStep:
         self.gyro: Quaternion = IDENTITY
         self._imu_us: int | None = None
         self._rate: Vec3 = (0.0, 0.0, 0.0)
-        self._waiting: AttitudeSample | None = None  # waits for a rate with its stamp or a later one
+        self._waiting: AttitudeSample | None = None  # waits until the rates have reached its stamp
         self._turns: deque[tuple[int, Quaternion]] = deque()  # stamp, D; the last 0.1 s
 
     def add_imu(self, item: ImuSample) -> None:
-        """Integrate the rate of `item`, which is the mean over the tick before its stamp."""
+        """Integrate the rate of `item`. The rate is the mean over the tick before the item's stamp."""
         before_us, self._imu_us, self._rate = self._imu_us, item.t_us, item.rate_frd
         if before_us is None or not 0 < item.t_us - before_us <= _GAP_US:
             self._turns.clear()

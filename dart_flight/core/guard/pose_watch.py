@@ -28,30 +28,30 @@ from dart_flight.core.sense.state import FlightState
 
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
-LOST_LAND_S: Final = 1.5  # longest loss of poses; dead reckoning is then off by 0.2 m, too much to fly back
-_GROUND_LOST_S: Final = 2.0  # longest loss of poses on the ground, where it is no hazard
+LOST_LAND_S: Final = 1.5  # longest loss of poses; dead reckoning then errs by 0.2 m, too much to fly back
+_GROUND_LOST_S: Final = 2.0  # longest loss of poses on the ground, where a loss is no hazard
 _FIRST_S: Final = 5.0  # longest wait from the first input to the first pose
-# Limit of the difference between a pose's step and PX4's velocity, whose error reaches 2 m/s in a contact.
+# Limit of a pose's distance from its prediction by PX4's velocity, which errs by up to 2 m/s in a contact.
 JUMP_M: Final = 0.15
 _JUMP_M_S: Final = 2.0
-_JUMP_S: Final = 0.05  # longest tolerated jump; PX4's innovation gate handles it
-_JUMP_GAP_S: Final = 0.1  # gap above which a pose is compared only with PX4's estimate
-# Limits of the difference between a pose and PX4's estimate, and their times. In a fast rotation, latency
-# exceeds the limits only for shorter times.
+_JUMP_S: Final = 0.05  # longest duration of a tolerated jump; PX4's innovation gate rejects shorter jumps
+_JUMP_GAP_S: Final = 0.1  # after a longer gap, a pose is compared only with PX4's estimate
+# Limits of the difference between a pose and PX4's estimate, and how long a pose may exceed them. In a fast
+# rotation, latency causes a larger difference, but for a shorter time.
 TURNED_DEG: Final = 30.0
 _TURNED_S: Final = 0.1
 APART_M: Final = 0.3
 _APART_S: Final = 0.5
 _APART_LATENCY_S: Final = 0.1
-_GROUND_APART_S: Final = 3.0  # the same on the ground, where PX4 aligns its estimate with the first poses
-RATE_SHARE: Final = 0.5  # fraction of the configured rate below which poses are too slow
+_GROUND_APART_S: Final = 3.0  # `_APART_S` on the ground, where PX4 aligns its estimate with the first poses
+RATE_SHARE: Final = 0.5  # poses are too slow below this fraction of the configured rate
 _INTERVALS: Final = 9  # intervals whose median gives the rate, so that a single gap does not count
-LATER_S: Final = 0.04  # limit of the added delay, above which PX4's estimate oscillates
+LATER_S: Final = 0.04  # limit of the added delay; PX4's estimate oscillates with a longer delay
 _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
-_RECENT_US: Final = 5_000_000  # time within which PX4's estimate follows wrong poses
+_RECENT_US: Final = 5_000_000  # PX4's estimate may follow wrong poses for this time
 _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
-_RECOVERED_S: Final = 0.5  # time after which a recovering vehicle flies on to the next wall or the goal
+_RECOVERED_S: Final = 0.5  # after this time, a recovering vehicle flies on to the next wall or the goal
 
 
 class PoseWatch:
@@ -66,16 +66,16 @@ class PoseWatch:
         # Receipt and position (NED) of the newest plausible pose.
         self._plausible: tuple[int, Vec3] | None = None
         self._settling_us: int | None = None  # start or end of a gap; None once two poses agree
-        self._jumped_us: int | None = None  # host time at which poses first were far from that position
+        self._jumped_us: int | None = None  # host time at which poses first were far from `_plausible`
         self._jump = ""
-        self._wrong = self._turned_wrong = ""  # why poses are withheld, and why only their attitudes are
+        self._wrong = self._turned_wrong = ""  # why poses, or only their attitudes, are withheld
         self._withheld_us = 0
         self._not_recovering_us = 0  # host time of the newest pose in a phase other than the recovery
         self._recent, self._recent_us = "", -_RECENT_US  # newest fault and its time
         self._apart_us: int | None = None
         self._turned_us: int | None = None
         self._apart_m = self._turned_deg = 0.0
-        self._intervals: deque[int] = deque(maxlen=_INTERVALS)  # between tracked poses, microseconds
+        self._intervals: deque[int] = deque(maxlen=_INTERVALS)  # times between tracked poses, us
         self._ages: deque[tuple[int, int]] = deque()  # receipt, and receipt minus the source's stamp
         self._least_age_us: int | None = None
         self._other: PoseSample | None = None  # newest pose of the previous sender
@@ -125,7 +125,7 @@ class PoseWatch:
         return text
 
     def blind(self, estimate_steps: bool, phase: Phase) -> str | None:
-        """Return the reason why PX4's position is unusable, or None if it is usable.
+        """Return the reason why PX4's position is unusable, or None for a usable position.
 
         `estimate_steps` means that PX4's estimate has just jumped.
         """
@@ -277,8 +277,8 @@ POSE_RULES: tuple[Rule, ...] = (
         "are too slow, too late or far from PX4's estimate",
         f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
     Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
-        "PX4's estimate jumped during or shortly after wrong poses (see `pose_source_ground`), or the body "
-        "was lost or its poses were withheld for longer than the limit",
+        "PX4's estimate jumped during or shortly after wrong poses (see `pose_source_ground`), or poses "
+        "were missing or withheld for longer than the limit",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
     Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
         "the poses are wrong (see `pose_source_ground`); in an approach, the rule acts at once; in a contact "

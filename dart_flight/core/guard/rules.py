@@ -1,9 +1,9 @@
 """The table of the guard's rules: name, action, scope and condition.
 
-`guard` iterates over it; `docs/guard.md` is generated from it (`make docs`). A rule with a cause function is
-evaluated every 20 ms in its scope, and immediately after the inputs that it names. A rule without a cause
-function fires when the mission reports the finding of the same name. Only rules of this table can overrule
-the mission.
+`guard` evaluates the table; `docs/guard.md` is generated from the table (`make docs`). A rule with a cause
+function is evaluated every 20 ms in its scope. It is also evaluated immediately after the inputs in
+`at_once`. A rule without a cause function fires when the mission reports the finding of the same name. Only
+rules of this table can overrule the mission.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _px4_failsafe(flight: FlightConditions) -> str | None:
 
 
 def _by_px4(flight: FlightConditions) -> bool:
-    # A stick mode is the pilot's choice unless PX4 announced it. A telemetry gap may hide the announcement.
+    # The pilot chose a stick mode that PX4 did not announce. A telemetry gap may hide the announcement.
     if flight.unrequested_mode is FlightMode.MANUAL:
         return flight.failsafe_hands_to_sticks
     return flight.failsafe_reported or flight.streams.was_cut_off
@@ -165,7 +165,7 @@ def _battery(flight: FlightConditions) -> str | None:
     return ", ".join(battery_figures(status.battery_remaining, status.battery_v))
 
 
-@condition("before the first impact, mass and thrust curve predict a thrust that is wrong by over 25 %")
+@condition("before the first impact, the thrust predicted from mass and thrust curve is wrong by over 25 %")
 def _hover_thrust(flight: FlightConditions) -> str | None:
     ratio = flight.thrust_ratio
     if (
@@ -349,8 +349,8 @@ RULES: tuple[Rule, ...] = (
            "difference is noted without an action",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
-           "the lock is not in the planned mode when the vehicle can last stop before the wall, unless the "
-           "lock will settle at least 0.05 s before the impact and either mode is acceptable"),
+           "the lock is not in the planned mode at the last moment for stopping; the approach continues only "
+           "if the lock will settle 0.05 s before the impact and an impact in either mode is acceptable"),
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,

@@ -1,7 +1,7 @@
 """Detection of a second vehicle that shares the link and the system id.
 
 In MAVLink the two vehicles are one system, so their samples alternate between two clocks or two positions. A
-single vehicle does not alternate: after a clock reset, restart or jump of its estimate, the old clock or
+single vehicle does not alternate. After a clock reset, restart or jump of its estimate, the old clock or
 position does not return. The detectors process every sample in the order of receipt.
 """
 
@@ -21,7 +21,7 @@ POSITION_JUMP_M: Final = 0.3  # limit of a step that speed does not explain; est
 _TURNS: Final = 3  # alternations within `_WINDOW_US` that prove a second source
 _WINDOW_US: Final = 2_000_000  # host time
 _REACH_US: Final = 1_000_000  # longest gap between samples of one source
-_SUSPECT_US: Final = 250_000  # lifetime of a suspicion after the last odd sample; a detection takes less
+_SUSPECT_US: Final = 250_000  # lifetime of a suspicion after the last odd sample; a detection takes less time
 
 
 class SecondClockDetector:
@@ -53,7 +53,7 @@ class SecondClockDetector:
             return
         before = self._behind_us
         if before is not None and not 0 < t_us - before < _REACH_US:
-            self._turns.clear()  # one clock that jumps back repeatedly or stands still
+            self._turns.clear()  # a single clock that jumps back repeatedly or stands still
         if not self._was_behind:
             self.odd_us = received_us
         self._behind_us, self._was_behind = t_us, True
@@ -70,7 +70,7 @@ class SecondClockDetector:
 class SecondPositionDetector:
     """Detects a second vehicle in the positions of ODOMETRY.
 
-    `jump_m` is the largest distance between two positions of one vehicle beyond what its speed explains.
+    `jump_m` is the largest step between two positions of one vehicle, beyond the distance flown.
     """
 
     def __init__(self, jump_m: float) -> None:
@@ -112,7 +112,7 @@ class SecondPositionDetector:
 class OtherVehicles:
     """Other vehicles on the link: those with another system id, and one that shares the vehicle's id.
 
-    `same_system` describes the evidence of a second vehicle with the same system id; it is never cleared.
+    `same_system` describes the evidence of a second vehicle with the same system id, and is never cleared.
     """
 
     def __init__(self) -> None:

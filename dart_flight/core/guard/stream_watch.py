@@ -27,17 +27,17 @@ from dart_flight.core.sense.state import FlightState
 
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
-LINK_LOST_S: Final = 5.0  # silence after which PX4's own failsafe for a lost link has acted
-ACTUATOR_TIMEOUT_S: Final = 0.3  # silence after which thrust and contact force cannot be separated
-STATUS_TIMEOUT_S: Final = 3.0  # timeout of three heartbeats
+LINK_LOST_S: Final = 5.0  # after this silence, PX4's own failsafe for a lost link has acted
+ACTUATOR_TIMEOUT_S: Final = 0.3  # after this silence, thrust and contact force cannot be separated
+STATUS_TIMEOUT_S: Final = 3.0  # time of three heartbeats
 STAMP_TOLERANCE_S: Final = 0.5  # largest delay of a datagram
-_OTHERS_SINCE: Final = 12  # samples since the last IMU sample that prove that the other streams continue
-_GAP_US: Final = 500_000  # silence in which an announcement of PX4 may have been lost
-_GAP_MEMORY_US: Final = 3_000_000  # time for which a gap explains a mode change
+_OTHERS_SINCE: Final = 12  # so many samples since the last IMU sample prove that the other streams continue
+_GAP_US: Final = 500_000  # an announcement of PX4 may have been lost in a silence of this length
+_GAP_MEMORY_US: Final = 3_000_000  # a gap may explain a mode change within this time
 _RATE_WINDOW_US: Final = 1_000_000
-_SHARE: Final = 0.15  # limit of the time fraction of late samples; a batch after a pause takes no time
+_SHARE: Final = 0.15  # limit of the fraction of time with late samples; a batch after a pause takes no time
 _SHARE_US: Final = 1_000_000
-_FORGOTTEN: Final = 0.01  # fraction below which earlier late samples no longer matter
+_FORGOTTEN: Final = 0.01  # below this fraction, earlier late samples no longer matter
 _STEP_MAX_US: Final = 20_000  # limit of the time that one sample represents
 _DRIFT: Final = 2e-4  # largest drift of two clocks, seconds per second
 _LAST: Final = 3  # round trips kept; the shortest counts if the clocks cannot be compared
@@ -124,7 +124,7 @@ class StreamWatch:
         self.delay = TelemetryDelay(guard.telemetry_late_s)
         self.host_us = 0
         self._since_imu = 0  # samples of other streams since the newest IMU sample
-        self._counts: dict[str, tuple[int, int]] = {}  # first stamp, and samples since
+        self._counts: dict[str, tuple[int, int]] = {}  # first stamp, and number of samples since
         self._gap_us: int | None = None
 
     def add_sample(self, name: str, item: Stamped, newest: Stamped | None) -> None:
@@ -139,7 +139,7 @@ class StreamWatch:
         if lag_us > STAMP_TOLERANCE_S * 1e6:
             self.stale[name] = self.stale.get(name, 0) + 1
             return
-        if leaps(-lag_us):  # not accepted yet: from another vehicle, or after a clock jump
+        if leaps(-lag_us):  # not accepted by the state: another vehicle sent it, or the clock jumped
             return
         if self.stale:
             self.stale.pop(name, None)

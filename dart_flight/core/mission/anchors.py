@@ -1,8 +1,8 @@
 """Accuracy of the mission frame when PX4's position drifts, and the frame's correction by contacts.
 
-A contact is an *anchor*: it measures its wall's position, along the wall's normal only, with an error of 1
-to 2 cm. Afterwards PX4 integrates its velocity, so the position drifts. The velocity error is nearly
-constant, so the standard deviation of the drift grows in proportion to the age of the contact
+A contact is an *anchor*: the contact measures the position of the wall along the wall's normal, with an error
+of 1 to 2 cm. After the contact PX4 integrates its velocity, so the position drifts. The velocity error is
+nearly constant, so the standard deviation of the drift grows in proportion to the age of the contact
 (docs/anchors.md).
 
     information = sum over anchors n n' / (s^2 + (drift age)^2),    sd along n = sqrt(n' information^-1 n)
@@ -22,8 +22,8 @@ from dart_flight.base.records import FrameAnchor, WallEstimate
 from dart_flight.base.walls import Wall
 
 START_SD_M: Final = 0.3  # accuracy of the vehicle's placement at the mission's start
-WALL_SD_M: Final = 0.02  # standard deviation of a surveyed wall without a configured one
-_SAME_NORMAL: Final = 0.98  # cosine above which an anchor replaces the previous one in that direction
+WALL_SD_M: Final = 0.02  # standard deviation of a surveyed wall if none is configured
+_SAME_NORMAL: Final = 0.98  # above this cosine, an anchor replaces the previous one of that direction
 
 
 class Anchor(NamedTuple):
@@ -44,7 +44,7 @@ class FrameAnchors:
 
     Args:
         drift_m_s: standard deviation of PX4's velocity error, which makes PX4's position drift.
-        start_us: time at which the frame was set at the start.
+        start_us: time at which the frame was first set.
     """
 
     def __init__(self, drift_m_s: float, start_us: int = 0) -> None:
@@ -63,7 +63,7 @@ class FrameAnchors:
         """Add the anchor of a contact, and return the frame's correction along the wall's normal.
 
         The difference between measured and assumed wall is divided between frame and wall in proportion to
-        their variances. `wall` is as assumed before the contact.
+        their variances. `wall` is the wall assumed before the contact.
         """
         measured_sd, place = estimate.plane_offset_sigma_m, estimate.plane_point_mission
         wall_sd = WALL_SD_M if wall.position_sd_m is None else wall.position_sd_m

@@ -1,7 +1,7 @@
 """Approaches to walls: straight runs with smooth speed, probes, and checks of their free space.
 
-A reference is position, velocity and acceleration in the mission frame as functions of time. PX4 receives it
-as feed-forward, so its P-PID cascade only corrects errors.
+A reference is position, velocity and acceleration in the mission frame as functions of time. PX4 receives the
+reference as feed-forward, so PX4's P-PID cascade only corrects errors.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _RAMP_JERK = 6.0  # peak jerk of the same ramp, as a multiple of speed / duratio
 CLEARANCE_M = 0.15
 ON_PLANE_M = 1e-6  # rounding tolerance of an impact on its wall's plane
 _TRAJECTORY_STEP_S = 0.02  # sampling step; a trajectory crosses no wall between samples
-_ON_RAY_M = 1e-6  # distance within which a start is on the ray of its approach
+_ON_RAY_M = 1e-6  # within this distance, a start is on the ray of its approach
 
 
 class NoApproachError(ValueError):
@@ -51,11 +51,11 @@ def run_up(
     flying: Flying,
     wall: Wall,
 ) -> RunUp:
-    """Return the run-up of an approach to an impact on the wall's plane; `velocity` in the mission frame.
+    """Return the run-up to an impact on the wall's plane; `velocity` is in the mission frame.
 
     The approach follows a ray that ends at the impact. If the mission's start lies on this ray and is far
-    enough from the wall, the run-up begins there. Otherwise the run-up begins on the ray at the distance that
-    the acceleration and the steady run need. This distance counts from a plane that lies three standard
+    enough from the wall, the run-up begins there. Otherwise the run-up begins on the ray, as far from the
+    wall as acceleration and steady run require. This distance counts from a plane that lies three standard
     deviations in front of the wall.
     """
     vx, vy = velocity
@@ -129,7 +129,7 @@ def plan_approach(mission: Mission, collision: Collision) -> Trajectory:
     """Return the approach of a collision: the mission's trajectory, a probe, or a run-up.
 
     The approach ends at the impact. A probe ends where the vehicle stops searching for the wall. If the
-    run-up leaves the bounds, or an obstacle blocks it, this raises NoApproachError.
+    run-up leaves the bounds or an obstacle blocks the run-up, raise NoApproachError.
     """
     assert collision.impact_point is not None
     altitude_m = mission.altitude_at(collision.index - 1)
@@ -262,7 +262,7 @@ def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_t
         if excess > 0.0:
             raise NoApproachError(f"the trajectory to {leads_to} leads {excess:.2f} m outside bounds_m")
         for wall in mission.flat_walls:
-            # A trajectory from a contact begins slightly behind its wall's plane.
+            # A trajectory after a contact begins slightly behind the plane of the wall.
             if wall.signed_distance(a) >= 0.0 > wall.signed_distance(b) and wall.end_distance_m(b) > 0.0:
                 raise NoApproachError(f"wall {wall.name} blocks the trajectory to {leads_to}")
 

@@ -20,7 +20,7 @@ from dart_flight.core.sense.senses import Sensed
 
 _FADED_M_S2: Final = 0.02
 _LARGEST_M_S2: Final = 5.0  # limit of the feed-forward, which also bounds the effect of a stale setpoint
-# Longest time from the onset for which the measured motion is commanded, because PX4 keeps following an old
+# The measured motion is commanded for at most this time from the onset, because PX4 keeps following an old
 # setpoint.
 LONGEST_S: Final = 0.25
 

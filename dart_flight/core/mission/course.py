@@ -13,7 +13,7 @@ from dart_flight.core.sense.state import FlightState
 
 ARRIVED_M: Final = 0.12  # limit of the distance, larger than the error of PX4's position loop in hover
 ARRIVED_M_S: Final = 0.1
-ARRIVED_S: Final = 0.3  # time for which position and speed must be within their limits
+ARRIVED_S: Final = 0.3  # position and speed must be within their limits for this time
 MEAN_SPEED_S: Final = 0.3  # averaging time: PX4's velocity contains vibration (docs/results/real_data.md)
 _ARRIVED_YAW_RAD: Final = 0.05
 # Factors on an arrival's limits of distance, speed and heading if PX4's position drifts. The vehicle then

@@ -1,8 +1,8 @@
 """The mission executive: it runs through the phases and proposes the vehicle's actions; the guard decides.
 
-Only the executive writes the `MissionProgress`. Its helpers read it and return a `Change`: the phases on the
-ground (`ground_phases`), contacts (`impact_response`), planning after them (`replan_requests`), and the
-setpoints of all phases (`setpoint_selection`). `rehearsal` runs the same phases without contacts.
+Only the executive writes the `MissionProgress`. Its helpers read the progress and return a `Change`: the
+phases on the ground (`ground_phases`), contacts (`impact_response`), planning after them (`replan_requests`),
+and the setpoints of all phases (`setpoint_selection`). `rehearsal` runs the same phases without contacts.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ from dart_flight.core.mission.wall_uncertainty import late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_TRAJECTORY_WAIT_S: Final = 1.5  # longest wait for a trajectory, from the contact; allows two answers
-_NEAR_S: Final = 0.3  # time to the planned impact below which the impact is near
+_TRAJECTORY_WAIT_S: Final = 1.5  # longest wait for a trajectory after the contact; enough for two answers
+_NEAR_S: Final = 0.3  # the impact is near if the time to the planned impact is shorter
 _NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows setpoints with a delay
 _RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
-_LEFT_SHARE: Final = 0.5  # largest remaining fraction of a probe's retreat when the next leg begins
+_LEFT_SHARE: Final = 0.5  # the next leg begins when at most this fraction of a probe's retreat remains
 _RETRY_US: Final = 1_000_000  # period of retries; telemetry of mode and arming lags by up to a second
 _EVENTS: Final = frozenset({PlanAnswer, OperatorRequest})
 
@@ -121,7 +121,7 @@ class Executive:
             p.outputs.append(permission)
         step = self._steps.get(progress.phase)
         if step is not None and not (p.frame is not None and progress.anchors is not None and sensed.wall):
-            step(state, sensed, p)  # skipped after a frame correction, which the state does not contain yet
+            step(state, sensed, p)  # skipped after a frame correction: the state is still in the old frame
         p.expected = progress.expected = self._impacts.expected(progress, state)
         p.altitude_m = progress.course.altitude_m
         if type(item) is OdometrySample:
@@ -203,7 +203,7 @@ class Executive:
             p.outputs.append(VehicleCommand(state.now_us, action))
 
     def _move_lock(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
-        """Command the lock to a mode if needed and permitted; return whether it is settled in the mode."""
+        """Command the lock to a mode if needed and permitted; return whether the lock is settled in it."""
         order = self._lock.command(self.progress.lock, mode, state)
         if order is not None:
             self.progress.lock = self.progress.lock._replace(commanded=mode, commanded_us=state.now_us)
@@ -295,7 +295,7 @@ class Executive:
             p.add_finding("climb_timeout", "the altitude was not reached in time")
 
     def _start_next(self, trigger: PhaseTrigger, state: FlightState, p: Proposal) -> None:
-        """Begin the next leg at the target, from rest; for a collision, `trigger` begins its phase."""
+        """Begin the next leg at the target, from rest; `trigger` begins the phase of a collision."""
         self._skip_legs(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:
@@ -331,7 +331,7 @@ class Executive:
                 self.progress.index += 1
 
     def _fly_to_goal(self) -> None:
-        """Fly from rest to the goal, along the mission's trajectory if it has one."""
+        """Fly from rest to the goal, along the mission's trajectory if there is one."""
         written, course = self.mission.goal_trajectory, self.progress.course
         if written is None or self.progress.collisions:
             self.progress.course = course.fly_to(self.mission.goal.position_m, self._flying)
@@ -443,7 +443,7 @@ class Executive:
                 self._end_probe(collision, state, p)
             return
         since_s = self.progress.elapsed_us(state) * 1e-6 - self.progress.course.duration_s
-        # A trajectory may begin beside its wall, behind the wall's plane.
+        # A trajectory may begin beside the wall to be hit, behind the wall's plane.
         if since_s > -_NEAR_S or collision.trajectory is None:
             self._check_contact_due(collision, state, sensed, p)
         if since_s <= 0.0:  # the timeout begins at the planned impact
@@ -571,7 +571,9 @@ class Executive:
         miss = distance2(state.position, self.mission.goal.position_m)
         self.progress.least_miss_m = min(self.progress.least_miss_m, miss)
         if self.progress.replan.trajectory is not None:
-            passed = self.progress.replan.is_over(state.now_us)  # the distance may first rise
+            passed = self.progress.replan.is_over(
+                state.now_us
+            )  # a trajectory may first increase the distance
         else:
             rising = miss > self.progress.least_miss_m + PASSED_RISE_M
             # A trajectory is expected, so wait longer.

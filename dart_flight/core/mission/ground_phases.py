@@ -13,7 +13,7 @@ from dart_flight.core.mission.phases import DOWN_US, PhaseTrigger
 from dart_flight.core.mission.proposal import MissionFinding
 from dart_flight.core.sense.state import FlightState
 
-_STREAMING_US: Final = 200_000  # time with setpoints before offboard mode is requested; PX4 requires it
+_STREAMING_US: Final = 200_000  # PX4 requires setpoints for this time before it accepts offboard mode
 _DISARM_AFTER_US: Final = 8_000_000
 
 
@@ -26,7 +26,7 @@ class GroundPhases:
 
     def ready(self, progress: MissionProgress, state: FlightState) -> Change:
         """Wait for telemetry, the lock and a sufficiently accurate position."""
-        # If PX4 does not report the accuracy, it is not checked.
+        # If PX4 does not report the accuracy, the accuracy is not checked.
         mode, sd = self._mission.transit_mode, state.position_sd_m or 0.0
         judged = self._mission.collisions and progress.anchors is None
         limit = self._mission.vehicle.guard.position_sd_m if judged else math.inf

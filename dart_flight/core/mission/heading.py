@@ -3,9 +3,9 @@
 An oblique wall rotates the vehicle. The motors correct the yaw slowly, because only their drag torque acts
 about the vertical axis. If the heading command is a large step, PX4 overshoots, because its integrator winds
 up while the torque is at its limit. The next contact is then oblique again. The commanded heading is
-therefore limited in two ways. First, the lead over the actual heading never requests more than the
-available torque. Second, the resulting rotation is always slow enough that the same torque can stop it in
-time.
+therefore limited in two ways. First, the command leads the actual heading only so far that PX4 requests no
+more than the available torque. Second, the resulting rotation is always slow enough that the same torque can
+stop it in time.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from dart_flight.core.mission.wall_uncertainty import early_m
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-_BOUNCES_US: Final = 1_000_000  # time after an impact in which PX4 may tilt the vehicle into the wall again
+_BOUNCES_US: Final = 1_000_000  # in this time after an impact, PX4 may tilt the vehicle into the wall again
 _ANY_WALL: Final = ExpectedContact(watching=True)
 _NO_WALL: Final = ExpectedContact()
 
@@ -34,7 +34,7 @@ _NO_WALL: Final = ExpectedContact()
 class ImpactResponse:
     """Responses to the detector's events, and the expected contact.
 
-    In a rehearsal, which keeps a standoff, no contact is planned.
+    A rehearsal plans no contact.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -63,7 +63,7 @@ class ImpactResponse:
     # -- onset and peak --
 
     def on_onset(self, event: ImpactOnset, progress: MissionProgress, state: FlightState) -> Change:
-        """Continue if the onset was planned, leave the wall after a bounce, else report the onset."""
+        """Continue after a planned onset, leave the wall after a bounce, and report any other onset."""
         if self._is_bounce(progress, event.position_mission, state):
             return self._on_bounce(event, progress, state)
         change, collision = Change(replan=progress.replan.contact_begins()), progress.collision

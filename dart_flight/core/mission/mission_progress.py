@@ -1,4 +1,4 @@
-"""Progress of one flight's mission. Only the executive writes it; its helpers return a `Change`."""
+"""Progress of one flight's mission. Only the executive writes the progress; its helpers return a `Change`."""
 
 from __future__ import annotations
 

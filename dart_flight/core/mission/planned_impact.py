@@ -10,9 +10,9 @@ from dart_flight.contact.law import Onset
 
 
 def impact_velocity(collision: Collision) -> tuple[float, float] | None:
-    """Return the planned, otherwise the predicted (normal, tangential) impact velocity, m/s, collision frame.
+    """Return the planned or else the predicted velocity (normal, tangential) at impact, m/s, collision frame.
 
-    If a recovery leads to the wall, the mission may contain neither velocity; the result is then None.
+    If a recovery leads to the wall, the mission may contain neither velocity. The result is then None.
     """
     if collision.approach_m_s is not None:
         return collision.approach_m_s
@@ -22,7 +22,7 @@ def impact_velocity(collision: Collision) -> tuple[float, float] | None:
 
 
 def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallContact[float] | None:
-    """Return the contact law's result for a collision, or None if its velocity is unknown."""
+    """Return the contact law's result for a collision, or None if the impact velocity is unknown."""
     velocity = impact_velocity(collision)
     if velocity is None or velocity[0] >= 0.0:
         return None

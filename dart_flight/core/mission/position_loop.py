@@ -19,13 +19,13 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Px4Parameters
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
-# Attitude loop (MC_ROLL_P 6.5) and motors; tests/planning/test_against_plant.py compares it with the plant.
+# Lag of attitude loop (MC_ROLL_P 6.5) and motors; tests/planning/test_against_plant.py checks the value.
 ATTITUDE_LAG_S = 0.15
 
 
 STOP_TIME_S = 0.5  # stopping distance of the loop, divided by the speed
 _STEP_S = 0.01
-_BEHIND_M = 0.3  # distance behind the plane above which the vehicle is on the wall's other side
+_BEHIND_M = 0.3  # a vehicle farther behind the plane is on the wall's other side
 
 
 def stop_share(

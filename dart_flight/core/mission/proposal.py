@@ -12,7 +12,7 @@ _NO_WALL: Final = ExpectedContact()
 
 
 class MissionFinding(NamedTuple):
-    """A finding that fires a guard rule; only the mission can report it, because it has the plan.
+    """A finding that fires a guard rule. Only the mission can report findings, because it has the plan.
 
     Attributes:
         rule: name of the rule in `core.guard.rules`.

@@ -3,9 +3,9 @@
     p_ref = p(t_c) + (A_n N - A_t T) force,   N = n n', T = t t'
 
 Here t_c is the time of the peak normal force, n the wall's outward normal, t its tangent, A_n and A_t gains.
-The normal force moves the setpoint away from the wall, and the friction force moves it onward along the wall.
-The height is unchanged. The core uses the equation with the measured peaks, the planner with the predicted
-peaks.
+The normal force moves the setpoint away from the wall, and the friction force moves the setpoint onward along
+the wall. The height is unchanged. The core uses the equation with the measured peaks, the planner with the
+predicted peaks.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Final
 from dart_flight.base.arithmetic import Number
 from dart_flight.base.geometry import Vec2
 
-# Flight and planner count the goal as passed once the distance to it has risen by more than its noise. The
-# first moments after a contact do not count, because the direction of the motion is not yet clear.
+# Flight and planner count the goal as passed once the distance to the goal has risen by more than its noise.
+# The first moments after a contact do not count, because the direction of the motion is not yet clear.
 PASSED_RISE_M: Final = 0.03
 PASSED_AFTER_S: Final = 0.25
 

@@ -102,8 +102,8 @@ class ReplanRequests:
     def _should_wait_for_wall(self, progress: MissionProgress, replan: Replan, state: FlightState) -> bool:
         """Return whether the estimate of the last wall is worth waiting for.
 
-        The wait is worthwhile if the vehicle hits that wall again next. It is also worthwhile if contacts
-        correct the frame, because a trajectory in the old frame would begin at the wrong point.
+        The wait is worthwhile if the vehicle hits that wall again next. The wait is also worthwhile if
+        contacts correct the frame, because a trajectory in the old frame would begin at the wrong point.
         """
         following = progress.collision
         returns = following is not None and following.wall.name == progress.last_collision.wall.name
@@ -230,7 +230,7 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
-    """Return whether the vehicle follows its active trajectory and the new one ends much later."""
+    """Return whether the vehicle follows its active trajectory and a new trajectory would end much later."""
     flown = replan.trajectory
     if flown is None or not replan.must_not_be_later:
         return False

@@ -20,14 +20,14 @@ from dart_flight.core.sense.state import FlightState
 
 _COASTING_S: Final = 0.25  # longest coasting before an impact: the attitude's response time
 _COASTS_US: Final = 500_000  # longest coasting after a contact; allows for the answer to a second request
-_SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s hardly rotates the vehicle
+_SQUARE_RAD: Final = 0.09  # with this heading error, an impact at 3 m/s hardly rotates the vehicle
 _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 # Phases that begin with a trajectory to the target; a rehearsal adds the recovery.
 _UNDERWAY: Final = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
 _OFF_TIME_S: Final = 0.1  # largest correction for an impact that is earlier or later than planned
 _CLOSES_M_S: Final = 0.3
-# [ours] Fraction of the attitude's delay that the jerk term leaves out; chosen on six seeds with PX4.
+# [ours] Fraction of the attitude's delay without compensation by the jerk term; chosen on six PX4 seeds.
 _STRAIGHT_SHARE: Final = 0.5
 _NONE: Vec3 = (0.0, 0.0, 0.0)
 
@@ -150,7 +150,7 @@ class SetpointSelection:
         """Return the acceleration of the mission's trajectory, as if it began at the end of the contact.
 
         The acceleration is zero during a contact. It is also zero if the vehicle is already as fast as the
-        trajectory, for example because it tilts away from the wall.
+        trajectory, for example after tilting away from the wall.
         """
         trajectory, end_us = self._next_trajectory(progress), progress.lock.contact_end_us
         if trajectory is None or end_us is None:
@@ -229,7 +229,7 @@ class SetpointSelection:
         tilted = flown if tilted_s == flown_s else trajectory.at(tilted_s)
         v, a, b = flown.velocity, tilted.acceleration, self._airframe.drag_per_s
         d, lead = 1.0 + self._kd, ATTITUDE_LAG_S - (_STRAIGHT_SHARE if straight_on else 1.0) * self._dead_s
-        # The jerk of a rest-to-rest flight is discontinuous at both ends, so it is not fed forward.
+        # The jerk of a rest-to-rest flight is not fed forward, because it is discontinuous at both ends.
         j = tilted.jerk if trajectory.after is AfterEnd.CONTINUE else _NONE
         push = (
             (d + lead * b[0]) * a[0] + b[0] * v[0] + lead * j[0],

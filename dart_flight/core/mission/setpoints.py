@@ -36,7 +36,7 @@ class FreeAxes(NamedTuple):
 
     Attributes:
         along: unit vectors of the free directions, mission frame: none, the normal of a wall, or both axes.
-        position, velocity: measured motion, extrapolated to the execution of the setpoint.
+        position, velocity: measured motion, extrapolated to the time at which PX4 executes the setpoint.
     """
 
     along: tuple[Vec2, ...]

@@ -1,7 +1,7 @@
 """The type of all trajectories: a position, with three derivatives, as a function of time.
 
-Trajectories are fed forward to PX4, so its P-PID cascade only corrects errors. Executive, planner and report
-use trajectories. The name of each constructor states the source of the trajectory.
+Trajectories are fed forward to PX4, so PX4's P-PID cascade only corrects errors. Executive, planner and
+report use trajectories. The name of each constructor states the source of the trajectory.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import Flying
 
 _MIN_TRANSIT_S = 0.1
-_AT_REST_M_S, _LEVEL_M_S2 = 0.01, 0.01  # limits below which a trajectory ends at rest or level
+_AT_REST_M_S, _LEVEL_M_S2 = 0.01, 0.01  # a trajectory that ends below these limits ends at rest or level
 # Coefficients from rest to rest over a distance of 1 in a time of 1, constant term first.
 _REST_TO_REST = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
 

@@ -21,7 +21,7 @@ from dart_flight.core.mission.anchors import FrameAnchors
 
 SURE_SD = 3.0  # number of standard deviations that approaches allow for
 _MIN_CLOSING_M_S = 0.1
-_SURE_DIRECTION_RAD = 0.05  # standard deviation above which a direction does not change the heading
+_SURE_DIRECTION_RAD = 0.05  # a direction with a larger standard deviation does not change the heading
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
@@ -68,7 +68,7 @@ def late_s(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3, closing_m_s: 
 class EstimatedWalls:
     """Estimator of a mission's walls from the contacts of the flight; core and planner use the same class.
 
-    If `anchors` correct the mission frame, its standard deviation is added to the deviation of every wall.
+    If `anchors` correct the mission frame, the frame's standard deviation is added to that of every wall.
     """
 
     def __init__(self, anchors: FrameAnchors | None = None) -> None:
@@ -127,13 +127,13 @@ def _updated_wall(before: Wall, written: Wall, estimate: WallEstimate) -> Wall:
     if place is None or normal is None:  # the contact gives an offset from the assumed plane
         sd_m = None if written.position_sd_m is None else min(written.position_sd_m, sure_m)
         return msgspec.structs.replace(before.displaced(estimate.plane_offset_m), position_sd_m=sd_m)
-    if not (figures or written.sought):  # shift the mission's plane, whose direction is assumed exact
+    if not (figures or written.sought):  # shift the mission's plane; the plane's direction is assumed exact
         return written.displaced(written.signed_distance(place))
     sure_rad = estimate.plane_normal_sigma_rad
     if written.yaw_sd_rad is None:  # the wall's direction is assumed exact
         normal, sure_rad = written.normal, None
     found = msgspec.structs.replace(before, normal=normal, sought=False)
-    if before.sought:  # a probe found the wall: the contact becomes its middle
+    if before.sought:  # a probe found the wall: the contact becomes the wall's middle
         middle = place
     else:
         along, (tx, ty) = before.along(place), found.tangent

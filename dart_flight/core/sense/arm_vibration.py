@@ -20,7 +20,7 @@ from typing import Final
 
 from dart_flight.config.vehicle import ArmVibration
 
-_MAX_TICKS: Final = 25  # gap in the stream after which the arms have come to rest
+_MAX_TICKS: Final = 25  # after a longer gap in the stream, the arms have come to rest
 
 
 class ArmFilter:

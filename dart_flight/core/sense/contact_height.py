@@ -1,6 +1,6 @@
 """Height above the centre of mass at which a wall's force acts, from the torque of the contacts so far.
 
-A wall pushes on the guards of one side, `contact_distance_m` ahead of the centre of mass and at some height
+A wall pushes on the guards of one side, at `contact_distance_m` from the centre of mass and at some height
 above it. The force times this height pitches the vehicle back, and the lever grows with the pitch. If battery
 and payload move the centre of mass by 2 cm, the vehicle can turn over at 3 m/s (docs/results/faster_hits.md).
 The core estimates the height from a gentle contact. At later contacts the planner tilts the vehicle

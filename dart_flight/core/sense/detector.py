@@ -8,9 +8,9 @@ rising -> falling -> refractory -> watching.
 
 The detector can compare four quantities with a threshold: one sample, the mean of two samples, a mean over a
 window for rigid contacts, and a mean over a longer window for flexible contacts (`core/sense/window.py`). If
-the vehicle vibrates, the threshold of a quantity is a multiple of the noise of this quantity. The detector
-uses the quantity with the shortest averaging time whose noise permits the configured threshold. If the noise
-of all four quantities is too large, the detector uses all four (docs/force.md).
+the vehicle vibrates, the threshold of a quantity is a multiple of the noise of this quantity. Among the
+quantities whose noise permits the configured threshold, the detector uses the one with the shortest averaging
+time. If the noise of all four quantities is too large, the detector uses all four (docs/force.md).
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ from dart_flight.core.sense.pulse import NormalPulse, PulsePrior, TickReading, f
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 
-RELEASE_FRACTION: Final = 0.4  # fraction of the threshold below which a contact ends
+RELEASE_FRACTION: Final = 0.4  # a contact ends below this fraction of the threshold
 PEAK_DROP_FRACTION: Final = 0.12  # drop, as a fraction of the top, that ends the search for the peak
 CONTACT_END_S: Final = 0.012  # time below the release level; three samples, because one may be noise
-SURE_SIGMA: Final = 2.5  # standard deviations over the threshold from which one sample is sufficient
+SURE_SIGMA: Final = 2.5  # one sample suffices if it exceeds the threshold by this many standard deviations
 SHORT_WINDOW_S: Final = 0.032  # window whose mean keeps 85 % of the peak of rigid contacts (46 to 54 ms)
-LONG_WINDOW_S: Final = 0.1  # the same for 83 % of the peak of flexible contacts (145 to 183 ms)
-PULSE_MISFIT: Final = 3.0  # mean square of the normalised residuals above which the model does not fit
-_RISE_SHARE: Final = 0.3  # fraction of the threshold above which earlier samples belong to the contact
-_PEAK_DROP_SHARE: Final = 0.25  # fraction of the threshold below which a drop is noise
-_DROP_SIGMA: Final = 2.5  # standard deviations of the smoothed force below which a drop is noise
+LONG_WINDOW_S: Final = 0.1  # window whose mean keeps 83 % of the peak of flexible contacts (145 to 183 ms)
+PULSE_MISFIT: Final = 3.0  # the model does not fit if the normalised residuals have a larger mean square
+_RISE_SHARE: Final = 0.3  # earlier samples above this fraction of the threshold belong to the contact
+_PEAK_DROP_SHARE: Final = 0.25  # a drop below this fraction of the threshold is noise
+_DROP_SIGMA: Final = 2.5  # a drop below this many standard deviations of the smoothed force is noise
 _SMOOTH_SHARE: Final = 0.02  # limit of the averaged samples' noise, as a fraction of the top
 _MAX_SMOOTH: Final = 5
-_TOP_SHARE: Final = 0.7  # fraction of the maximum above which samples form the top of the pulse
+_TOP_SHARE: Final = 0.7  # samples above this fraction of the maximum form the top of the pulse
 _TOP_REACH: Final = 4  # largest number of the top's samples on either side of the maximum
 _BEFORE: Final = 8  # samples kept before the crossing
-_FAR_SIGMA: Final = 4.6  # ratio of threshold to noise from which two samples in a row suffice
-# Added to the thresholds of one and two samples, which noise crosses more often than those of long means.
+_FAR_SIGMA: Final = 4.6  # two samples in a row suffice if threshold / noise is at least this ratio
+# Added to the thresholds of one and two samples, because noise crosses these thresholds more often.
 _SHORT_SIGMA: Final = 1.0
-_MARGIN_SIGMA: Final = 1.0  # standard deviations over the threshold from which detection is guaranteed
-_NOISY_BASELINE: Final = 0.4  # relative rate of the baseline under vibration; a faster one would follow it
-_LONGEST_CONTACT_S: Final = 0.5  # time after which a contact counts as ended, because noise may hide its end
+_MARGIN_SIGMA: Final = 1.0  # detection is guaranteed this many standard deviations above the threshold
+_NOISY_BASELINE: Final = 0.4  # relative rate under vibration; a faster baseline would follow the vibration
+_LONGEST_CONTACT_S: Final = 0.5  # a contact counts as ended after this time, because noise may hide its end
 _INTO_WALL: Final = 0.1  # fraction of the force that may point into the expected wall at the onset
 
 
@@ -106,7 +106,7 @@ class ImpactDetector:
             mode: _mean_prior([p for (_, m), p in self._priors.items() if m is mode])
             for mode in vehicle.modes
         }
-        # Copied, because every sample uses them and an attribute look-up is slow.
+        # Copies, because every sample uses these values and an attribute look-up is slow.
         c = self._config
         self._threshold_n, self._release_n = c.force_threshold_n, RELEASE_FRACTION * c.force_threshold_n
         self._sigma, self._refractory_us = c.noise_sigma, c.refractory_s * 1e6
@@ -238,8 +238,8 @@ class ImpactDetector:
     def detection_floor_n(self, duration_s: float) -> float:
         """Return the smallest peak at which a half-sine of this duration is certainly detected, newton.
 
-        The detection floor of a window is the threshold plus one standard deviation, divided by the ratio of
-        the window's mean to the peak. The result is the lowest floor among the windows in use.
+        The floor of a window is (threshold + one standard deviation) / (ratio of the window's mean to the
+        peak). The result is the lowest floor among the windows in use.
         """
         best = math.inf
         for i, threshold in enumerate(self.thresholds_n()):
@@ -253,7 +253,7 @@ class ImpactDetector:
 
     @property
     def noise_n(self) -> tuple[float, float]:
-        """Learnt standard deviations of the short mean and of the long mean, per component, newton."""
+        """Learnt standard deviations of the short and of the long window's mean, per component, newton."""
         return (self._windows[2].noise_n, self._windows[3].noise_n)
 
     def _report_floor(self, t_us: int, expected: ExpectedContact) -> Events:
@@ -290,8 +290,8 @@ class ImpactDetector:
         fx, fy = self._detecting_window.mean if self._detecting_window is not None else (sample.fx, sample.fy)
         size = max(math.sqrt(fx * fx + fy * fy), 1e-9)
         expected = self._expected.normal
-        # Friction may hide the sign of the normal force, so only a force clearly into the wall is unplanned.
-        # `_peak` repeats the test with the impulse.
+        # Friction may hide the sign of the normal force. The onset is unplanned only if its force clearly
+        # points into the wall. `_peak` repeats the test with the impulse.
         least = -(_INTO_WALL * size + 3.0 * self._noise)
         planned = expected is not None and fx * expected[0] + fy * expected[1] > least
         self._normal = expected if expected is not None and planned else (fx / size, fy / size)

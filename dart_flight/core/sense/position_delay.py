@@ -1,4 +1,4 @@
-"""Estimate of the time by which PX4's position estimate is ahead of the IMU, or behind it.
+"""Estimate of the time by which PX4's position estimate is ahead of the IMU or behind the IMU.
 
 PX4 assumes that a motion-capture pose is EKF2_EV_DELAY old. If this assumption is wrong by d, PX4's position
 estimate is early or late by d. After an acceleration, the estimated velocity then exceeds the IMU's by about
@@ -8,8 +8,8 @@ samples and its output follows slowly. A regression of the error on that acceler
     e = v_odometry - integral of the specific force and gravity,   z = acceleration from 0.6 s to 0.3 s ago
     d = covariance of e and z / variance of z
 
-Accelerometer bias and attitude errors make e drift. The same high-pass filter is applied to e and z. It turns
-a steady drift into a constant, which does not affect a covariance.
+Accelerometer bias and attitude errors make e drift. The same high-pass filter is applied to e and z. The
+filter turns a steady drift into a constant, which does not affect a covariance.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ Momenta = deque[tuple[int, float, float, float]]
 _STEP_US: Final = 50_000  # step: longer than an IMU tick, shorter than the estimate's oscillations
 _NEAR, _FAR = 6, 12  # steps: the acceleration is the mean from 0.6 s to 0.3 s ago
 _HIGH_PASS_S: Final = 0.5
-_MEMORY_S: Final = 4.0  # time constant of the sums: one manoeuvre
-_JUMP_M_S: Final = 0.15  # change in one step above which it is an estimator reset, which other rules detect
+_MEMORY_S: Final = 4.0  # time constant of the sums, about the duration of one manoeuvre
+_JUMP_M_S: Final = 0.15  # a larger change in one step is an estimator reset, which other rules detect
 # A pose acts on the output through two filters, so the regression yields this fraction of the delay.
 _SHARE: Final = 0.75
-# Required acceleration in memory, (m/s2)^2 s, and required correlation. Pose fusion corrects accelerometer
+# Minimum variance of z in `figures`, (m/s2)^2 s, and minimum correlation. Pose fusion corrects accelerometer
 # noise late. This looks like a lagging estimate, with correlations up to 0.7 (docs/results/px4_versions.md).
 _LITTLE_MOTION, _LITTLE_AHEAD = 0.1, 0.75
 _MOTION, _AHEAD, _BEHIND = 0.2, 0.6, 0.8
@@ -83,7 +83,7 @@ class PositionDelay:
             self._restart()
             return
         (x, y, z), self._velocity = self._velocity, velocity
-        if past and momenta[0][0] <= past[-1][0]:  # otherwise the IMU had a gap since then
+        if past and momenta[0][0] <= past[-1][0]:  # the IMU has had no gap since the last step
             last, per = past[-1], self._per_mass
             dt_s = (t_us - last[0]) * 1e-6
             change = (

@@ -24,13 +24,13 @@ from typing import Final, NamedTuple
 
 _MAX_BINS: Final = 13
 _STEPS: Final = 8
-# The model's own error, relative to the top; without it, a quiet sensor would get too much weight.
+# The model's own error, relative to the top. Without this error, a quiet sensor would get too much weight.
 _MODEL_ERROR: Final = 0.01
 _PRIOR_LOG_OMEGA: Final = 0.25
 _PRIOR_LOG_KAPPA: Final = 1.0
 _MIN_OMEGA: Final = 8.0
 _MAX_OMEGA: Final = 400.0
-_MAX_MISFIT: Final = 0.12  # root mean square relative to the peak above which the model does not fit
+_MAX_MISFIT: Final = 0.12  # the model does not fit if the root mean square exceeds this fraction of the peak
 
 
 class TickReading(NamedTuple):
@@ -145,9 +145,9 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 class _Ends:
     """The pulse at the end of a reading: force, impulse for a slope of 1, impulse, and its derivative.
 
-    The derivative is with respect to the log frequency. It is a finite difference between two frequencies
-    whose logarithms differ by 1e-4, with the same damping and decay. Each frequency's constants are computed
-    only once, because the setpoint after an impact waits for the fit.
+    The derivative is with respect to the log frequency. The derivative is a finite difference between two
+    frequencies whose logarithms differ by 1e-4, with the same damping and decay. Each frequency's constants
+    are computed only once, because the setpoint after an impact waits for the fit.
     """
 
     def __init__(self, omega: float, sigma: float, push: float, slope: float) -> None:

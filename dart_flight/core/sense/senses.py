@@ -73,7 +73,7 @@ class Senses:
     """State, estimators and impact detector, updated together.
 
     The detector is active only while `ExpectedContact.watching` is set. Every user of a force estimate gets
-    it from this class, so another estimator is constructed here (docs/extending.md).
+    the estimate from this class. Construct another estimator here (docs/extending.md).
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:

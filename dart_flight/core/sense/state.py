@@ -29,7 +29,7 @@ from dart_flight.base.records import (
 from dart_flight.base.stamps import LEAP_US, LeapFilter
 
 _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
-_TEXT_AGE_US: Final = 15_000_000  # age above which PX4's texts are not given as reasons
+_TEXT_AGE_US: Final = 15_000_000  # older texts of PX4 are not given as reasons
 _MAX_REASONS: Final = 6
 _FURTHEST_M: Final = 1e5  # limit of a plausible position in PX4's local frame
 _FASTEST_M_S: Final = 1e3
@@ -42,8 +42,8 @@ class FlightState:
 
     `now_us` is the estimate of the autopilot's time: the newest stamp, or the host's time plus the clock
     offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick. Without a
-    lock, `lock` is settled and rigid. An `update_` method returns False if it has discarded the sample,
-    because the stamp does not increase or the sample is implausible.
+    lock, `lock` is settled and rigid. An `update_` method returns False if it discards the sample: the stamp
+    does not increase, or the sample is implausible.
     """
 
     def __init__(self, has_lock: bool = True) -> None:
@@ -65,7 +65,7 @@ class FlightState:
             self.lock = LockState(t_us=0, phase=LockPhase.SETTLED, mode=Mode.RIGID)
         self.position: Vec3 = (0.0, 0.0, 0.0)
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
-        self.acceleration: Vec3 = (0.0, 0.0, 0.0)  # lightly filtered change of the odometry's velocity
+        self.acceleration: Vec3 = (0.0, 0.0, 0.0)  # low-pass-filtered derivative of the odometry's velocity
         self.yaw = 0.0
         self.tilt_rad = 0.0
         self._velocities: deque[tuple[int, Vec3]] = deque()
@@ -75,8 +75,8 @@ class FlightState:
         }
         self.health: HealthReport | None = None
         self._px4_texts: dict[str, int] = {}  # PX4's last warnings or worse, oldest first, with their times
-        self._found_on_link: dict[str, int] = {}  # the same for this program's warnings about the link
-        self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
+        self._found_on_link: dict[str, int] = {}  # this program's warnings about the link, with their times
+        self._refused: dict[str, str] = {}  # command -> PX4's refusal
 
     def update_odometry(self, sample: OdometrySample) -> bool:
         if not self.is_plausible(sample):
@@ -291,7 +291,7 @@ class FlightState:
             return f"{here}; PX4 reports: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
         answer = self._refused.get(command or "")
         answered = f"{here}; PX4 answers: {answer}" if answer else here
-        if also:  # perhaps not the reason, but an older PX4 reports nothing else
+        if also:  # these faults may not be the reason, but an older PX4 reports nothing else
             return f"{answered}; PX4 gives no reason, but reports: " + ", ".join(also)
         return answered
 

@@ -15,8 +15,8 @@ from typing import Final
 from dart_flight.base.filters import VarianceEstimate
 from dart_flight.base.geometry import Vec2
 
-# Time constants of two variances. The larger variance counts, so that noise counts immediately and decays
-# slowly.
+# Time constants of two variances. The larger variance is used: it follows rising noise quickly and falling
+# noise slowly.
 _QUICK_S: Final = 0.5
 _SLOW_S: Final = 5.0
 _MIN_N2: Final = 1e-4
@@ -73,7 +73,7 @@ class WindowMean:
         self.mean = (x / n, y / n)
 
     def learn(self, dt_s: float) -> None:
-        """Update the noise from the current mean and the mean one window earlier (not during contacts)."""
+        """Update the noise from the current mean and the mean one window earlier; do not call in contacts."""
         past, pending, mean = self._past, self._pending, self.mean
         if len(past) == past.maxlen:
             (x, y), (before_x, before_y) = mean, past[0]
