@@ -187,7 +187,7 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 
 
 def seconds(data: dict[str, Any]) -> Array:
-    """Return a topic's stamps, s on the autopilot's clock: of measurement if logged, or else of logging."""
+    """Return a topic's stamps, s, autopilot clock: of the measurement if logged, otherwise of the logging."""
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
     )

@@ -240,7 +240,7 @@ def _integral(values: Array, step: Array) -> Array:
 def _fit(
     windows: _Windows, vehicle: VehicleConfig
 ) -> tuple[list[AxisInertia], tuple[float, float, float], float]:
-    """Return the three axes' inertias, the drift, and the sum of their unexplained fractions of variance."""
+    """Return the inertias, the drift, and the unexplained fraction of variance summed over the axes."""
     inertia = np.array(vehicle.airframe.inertia_kg_m2)
     axes: list[AxisInertia] = []
     drift = np.zeros(3)

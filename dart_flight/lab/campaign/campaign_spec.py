@@ -278,7 +278,7 @@ def command_of(asked: CampaignSpec, point: Point, seed: int) -> str:
     """Return the command that repeats one flight of a campaign."""
     words = ["dart-flight", "dry-run", point.path, "--fast", "--seed", str(seed)]
     words += [word for setting in asked.vary for word in ("--vary", setting)]
-    for key, value in zip(asked.settings, point.values, strict=False):  # the case's values follow
+    for key, value in zip(asked.settings, point.values, strict=False):  # `values` also has the case's
         words += ["--set", f"{key}={value}"]
     if asked.config is not None:
         words += ["--config", asked.config]
