@@ -23,7 +23,7 @@ from dart_flight.lab.track import calibration_series_of
 from dart_flight.lab.ulog import open_ulog
 from dart_flight.recording.reader import read_log
 
-# A trial needs one of these to contain an impact.
+# A trial needs one of these columns, which show the impact.
 _ANY_OF = ("normal_m", "normal_m_s", "specific_force_m_s2", "normal_acceleration_m_s2")
 _TIME = "time_s"
 _AT_A_WALL = ("vertical_m", "tangential_force_n")  # unused in a drop
