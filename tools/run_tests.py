@@ -58,10 +58,10 @@ def run(commands: Sequence[str]) -> bool:
 
 
 def finish(process: subprocess.Popen[bytes]) -> int:
-    """Return the exit status of a process, which is ended if this process is interrupted."""
+    """Wait for a process and return its exit status; end it if this process is interrupted."""
     try:
         return process.wait()
-    except KeyboardInterrupt:  # the process received it as well
+    except KeyboardInterrupt:  # the child received the interrupt, too
         process.wait()
         raise
     finally:
@@ -89,7 +89,7 @@ def show(output: IO[bytes], process: subprocess.Popen[bytes]) -> None:
     """Print the output of a process until it ends."""
     ended = False
     while not ended:
-        ended = process.poll() is not None  # before the last read
+        ended = process.poll() is not None  # checked before the last read, so that no output is lost
         sys.stdout.buffer.write(output.read())
         sys.stdout.flush()
         time.sleep(0.2)

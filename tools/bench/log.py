@@ -21,7 +21,7 @@ from tools.bench.processor import thread_seconds
 _MISSION = Path(__file__).parents[2] / "missions" / "paper_dual_collision.yaml"
 _SLOT_US = 4000  # one IMU sample
 _PACED_S = 10.0
-_WRITTEN_S = 0.5  # after the last record
+_WRITTEN_S = 0.5  # time for writing after the last record
 
 
 def record_slots() -> list[list[tuple[Record, int]]]:

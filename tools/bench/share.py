@@ -36,7 +36,7 @@ from tools.bench.processor import process_seconds, thread_seconds
 
 SECONDS, ROUNDS = 20.0, 3
 _PERIOD_S = 3.0
-_LEAD_S = 8.0  # for connection, rates and start of the app
+_LEAD_S = 8.0  # time for connection, rates and start of the app
 MAVSDK = "MAVSDK and its callbacks"
 Shares = dict[str, float]  # part -> per cent of a core
 

@@ -35,7 +35,7 @@ from tools.campaigns.results import ROOT
 
 HERE = Path(__file__).parent
 NAMES = sorted(path.stem for path in HERE.glob("*.yaml"))
-# Without those that need PX4, or the extra `mutants` and hours.
+# The others need PX4, or the extra `mutants` and several hours.
 USUAL = [name for name in NAMES if not name.startswith(("px4", "mutants"))]
 
 

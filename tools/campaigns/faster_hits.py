@@ -46,7 +46,7 @@ from dart_flight.sim.px4.launch import ENVIRONMENT
 from tests.watched_flight import WatchedFlight, place_walls, rule_of
 from tools.campaigns.results import markdown
 
-_FRICTION_RATIO = 0.5  # friction over normal force up to which the law of friction is assumed valid
+_FRICTION_RATIO = 0.5  # the law of friction is assumed valid up to this ratio of friction to normal force
 _WALL_M, _BACK_M = 3.0, 2.0
 _MOTION = (5.0, 8.0, 30.0)  # acceleration m/s2, jerk m/s3, tilt degrees
 _TILT_US = 1_000_000  # interval after the hit for the tilt

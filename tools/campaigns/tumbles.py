@@ -29,8 +29,8 @@ from tools.campaigns.results import markdown
 
 _ROOMS = 50
 _TUMBLED_DEG = 80.0
-_REST_M = 1.6  # from the wall to the goal
-_STIFFNESS_N_S_M = {"flexible": 25.0, "rigid": 35.0}  # rough ratio of peak force to speed, for the gain
+_REST_M = 1.6  # distance from the wall to the goal
+_STIFFNESS_N_S_M = {"flexible": 25.0, "rigid": 35.0}  # rough peak force per speed, for the gain
 
 
 class RoomFlight(msgspec.Struct, frozen=True):

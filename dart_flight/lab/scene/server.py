@@ -74,7 +74,7 @@ class Broadcast:
             for message in messages:
                 self._channels.publish(message)
         t_us = getattr(record, "t_us", 0)
-        # Downsampled records are late, and viewers treat a step back in time as a jump.
+        # Send no step back in time, which viewers treat as a jump: downsampled records are late.
         if t_us and not -_JUMP_US < t_us - self._clock_us < _CLOCK_US:
             self._clock_us = t_us
             self._server.broadcast_time(t_us * 1000)

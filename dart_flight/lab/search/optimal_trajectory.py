@@ -48,7 +48,7 @@ _GUESSED_M_S, _GUESSED_LEFT = 1.5, 0.7  # initial guess of a hit's speed and of 
 _THRUST_M_S2 = {Mode.FLEXIBLE: (-0.05, 0.2), Mode.RIGID: (-0.05, 1.0)}  # see `HitLimits`
 _SOLVER: dict[str, Any] = {
     "print_time": False,
-    "no_nlp_grad": True,  # expensive, and unused by IPOPT
+    "no_nlp_grad": True,  # this gradient is expensive, and IPOPT does not use it
     "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 250},
 }
 
@@ -340,7 +340,7 @@ class _GuessedEnd(NamedTuple):
 
 
 def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
-    """Return the guessed start and end of every part; the velocity is 0, except at hits and cruises."""
+    """Return the guessed start and end of every part, with a velocity only at hits and cruises."""
     found = []
     here = _GuessedEnd(problem.start, (0.0, 0.0))
     for part in problem.parts:

@@ -189,7 +189,7 @@ class _Search:
         self.colliding: tuple[Event, ...] | None = None
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], Plan | None] = {}
-        self.least_open_s = self.left_out_s = math.inf  # lowest bounds of skipped and of too long sequences
+        self.least_open_s = self.left_out_s = math.inf  # lowest bounds: skipped sequences; too many hits
         # Every bound needs the responses, so compute them once.
         self._responses = {
             (wall.name, mode): ContactResponse.at_wall(self.vehicle, wall, mode)
@@ -221,7 +221,7 @@ class _Search:
         for events in self._serving_sequences():
             put(events)
             if enough():
-                self.least_open_s = 0.0  # the other sequences have no bound
+                self.least_open_s = 0.0  # the remaining sequences have no bound yet
                 break
         while open_:
             bound_s, _, events = heapq.heappop(open_)
