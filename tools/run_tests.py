@@ -32,7 +32,7 @@ REST = "realtime or px4 or rest"
 
 
 def _files_with(mark: str) -> str:
-    """Return the files that name a mark: each worker needs 5 s to collect all of them."""
+    """Return the test files that name a mark; to collect all test files takes each worker 5 s."""
     paths = sorted(Path("tests").rglob("test_*.py"))
     return " ".join(str(path) for path in paths if re.search(rf"\b{mark}\b", path.read_text("utf-8")))
 

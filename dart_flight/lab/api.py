@@ -1,8 +1,8 @@
 """The functions behind `import dart_flight`, for Python scripts (docs/python.md).
 
-They correspond to the commands: they load missions, vehicles and scenarios, simulate flights, predict
-contacts, plan, identify and read flight logs. Invalid input raises `InputError`, which is a `ValueError`. No
-function starts an event loop, and every function can be called while an event loop runs.
+Like the commands, they load missions, vehicles and scenarios, simulate flights, predict contacts, plan
+missions, identify coefficients and read flight logs. Invalid input raises `InputError`, which is a
+`ValueError`. No function starts an event loop, and every function can be called while an event loop runs.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ Array = NDArray[np.float64]
 
 
 def load_vehicle(path: Written | None = None, settings: Sequence[str] = ()) -> VehicleConfig:
-    """Load a vehicle configuration; its `replace({"airframe.mass_kg": 1.5})` returns a modified copy.
+    """Load a vehicle configuration; the method `replace({"airframe.mass_kg": 1.5})` returns a modified copy.
 
     Args:
         path: a file, or a mapping with its content. Default: $DART_FLIGHT_CONFIG, then
@@ -78,7 +78,7 @@ def load_mission(
     vehicle: VehicleConfig | Written | None = None,
     settings: Sequence[str] = (),
 ) -> Mission:
-    """Load a mission with its vehicle; `mission.replace({"limits.speed_m_s": 2.0})` returns a modified copy.
+    """Load a mission and its vehicle; `Mission.replace({"limits.speed_m_s": 2.0})` returns a modified copy.
 
     Args:
         mission: a file, a mapping with its content, or a loaded mission.
@@ -262,7 +262,7 @@ def predict_drop(
         InputError: as for `predict`, or the height is not above 0, or exceeds 100 m.
     """
     condition = prediction.condition(vehicle, surface, mode, onset, 0.0)
-    prediction.drop_contact(condition, height_m)  # raises for a height out of range
+    prediction.drop_contact(condition, height_m)  # raises InputError if the height is out of range
     return drop(condition.coefficients, condition.mass_kg, height_m, condition.onset)
 
 

@@ -139,7 +139,7 @@ class DrawnWall(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The wall's name, with its material unless the two are equal."""
+        """The wall's name, and its material if the two differ."""
         return named_material(self.plane)
 
     @property
@@ -150,7 +150,7 @@ class DrawnWall(NamedTuple):
 
 
 def named_material(thing: Wall | Post) -> str:
-    """Return the name of a wall or post, with its material unless the two are equal."""
+    """Return the name of a wall or post, and its material if the two differ."""
     return thing.name if thing.name == thing.material else f"{thing.name} ({thing.material})"
 
 

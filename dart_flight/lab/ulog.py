@@ -187,7 +187,7 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 
 
 def seconds(data: dict[str, Any]) -> Array:
-    """Return a topic's stamps, s, autopilot clock: of the measurement if logged, otherwise of the logging."""
+    """Return the times at which a topic was measured (if unknown: logged), in s on the autopilot's clock."""
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
     )

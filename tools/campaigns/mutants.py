@@ -55,7 +55,7 @@ _COMMANDS = {
     ),
     "test-rest": ("rest", "tests"),
 }
-# All else is copied, because the tests of pages also read README, Makefile and deploy.
+# Everything else is copied, because the tests of pages also read README, Makefile and deploy.
 _LEFT_OUT = shutil.ignore_patterns(".git", ".venv", ".*_cache", "__pycache__")
 _LONGEST_S = 3600.0
 _LEAST_CHANGE = 1e-3  # least relative change of a number; no test can detect 1 us in 1 s

@@ -1,4 +1,4 @@
-"""Campaign: whether flights reported by `plan` for the objective `quickest` hold in other drawn worlds."""
+"""Campaign: whether what `plan` reports for the objective `quickest` holds in other drawn worlds."""
 
 from __future__ import annotations
 

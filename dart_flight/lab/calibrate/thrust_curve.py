@@ -214,8 +214,8 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 
     Args:
         factor: value to use if the factor is not fitted, or if the points do not determine it.
-        exponent: exponent of the voltage; None fits it if the voltage varies. It has no effect if the voltage
-            is unknown.
+        exponent: exponent of the voltage, or None to fit the exponent if the voltage varies. If the voltage
+            is unknown, the exponent has no effect.
         fit_factor: whether to fit the factor. A result outside 0 to 1 is clipped and has no standard error.
     """
     reference = float(p.volts.mean()) if np.isfinite(p.volts).all() else None

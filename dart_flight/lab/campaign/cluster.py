@@ -67,7 +67,7 @@ def _connect(url: str) -> Any:
         def __del__(self) -> None:
             """Do nothing: `_work` closes the client, and closing an unconnected client takes a minute."""
 
-    for name in ("distributed", "distributed.client"):  # the errors raised below say the same
+    for name in ("distributed", "distributed.client"):  # the errors raised below replace their messages
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         with warnings.catch_warnings():

@@ -150,7 +150,7 @@ def _ways_out(plan: Plan, result: SearchResult, record: FlownRecord) -> Iterator
     """Yield advice on a plan that fails in simulation."""
     drawn = record.drawn
     if drawn is not None and drawn.flights < flown_plan.DRAWN:
-        yield f"the other {flown_plan.DRAWN - drawn.flights} flights were not flown: they cannot change this"
+        yield f"{flown_plan.DRAWN - drawn.flights} flights were not flown: they cannot change the result"
     ways = [f"--rank {plan.rank + 1}"] if plan.rank < len(result.plans) else []
     others = {Objective.ROBUST, Objective.QUICKEST} - {result.scenario.objective}
     ways += [f"--objective {other}" for other in sorted(others)]

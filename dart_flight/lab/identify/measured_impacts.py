@@ -205,7 +205,7 @@ def _extent(
                 limit, free = float(time[i]), 0
             else:
                 free += 1
-                if free >= 3:  # two good samples may be a change of sign
+                if free >= 3:  # two small errors may be a zero crossing
                     break
         limits.append(limit)
     return min(limits[0], turn_s) - step, max(limits[1], turn_s) + step

@@ -32,8 +32,8 @@ from dart_flight.lab.predict.path import ContactMotion
 _PLANE_SD_M = 0.015  # prior standard deviation of the plane's position
 _PUSH_SD_M_S2 = 5.0
 PUSHES = ("before", "after")
-# Standard deviation by which the controller's acceleration changes in a contact, which is shorter than the
-# controller's lag. Positions alone cannot separate this change from stiffness.
+# Standard deviation of the controller's change of acceleration during a contact; small, because the contact
+# is shorter than the controller's lag. Positions alone cannot separate this change from stiffness.
 _PUSH_CHANGE_SD_M_S2 = 1.0
 _DELAY_SD_S = 0.01  # prior standard deviation of the delay between position and force clocks
 _FREE_S = (0.25, 0.15)  # free flight used before and after a wall contact; later, the recovery acts

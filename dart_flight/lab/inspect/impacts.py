@@ -29,7 +29,7 @@ from dart_flight.lab.inspect.specific_thrust import SpecificThrust, is_thrust_kn
 from dart_flight.lab.track import Track
 from dart_flight.lab.ulog import ULogFile
 
-_BEYOND_THRUST = 0.5  # no thrust explains this fraction of a contact's impulse, up to 45 degrees tilt
+_BEYOND_THRUST = 0.5  # at up to 45 degrees tilt, thrust cannot explain this fraction of a contact's impulse
 REMEMBERED = 256  # number of samples for which the detector waits for a peak
 _CONFIRMED = 0.3  # minimum ratio of fitted peak to threshold; the fit may reduce a short pulse to a third
 _HOVERS_M_S = 1.0  # highest speed at which the assumed hover thrust holds

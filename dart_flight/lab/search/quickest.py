@@ -1,11 +1,11 @@
 """The fastest flight from the start through the visits to the goal, with any number of hits that save time.
 
 The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time: the
-sum of the contact times and of the shortest times along the straight legs of the shortest path through the
-events. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of the
-best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds
-places, velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is faster
-and the servo has enough time.
+contact times, plus the shortest time along each straight leg of the shortest path through the events. The
+sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of the best flight
+found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds places,
+velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is faster and the
+servo has enough time.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ class _Search:
         self.colliding: tuple[Event, ...] | None = None
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], Plan | None] = {}
-        self.least_open_s = self.left_out_s = math.inf  # lowest bounds: skipped sequences; too many hits
+        self.least_open_s = self.left_out_s = math.inf  # lowest bounds of skipped and of longer sequences
         # Every bound needs the responses, so compute them once.
         self._responses = {
             (wall.name, mode): ContactResponse.at_wall(self.vehicle, wall, mode)

@@ -26,7 +26,7 @@ _AFTER_HIT_M = 0.05  # additional margin after a hit, whose outgoing velocity is
 _ON_LINE_M = 0.01  # distance of a path's corner from the edge of its half-planes
 _OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
 _AROUND = 8  # number of corners of the polyline around a post
-TOUCH_M = 0.01  # distance that a path to a place at a wall keeps from the wall's plane
+TOUCH_M = 0.01  # a path to a place at a wall keeps this distance from the wall's plane
 
 
 def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:

@@ -249,8 +249,8 @@ def view_of(shown: RoomMap, points: Array, margin_m: float = 0.45) -> Array:
     """Return the limits of a view that contains the points (n, 2 or 3) and a margin around them.
 
     The limits are [[low x, low y], [high x, high y]], metres. The view includes the nearest part of every
-    wall and post, unless that part is outside of the bounds. The view does not extend beyond the room, which
-    consists of the bounds and the walls with their names.
+    wall and post if that part is within the bounds. The view does not extend beyond the room, which consists
+    of the bounds and the walls with their names.
     """
     (x0, x1), (y0, y1) = shown.bounds.x, shown.bounds.y
     surfaces = [along(np.array(wall.surface.ends)) for wall in shown.walls]
