@@ -67,9 +67,9 @@ PAGE, COLUMN = Look(4.6, 9.0), Look(3.5, 8.0)
 
 
 def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Any, Any]:
-    """Return a figure and its axes; `height` is in inches for a figure as wide as `PAGE`.
+    """Return a figure and its axes; `height` is in inches and applies to the width of `PAGE`.
 
-    The aspect of the figure does not depend on `look`. `options` are those of `Figure.subplots`.
+    Every `look` gives the same aspect. `options` are those of `Figure.subplots`.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415  (an extra, and slow)
 

@@ -60,7 +60,7 @@ class ULogFile(msgspec.Struct):
         topics: name -> instance -> field -> array as PX4 wrote it. Topics without samples are absent.
         parameters: PX4's parameters at the start of the log.
         version: PX4's version, or None if it is not logged or PX4 was built between releases.
-        gaps_s: total duration that the logger lost, s.
+        gaps_s: total duration of the logger's gaps, s.
         damage: descriptions of damaged parts, which are skipped.
     """
 

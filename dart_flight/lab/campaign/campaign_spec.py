@@ -1,4 +1,4 @@
-"""The specification of a campaign: missions x settings x cases x seeds, and the resulting points and items.
+"""The specification of a campaign: missions x settings x cases x seeds. It results in points and flights.
 
 `dart-flight campaign` builds the specification from its options. For each measurement in the manual, a file
 (`tools/campaigns/*.yaml`) contains a specification and names a function that evaluates each flight.

@@ -159,7 +159,7 @@ def _ways_out(plan: Plan, result: SearchResult, record: FlownRecord) -> Iterator
 
 
 def _first_flyable(result: SearchResult, rank: int) -> tuple[Plan, Mission, dict[int, str]]:
-    """Return the first plan, from a given rank on, whose mission is accepted, and the refused ranks."""
+    """Return the first plan from a given rank on whose mission is accepted, and the refused ranks."""
     refused: dict[int, str] = {}
     for plan in result.plans[rank - 1 :]:
         try:
@@ -180,7 +180,7 @@ def _search_bar() -> Iterator[Progress]:
 
 
 class _Watch(FlightWatch):
-    """The simulated flights on standard error: their number, and each result as soon as it is known.
+    """A display of the simulated flights on standard error: their number, and each result when it is known.
 
     `on_output` sends the results to standard output, for calls without `--json`.
     """

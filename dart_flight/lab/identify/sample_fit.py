@@ -1,13 +1,13 @@
 """The fit of the law to the samples of several trials.
 
-One parameter vector describes all trials. They share one plane, whose position is known to one or two
-centimetres and is estimated too. The trials of a mode share its coefficients. Every trial has its own onset
-time and approach velocity, and a clock delay if it has both positions and forces. The law is the paper's
-closed form in time (`dart_flight.lab.predict.path`): free flight, contact, free flight.
+One parameter vector describes all trials. All share one plane. Its position is known to one or two
+centimetres, and the fit estimates it. The trials of a mode share the mode's coefficients. Every trial has its
+own onset time and approach velocity, and a clock delay if it has both positions and forces. The law is the
+paper's closed form in time (`dart_flight.lab.predict.path`): free flight, contact, free flight.
 
-In real flights the controller accelerates the vehicle before and after a wall contact. If this curves the
-recorded free flight, every wall hit gets three unknown constant accelerations: before, in and after the
-contact. Otherwise straight flight is assumed, because fewer unknowns are determined more accurately.
+In real flights the controller accelerates the vehicle before and after a wall contact. If the recorded free
+flight is curved, every wall hit gets three unknown constant accelerations: before, in and after the contact.
+Otherwise straight flight is assumed, because fewer unknowns are determined more accurately.
 """
 
 from __future__ import annotations

@@ -278,7 +278,7 @@ class _Search:
                 yield more
 
     def _is_wanted(self, events: Sequence[Event]) -> bool:
-        """Return whether the events contain a hit, and exactly the demanded hits if hits are demanded."""
+        """Return whether the events contain a hit and, if hits are demanded, exactly these hits."""
         walls = _walls_hit(events)
         return bool(walls) and (not self._demanded or walls == self._demanded)
 
