@@ -1,4 +1,4 @@
-"""Campaign: whether what `plan` reports for the objective `quickest` holds in other drawn worlds."""
+"""Campaign: results of `plan` with the objective `quickest`, checked in other drawn worlds."""
 
 from __future__ import annotations
 

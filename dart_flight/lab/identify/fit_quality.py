@@ -169,7 +169,7 @@ def _by_law(known: LawProblem, held: LawProblem) -> tuple[Array, Array]:
 
 
 def _in_proportion(known: LawProblem, held: LawProblem) -> tuple[Array, Array]:
-    """Predict peak and outgoing speed in proportion to the incoming speed, by the median of the known ratios.
+    """Predict peak and outgoing speed: the incoming speed times the median of the known ratios.
 
     If no known hit has a ratio, the prediction is NaN.
     """

@@ -19,7 +19,7 @@ _MIN_IN_CONTACT = 4
 _SLOW_SAMPLING_S = 0.006
 _WIDEST_LOG = math.log(10.0)  # maximum half width of the interval of a known coefficient: a factor of ten
 _BAD_FIT = 4.0  # ratio of residual in contact to noise in free flight above which the law does not fit
-_MIN_JUDGED = 4  # minimum number of samples, in contact and in free flight, for a misfit
+_MIN_JUDGED = 4  # a misfit needs this number of samples in contact, and in free flight
 
 
 @dataclass

@@ -173,7 +173,7 @@ class ContactMotion:
         return self._slipped.once(t) if self.has_contact else t.copy()
 
     def rise(self, time_s: ArrayLike) -> Array:
-        """Return the velocity that the vertical force causes, m/s, along the force and for nu = 1 N.
+        """Return the velocity caused by the vertical force, along this force, m/s, for nu = 1 N.
 
         The velocity is proportional to nu.
         """
@@ -181,7 +181,7 @@ class ContactMotion:
         return self._raised.once(t) if self.has_contact else np.zeros_like(t)
 
     def lift(self, time_s: ArrayLike) -> Array:
-        """Return the displacement that the vertical force causes, m, along the force and for nu = 1 N.
+        """Return the displacement caused by the vertical force, along this force, m, for nu = 1 N.
 
         The displacement is proportional to nu.
         """

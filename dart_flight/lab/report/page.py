@@ -150,7 +150,7 @@ def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
     if first.verdict.mission != other.verdict.mission:
         return ""
     flown = [flight.mission for flight in (first, other)]
-    # Users know the keys of the file; a log of an earlier version has only the resolved parts.
+    # Name keys of the file, which users know. The log of an earlier version has only the resolved parts.
     trees = [mission.written.tree for mission in flown if mission.written is not None]
     if len(trees) < len(flown) or trees[0] == trees[1]:
         trees = [msgspec.to_builtins(mission) for mission in flown]

@@ -33,8 +33,8 @@ class ForceState(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/flight/force"
     t_us: int
     force_n: float  # magnitude
-    normal_n: float  # out of the nearest wall
-    along_n: float  # along that wall, positive to the right when looking out of the wall
+    normal_n: float  # component along the outward normal of the nearest wall
+    along_n: float  # component along this wall, positive to the right for a view out of the wall
     up_n: float
     clipped: bool
 
@@ -45,8 +45,8 @@ class TrueForce(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/flight/true_force"
     t_us: int
     force_n: float  # magnitude
-    normal_n: float  # out of the nearest wall
-    along_n: float  # along that wall, positive to the right when looking out of the wall
+    normal_n: float  # component along the outward normal of the nearest wall
+    along_n: float  # component along this wall, positive to the right for a view out of the wall
     up_n: float
 
 

@@ -398,7 +398,7 @@ class _Search:
         )
 
     def _with_best_modes(self, events: tuple[Event, ...]) -> tuple[Event, ...]:
-        """Return the events with the faster mode for each hit, examined one after the other."""
+        """Return the events with the faster mode for each hit; the hits are examined one after the other."""
         for k, mode in itertools.product(range(len(events)), self.scenario.modes):
             event = events[k]
             if isinstance(event, Hit) and event.mode is not mode:

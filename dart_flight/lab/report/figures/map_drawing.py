@@ -141,7 +141,7 @@ def draw_wall(axis: Any, wall: DrawnWall) -> None:
 
 
 def draw_side(axis: Any, shown: RoomMap, top_m: float) -> None:
-    """Draw a map along y, up to an altitude.
+    """Draw a map as seen along y, up to an altitude.
 
     A wall that the view shows edge-on is hatched. Other walls are plain, because the vehicle flies in front
     of them.
