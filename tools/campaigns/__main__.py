@@ -82,7 +82,7 @@ def measure(options: argparse.Namespace, name: str) -> int:
         completed = campaigns.fly(opened, engine, interrupt, show)
     spent_s = _add_session(opened.folder, time.monotonic() - began_s)
     if completed < opened.flights:
-        console.print(f"interrupted: {completed} of {opened.flights}; continue with --resume")
+        console.print(f"interrupted: {completed} of {opened.flights} flights; continue with --resume")
         return 130
     rows = campaigns.read_rows(opened)
     text = importlib.import_module(f"tools.campaigns.{name}").page([r for r in rows if r.row is not None])

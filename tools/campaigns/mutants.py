@@ -99,7 +99,7 @@ def try_mutant(_: Point, seed: int) -> Mutant:
     after = mutate_code(before, get_operator(f"core/{drawn[1]}")(), drawn[2]) if seed else before
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         tree = Path(folder) / "tree"
-        shutil.copytree(ROOT, tree, symlinks=True, ignore=_LEFT_OUT)  # some test data are broken links
+        shutil.copytree(ROOT, tree, symlinks=True, ignore=_LEFT_OUT)  # test data contain broken links
         (tree / ".venv").symlink_to(sys.prefix)  # advice on missing packages depends on this path
         (tree / path).write_text(after, "utf-8")
         command, detected_by = _first_detection(tree)

@@ -135,7 +135,7 @@ class FlownBothWays:
 
     @property
     def moments(self) -> list[float]:
-        """The times of the frames by the clocks; the last one is held."""
+        """The times of the frames on the flights' clocks; the last time is repeated."""
         last = max(way.rest_s for way in self.ways)
         times = np.arange(-_BEFORE_S, last + 1.0 / _FRAMES_PER_S, 1.0 / _FRAMES_PER_S)
         return [*map(float, times), *[float(times[-1])] * _HOLD]
